@@ -1,0 +1,1 @@
+"""The measuring service: composes drivers, pipeline and the public stream."""

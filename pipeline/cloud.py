@@ -1,0 +1,50 @@
+"""What a reconstruction gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Volume:
+    """Measuring volume along the left camera's z axis, mm."""
+
+    near_mm: float
+    far_mm: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.near_mm < self.far_mm < float("inf"):
+            from pipeline.errors import PipelineError
+
+            raise PipelineError(f"volume {self.near_mm} .. {self.far_mm} mm: need 0 < near_mm < far_mm")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """A metric point cloud, organised on the left camera's raw pixel grid.
+
+    Args:
+        xyz: (H, W, 3) float32, mm, world frame; NaN where unknown.
+        sigma_mm: (H, W) float32, one standard deviation along the viewing ray; NaN where unknown.
+        gray: (H, W) uint8, the fringe-free texture, everywhere.
+        modulation: (2, H, W) uint8, fringe amplitude in counts of the left and the right picture.
+        order: (H, W) int16, fringe order of the left pixel; -1 where unknown.
+        saturated: share of clipped pixels, left and right.
+        ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
+    """
+
+    xyz: NDArray[np.float32]
+    sigma_mm: NDArray[np.float32]
+    gray: NDArray[np.uint8]
+    modulation: NDArray[np.uint8]
+    order: NDArray[np.int16]
+    saturated: tuple[float, float] = (0.0, 0.0)
+    ms: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def points(self) -> int:
+        """Number of known points."""
+        return int(np.count_nonzero(np.isfinite(self.xyz[..., 2])))

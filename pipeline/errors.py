@@ -1,0 +1,17 @@
+"""What can go wrong in the pipeline, each with a name to catch."""
+
+
+class PipelineError(ValueError):
+    """Root of the pipeline's errors: the input cannot be measured as it is."""
+
+
+class CalibrationError(PipelineError):
+    """A calibration that contradicts itself or the pictures."""
+
+
+class PatternError(PipelineError):
+    """A pattern description that cannot be projected or decoded."""
+
+
+class PictureError(PipelineError):
+    """A picture whose size, type or encoding does not fit."""

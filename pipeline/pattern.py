@@ -1,0 +1,145 @@
+"""The colour fringe: what the projector shows, and which column an absolute phase belongs to.
+
+One code path for plain and frequency-modulated fringes: the absolute phase at every column's centre is a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Response
+from pipeline.errors import PatternError
+
+Array = NDArray[np.float64]
+
+THIRD = 2 * np.pi / 3
+_CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColorFringe:
+    """Three fringes in one picture: ``mean + amplitude cos(phi(u) + shift_c)``, light 0..255.
+
+    Args:
+        size: (width, height) of the projector, pixels.
+        periods: fringe periods over the width (axis x) or the height (axis y); may be fractional.
+        axis: direction along which the phase grows.
+        shifts: red, green, blue, radians.
+        profile: absolute phase at each column's centre, strictly rising; replaces the formula (frequency modulation).
+    """
+
+    size: tuple[int, int] = (1280, 1024)
+    periods: float = 96.0
+    axis: Literal["x", "y"] = "x"
+    mean: float = 127.5
+    amplitude: float = 118.0
+    shifts: tuple[float, float, float] = (-THIRD, 0.0, THIRD)
+    profile: Array | None = field(default=None)
+
+    def __post_init__(self) -> None:
+        if self.axis not in ("x", "y"):
+            raise PatternError(f"pattern.axis is {self.axis!r}, expected 'x' or 'y'")
+        if not 0 < self.periods <= self.length / 2:
+            raise PatternError(f"pattern.periods is {self.periods}, expected more than 0 and at most {self.length / 2}")
+        if not (0 < self.amplitude <= self.mean and self.mean + self.amplitude <= 255.0):
+            raise PatternError(
+                f"pattern.mean {self.mean} and amplitude {self.amplitude} leave 0..255; lower the amplitude"
+            )
+        vectors = np.exp(1j * np.array(self.shifts))
+        if min(abs(vectors[a] - vectors[b]) for a, b in ((0, 1), (1, 2), (2, 0))) < 0.1:
+            raise PatternError(f"pattern.shifts {self.shifts} must be three different angles")
+        if self.profile is not None:
+            self._check_profile()
+
+    def _check_profile(self) -> None:
+        profile = np.array(self.profile, dtype=np.float64)
+        if profile.shape != (self.length,):
+            raise PatternError(f"pattern.profile has {profile.size} values, expected one for each of {self.length}")
+        if not np.isfinite(profile).all() or (np.diff(profile) <= 0).any():
+            raise PatternError("pattern.profile must be finite and strictly increasing")
+        profile.setflags(write=False)
+        object.__setattr__(self, "profile", profile)
+
+    @property
+    def length(self) -> int:
+        """Number of projector columns (axis x) or rows (axis y)."""
+        return self.size[0] if self.axis == "x" else self.size[1]
+
+    @property
+    def phase(self) -> Array:
+        """Absolute phase at the centre of every column (or row), (length,), radians."""
+        if self.profile is not None:
+            return self.profile
+        return 2 * np.pi * self.periods * (np.arange(self.length) + 0.5) / self.length
+
+    def column_of(self, phase: Array) -> Array:
+        """Projector column (or row) of absolute phases; straight continuation by half a pixel beyond both ends."""
+        table = self.phase
+        columns = np.arange(-1.0, self.length + 1)
+        ends = (2 * table[0] - table[1], 2 * table[-1] - table[-2])
+        return np.interp(phase, np.concatenate([[ends[0]], table, [ends[1]]]), columns, left=np.nan, right=np.nan)
+
+    def light(self) -> Array:
+        """Ideal light of the picture, (height, width, 3), 0..255."""
+        waves = self.mean + self.amplitude * np.cos(self.phase[:, None] + np.array(self.shifts))
+        shape = (*self.size[::-1], 3)
+        return np.broadcast_to(waves[None] if self.axis == "x" else waves[:, None], shape)
+
+    def picture(self, response: Response | None = None) -> NDArray[np.uint8]:
+        """The picture to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
+        light = self.light()
+        drive = light if response is None else response.drive(light)
+        return np.rint(drive).astype(np.uint8)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """The JSON object of a pattern description."""
+        shifts = dict(zip(_CHANNELS, (float(s) for s in self.shifts), strict=True))
+        out: dict[str, Any] = {"kind": "color_fringe", "size": list(self.size), "periods": self.periods}
+        out |= {"axis": self.axis, "mean": self.mean, "amplitude": self.amplitude, "shifts": shifts}
+        return out if self.profile is None else out | {"profile": self.profile.tolist()}
+
+
+def from_mapping(data: Mapping[str, Any]) -> ColorFringe:
+    """The pattern of a JSON object; errors name the key."""
+    kind = data.get("kind")
+    if kind != "color_fringe":
+        raise PatternError(f"pattern.kind is {kind!r}; this program measures 'color_fringe'")
+    try:
+        width, height = (int(n) for n in data["size"])
+        red, green, blue = (float(data["shifts"][name]) for name in _CHANNELS)
+        profile = None if data.get("profile") is None else np.array(data["profile"], dtype=np.float64)
+        return ColorFringe(
+            size=(width, height),
+            periods=float(data["periods"]),
+            axis=data.get("axis", "x"),
+            mean=float(data["mean"]),
+            amplitude=float(data["amplitude"]),
+            shifts=(red, green, blue),
+            profile=profile,
+        )
+    except KeyError as error:
+        raise PatternError(f"pattern.{error.args[0]} is missing") from error
+    except PatternError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise PatternError(f"pattern description: {error}") from error
+
+
+def modulated_profile(length: int, periods: float, *, depth: float = 0.15, seed: int = 0) -> Array:
+    """Phase table of a frequency-modulated fringe: period lengths T0 (1 + depth c), c smooth, aperiodic, in [-1, 1].
+
+    An insurance for rigs whose projector stands at an integer ratio of the baseline, where equal fringes
+    carry no order on planes.
+    """
+    rng = np.random.default_rng(seed)
+    codes = np.repeat(rng.integers(-1, 2, int(np.ceil(periods)) + 4), 8).astype(np.float64)
+    smooth = np.convolve(codes, np.hanning(18)[1:-1] / np.hanning(18).sum(), mode="same")
+    where = np.linspace(8, len(codes) - 9, length)
+    rate = 1 / (1 + depth * np.interp(where, np.arange(len(codes)), smooth))
+    edges = np.concatenate([[0.0], np.cumsum(rate)]) * (2 * np.pi * periods / rate.sum())
+    return np.asarray((edges[1:] + edges[:-1]) / 2)
