@@ -1,0 +1,141 @@
+"""What is not certain is unknown: local agreement, connected surfaces, and uniqueness in the other two devices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import parallel, prange, serial
+
+
+@parallel
+def local_outliers(residual: Any, known: Any, limit: float, radius: int) -> Any:
+    """(H, W) bool: known, and neither residual strays from its neighbourhood's mean by more than the limit.
+
+    A window that slides along the row keeps the cost independent of its width.
+    """
+    height, width = known.shape
+    good = np.zeros((height, width), np.bool_)
+    for i in prange(height):
+        top, bottom = max(0, i - radius), min(height, i + radius + 1)
+        count = np.zeros(width + 1)
+        sums = np.zeros((2, width + 1))
+        for j in range(width):
+            n, s0, s1 = 0.0, 0.0, 0.0
+            for y in range(top, bottom):
+                if known[y, j]:
+                    n += 1.0
+                    s0 += residual[y, j, 0]
+                    s1 += residual[y, j, 1]
+            count[j + 1] = count[j] + n
+            sums[0, j + 1] = sums[0, j] + s0
+            sums[1, j + 1] = sums[1, j] + s1
+        for j in range(width):
+            if not known[i, j]:
+                continue
+            x0, x1 = max(0, j - radius), min(width, j + radius + 1)
+            n = count[x1] - count[x0]
+            d0 = abs(residual[i, j, 0] - (sums[0, x1] - sums[0, x0]) / n)
+            d1 = abs(residual[i, j, 1] - (sums[1, x1] - sums[1, x0]) / n)
+            good[i, j] = min(d0, d1) < limit and n >= 0.25 * (bottom - top) * (x1 - x0)
+    return good
+
+
+@serial
+def _find(parent: Any, k: int) -> int:
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
+
+
+@serial
+def components(known: Any, absolute: Any, match: Any, slope_x: float, slope_y: float) -> tuple[Any, Any]:
+    """Connected surfaces: neighbours whose absolute phase and match continue.
+
+    Returns:
+        label (H, W) int32, -1 where unknown; size of each label's surface in pixels (indexed by label).
+    """
+    height, width = known.shape
+    parent = np.arange(height * width).astype(np.int32)
+    for i in range(height):
+        for j in range(width):
+            if not known[i, j]:
+                continue
+            k = i * width + j
+            if j > 0 and known[i, j - 1]:
+                step = absolute[i, j] - absolute[i, j - 1] - slope_x
+                du = match[i, j, 0] - match[i, j - 1, 0] - 1.0
+                if abs(step) < 1.2 and abs(du) < 1.5:
+                    parent[_find(parent, k)] = _find(parent, k - 1)
+            if i > 0 and known[i - 1, j]:
+                step = absolute[i, j] - absolute[i - 1, j] - slope_y
+                du = match[i, j, 0] - match[i - 1, j, 0]
+                if abs(step) < 1.2 and abs(du) < 1.5:
+                    parent[_find(parent, k)] = _find(parent, k - width)
+    label = np.full((height, width), np.int32(-1))
+    size = np.zeros(height * width, np.int32)
+    for i in range(height):
+        for j in range(width):
+            if known[i, j]:
+                root = _find(parent, i * width + j)
+                label[i, j] = root
+                size[root] += 1
+    return label, size
+
+
+@serial
+def drop_small(known: Any, label: Any, size: Any, smallest: int) -> None:
+    """Forget surfaces of fewer pixels."""
+    for i in range(known.shape[0]):
+        for j in range(known.shape[1]):
+            if known[i, j] and size[label[i, j]] < smallest:
+                known[i, j] = False
+
+
+@serial
+def unique(known: Any, place: Any, value: Any, label: Any, size: Any, shape: tuple[int, int], tolerance: float) -> int:
+    """Where one pixel of another device is claimed by two different surfaces the larger one keeps it.
+
+    Args:
+        known: (H, W) bool, changed in place.
+        place: (H, W, 2) pixel (u, v) in the other device.
+        value: (H, W) what must agree among claimants (absolute phase, or depth parameter).
+        shape: (height, width) of the other device.
+        tolerance: largest difference of agreeing values.
+
+    Returns:
+        Number of points forgotten.
+    """
+    height, width = shape
+    owner = np.full((height, width), np.int32(-1))
+    held = np.zeros((height, width), np.float32)
+    for i in range(known.shape[0]):
+        for j in range(known.shape[1]):
+            if not known[i, j]:
+                continue
+            y, x = int(np.rint(place[i, j, 1])), int(np.rint(place[i, j, 0]))
+            if y < 0 or x < 0 or y >= height or x >= width:
+                continue
+            if owner[y, x] < 0 or size[label[i, j]] > size[owner[y, x]]:
+                owner[y, x] = label[i, j]
+                held[y, x] = value[i, j]
+    gone = 0
+    for i in range(known.shape[0]):
+        for j in range(known.shape[1]):
+            if not known[i, j]:
+                continue
+            y, x = int(np.rint(place[i, j, 1])), int(np.rint(place[i, j, 0]))
+            # Claims are compared with the cells around as well: the devices' grids do not coincide.
+            for dy in range(-1, 2):
+                for dx in range(-1, 2):
+                    yy, xx = y + dy, x + dx
+                    if yy < 0 or xx < 0 or yy >= height or xx >= width or owner[yy, xx] < 0:
+                        continue
+                    rival = owner[yy, xx]
+                    if rival != label[i, j] and size[rival] > size[label[i, j]]:
+                        if abs(held[yy, xx] - value[i, j]) > tolerance and known[i, j]:
+                            known[i, j] = False
+                            gone += 1
+    return gone

@@ -1,0 +1,61 @@
+"""How kernels are compiled, and the few lines that several of them share.
+
+``fastmath`` without ``nnan``/``ninf``: NaN marks the unknown and its tests must survive. No reductions across threads:
+every output element is computed by one thread in a fixed order, so results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numba
+
+_FLAGS: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"},
+}
+
+serial = numba.njit(**_FLAGS)
+parallel = numba.njit(parallel=True, **_FLAGS)
+inline = numba.njit(inline="always", **{k: v for k, v in _FLAGS.items() if k != "cache"})
+prange = numba.prange
+
+
+@serial
+def half_turn(c: float, s: float) -> tuple[float, float]:
+    """Unit phasor of half the angle of (c, s), for angles within (-pi, pi)."""
+    norm = sqrt(c * c + s * s)
+    if norm < 1e-12:
+        return 1.0, 0.0
+    c /= norm
+    if c < -0.999999:
+        return 0.0, 1.0
+    half = sqrt(0.5 * (1.0 + c))
+    return half, 0.5 * s / (norm * half)
+
+
+@serial
+def bilinear(image: Any, x: float, y: float) -> Any:
+    """Value of a 2-D array at (x, y); the caller has made sure that 0 <= x < W - 1 and 0 <= y < H - 1."""
+    i, j = int(y), int(x)
+    b, a = y - i, x - j
+    top = (1 - a) * image[i, j] + a * image[i, j + 1]
+    bottom = (1 - a) * image[i + 1, j] + a * image[i + 1, j + 1]
+    return (1 - b) * top + b * bottom
+
+
+@serial
+def project(device: Any, x: float, y: float, z: float) -> tuple[float, float]:
+    """Pixel of a world point through the full model; ``device`` is :func:`pipeline.tables.packed`."""
+    cz = device[8] * x + device[9] * y + device[10] * z + device[11]
+    inv = 1.0 / cz
+    a = (device[0] * x + device[1] * y + device[2] * z + device[3]) * inv
+    b = (device[4] * x + device[5] * y + device[6] * z + device[7]) * inv
+    r2 = a * a + b * b
+    radial = 1.0 + r2 * (device[17] + r2 * (device[18] + r2 * device[21]))
+    xd = a * radial + 2.0 * device[19] * a * b + device[20] * (r2 + 2.0 * a * a)
+    yd = b * radial + device[19] * (r2 + 2.0 * b * b) + 2.0 * device[20] * a * b
+    return device[12] * xd + device[13] * yd + device[14], device[15] * yd + device[16]

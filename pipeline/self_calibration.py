@@ -1,0 +1,55 @@
+"""Projector columns corrected from the measurement itself.
+
+The left/right geometry gives the metric; the projector only selects the integer order. A projector that moved by a
+fraction of a pixel since calibration shows as a constant offset of its columns, which the pictures reveal: first a
+one-dimensional search for the offset with the least mean best cost, then an affine fit of observed minus predicted
+columns on accepted points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+Correction = F64
+"""(3,) offset, slope along, slope across: observed minus calibrated projector coordinate."""
+
+NO_CORRECTION: Correction = np.zeros(3)
+
+
+def offsets_to_try(largest: float, step: float = 0.25) -> F64:
+    """Offsets from the centre outwards, so that the smaller one wins a tie."""
+    n = int(np.floor(largest / step + 1e-9))
+    steps = np.arange(-n, n + 1) * step
+    return steps[np.argsort(np.abs(steps), kind="stable")]
+
+
+def mean_best_cost(costs: NDArray[np.float32], count: NDArray[np.int16]) -> float:
+    """Mean over the pixels with at least two candidates of the least cost."""
+    several = count >= 2
+    if not several.any():
+        return 0.0
+    return float(costs.min(axis=2)[several].mean(dtype=np.float64))
+
+
+def affine_fit(along: F64, across: F64, difference: F64, *, limit: float) -> Correction:
+    """Robust affine fit (three re-weighted passes) of column differences on accepted points.
+
+    Args:
+        along, across: projector coordinates of the points, pixels.
+        difference: observed minus calibrated coordinate, pixels.
+        limit: the correction may nowhere exceed this; if it would, only a constant is fitted.
+    """
+    design = np.stack([np.ones_like(along), along, across], axis=1)
+    weights = np.ones_like(along)
+    solution = np.zeros(3)
+    for _ in range(3):
+        w = np.sqrt(weights)[:, None]
+        solution = np.linalg.lstsq(design * w, difference * w[:, 0], rcond=None)[0]
+        error = np.abs(difference - design @ solution)
+        scale = 1.4826 * float(np.median(error)) + 1e-6
+        weights = 1 / (1 + (error / (2 * scale)) ** 2)
+    if np.abs(design @ solution).max() > limit:
+        return np.array([float(np.clip(np.median(difference), -limit, limit)), 0.0, 0.0])
+    return solution

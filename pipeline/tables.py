@@ -1,0 +1,114 @@
+"""Geometry of every lattice pixel's viewing ray, reduced to a few numbers.
+
+Along one ray let w = 1/z run linearly from the far limit (s = 0) to the near one (s = 1). The image of the ray's points
+in a pinhole device is then exactly ``u(s) = (c0 + c1 s) / (1 + c2 s)``: three numbers instead of a projection. Lens
+distortion bends this by far less than a pixel; three samples (s = 0, 1/2, 1) fix the numbers, and only the choice of the
+fringe order uses them: the final point is computed with the full models.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Calibration
+from pipeline.camera_model import CameraModel
+from pipeline.cloud import Volume
+from pipeline.errors import CalibrationError
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+def packed(device: CameraModel) -> F64:
+    """(22,) numbers for :func:`pipeline.kernels.project`: [R | t] by rows, fx, skew, cx, fy, cy, k1, k2, p1, p2, k3."""
+    m = device.matrix
+    pose = np.concatenate([device.rotation, device.translation[:, None]], axis=1).ravel()
+    return np.concatenate([pose, [m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2]], device.distortion])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayTable:
+    """What one camera's lattice pixels see in the other devices; each table (h, w, 3) float32 as in the module's text.
+
+    Args:
+        rows, columns: picture coordinates of the lattice, (h,) and (w,) int32.
+        along: projector coordinate along which the phase grows.
+        across: the other projector coordinate.
+        other_u, other_v: pixel in the other camera.
+    """
+
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    along: F32
+    across: F32
+    other_u: F32
+    other_v: F32
+
+
+@dataclass(frozen=True, slots=True)
+class DepthScale:
+    """1/z as a linear function of s: w(s) = base + span s, 1/mm."""
+
+    base: float
+    span: float
+
+    @staticmethod
+    def of(volume: Volume) -> DepthScale:
+        """s = 0 at the far limit, 1 at the near one."""
+        return DepthScale(1 / volume.far_mm, 1 / volume.near_mm - 1 / volume.far_mm)
+
+    def depth(self, s: float) -> float:
+        """z in mm."""
+        return 1 / (self.base + self.span * s)
+
+
+def ray_table(
+    calibration: Calibration, depth: DepthScale, *, axis: str, step: tuple[int, int], margin: int = 3
+) -> RayTable:
+    """Tables of the calibration's left camera (pass ``calibration.swapped()`` for the right one)."""
+    width, height = calibration.left.size
+    rows = np.arange(margin, height - margin, step[1], dtype=np.int32)
+    columns = np.arange(margin, width - margin, step[0], dtype=np.int32)
+    v, u = np.meshgrid(rows, columns, indexing="ij")
+    rays = calibration.left.normalise(np.stack([u, v], axis=-1).astype(np.float64))
+    direction = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
+    points = [direction * depth.depth(s) for s in (0.0, 0.5, 1.0)]
+    projector = [calibration.projector.project(p) for p in points]
+    other = [calibration.right.project(p) for p in points]
+    first = 0 if axis == "x" else 1
+    return RayTable(
+        rows,
+        columns,
+        along=_homography([p[..., first] for p in projector], "projector"),
+        across=_homography([p[..., 1 - first] for p in projector], "projector"),
+        other_u=_homography([p[..., 0] for p in other], "other camera"),
+        other_v=_homography([p[..., 1] for p in other], "other camera"),
+    )
+
+
+def _homography(values: list[F64], name: str) -> F32:
+    """c0, c1, c2 through the values at s = 0, 1/2, 1."""
+    u0, uh, u1 = values
+    if not np.isfinite(u0 + uh + u1).all():
+        raise CalibrationError(f"part of the measuring volume lies behind the {name}; check its pose and the volume")
+    # (c0 + c1 s) / (1 + c2 s): 2 uh + uh c2 = 2 c0 + c1 and u1 + u1 c2 = c0 + c1.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        c2 = (2 * uh - u0 - u1) / (u1 - uh)
+    c2 = np.where(np.abs(u1 - uh) > 1e-6, c2, 0.0)
+    c1 = u1 * (1 + c2) - u0
+    return np.stack([u0, c1, c2], axis=-1).astype(np.float32)
+
+
+def period_in_picture(calibration: Calibration, depth: DepthScale, *, axis: str, period: float) -> float:
+    """Fringe period in the left camera's picture at mid-volume, pixels, along the direction of growth."""
+    width, height = calibration.left.size
+    first = 0 if axis == "x" else 1
+    centre = np.array([[width / 2, height / 2], [width / 2, height / 2]])
+    centre[1, first] += 1.0
+    rays = calibration.left.normalise(centre)
+    points = np.concatenate([rays, np.ones((2, 1))], axis=1) * depth.depth(0.5)
+    step = float(np.diff(calibration.projector.project(points)[:, first])[0])
+    return float(np.clip(period / max(abs(step), 1e-6), 3.0, 0.25 * min(width, height)))

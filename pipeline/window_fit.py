@@ -1,0 +1,310 @@
+"""Phase from a small window of raw samples: no demosaicing, clipped samples left out.
+
+Within the window the phase is a plane: sample I at offset d from the centre sees phase ``phi + D``, D = grad(phi) . d.
+With (a, p, q) of its channel (see :mod:`pipeline.phase`) it obeys
+``I = a A + C (p cos D + q sin D) + S (q cos D - p sin D)``: three unknowns, weighted least squares, closed form.
+Samples whose phase does not continue the plane (another surface) are left out as well.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.kernels import half_turn, parallel, prange, serial
+
+F32 = NDArray[np.float32]
+
+CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
+
+
+def weights_of(radius: int, sigma: float) -> F32:
+    """(2r+1, 2r+1) Gaussian weights."""
+    d = np.arange(-radius, radius + 1)
+    g = np.exp(-(d**2) / (2 * sigma**2))
+    return np.outer(g, g).astype(np.float32)
+
+
+@parallel
+def three_chip_pointwise(
+    image: Any, solve: Any, black: Any, unmix: Any, clip: float, floor: float, gain: float
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Exact three-step solution of every pixel.
+
+    Args:
+        image: (H, W, 3) uint8.
+        solve: (3, 3) float32, counts minus black -> (A, C, S).
+        black: (3,) float32 counts.
+        unmix: (3, 3) float32, inverse crosstalk.
+        clip: counts from which a sample is clipped.
+        floor, gain: noise model, counts^2 and counts^2 per count.
+
+    Returns:
+        phasor (H, W) complex64; mean (H, W); corrected channels (H, W, 3); variance of the tangential part of the
+        phasor (H, W), counts^2; number of clipped samples (H, W) uint8.
+    """
+    height, width = image.shape[:2]
+    phasor = np.empty((height, width), np.complex64)
+    mean = np.empty((height, width), np.float32)
+    channels = np.empty((height, width, 3), np.float32)
+    tangential = np.empty((height, width), np.float32)
+    clipped = np.empty((height, width), np.uint8)
+    for i in prange(height):
+        for j in range(width):
+            r, g, b = np.float32(image[i, j, 0]), np.float32(image[i, j, 1]), np.float32(image[i, j, 2])
+            clipped[i, j] = (r >= clip) + (g >= clip) + (b >= clip)
+            x, y, z = r - black[0], g - black[1], b - black[2]
+            for k in range(3):
+                channels[i, j, k] = unmix[k, 0] * x + unmix[k, 1] * y + unmix[k, 2] * z
+            mean[i, j] = solve[0, 0] * x + solve[0, 1] * y + solve[0, 2] * z
+            c = solve[1, 0] * x + solve[1, 1] * y + solve[1, 2] * z
+            s = solve[2, 0] * x + solve[2, 1] * y + solve[2, 2] * z
+            phasor[i, j] = complex(c, s)
+            norm = c * c + s * s + np.float32(1e-6)
+            total = np.float32(0.0)
+            for k in range(3):
+                t = solve[2, k] * c - solve[1, k] * s
+                level = x if k == 0 else (y if k == 1 else z)
+                total += t * t * (floor + gain * max(level, np.float32(0.0)))
+            tangential[i, j] = total / norm
+    return phasor, mean, channels, tangential, clipped
+
+
+@serial
+def _slopes(phasor: Any, i: int, j: int) -> tuple[float, float, float, float]:
+    """Phasors of the phase's steps by one pixel to the right and down, from central differences."""
+    east, west, south, north = phasor[i, j + 1], phasor[i, j - 1], phasor[i + 1, j], phasor[i - 1, j]
+    cx, sx = half_turn(
+        east.real * west.real + east.imag * west.imag, east.imag * west.real - east.real * west.imag
+    )
+    cy, sy = half_turn(
+        south.real * north.real + south.imag * north.imag, south.imag * north.real - south.real * north.imag
+    )
+    return cx, sx, cy, sy
+
+
+@serial
+def _turns(cx: float, sx: float, cy: float, sy: float, radius: int, cosines: Any, sines: Any) -> None:
+    """Fill cos D and sin D for all offsets of the window."""
+    n = 2 * radius + 1
+    for a in range(n):
+        for b in range(n):
+            c, s = 1.0, 0.0
+            for _ in range(abs(b - radius)):
+                t = sx if b > radius else -sx
+                c, s = c * cx - s * t, s * cx + c * t
+            for _ in range(abs(a - radius)):
+                t = sy if a > radius else -sy
+                c, s = c * cy - s * t, s * cy + c * t
+            cosines[a, b] = c
+            sines[a, b] = s
+
+
+@serial
+def _solve(n: Any, q: Any, rhs: Any, out: Any) -> None:
+    """Solve the 3x3 symmetric system; out = A, C, S, variance of the angle (negative: singular)."""
+    c00 = n[1, 1] * n[2, 2] - n[1, 2] * n[1, 2]
+    c01 = n[0, 2] * n[1, 2] - n[0, 1] * n[2, 2]
+    c02 = n[0, 1] * n[1, 2] - n[0, 2] * n[1, 1]
+    det = n[0, 0] * c00 + n[0, 1] * c01 + n[0, 2] * c02
+    scale = n[0, 0] * n[1, 1] * n[2, 2]
+    if det <= 1e-3 * scale or scale <= 0.0:
+        out[3] = -1.0
+        return
+    c11 = n[0, 0] * n[2, 2] - n[0, 2] * n[0, 2]
+    c12 = n[0, 1] * n[0, 2] - n[0, 0] * n[1, 2]
+    c22 = n[0, 0] * n[1, 1] - n[0, 1] * n[0, 1]
+    inv = 1.0 / det
+    mean = (c00 * rhs[0] + c01 * rhs[1] + c02 * rhs[2]) * inv
+    c = (c01 * rhs[0] + c11 * rhs[1] + c12 * rhs[2]) * inv
+    s = (c02 * rhs[0] + c12 * rhs[1] + c22 * rhs[2]) * inv
+    norm = c * c + s * s + 1e-9
+    y0 = (-c01 * s + c02 * c) * inv
+    y1 = (-c11 * s + c12 * c) * inv
+    y2 = (-c12 * s + c22 * c) * inv
+    spread = (
+        q[0, 0] * y0 * y0 + q[1, 1] * y1 * y1 + q[2, 2] * y2 * y2
+        + 2.0 * (q[0, 1] * y0 * y1 + q[0, 2] * y0 * y2 + q[1, 2] * y1 * y2)
+    )  # fmt: skip
+    out[0], out[1], out[2], out[3] = mean, c, s, spread / (norm * norm)
+
+
+@serial
+def _add(n: Any, q: Any, rhs: Any, r0: float, r1: float, r2: float, value: float, w: float, variance: float) -> None:
+    rhs[0] += w * r0 * value
+    rhs[1] += w * r1 * value
+    rhs[2] += w * r2 * value
+    v = w * w * variance
+    n[0, 0] += w * r0 * r0
+    n[0, 1] += w * r0 * r1
+    n[0, 2] += w * r0 * r2
+    n[1, 1] += w * r1 * r1
+    n[1, 2] += w * r1 * r2
+    n[2, 2] += w * r2 * r2
+    q[0, 0] += v * r0 * r0
+    q[0, 1] += v * r0 * r1
+    q[0, 2] += v * r0 * r2
+    q[1, 1] += v * r1 * r1
+    q[1, 2] += v * r1 * r2
+    q[2, 2] += v * r2 * r2
+
+
+@serial
+def _smooth_pixel(
+    phasor: Any, mean: Any, tangential: Any, clipped: Any, i: int, j: int, weights: Any, cosines: Any, sines: Any
+) -> tuple[float, float, float, float]:
+    """Mean of the window's phasors, each turned back to the centre; A and the angle's variance with it."""
+    radius = weights.shape[0] // 2
+    centre = phasor[i, j]
+    limit = CONSISTENT * sqrt(centre.real * centre.real + centre.imag * centre.imag)
+    sum_w = sum_c = sum_s = sum_a = sum_v = 0.0
+    for a in range(-radius, radius + 1):
+        for b in range(-radius, radius + 1):
+            if clipped[i + a, j + b] > 0:
+                continue
+            other = phasor[i + a, j + b]
+            cd, sd = cosines[a + radius, b + radius], sines[a + radius, b + radius]
+            c = other.real * cd + other.imag * sd
+            s = other.imag * cd - other.real * sd
+            size = sqrt(c * c + s * s)
+            if c * centre.real + s * centre.imag < limit * size:
+                continue
+            w = weights[a + radius, b + radius]
+            sum_w += w
+            sum_c += w * c
+            sum_s += w * s
+            sum_a += w * mean[i + a, j + b]
+            sum_v += w * w * tangential[i + a, j + b]
+    norm = sum_c * sum_c + sum_s * sum_s + 1e-9
+    return sum_a / sum_w, sum_c / sum_w, sum_s / sum_w, sum_v / norm
+
+
+@parallel
+def fit_three_chip(
+    image: Any, phasor: Any, mean: Any, tangential: Any, clipped: Any, rows: Any, black: Any,
+    weights: Any, clip: float, floor: float, gain: float,
+) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Window fit of a three-chip picture.
+
+    Where no sample of the pixel is clipped the design is the same at every offset and the fit is a weighted mean of
+    turned phasors; where one is clipped the full normal equations are solved from the samples that are left.
+
+    Returns:
+        phasor (H, W) complex64 and mean (H, W) of the fit; variance of the angle (H, W), rad^2. 0, 0 and inf at the
+        border and where too few samples are left.
+    """
+    height, width = phasor.shape
+    radius = weights.shape[0] // 2
+    edge = max(radius, 1)
+    out = np.zeros((height, width), np.complex64)
+    smooth = mean.copy()
+    variance = np.full((height, width), np.inf, np.float32)
+    for i in prange(edge, height - edge):
+        cosines, sines = np.empty(weights.shape), np.empty(weights.shape)
+        n, q, rhs, found = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(4)
+        for j in range(edge, width - edge):
+            cx, sx, cy, sy = _slopes(phasor, i, j)
+            _turns(cx, sx, cy, sy, radius, cosines, sines)
+            if clipped[i, j] == 0:
+                a, c, s, v = _smooth_pixel(phasor, mean, tangential, clipped, i, j, weights, cosines, sines)
+                smooth[i, j] = a
+                out[i, j] = complex(c, s)
+                variance[i, j] = v
+                continue
+            n[:] = 0.0
+            q[:] = 0.0
+            rhs[:] = 0.0
+            for a in range(-radius, radius + 1):
+                for b in range(-radius, radius + 1):
+                    cd, sd = cosines[a + radius, b + radius], sines[a + radius, b + radius]
+                    for k in range(3):
+                        raw = np.float64(image[i + a, j + b, k])
+                        if raw >= clip:
+                            continue
+                        r1 = rows[k, 1] * cd + rows[k, 2] * sd
+                        r2 = rows[k, 2] * cd - rows[k, 1] * sd
+                        _add(n, q, rhs, rows[k, 0], r1, r2, raw - black[k], weights[a + radius, b + radius],
+                             floor + gain * max(raw - black[k], 0.0))  # fmt: skip
+            _solve(n, q, rhs, found)
+            if found[3] > 0.0:
+                smooth[i, j] = found[0]
+                out[i, j] = complex(found[1], found[2])
+                variance[i, j] = found[3]
+    return out, smooth, variance
+
+
+@parallel
+def rough_channels(image: Any, mosaic: Any, black: Any, unmix: Any, clip: float) -> tuple[Any, Any]:
+    """First guess for a mosaic: each channel's weighted mean over 3 x 3 pixels, black and crosstalk removed.
+
+    Returns:
+        channels (H, W, 3) float32, and (H, W) uint8: 1 where the pixel's own sample is clipped.
+    """
+    height, width = image.shape
+    channels = np.zeros((height, width, 3), np.float32)
+    clipped = np.zeros((height, width), np.uint8)
+    for i in prange(1, height - 1):
+        total, count = np.empty(3), np.empty(3)
+        for j in range(1, width - 1):
+            total[:] = 0.0
+            count[:] = 0.0
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    k = mosaic[(i + a) & 1, (j + b) & 1]
+                    w = (2.0 if a == 0 else 1.0) * (2.0 if b == 0 else 1.0)
+                    total[k] += w * (image[i + a, j + b] - black[k])
+                    count[k] += w
+            x, y, z = total[0] / count[0], total[1] / count[1], total[2] / count[2]
+            for k in range(3):
+                channels[i, j, k] = unmix[k, 0] * x + unmix[k, 1] * y + unmix[k, 2] * z
+            clipped[i, j] = image[i, j] >= clip
+    return channels, clipped
+
+
+@parallel
+def fit_bayer(
+    image: Any, mosaic: Any, rough: Any, rows: Any, black: Any, weights: Any, clip: float, floor: float, gain: float
+) -> tuple[Any, Any, Any]:
+    """Window fit on the raw mosaic; arguments and results as :func:`fit_three_chip`, ``rough`` (H, W) complex64."""
+    height, width = image.shape
+    radius = weights.shape[0] // 2
+    edge = radius + 1
+    out = np.zeros((height, width), np.complex64)
+    mean = np.zeros((height, width), np.float32)
+    variance = np.full((height, width), np.inf, np.float32)
+    for i in prange(edge, height - edge):
+        cosines, sines = np.empty(weights.shape), np.empty(weights.shape)
+        n, q, rhs, found = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(4)
+        for j in range(edge, width - edge):
+            cx, sx, cy, sy = _slopes(rough, i, j)
+            _turns(cx, sx, cy, sy, radius, cosines, sines)
+            centre = rough[i, j]
+            limit = CONSISTENT * sqrt(centre.real * centre.real + centre.imag * centre.imag)
+            n[:] = 0.0
+            q[:] = 0.0
+            rhs[:] = 0.0
+            for a in range(-radius, radius + 1):
+                for b in range(-radius, radius + 1):
+                    raw = np.float64(image[i + a, j + b])
+                    if raw >= clip:
+                        continue
+                    cd, sd = cosines[a + radius, b + radius], sines[a + radius, b + radius]
+                    other = rough[i + a, j + b]
+                    c = other.real * cd + other.imag * sd
+                    s = other.imag * cd - other.real * sd
+                    if c * centre.real + s * centre.imag < limit * sqrt(c * c + s * s):
+                        continue
+                    k = mosaic[(i + a) & 1, (j + b) & 1]
+                    r1 = rows[k, 1] * cd + rows[k, 2] * sd
+                    r2 = rows[k, 2] * cd - rows[k, 1] * sd
+                    _add(n, q, rhs, rows[k, 0], r1, r2, raw - black[k], weights[a + radius, b + radius],
+                         floor + gain * max(raw - black[k], 0.0))  # fmt: skip
+            _solve(n, q, rhs, found)
+            if found[3] > 0.0:
+                mean[i, j] = found[0]
+                out[i, j] = complex(found[1], found[2])
+                variance[i, j] = found[3]
+    return out, mean, variance
