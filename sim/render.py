@@ -1,0 +1,165 @@
+"""One trigger: both cameras' pictures of a scene under projector light, with the truth.
+
+Every pixel is the mean over several rays and, where something moves, over several instants of the exposure. Bands of
+rows are rendered by a few threads; the result does not depend on how many.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Calibration
+from pipeline.camera_model import CameraModel
+from pipeline.pattern import ColorFringe
+from sim import light as lighting
+from sim import sensor
+from sim.lens import packed, pixel_rays
+from sim.optics import Optics
+from sim.rig import RigLayout
+from sim.scenes import Scene
+from sim.surface import Surfaces, surfaces
+from sim.truth import Truth, rows_of_truth, stacked
+
+Picture = NDArray[np.uint8] | NDArray[np.uint16]
+T = TypeVar("T")
+_BAND_ROWS = 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderedPair:
+    """Pictures of one trigger, in the sensor's encoding, and what is true."""
+
+    left: Picture
+    right: Picture
+    truth_left: Truth
+    truth_right: Truth
+    encoding: str = "rgb8"
+
+
+def render_pair(
+    layout: RigLayout,
+    scene: Scene,
+    pattern: ColorFringe | NDArray[np.uint8],
+    optics: Optics | None = None,
+    t_s: float = 0.0,
+    seed: int = 0,
+    encoding: str = "rgb8",
+) -> RenderedPair:
+    """Both pictures of one exposure and their truth.
+
+    Args:
+        layout: the rig.
+        scene: what stands on the stage.
+        pattern: a fringe (sent through the inverse of the response if the optics say so), or the picture
+            (H, W, 3) uint8 that the projector shows; then no fringe orders are known.
+        optics: light, lenses and sensor; the standard ones if None.
+        t_s: start of the exposure in the scene's time.
+        seed: of the noise; the same seed gives the same pictures, bit by bit.
+        encoding: ``rgb8`` (three chips), ``bayer_rggb8`` and its kin, ``mono8``, ``mono16``.
+    """
+    optics = Optics() if optics is None else optics
+    rig = layout.calibration()
+    light = lighting.projected_light(picture_sent(pattern, optics, rig.projector.size), optics)
+    fringe = pattern if isinstance(pattern, ColorFringe) else None
+    pictures = []
+    for camera, device in enumerate((rig.left, rig.right)):
+        arriving = light_on_sensor(layout, rig, scene, light, optics, t_s, device)
+        counts = sensor.exposed(arriving, camera, optics, encoding)
+        rng = np.random.default_rng([seed, camera])
+        pictures.append(sensor.read_out(counts, optics, rng, encoding))
+    left, right = truths(layout, scene, fringe, t_s + 0.5e-6 * optics.exposure_us)
+    return RenderedPair(pictures[0], pictures[1], left, right, encoding)
+
+
+def picture_sent(
+    pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size: tuple[int, int]
+) -> NDArray[np.uint8]:
+    """The picture on the cable to the projector, (H, W, 3) uint8."""
+    if isinstance(pattern, ColorFringe):
+        from pipeline.calibration import Response
+
+        corrected = optics.precorrected and optics.gamma != 1.0
+        picture = pattern.picture(Response(*optics.response_table()) if corrected else None)
+    else:
+        picture = pattern
+    if picture.shape != (size[1], size[0], 3) or picture.dtype != np.uint8:
+        raise ValueError(
+            f"the picture to show is {picture.shape} {picture.dtype}, the projector takes ({size[1]}, {size[0]}, 3) uint8"
+        )
+    return picture
+
+
+def light_on_sensor(
+    layout: RigLayout,
+    rig: Calibration,
+    scene: Scene,
+    light: NDArray[np.float32],
+    optics: Optics,
+    t_s: float,
+    camera: CameraModel,
+) -> NDArray[np.float32]:
+    """Light that reaches each pixel of a camera during the exposure, (H, W, 3), R G B of the projector, 0..255."""
+    instants = optics.motion_samples if scene.moves else 1
+    stage = layout.stage_pose()
+    total: NDArray[np.float32] | None = None
+    for instant in range(instants):
+        now = surfaces(scene, t_s + (instant + 0.5) / instants * 1e-6 * optics.exposure_us, stage)
+        part = _light_at(now, layout, rig.projector, light, optics, camera)
+        total = part if total is None else total + part
+    assert total is not None  # noqa: S101 - Optics allows no fewer than one instant
+    return sensor.blurred(total / np.float32(instants), optics)
+
+
+def _light_at(
+    now: Surfaces,
+    layout: RigLayout,
+    projector: CameraModel,
+    light: NDArray[np.float32],
+    optics: Optics,
+    camera: CameraModel,
+) -> NDArray[np.float32]:
+    s = optics.supersampling
+    columns = camera.size[0] * s
+    lens, lamp = packed(camera), packed(projector)
+    shift = np.array(optics.color_shift_px)
+    standoff = float(np.linalg.norm(projector.centre - layout.stage_pose()[1]))
+
+    def band(first: int, rows: int) -> NDArray[np.float32]:
+        rays = pixel_rays(lens, first, rows, columns, 1 / s, 0.5 / s - 0.5)
+        hits = now.hits(camera.centre, rays)
+        lit = now.seen_from(hits, projector.centre)
+        out = lighting.shade(
+            now.table, hits.points, hits.normals, hits.which, lit, lamp, light, shift, standoff, optics.ambient
+        )
+        return np.asarray(out.reshape(rows, columns, 3))
+
+    return np.concatenate(_in_bands(band, camera.size[1] * s))
+
+
+def truths(
+    layout: RigLayout, scene: Scene, pattern: ColorFringe | None = None, t_s: float = 0.0
+) -> tuple[Truth, Truth]:
+    """Truth of the left and the right camera at one instant."""
+    rig, now = layout.calibration(), surfaces(scene, t_s, layout.stage_pose())
+
+    def of(camera: CameraModel, other: CameraModel) -> Truth:
+        def band(first: int, rows: int) -> Truth:
+            return rows_of_truth(now, camera, other, rig.projector, pattern, first, rows)
+
+        return stacked(_in_bands(band, camera.size[1]))
+
+    return of(rig.left, rig.right), of(rig.right, rig.left)
+
+
+def _in_bands(work: Callable[[int, int], T], rows: int) -> list[T]:
+    """``work(first_row, rows)`` for bands of rows, on all cores; the compiled parts let go of the interpreter."""
+    firsts = range(0, rows, _BAND_ROWS)
+    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+        return list(pool.map(lambda first: work(first, min(_BAND_ROWS, rows - first)), firsts))

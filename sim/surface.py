@@ -1,0 +1,69 @@
+"""What rays meet: analytic shapes and meshes of one instant behind one question each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import intersect
+from sim.intersect import MESH, Table
+from sim.mesh import Mesh, load
+from sim.scenes import Scene
+from sim.shapes import table_of
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """First hits of n rays: points (n, 3) mm (NaN for a miss), unit normals (n, 3) to the viewer, shape (n,) or -1."""
+
+    points: Array
+    normals: Array
+    which: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfaces:
+    """All surfaces of a scene at one instant, in the world."""
+
+    table: Table
+    meshes: tuple[tuple[int, Mesh], ...]
+
+    def hits(self, origin: Array, rays: Array) -> Hits:
+        """First hits of unit rays (n, 3) from one origin (3,)."""
+        distance, which, normals = intersect.nearest(self.table, origin, rays)
+        for index, mesh in self.meshes:
+            rotation, place = self.table.rotation[index], self.table.translation[index]
+            far, triangle = mesh.nearest((origin - place) @ rotation, rays @ rotation)
+            nearer = far < distance
+            distance[nearer], which[nearer] = far[nearer], index
+            normals[nearer] = mesh.normals[triangle[nearer]] @ rotation.T
+            # A triangle has two sides; the one seen is the one that counts.
+            normals[nearer] *= -np.sign(np.sum(normals[nearer] * rays[nearer], axis=1, keepdims=True))
+        points = np.where(which[:, None] >= 0, origin + np.where(which >= 0, distance, 0.0)[:, None] * rays, np.nan)
+        return Hits(points, normals, which)
+
+    def seen_from(self, hits: Hits, viewer: Array) -> Bools:
+        """Which hits a viewer at a place (3,) sees: nothing in between, and from the same side."""
+        seen = intersect.visible(self.table, hits.points, hits.normals, viewer)
+        for index, mesh in self.meshes:
+            rotation, place = self.table.rotation[index], self.table.translation[index]
+            asked = np.flatnonzero(seen)
+            points = (hits.points[asked] - place) @ rotation
+            seen[asked] &= ~mesh.blocks(points, (viewer - place) @ rotation)
+        return np.asarray(seen)
+
+
+def surfaces(scene: Scene, t_s: float, stage: tuple[Array, Array]) -> Surfaces:
+    """The surfaces of a scene at a time; ``stage`` is (R, t) from stage to world."""
+    table = table_of(scene.shapes, scene.share(t_s), stage)
+    meshes = tuple(
+        (i, load(shape.mesh, shape.radius_mm))
+        for i, shape in enumerate(scene.shapes)
+        if shape.kind == MESH and shape.mesh is not None
+    )
+    return Surfaces(table, meshes)
