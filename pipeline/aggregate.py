@@ -1,8 +1,8 @@
 """Semi-global aggregation with absolute fringe orders as labels.
 
-Going from pixel q to p is free when the unwrapped phase is continuous: ``m_p = m_q + round((phi_q - phi_p) / 2 pi)``, so
-a sloping surface costs nothing, however steep; any other change of order costs a penalty, less where the phase itself
-shows a break. After Hirschmueller, PAMI 30 (2008), with another meaning of "smooth".
+Going from pixel q to p is free when the unwrapped phase is continuous: ``m_p = m_q + round((phi_q - phi_p) / 2 pi)``.
+A sloping surface then costs nothing, however steep; any other change of order costs a penalty, less where the phase
+itself shows a break. After Hirschmueller, PAMI 30 (2008), with another meaning of "smooth".
 """
 
 from __future__ import annotations
@@ -69,9 +69,7 @@ def links(phase: Any, valid: Any, rows: Any, columns: Any, slope: float, vertica
 
 
 @serial
-def _step(
-    cost: Any, previous: Any, current: Any, n_here: int, n_before: int, offset: int, penalty: float
-) -> None:
+def _step(cost: Any, previous: Any, current: Any, n_here: int, n_before: int, offset: int, penalty: float) -> None:
     """One step of a path: current(m) = cost(m) + min(previous(m - offset), min previous + penalty) - min previous."""
     low = np.float32(1e9)
     for k in range(n_before):

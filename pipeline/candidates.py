@@ -33,7 +33,7 @@ def column_at(table: Any, phase: float) -> float:
 def phase_at(phases: Any, column: float) -> float:
     """Absolute phase of a projector coordinate by the pattern's own table (value at each column's centre)."""
     last = phases.shape[0] - 1
-    i = min(max(int(floor(column)), 0), last - 1)
+    i = min(max(floor(column), 0), last - 1)
     return phases[i] + (column - i) * (phases[i + 1] - phases[i])
 
 
@@ -45,7 +45,7 @@ def ratio(c: Any, s: float) -> float:
 
 @serial
 def parameter(c: Any, value: float) -> float:
-    """s at which a ray table's entry takes the value."""
+    """S at which a ray table's entry takes the value."""
     return (value - c[0]) / (c[1] - c[2] * value)
 
 

@@ -30,7 +30,7 @@ class Cloud:
         xyz: (H, W, 3) float32, mm, world frame; NaN where unknown.
         sigma_mm: (H, W) float32, one standard deviation along the viewing ray; NaN where unknown.
         gray: (H, W) uint8, the fringe-free texture, everywhere.
-        modulation: (2, H, W) uint8, fringe amplitude in counts of the left and the right picture.
+        modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right picture.
         order: (H, W) int16, fringe order of the left pixel; -1 where unknown.
         saturated: share of clipped pixels, left and right.
         ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
@@ -39,7 +39,7 @@ class Cloud:
     xyz: NDArray[np.float32]
     sigma_mm: NDArray[np.float32]
     gray: NDArray[np.uint8]
-    modulation: NDArray[np.uint8]
+    modulation: tuple[NDArray[np.uint8], NDArray[np.uint8]]
     order: NDArray[np.int16]
     saturated: tuple[float, float] = (0.0, 0.0)
     ms: dict[str, float] = field(default_factory=dict)

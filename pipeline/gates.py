@@ -67,12 +67,14 @@ def components(known: Any, absolute: Any, match: Any, slope_x: float, slope_y: f
             if j > 0 and known[i, j - 1]:
                 step = absolute[i, j] - absolute[i, j - 1] - slope_x
                 du = match[i, j, 0] - match[i, j - 1, 0] - 1.0
-                if abs(step) < 1.2 and abs(du) < 1.5:
+                dv = match[i, j, 1] - match[i, j - 1, 1]
+                if abs(step) < 1.2 and abs(du) < 1.5 and abs(dv) < 1.5:
                     parent[_find(parent, k)] = _find(parent, k - 1)
             if i > 0 and known[i - 1, j]:
                 step = absolute[i, j] - absolute[i - 1, j] - slope_y
                 du = match[i, j, 0] - match[i - 1, j, 0]
-                if abs(step) < 1.2 and abs(du) < 1.5:
+                dv = match[i, j, 1] - match[i - 1, j, 1] - 1.0
+                if abs(step) < 1.2 and abs(du) < 1.5 and abs(dv) < 1.5:
                     parent[_find(parent, k)] = _find(parent, k - width)
     label = np.full((height, width), np.int32(-1))
     size = np.zeros(height * width, np.int32)
@@ -134,8 +136,8 @@ def unique(known: Any, place: Any, value: Any, label: Any, size: Any, shape: tup
                     if yy < 0 or xx < 0 or yy >= height or xx >= width or owner[yy, xx] < 0:
                         continue
                     rival = owner[yy, xx]
-                    if rival != label[i, j] and size[rival] > size[label[i, j]]:
-                        if abs(held[yy, xx] - value[i, j]) > tolerance and known[i, j]:
-                            known[i, j] = False
-                            gone += 1
+                    larger = rival != label[i, j] and size[rival] > size[label[i, j]]
+                    if known[i, j] and larger and abs(held[yy, xx] - value[i, j]) > tolerance:
+                        known[i, j] = False
+                        gone += 1
     return gone

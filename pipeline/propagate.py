@@ -18,11 +18,11 @@ _TWO_PI = 2 * pi
 def cross_check(
     order: Any, rows: Any, columns: Any, along: Any, across: Any, other_u: Any, other_v: Any,
     phase: Any, phase_eq: Any, other_order: Any, other_rows: Any, other_columns: Any, other_phase: Any,
-    table: Any, correction: Any, slope: float, limit: float,
+    table: Any, correction: Any, slope_x: float, slope_y: float, limit: float,
 ) -> Any:  # fmt: skip
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
 
-    ``slope`` is the other picture's phase step per pixel along the direction of growth (u for axis x).
+    ``slope_x`` and ``slope_y`` are the other picture's expected phase steps per pixel.
     """
     h, w = order.shape
     kept = np.full((h, w), np.int16(NONE))
@@ -54,7 +54,7 @@ def cross_check(
                         continue
                     oi, oj = other_rows[pp], other_columns[qq]
                     seen = other_phase[oi, oj] + _TWO_PI * other_order[pp, qq]
-                    if abs(seen - absolute - slope * (oj - x)) < limit:
+                    if abs(seen - absolute - slope_x * (oj - x) - slope_y * (oi - y)) < limit:
                         good = True
             if good:
                 kept[a, b] = order[a, b]

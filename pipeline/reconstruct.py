@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +28,8 @@ MAX_LABELS = 96
 class Reconstructor:
     """Built once for a calibration, a pattern and a volume; then :meth:`reconstruct` for every pair.
 
-    The result of a pair does not depend on earlier pairs but for the projector's column correction, which the first pair
-    sets (see :meth:`calibrate_columns`), nor on the number of threads. Not for use from two threads at once.
+    The result of a pair does not depend on earlier pairs but for the projector's column correction, which the first
+    pair sets (see :meth:`calibrate_columns`), nor on the number of threads. Not for use from two threads at once.
 
     Args:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
@@ -56,7 +55,8 @@ class Reconstructor:
     ) -> None:
         if pattern.size != calibration.projector.size:
             raise CalibrationError(
-                f"pattern.size {list(pattern.size)} is not the calibrated projector's {list(calibration.projector.size)}"
+                f"pattern.size {list(pattern.size)} is not the size of the calibrated projector, "
+                f"{list(calibration.projector.size)}"
             )
         self.calibration, self.pattern, self.volume, self.encoding = calibration, pattern, volume, encoding
         self.settings = settings or Settings()
@@ -126,7 +126,7 @@ class Reconstructor:
         quiet = Stopwatch(None)
         orders = self._orders(left, right, quiet)
         located = self._locate(left, right, orders)
-        difference, along, across = self._left.column_differences(left, orders, located, self.correction)
+        difference, along, across = self._left.column_differences(located, self.correction)
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = self_calibration.affine_fit(along, across, difference, limit=limit)
@@ -167,17 +167,18 @@ class Reconstructor:
         cloud = Cloud(
             xyz=xyz,
             sigma_mm=sigma,
-            gray=cv2.convertScaleAbs(np.maximum(left.mean, 0)),
-            modulation=np.stack([m.modulation for m in (left, right)]) if left.modulation.shape == right.modulation.shape
-            else left.modulation[None],
+            gray=np.clip(np.rint(left.mean), 0, 255).astype(np.uint8),
+            modulation=(left.modulation, right.modulation),
             order=np.where(known, order, -1).astype(np.int16),
             saturated=(left.clipped, right.clipped),
             ms=watch.ms,
-        )  # fmt: skip
+        )
         watch.lap("output")
         return cloud
 
-    def _gate(self, left: PhaseMap, order: Any, depth: Any, match: Any, source: Any, residual: Any) -> NDArray[np.bool_]:
+    def _gate(
+        self, left: PhaseMap, order: Any, depth: Any, match: Any, source: Any, residual: Any
+    ) -> NDArray[np.bool_]:
         known = gates.local_outliers(residual, np.isfinite(depth), self.settings.max_residual, 3)
         absolute = left.phase + np.float32(2 * np.pi) * order
         slope_x, slope_y = self._left.slopes
@@ -200,6 +201,7 @@ def _volume_of_right(calibration: Calibration, volume: Volume) -> Volume:
     points = np.concatenate([rays * volume.near_mm, rays * volume.far_mm])
     z = (points @ calibration.right.rotation.T + calibration.right.translation)[:, 2]
     if z.min() <= 0:
-        raise CalibrationError("part of the measuring volume lies behind the right camera; check its pose and the volume")
+        raise CalibrationError(
+            "part of the measuring volume lies behind the right camera; check its pose and the volume"
+        )
     return Volume(float(z.min()), float(z.max()))
-

@@ -1,8 +1,8 @@
 """Sub-pixel match along the epipolar curve, and the point.
 
 For a left pixel with a known order the right camera must see the same pointwise phase at the image of the point. The
-unknown is one number, s, the place on the pixel's viewing ray; a quasi-Newton iteration on the phase difference finds it.
-Because the match is sought along the ray's own epipolar curve, computed with both full camera models, the four linear
+unknown is one number, s, the place on the pixel's viewing ray; a quasi-Newton iteration on the phases finds it.
+Because the match is sought along the ray's own epipolar curve, by both full camera models, the four linear
 equations of the two views (see :mod:`pipeline.triangulate`) agree there: the point on the ray is their solution.
 """
 
@@ -92,6 +92,7 @@ def refine(
             if u != u:
                 continue
             _coefficients(along, rows, columns, i, j, c)
+            # The term across is small and only the start: the iteration forgets it.
             s = parameter(c, u - shift_of(correction, u, 0.0))
             rx, ry = np.float64(rays[i, j, 0]), np.float64(rays[i, j, 1])
             here = phasor[i, j]
@@ -143,7 +144,7 @@ def refine(
             pu, pv = project(projector, rx * z, ry * z, z)
             source[i, j, 0], source[i, j, 1] = pu, pv
             p_along, p_across = (pu, pv) if first_axis == 0 else (pv, pu)
-            seen = phase_at(phases, p_along + shift_of(correction, p_along, 0.0))
+            seen = phase_at(phases, p_along + shift_of(correction, p_along, p_across))
             residual[i, j, 0] = absolute + bias - seen
             residual[i, j, 1] = absolute - seen
             jj, ii = int(x), int(y)

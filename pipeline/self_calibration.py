@@ -22,7 +22,7 @@ def offsets_to_try(largest: float, step: float = 0.25) -> F64:
     """Offsets from the centre outwards, so that the smaller one wins a tie."""
     n = int(np.floor(largest / step + 1e-9))
     steps = np.arange(-n, n + 1) * step
-    return steps[np.argsort(np.abs(steps), kind="stable")]
+    return np.asarray(steps[np.argsort(np.abs(steps), kind="stable")], dtype=np.float64)
 
 
 def mean_best_cost(costs: NDArray[np.float32], count: NDArray[np.int16]) -> float:

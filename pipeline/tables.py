@@ -2,8 +2,8 @@
 
 Along one ray let w = 1/z run linearly from the far limit (s = 0) to the near one (s = 1). The image of the ray's points
 in a pinhole device is then exactly ``u(s) = (c0 + c1 s) / (1 + c2 s)``: three numbers instead of a projection. Lens
-distortion bends this by far less than a pixel; three samples (s = 0, 1/2, 1) fix the numbers, and only the choice of the
-fringe order uses them: the final point is computed with the full models.
+distortion bends this by far less than a pixel; three samples (s = 0, 1/2, 1) fix the numbers, and only the choice of
+the fringe order uses them: the final point is computed with the full models.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ class DepthScale:
 
     @staticmethod
     def of(volume: Volume) -> DepthScale:
-        """s = 0 at the far limit, 1 at the near one."""
+        """S = 0 at the far limit, 1 at the near one."""
         return DepthScale(1 / volume.far_mm, 1 / volume.near_mm - 1 / volume.far_mm)
 
     def depth(self, s: float) -> float:
-        """z in mm."""
+        """Z in mm."""
         return 1 / (self.base + self.span * s)
 
 
@@ -95,9 +95,11 @@ def _homography(values: list[F64], name: str) -> F32:
     if not np.isfinite(u0 + uh + u1).all():
         raise CalibrationError(f"part of the measuring volume lies behind the {name}; check its pose and the volume")
     # (c0 + c1 s) / (1 + c2 s): 2 uh + uh c2 = 2 c0 + c1 and u1 + u1 c2 = c0 + c1.
+    moves = np.abs(u1 - uh)
     with np.errstate(divide="ignore", invalid="ignore"):
         c2 = (2 * uh - u0 - u1) / (u1 - uh)
-    c2 = np.where(np.abs(u1 - uh) > 1e-6, c2, 0.0)
+    # A coordinate that hardly changes does not tell the denominator; a straight line serves it as well.
+    c2 = np.where((moves > 0.5) & (np.abs(c2) < 0.5), c2, 0.0)
     c1 = u1 * (1 + c2) - u0
     return np.stack([u0, c1, c2], axis=-1).astype(np.float32)
 

@@ -21,7 +21,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Tables of one camera (called left in ``calibration``; see :meth:`Calibration.swapped`) and the others seen from it.
+    """Tables of one camera (``calibration.left``; see :meth:`Calibration.swapped`) and of the others seen from it.
 
     Args:
         table: what lattice pixels see; depth: scale of the parameter s.
@@ -81,7 +81,7 @@ class View:
     ) -> tuple[Any, Any, Any]:
         """Costs, first orders and counts of the lattice's candidates (of every n-th row)."""
         t, rows = self.table, slice(None, None, every)
-        return candidates.candidate_costs(  # type: ignore[no-any-return]
+        return candidates.candidate_costs(
             t.rows[rows], t.columns, t.along[rows], t.across[rows], t.other_u[rows], t.other_v[rows],
             here.phasor, here.equalized, here.mean, here.valid, there.phasor, there.equalized, there.mean,
             self.columns, self.phases, correction, self.extent, labels,
@@ -106,7 +106,7 @@ class View:
         t, o = self.table, other.table
         return propagate.cross_check(
             order, t.rows, t.columns, t.along, t.across, t.other_u, t.other_v, here.phase, here.phase_eq,
-            other_order, o.rows, o.columns, there.phase, self.columns, correction, other.slopes[0],
+            other_order, o.rows, o.columns, there.phase, self.columns, correction, *other.slopes,
             self.settings.max_check,
         )  # fmt: skip
 
@@ -115,9 +115,7 @@ class View:
         t = self.table
         return np.asarray(propagate.spread(order, t.rows, t.columns, here.phase, here.valid, *self.slopes))
 
-    def column_differences(
-        self, here: PhaseMap, order: Any, located: tuple[Any, ...], correction: F64
-    ) -> tuple[F64, F64, F64]:
+    def column_differences(self, located: tuple[Any, ...], correction: F64) -> tuple[F64, F64, F64]:
         """Observed minus calibrated projector coordinate of located points (a subset), and where they are."""
         depth, _, _, source, residual = located
         some = np.zeros(depth.shape, bool)

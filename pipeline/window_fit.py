@@ -77,9 +77,7 @@ def three_chip_pointwise(
 def _slopes(phasor: Any, i: int, j: int) -> tuple[float, float, float, float]:
     """Phasors of the phase's steps by one pixel to the right and down, from central differences."""
     east, west, south, north = phasor[i, j + 1], phasor[i, j - 1], phasor[i + 1, j], phasor[i - 1, j]
-    cx, sx = half_turn(
-        east.real * west.real + east.imag * west.imag, east.imag * west.real - east.real * west.imag
-    )
+    cx, sx = half_turn(east.real * west.real + east.imag * west.imag, east.imag * west.real - east.real * west.imag)
     cy, sy = half_turn(
         south.real * north.real + south.imag * north.imag, south.imag * north.real - south.real * north.imag
     )
@@ -246,16 +244,19 @@ def rough_channels(image: Any, mosaic: Any, black: Any, unmix: Any, clip: float)
     height, width = image.shape
     channels = np.zeros((height, width, 3), np.float32)
     clipped = np.zeros((height, width), np.uint8)
-    for i in prange(1, height - 1):
+    for i in prange(height):
         total, count = np.empty(3), np.empty(3)
-        for j in range(1, width - 1):
+        for j in range(width):
             total[:] = 0.0
             count[:] = 0.0
             for a in range(-1, 2):
                 for b in range(-1, 2):
-                    k = mosaic[(i + a) & 1, (j + b) & 1]
+                    # Mirrored at the border, which keeps the parity and so the colour.
+                    y, x = (i + a, j + b) if 0 < i < height - 1 and 0 < j < width - 1 else (abs(i + a), abs(j + b))
+                    y, x = (y if y < height else height - 2), (x if x < width else width - 2)
+                    k = mosaic[y & 1, x & 1]
                     w = (2.0 if a == 0 else 1.0) * (2.0 if b == 0 else 1.0)
-                    total[k] += w * (image[i + a, j + b] - black[k])
+                    total[k] += w * (image[y, x] - black[k])
                     count[k] += w
             x, y, z = total[0] / count[0], total[1] / count[1], total[2] / count[2]
             for k in range(3):
@@ -266,14 +267,18 @@ def rough_channels(image: Any, mosaic: Any, black: Any, unmix: Any, clip: float)
 
 @parallel
 def fit_bayer(
-    image: Any, mosaic: Any, rough: Any, rows: Any, black: Any, weights: Any, clip: float, floor: float, gain: float
-) -> tuple[Any, Any, Any]:
-    """Window fit on the raw mosaic; arguments and results as :func:`fit_three_chip`, ``rough`` (H, W) complex64."""
+    image: Any, mosaic: Any, rough: Any, rough_mean: Any, rows: Any, black: Any, weights: Any, clip: float,
+    floor: float, gain: float,
+) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Window fit on the raw mosaic; arguments and results as :func:`fit_three_chip`.
+
+    ``rough`` (H, W) complex64 and ``rough_mean`` (H, W) float32 are the first guess; the latter stays where no fit is.
+    """
     height, width = image.shape
     radius = weights.shape[0] // 2
     edge = radius + 1
     out = np.zeros((height, width), np.complex64)
-    mean = np.zeros((height, width), np.float32)
+    mean = rough_mean.copy()
     variance = np.full((height, width), np.inf, np.float32)
     for i in prange(edge, height - edge):
         cosines, sines = np.empty(weights.shape), np.empty(weights.shape)
