@@ -1,1 +1,1 @@
-"""A rig made of light and arithmetic: it implements the drivers' protocols on rendered pictures, and knows the truth."""
+"""A rig made of light and arithmetic: the drivers' protocols on rendered pictures, with the truth beside them."""

@@ -17,6 +17,7 @@ Hit = tuple[float, float, float, float]
 RECTANGLE, SPHERE, BOX, CYLINDER, RELIEF, MESH = range(6)
 _NEAR_MM = 1e-7
 _OFFSET_MM = 1e-3
+_SHADOW_STEP_MM = 0.05
 _INF = np.inf
 
 
@@ -33,6 +34,12 @@ class Table(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
+def _bump(exponent: float) -> float:
+    """``exp(-exponent)``, and 0 where that is less than a billionth of anything here."""
+    return np.exp(-exponent) if exponent < 20 else 0.0
+
+
+@njit(cache=True, nogil=True)
 def relief_height(variant: float, p: float, q: float) -> float:
     """Height of a relief over its ellipse, as a share of its depth; (p, q) = (x/a, y/b), q grows downwards."""
     r2 = p * p + q * q
@@ -43,16 +50,15 @@ def relief_height(variant: float, p: float, q: float) -> float:
         waves = np.sin(4.1 * p + 0.4) * np.cos(3.3 * q) + 0.5 * np.sin(7.3 * p * q + 2.1 * q)
         return rim * (0.75 + 0.25 * waves)
     s = abs(p)
-    eye = ((s - 0.36) / 0.17) ** 2
-    h = 0.34 * np.exp(-((p / 0.13) ** 2) - ((q - 0.10) / 0.22) ** 2)
-    h += 0.10 * np.exp(-((p / 0.17) ** 2) - ((q - 0.24) / 0.08) ** 2)
-    h += -0.16 * np.exp(-eye - ((q + 0.2) / 0.13) ** 2)
-    h += 0.09 * np.exp(-((s - 0.36) ** 2 + (q + 0.2) ** 2) / 0.009)
-    h += 0.08 * np.exp(-((p / 0.5) ** 2) - ((q + 0.40) / 0.09) ** 2)
-    h += 0.09 * np.exp(-((p / 0.24) ** 2) - ((q - 0.50) / 0.05) ** 2)
-    h += 0.10 * np.exp(-((p / 0.20) ** 2) - ((q - 0.62) / 0.05) ** 2)
-    h += 0.13 * np.exp(-((p / 0.25) ** 2) - ((q - 0.80) / 0.10) ** 2)
-    h += 0.07 * np.exp(-(((s - 0.5) / 0.2) ** 2) - ((q - 0.15) / 0.2) ** 2)
+    h = 0.34 * _bump((p / 0.13) ** 2 + ((q - 0.10) / 0.22) ** 2)
+    h += 0.10 * _bump((p / 0.17) ** 2 + ((q - 0.24) / 0.08) ** 2)
+    h -= 0.20 * _bump(((s - 0.36) / 0.17) ** 2 + ((q + 0.2) / 0.13) ** 2)
+    h += 0.10 * _bump(((s - 0.36) ** 2 + (q + 0.2) ** 2) / 0.009)
+    h += 0.08 * _bump((p / 0.5) ** 2 + ((q + 0.40) / 0.09) ** 2)
+    h += 0.09 * _bump((p / 0.24) ** 2 + ((q - 0.50) / 0.05) ** 2)
+    h += 0.10 * _bump((p / 0.20) ** 2 + ((q - 0.62) / 0.05) ** 2)
+    h += 0.13 * _bump((p / 0.25) ** 2 + ((q - 0.80) / 0.10) ** 2)
+    h += 0.07 * _bump(((s - 0.5) / 0.2) ** 2 + ((q - 0.15) / 0.2) ** 2)
     return rim * (1 + 0.65 * r2 + h)
 
 
@@ -144,26 +150,37 @@ def _ellipse_span(m: Array, ox: float, oy: float, dx: float, dy: float) -> tuple
 
 
 @njit(cache=True, nogil=True)
-def _relief(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Hit:
-    """The solid between z = 0 and z = -depth h(x/a, y/b); dims: a, b, depth, variant, steepest slope, highest point."""
+def _relief(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, floor: float) -> Hit:
+    """The solid between z = 0 and z = -depth h(x/a, y/b); dims: a, b, depth, variant, steepest slope, highest point.
+
+    ``floor`` is the least step in mm; shadows afford larger ones than pictures.
+    """
     half = m[5] / 2
     near, far = _slab(oz + half, dz, half)
     inside, outside = _ellipse_span(m, ox, oy, dx, dy)
     t, end = max(near, inside, _NEAR_MM), min(far, outside)
     fall = abs(dz) + m[4] * np.sqrt(dx * dx + dy * dy)
-    first = True
+    first, last_t, last_gap = True, 0.0, 0.0
     for _ in range(400):
         if t > end:
             return _INF, 0.0, 0.0, 0.0
         x, y = ox + t * dx, oy + t * dy
         gap = -(oz + t * dz) - m[2] * relief_height(m[3], x / m[0], y / m[1])
-        if gap <= 1e-7:
+        if gap <= 1e-9:
             if first and near >= inside and dz < 0 and near > _NEAR_MM:
                 return t, 0.0, 0.0, 1.0
-            return t, *_relief_normal(m, x, y)
+            if gap > -1e-3 or first:
+                return t, *_relief_normal(m, x, y)
+            step = last_t - t + (t - last_t) * last_gap / (last_gap - gap)
+            t += step * 0.999
+            continue
         # The height cannot change faster than its steepest slope: such a step never passes through the surface.
-        t += max(gap / fall, 1e-8)
-        first = False
+        # Close to it, a secant step is as safe and much longer.
+        step = gap / fall
+        if not first and gap < 0.3 and last_gap > gap:
+            step = max(step, min(gap * (t - last_t) / (last_gap - gap), 4 * step))
+        first, last_t, last_gap = False, t, gap
+        t += max(step, floor)
     return _INF, 0.0, 0.0, 0.0
 
 
@@ -178,20 +195,20 @@ def _relief_normal(m: Array, x: float, y: float) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _meet(s: Table, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> Hit:
+def _meet(s: Table, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, floor: float) -> Hit:
     """The ray against shape i; origin and direction in the world, the normal in the shape's frame."""
     cx, cy, cz = ox - s.translation[i, 0], oy - s.translation[i, 1], oz - s.translation[i, 2]
     b = cx * dx + cy * dy + cz * dz
     px, py, pz = cx - b * dx, cy - b * dy, cz - b * dz
     if px * px + py * py + pz * pz > s.radius[i] * s.radius[i] or s.kind[i] == MESH:
         return _INF, 0.0, 0.0, 0.0
-    r = s.rotation[i]
-    lx = r[0, 0] * cx + r[1, 0] * cy + r[2, 0] * cz
-    ly = r[0, 1] * cx + r[1, 1] * cy + r[2, 1] * cz
-    lz = r[0, 2] * cx + r[1, 2] * cy + r[2, 2] * cz
-    ex = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
-    ey = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
-    ez = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
+    r = s.rotation
+    lx = r[i, 0, 0] * cx + r[i, 1, 0] * cy + r[i, 2, 0] * cz
+    ly = r[i, 0, 1] * cx + r[i, 1, 1] * cy + r[i, 2, 1] * cz
+    lz = r[i, 0, 2] * cx + r[i, 1, 2] * cy + r[i, 2, 2] * cz
+    ex = r[i, 0, 0] * dx + r[i, 1, 0] * dy + r[i, 2, 0] * dz
+    ey = r[i, 0, 1] * dx + r[i, 1, 1] * dy + r[i, 2, 1] * dz
+    ez = r[i, 0, 2] * dx + r[i, 1, 2] * dy + r[i, 2, 2] * dz
     kind, dims = s.kind[i], s.dims[i]
     if kind == RECTANGLE:
         return _rectangle(dims, lx, ly, lz, ex, ey, ez)
@@ -201,7 +218,7 @@ def _meet(s: Table, i: int, ox: float, oy: float, oz: float, dx: float, dy: floa
         return _box(dims, lx, ly, lz, ex, ey, ez)
     if kind == CYLINDER:
         return _cylinder(dims, lx, ly, lz, ex, ey, ez)
-    return _relief(dims, lx, ly, lz, ex, ey, ez)
+    return _relief(dims, lx, ly, lz, ex, ey, ez, floor)
 
 
 @njit(cache=True, nogil=True)
@@ -213,7 +230,7 @@ def nearest(s: Table, origin: Array, rays: Array) -> tuple[Array, NDArray[np.int
         dx, dy, dz = rays[k, 0], rays[k, 1], rays[k, 2]
         nx, ny, nz = 0.0, 0.0, 0.0
         for i in range(len(s.kind)):
-            t, ax, ay, az = _meet(s, i, origin[0], origin[1], origin[2], dx, dy, dz)
+            t, ax, ay, az = _meet(s, i, origin[0], origin[1], origin[2], dx, dy, dz, 1e-9)
             if t < distance[k]:
                 distance[k], which[k], nx, ny, nz = t, i, ax, ay, az
         if which[k] >= 0:
@@ -239,7 +256,7 @@ def visible(s: Table, points: Array, normals: Array, viewer: Array) -> NDArray[n
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         free = True
         for i in range(len(s.kind)):
-            t, _, _, _ = _meet(s, i, x, y, z, dx / length, dy / length, dz / length)
+            t, _, _, _ = _meet(s, i, x, y, z, dx / length, dy / length, dz / length, _SHADOW_STEP_MM)
             if t < length:
                 free = False
                 break

@@ -64,12 +64,12 @@ def ray_of(d: Array, u: float, v: float) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def pixel_rays(d: Array, first_row: int, rows: int, columns: int, step: float, offset: float) -> Array:
-    """Rays of a lattice of samples: sample (i, j) lies at pixel (offset + step j, offset + step i), (rows * columns, 3)."""
+def pixel_rays(d: Array, first_row: int, rows: int, columns: int, step: float, left: float, top: float) -> Array:
+    """Rays of samples at pixels (left + step j, top + step (first_row + i)), (rows * columns, 3)."""
     out = np.empty((rows * columns, 3))
     for i in range(rows):
         for j in range(columns):
-            x, y, z = ray_of(d, offset + step * j, offset + step * (first_row + i))
+            x, y, z = ray_of(d, left + step * j, top + step * (first_row + i))
             k = i * columns + j
             out[k, 0], out[k, 1], out[k, 2] = x, y, z
     return out

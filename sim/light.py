@@ -23,7 +23,8 @@ def projected_light(picture: NDArray[np.uint8], optics: Optics) -> NDArray[np.fl
     light = optics.light_of(picture)
     variance = optics.defocus_px**2 - _SPLINE_VARIANCE
     if variance > 0.01:
-        light = cv2.GaussianBlur(light, (0, 0), float(np.sqrt(variance)), borderType=cv2.BORDER_REPLICATE)
+        blur = cv2.GaussianBlur(light, (0, 0), float(np.sqrt(variance)), borderType=cv2.BORDER_REPLICATE)
+        light = np.asarray(blur, dtype=np.float32)
     return np.ascontiguousarray(light, dtype=np.float32)
 
 

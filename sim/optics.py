@@ -44,8 +44,7 @@ class Optics:
         read_noise_dn: standard deviation, counts.
         noise: factor on all noise; 0 = no noise and no rounding error other than 8 bit.
         exposure_us: exposure time; the picture is the mean over it.
-        motion_samples: instants over which the exposure is averaged where something moves.
-        supersampling: rays per pixel, along each axis.
+        supersampling: rays per pixel, along each axis; where something moves, each has an instant of its own.
     """
 
     gamma: float = 1.0
@@ -65,7 +64,6 @@ class Optics:
     read_noise_dn: float = 0.8
     noise: float = 1.0
     exposure_us: float = 8_000.0
-    motion_samples: int = 4
     supersampling: int = 2
 
     def __post_init__(self) -> None:
@@ -75,9 +73,8 @@ class Optics:
         for key in ("defocus_px", "ambient", "psf_px", "black_dn", "full_well_e", "read_noise_dn", "noise"):
             if not getattr(self, key) >= 0:
                 raise ValueError(f"optics.{key} is {getattr(self, key)}, expected 0 or more")
-        for key, limit in (("supersampling", 8), ("motion_samples", 64)):
-            if not 1 <= getattr(self, key) <= limit:
-                raise ValueError(f"optics.{key} is {getattr(self, key)}, expected 1 to {limit}")
+        if not 1 <= self.supersampling <= 8:
+            raise ValueError(f"optics.supersampling is {self.supersampling}, expected 1 to 8")
 
     @classmethod
     def realistic(cls, **changes: Any) -> Optics:

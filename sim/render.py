@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,22 +65,55 @@ def render_pair(
         encoding: ``rgb8`` (three chips), ``bayer_rggb8`` and its kin, ``mono8``, ``mono16``.
     """
     optics = Optics() if optics is None else optics
+    pictures = render_pictures(layout, scene, pattern, optics, t_s, seed, encoding)
+    fringe = pattern if isinstance(pattern, ColorFringe) else None
+    left, right = truths(layout, scene, fringe, t_s + 0.5e-6 * optics.exposure_us)
+    return RenderedPair(*pictures, left, right, encoding)
+
+
+def render_pictures(
+    layout: RigLayout,
+    scene: Scene,
+    pattern: ColorFringe | NDArray[np.uint8],
+    optics: Optics,
+    t_s: float = 0.0,
+    seed: int = 0,
+    encoding: str = "rgb8",
+) -> tuple[Picture, Picture]:
+    """The pictures of :func:`render_pair` alone, for a third less time."""
+    return with_noise(render_counts(layout, scene, pattern, optics, t_s, encoding), optics, seed, encoding)
+
+
+def render_counts(
+    layout: RigLayout,
+    scene: Scene,
+    pattern: ColorFringe | NDArray[np.uint8],
+    optics: Optics,
+    t_s: float = 0.0,
+    encoding: str = "rgb8",
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Counts above black of both cameras without noise or rounding, in the sensor's layout."""
     rig = layout.calibration()
     light = lighting.projected_light(picture_sent(pattern, optics, rig.projector.size), optics)
-    fringe = pattern if isinstance(pattern, ColorFringe) else None
-    pictures = []
-    for camera, device in enumerate((rig.left, rig.right)):
-        arriving = light_on_sensor(layout, rig, scene, light, optics, t_s, device)
-        counts = sensor.exposed(arriving, camera, optics, encoding)
-        rng = np.random.default_rng([seed, camera])
-        pictures.append(sensor.read_out(counts, optics, rng, encoding))
-    left, right = truths(layout, scene, fringe, t_s + 0.5e-6 * optics.exposure_us)
-    return RenderedPair(pictures[0], pictures[1], left, right, encoding)
+    left, right = (
+        sensor.exposed(light_on_sensor(layout, rig, scene, light, optics, t_s, device), camera, optics, encoding)
+        for camera, device in enumerate((rig.left, rig.right))
+    )
+    return left, right
 
 
-def picture_sent(
-    pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size: tuple[int, int]
-) -> NDArray[np.uint8]:
+def with_noise(
+    counts: tuple[NDArray[np.float32], NDArray[np.float32]], optics: Optics, seed: int, encoding: str
+) -> tuple[Picture, Picture]:
+    """Pictures of noiseless counts; every seed has a noise of its own."""
+    left, right = (
+        sensor.read_out(picture, optics, np.random.default_rng([seed, camera]), encoding)
+        for camera, picture in enumerate(counts)
+    )
+    return left, right
+
+
+def picture_sent(pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size: tuple[int, int]) -> NDArray[np.uint8]:
     """The picture on the cable to the projector, (H, W, 3) uint8."""
     if isinstance(pattern, ColorFringe):
         from pipeline.calibration import Response
@@ -91,7 +124,8 @@ def picture_sent(
         picture = pattern
     if picture.shape != (size[1], size[0], 3) or picture.dtype != np.uint8:
         raise ValueError(
-            f"the picture to show is {picture.shape} {picture.dtype}, the projector takes ({size[1]}, {size[0]}, 3) uint8"
+            f"the picture to show is {picture.shape} {picture.dtype}, "
+            f"the projector takes ({size[1]}, {size[0]}, 3) uint8"
         )
     return picture
 
@@ -106,33 +140,51 @@ def light_on_sensor(
     camera: CameraModel,
 ) -> NDArray[np.float32]:
     """Light that reaches each pixel of a camera during the exposure, (H, W, 3), R G B of the projector, 0..255."""
-    instants = optics.motion_samples if scene.moves else 1
+    s = optics.supersampling
+    rows, columns = camera.size[1], camera.size[0]
     stage = layout.stage_pose()
-    total: NDArray[np.float32] | None = None
-    for instant in range(instants):
-        now = surfaces(scene, t_s + (instant + 0.5) / instants * 1e-6 * optics.exposure_us, stage)
-        part = _light_at(now, layout, rig.projector, light, optics, camera)
-        total = part if total is None else total + part
-    assert total is not None  # noqa: S101 - Optics allows no fewer than one instant
-    return sensor.blurred(total / np.float32(instants), optics)
+    if not scene.moves:
+        lattice = _Lattice(1 / s, 0.5 / s - 0.5, 0.5 / s - 0.5, rows * s, columns * s)
+        return sensor.blurred(
+            _light_at(surfaces(scene, t_s, stage), layout, rig, light, optics, camera, lattice), optics
+        )
+    rays = np.empty((rows * s, columns * s, 3), np.float32)
+    for i in range(s):
+        for j in range(s):
+            # Each ray of a pixel sees an instant of its own; back and forth, so that time and column do not correlate.
+            instant = s * i + (j if i % 2 == 0 else s - 1 - j)
+            now = surfaces(scene, t_s + (instant + 0.5) / s**2 * 1e-6 * optics.exposure_us, stage)
+            lattice = _Lattice(1.0, (j + 0.5) / s - 0.5, (i + 0.5) / s - 0.5, rows, columns)
+            rays[i::s, j::s] = _light_at(now, layout, rig, light, optics, camera, lattice)
+    return sensor.blurred(rays, optics)
+
+
+class _Lattice(NamedTuple):
+    """Samples at pixel (left + step j, top + step i)."""
+
+    step: float
+    left: float
+    top: float
+    rows: int
+    columns: int
 
 
 def _light_at(
     now: Surfaces,
     layout: RigLayout,
-    projector: CameraModel,
+    rig: Calibration,
     light: NDArray[np.float32],
     optics: Optics,
     camera: CameraModel,
+    lattice: _Lattice,
 ) -> NDArray[np.float32]:
-    s = optics.supersampling
-    columns = camera.size[0] * s
+    projector, (step, left, top, _, columns) = rig.projector, lattice
     lens, lamp = packed(camera), packed(projector)
     shift = np.array(optics.color_shift_px)
     standoff = float(np.linalg.norm(projector.centre - layout.stage_pose()[1]))
 
     def band(first: int, rows: int) -> NDArray[np.float32]:
-        rays = pixel_rays(lens, first, rows, columns, 1 / s, 0.5 / s - 0.5)
+        rays = pixel_rays(lens, first, rows, columns, step, left, top)
         hits = now.hits(camera.centre, rays)
         lit = now.seen_from(hits, projector.centre)
         out = lighting.shade(
@@ -140,7 +192,7 @@ def _light_at(
         )
         return np.asarray(out.reshape(rows, columns, 3))
 
-    return np.concatenate(_in_bands(band, camera.size[1] * s))
+    return np.concatenate(_in_bands(band, lattice.rows))
 
 
 def truths(

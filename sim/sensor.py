@@ -24,7 +24,8 @@ def blurred(light: Light, optics: Optics) -> Light:
     """Light per pixel, (H, W, 3), of light per ray, (H s, W s, 3): lens blur, lateral colour, mean over each pixel."""
     s = optics.supersampling
     if optics.psf_px > 0:
-        light = cv2.GaussianBlur(light, (0, 0), optics.psf_px * s, borderType=cv2.BORDER_REPLICATE)
+        blur = cv2.GaussianBlur(light, (0, 0), optics.psf_px * s, borderType=cv2.BORDER_REPLICATE)
+        light = np.asarray(blur, dtype=np.float32)
     if optics.chromatic != 0:
         light = _stretched(light, optics.chromatic)
     if s == 1:
@@ -71,7 +72,9 @@ def mosaic(picture: Light, encoding: str) -> Light:
 def noise_variance(counts: Light, optics: Optics) -> Light:
     """Variance in counts squared of pixels with these counts above black."""
     shot = 255.0 / optics.full_well_e if optics.full_well_e > 0 else 0.0
-    return np.asarray(optics.noise**2 * (np.maximum(counts, 0) * np.float32(shot) + np.float32(optics.read_noise_dn**2)))
+    return np.asarray(
+        optics.noise**2 * (np.maximum(counts, 0) * np.float32(shot) + np.float32(optics.read_noise_dn**2))
+    )
 
 
 def read_out(

@@ -19,7 +19,7 @@ def _hash(x: int, y: int, z: int, seed: int) -> int:
     h ^= h >> np.uint64(32)
     h *= np.uint64(0x94D049BB133111EB)
     h ^= h >> np.uint64(31)
-    return np.int64(h & np.uint64(0x3FFFFFFF))
+    return int(h & np.uint64(0x3FFFFFFF))
 
 
 @njit(cache=True, nogil=True)
@@ -45,7 +45,10 @@ def noise(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]
 
 @njit(cache=True, nogil=True)
 def albedo(base: Array, texture: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Albedo R G B at a place on the thing, mm; texture: smooth share and grain mm, speckle share and grain mm, seed."""
+    """Albedo R G B at a place on the thing, mm.
+
+    ``texture`` is the share of the smooth stains, their grain in mm, the same two of the speckle, and the seed.
+    """
     r, g, b = 1.0, 1.0, 1.0
     seed = int(texture[4])
     if texture[0] > 0:

@@ -67,7 +67,7 @@ def rows_of_truth(
 ) -> Truth:
     """The truth of a band of rows."""
     width = camera.size[0]
-    rays = pixel_rays(packed(camera), first_row, rows, width, 1.0, 0.0)
+    rays = pixel_rays(packed(camera), first_row, rows, width, 1.0, 0.0, 0.0)
     hits = surfaces.hits(camera.centre, rays)
     light = pixels_of(packed(projector), hits.points)
     lit = surfaces.seen_from(hits, projector.centre) & inside(light, projector.size)
