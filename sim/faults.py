@@ -6,6 +6,7 @@ faults whatever the speed.
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -161,18 +162,20 @@ class Ledger:
 
     Fates: ``sent`` (entered the camera's queue), each fault's name beside it, ``not_listening`` (the camera was not
     acquiring), ``overflow`` (pushed out of the queue unread), ``dropped`` (unread when the camera stopped or was
-    lost), ``pending`` frames are late ones still on their way.
+    lost). Late frames still on their way are the world's ``pending``.
     """
 
     def __init__(self, *, keep_entries: bool = False) -> None:
+        self._lock = threading.Lock()
         self.counts: Counter[tuple[Side, str]] = Counter()
         self.entries: list[Entry] | None = [] if keep_entries else None
 
     def note(self, index: int, number: int, side: Side, fate: str) -> None:
         """Write one event down."""
-        self.counts[side, fate] += 1
-        if self.entries is not None:
-            self.entries.append(Entry(index, number, side, fate))
+        with self._lock:
+            self.counts[side, fate] += 1
+            if self.entries is not None:
+                self.entries.append(Entry(index, number, side, fate))
 
     def of(self, fate: str) -> list[Entry]:
         """All kept entries of one fate, in the order of happening."""

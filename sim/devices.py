@@ -1,0 +1,92 @@
+"""A whole simulated rig behind the drivers' protocols, made from the ``sim`` options of a rig file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.protocols import Camera, Clock, Projector, Side
+from sim import files
+from sim.loop import Loop, Progress, load_or_render
+from sim.options import SimOptions, from_mapping
+from sim.projector import SimProjector
+from sim.render import picture_sent
+from sim.world import Pictures, SimWorld
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigDevices:
+    """What the daemon needs of a rig.
+
+    Args:
+        cameras: ``left`` and ``right``, closed.
+        projector: closed.
+        trigger: gives triggers by itself once a camera has started (``rate_hz`` above 0), else by ``step()``;
+            ``close()`` ends it and all devices.
+        options: as checked.
+        calibration, pattern, volume: plain mappings of the three files of such a rig.
+    """
+
+    cameras: Mapping[Side, Camera]
+    projector: Projector
+    trigger: SimWorld
+    options: SimOptions
+    calibration: Mapping[str, Any]
+    pattern: Mapping[str, Any]
+    volume: Mapping[str, float]
+
+    def close(self) -> None:
+        """Stop the triggers and close all devices."""
+        self.trigger.close()
+
+
+def open_rig(
+    options: Mapping[str, Any] | SimOptions,
+    base_dir: Path | None = None,
+    *,
+    progress: Progress | None = None,
+    clock: Clock | None = None,
+    pictures: Pictures | None = None,
+    first_number: int = 0,
+    keep_entries: bool = False,
+) -> RigDevices:
+    """Make a simulated rig; renders its loop first if it is not cached. The devices are made, not opened.
+
+    Args:
+        options: the ``sim`` section of a rig file, or checked options.
+        base_dir: where relative paths in it start.
+        progress: told (done, of) while the loop is rendered.
+        clock: what the time is; the machine's if None.
+        pictures: instead of the rendered loop.
+        first_number: number of the first trigger.
+        keep_entries: whether the ledger of faults keeps every event.
+    """
+    checked = options if isinstance(options, SimOptions) else from_mapping(options, base_dir)
+    layout, optics = checked.layout, checked.optics
+    shown = picture_sent(layout.pattern(), optics, layout.projector_size)
+    projector = SimProjector(shown)
+    source: Pictures | Loop = load_or_render(checked, progress) if pictures is None else pictures
+    world = SimWorld(
+        source,
+        projector,
+        layout.camera_size,
+        checked.encoding,
+        plan=checked.faults,
+        rate_hz=checked.rate_hz,
+        clock=clock,
+        first_number=first_number,
+        exposure_us=optics.exposure_us,
+        dark_dn=optics.black_dn,
+        keep_entries=keep_entries,
+    )
+    return RigDevices(
+        world.cameras,
+        projector,
+        world,
+        checked,
+        files.calibration_mapping(layout, optics),
+        files.pattern_mapping(layout),
+        files.volume_mapping(layout),
+    )

@@ -1,0 +1,156 @@
+"""A loop of pictures of a scene, rendered once and kept on disk.
+
+The folder of a loop is named by a digest of everything that went into it. It appears whole or not at all; one that
+does not pass its checks is rendered again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import render
+from sim.options import SimOptions
+from sim.scenes import Scene, build
+
+# To be raised whenever the same options would give other pictures.
+RENDER_VERSION = 1
+
+Picture = NDArray[np.uint8] | NDArray[np.uint16]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loop:
+    """Pictures of both cameras, (frames, H, W) or (frames, H, W, 3), read-only."""
+
+    left: Picture
+    right: Picture
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    def pair(self, index: int) -> tuple[Picture, Picture]:
+        """Left and right picture of a trigger; after the last comes the first again."""
+        i = index % len(self.left)
+        return np.asarray(self.left[i]), np.asarray(self.right[i])
+
+
+def load_or_render(options: SimOptions, progress: Progress | None = None) -> Loop:
+    """The loop of these options, from the cache if it is there; ``progress(done, of)`` is called while rendering."""
+    root = options.cache_dir or default_cache_dir()
+    folder = root / f"loop-{digest(options)[:24]}"
+    found = _read(folder)
+    if found is not None:
+        return found
+    loop = render_loop(options, progress)
+    return _keep(loop, folder) or loop
+
+
+def default_cache_dir() -> Path:
+    """``fringed`` below XDG_CACHE_HOME, or below ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "fringed"
+
+
+def digest(options: SimOptions) -> str:
+    """Hex digest of all that the pictures depend on."""
+    parts: dict[str, Any] = {
+        "version": RENDER_VERSION,
+        "scene": options.scene,
+        "mesh": hashlib.sha256(options.mesh.read_bytes()).hexdigest() if options.mesh else None,
+        "seed": options.seed,
+        "frames": options.frames,
+        "layout": asdict(options.layout),
+        "optics": asdict(options.optics),
+        "encoding": options.encoding,
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
+    """All pictures of the loop; a scene at rest is lit once and only the noise differs."""
+    scene = build(options.scene, seed=options.seed, mesh_file=options.mesh)
+    pairs = []
+    counts = None
+    for index in range(options.frames):
+        if progress is not None:
+            progress(index, options.frames)
+        if counts is None or scene.moves:
+            counts = _counts(options, scene, index)
+        noise_seed = options.seed * 1_000_003 + index
+        pairs.append(render.with_noise(counts, options.optics, noise_seed, options.encoding))
+    if progress is not None:
+        progress(options.frames, options.frames)
+    return Loop(_frozen([left for left, _ in pairs]), _frozen([right for _, right in pairs]))
+
+
+def time_of(options: SimOptions, scene: Scene, index: int) -> float:
+    """Time in the scene at which a picture of the loop starts, seconds."""
+    return scene.period_s * (index % options.frames) / options.frames
+
+
+def _counts(options: SimOptions, scene: Scene, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    t_s = time_of(options, scene, index)
+    pattern = options.layout.pattern()
+    return render.render_counts(options.layout, scene, pattern, options.optics, t_s, options.encoding)
+
+
+def _frozen(pictures: list[Picture]) -> Picture:
+    out: Picture = np.stack(pictures)  # type: ignore[assignment, arg-type, unused-ignore]
+    out.setflags(write=False)
+    return out
+
+
+def _read(folder: Path) -> Loop | None:
+    """The loop in a folder, or None if there is none or it is not what was written."""
+    try:
+        sums = json.loads((folder / "loop.json").read_text())["crc32"]
+        arrays = {side: np.load(folder / f"{side}.npy", mmap_mode="r", allow_pickle=False) for side in sums}
+        if any(zlib.crc32(arrays[side].data) != value for side, value in sums.items()):
+            return None
+        return Loop(arrays["left"], arrays["right"])
+    except (OSError, ValueError, KeyError, TypeError, EOFError):
+        return None
+
+
+def _keep(loop: Loop, folder: Path) -> Loop | None:
+    """Write the loop beside its place and move it there; None where the disk refuses, which costs only time."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError:
+        return None
+    try:
+        sums = {}
+        for side, pictures in (("left", loop.left), ("right", loop.right)):
+            _write(fresh / f"{side}.npy", pictures)
+            sums[side] = zlib.crc32(pictures.data)
+        (fresh / "loop.json").write_text(json.dumps({"crc32": sums}))
+        if folder.exists():
+            # What is there did not pass its checks (or another process was quicker: then this is as good).
+            shutil.rmtree(folder, ignore_errors=True)
+        fresh.rename(folder)
+    except OSError:
+        return _read(folder)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+    return _read(folder)
+
+
+def _write(path: Path, pictures: Picture) -> None:
+    with path.open("wb") as file:
+        np.save(file, pictures, allow_pickle=False)
+        file.flush()
+        os.fsync(file.fileno())

@@ -1,0 +1,57 @@
+"""A simulated projector: it knows whether the pattern is on, off, or something else that was never rendered."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import DriverError, SettingRefused
+from drivers.protocols import ProjectorInfo
+
+
+class SimProjector:
+    """Shows the picture that the loop was rendered with, or darkness.
+
+    Until somebody opens it, it shows the picture (as a slide projector would that was left on).
+
+    Args:
+        picture: (H, W, 3) uint8, the one that was rendered.
+    """
+
+    def __init__(self, picture: NDArray[np.uint8]) -> None:
+        self._picture = picture
+        self._open = False
+        self._lit = True
+
+    @property
+    def lit(self) -> bool:
+        """Whether the pattern is on the scene."""
+        return self._lit
+
+    def open(self) -> ProjectorInfo:
+        """Connect; the picture is black until :meth:`show`."""
+        self._open, self._lit = True, False
+        height, width = self._picture.shape[:2]
+        return ProjectorInfo("simulated", (width, height), 0.0)
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Show the rendered picture (within one level: rounding may differ) or a black one."""
+        if not self._open:
+            raise DriverError("projector: show() while closed; open() comes first")
+        if picture.shape != self._picture.shape or picture.dtype != np.uint8:
+            raise SettingRefused(
+                f"projector: picture {picture.shape} {picture.dtype} does not fit, expected {self._picture.shape} uint8"
+            )
+        if not picture.any():
+            self._lit = False
+        elif np.abs(picture.astype(np.int16) - self._picture).max() <= 1:
+            self._lit = True
+        else:
+            raise SettingRefused(
+                "projector: the simulated rig plays a loop rendered with its own pattern and cannot show another "
+                "picture; use the pattern of its layout (sim.layout.periods) with its own calibration"
+            )
+
+    def close(self) -> None:
+        """Go dark and let go."""
+        self._open, self._lit = False, False
