@@ -10,8 +10,8 @@ from pipeline.kernels import parallel, prange, serial
 
 
 @parallel
-def local_outliers(residual: Any, known: Any, limit: float, radius: int) -> Any:
-    """(H, W) bool: known, and neither residual strays from its neighbourhood's mean by more than the limit.
+def local_outliers(residual: Any, known: Any, limit: float, largest: float, radius: int) -> Any:
+    """(H, W) bool: known, a residual is small, and one stays within ``limit`` of its neighbourhood's mean.
 
     A window that slides along the row keeps the cost independent of its width.
     """
@@ -38,6 +38,8 @@ def local_outliers(residual: Any, known: Any, limit: float, radius: int) -> Any:
             n = count[x1] - count[x0]
             d0 = abs(residual[i, j, 0] - (sums[0, x1] - sums[0, x0]) / n)
             d1 = abs(residual[i, j, 1] - (sums[1, x1] - sums[1, x0]) / n)
+            if min(abs(residual[i, j, 0]), abs(residual[i, j, 1])) > largest:
+                continue
             good[i, j] = min(d0, d1) < limit and n >= 0.25 * (bottom - top) * (x1 - x0)
     return good
 
@@ -97,47 +99,114 @@ def drop_small(known: Any, label: Any, size: Any, smallest: int) -> None:
 
 
 @serial
-def unique(known: Any, place: Any, value: Any, label: Any, size: Any, shape: tuple[int, int], tolerance: float) -> int:
-    """Where one pixel of another device is claimed by two different surfaces the larger one keeps it.
+def _cell(place: Any, i: int, j: int, height: int, width: int) -> tuple[int, int]:
+    """Row and column of the other device's pixel, -1 outside."""
+    y, x = int(np.rint(place[i, j, 1])), int(np.rint(place[i, j, 0]))
+    if y < 0 or x < 0 or y >= height or x >= width:
+        return -1, -1
+    return y, x
+
+
+@serial
+def _prevails(label: int, depth: float, rival: int, rival_depth: float, size: Any, share: Any, sure: int) -> bool:
+    """Whether a claim beats its rival.
+
+    A ghost is contested nearly everywhere, a real surface only where another one hides it; of two established real
+    surfaces the nearer hides the other; of small ones the larger is believed.
+    """
+    a, b = share[label], share[rival]
+    if max(a, b) > 0.4 and abs(a - b) > 0.25:
+        return a < b
+    if size[label] >= sure and size[rival] >= sure:
+        return depth < rival_depth
+    return size[label] > size[rival]
+
+
+@serial
+def _contested(known: Any, place: Any, value: Any, depth: Any, label: Any, size: Any, shape: Any, tolerance: float) -> Any:
+    """Share of each surface's points whose pixel of the other device another surface claims as well, by label."""
+    height, width = shape
+    near = np.full((height, width), np.int32(-1))
+    far = np.full((height, width), np.int32(-1))
+    rows, columns = known.shape
+    for i in range(rows):
+        for j in range(columns):
+            if not known[i, j]:
+                continue
+            y, x = _cell(place, i, j, height, width)
+            if y < 0:
+                continue
+            k = np.int32(i * columns + j)
+            if near[y, x] < 0 or depth[i, j] < depth[near[y, x] // columns, near[y, x] % columns]:
+                near[y, x] = k
+            if far[y, x] < 0 or depth[i, j] > depth[far[y, x] // columns, far[y, x] % columns]:
+                far[y, x] = k
+    share = np.zeros(size.shape[0], np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            if not known[i, j]:
+                continue
+            y, x = _cell(place, i, j, height, width)
+            if y < 0:
+                continue
+            for rival in (near[y, x], far[y, x]):
+                a, b = rival // columns, rival % columns
+                if label[a, b] != label[i, j] and abs(value[a, b] - value[i, j]) > tolerance:
+                    share[label[i, j]] += np.float32(1.0)
+                    break
+    for k in range(size.shape[0]):
+        if size[k] > 0:
+            share[k] /= size[k]
+    return share
+
+
+@serial
+def unique(
+    known: Any, place: Any, value: Any, depth: Any, label: Any, size: Any, shape: tuple[int, int], tolerance: float,
+    sure: int,
+) -> int:  # fmt: skip
+    """One pixel of another device sees (or lights) one surface only: of two that claim it one is forgotten there.
+
+    Areas seen by the left camera alone can match areas seen by the right alone with perfect phase; nothing else
+    removes them.
 
     Args:
         known: (H, W) bool, changed in place.
         place: (H, W, 2) pixel (u, v) in the other device.
         value: (H, W) what must agree among claimants (absolute phase, or depth parameter).
+        depth: (H, W) mm.
+        label, size: of the connected surfaces.
         shape: (height, width) of the other device.
         tolerance: largest difference of agreeing values.
+        sure: size from which a surface is taken as established, pixels.
 
     Returns:
         Number of points forgotten.
     """
     height, width = shape
+    share = _contested(known, place, value, depth, label, size, shape, tolerance)
     owner = np.full((height, width), np.int32(-1))
     held = np.zeros((height, width), np.float32)
+    where = np.zeros((height, width), np.float32)
     for i in range(known.shape[0]):
         for j in range(known.shape[1]):
             if not known[i, j]:
                 continue
-            y, x = int(np.rint(place[i, j, 1])), int(np.rint(place[i, j, 0]))
-            if y < 0 or x < 0 or y >= height or x >= width:
+            y, x = _cell(place, i, j, height, width)
+            if y < 0:
                 continue
-            if owner[y, x] < 0 or size[label[i, j]] > size[owner[y, x]]:
-                owner[y, x] = label[i, j]
+            mine = label[i, j]
+            if owner[y, x] < 0 or _prevails(mine, depth[i, j], owner[y, x], where[y, x], size, share, sure):
+                owner[y, x] = mine
                 held[y, x] = value[i, j]
+                where[y, x] = depth[i, j]
     gone = 0
     for i in range(known.shape[0]):
         for j in range(known.shape[1]):
             if not known[i, j]:
                 continue
-            y, x = int(np.rint(place[i, j, 1])), int(np.rint(place[i, j, 0]))
-            # Claims are compared with the cells around as well: the devices' grids do not coincide.
-            for dy in range(-1, 2):
-                for dx in range(-1, 2):
-                    yy, xx = y + dy, x + dx
-                    if yy < 0 or xx < 0 or yy >= height or xx >= width or owner[yy, xx] < 0:
-                        continue
-                    rival = owner[yy, xx]
-                    larger = rival != label[i, j] and size[rival] > size[label[i, j]]
-                    if known[i, j] and larger and abs(held[yy, xx] - value[i, j]) > tolerance:
-                        known[i, j] = False
-                        gone += 1
+            y, x = _cell(place, i, j, height, width)
+            if y >= 0 and owner[y, x] != label[i, j] and abs(held[y, x] - value[i, j]) > tolerance:
+                known[i, j] = False
+                gone += 1
     return gone

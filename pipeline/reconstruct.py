@@ -179,15 +179,18 @@ class Reconstructor:
     def _gate(
         self, left: PhaseMap, order: Any, depth: Any, match: Any, source: Any, residual: Any
     ) -> NDArray[np.bool_]:
-        known = gates.local_outliers(residual, np.isfinite(depth), self.settings.max_residual, 3)
+        known = gates.local_outliers(residual, np.isfinite(depth), self.settings.max_residual, self.settings.max_phase_error, 3)
         absolute = left.phase + np.float32(2 * np.pi) * order
         slope_x, slope_y = self._left.slopes
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
         gates.drop_small(known, label, size, self.settings.min_component)
-        right_shape = self.calibration.right.size[::-1]
-        gates.unique(known, match, absolute, label, size, right_shape, 1.5)
         s = (1 / depth - self._left.depth.base) / self._left.depth.span
-        gates.unique(known, source, s, label, size, self.calibration.projector.size[::-1], self._left.order_step / 4)
+        sure = 4 * self.settings.min_component
+        for place, value, device, tolerance in (
+            (match, absolute, self.calibration.right, 1.5),
+            (source, s, self.calibration.projector, self._left.order_step / 4),
+        ):
+            gates.unique(known, place, value, depth, label, size, device.size[::-1], tolerance, sure)
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
         gates.drop_small(known, label, size, self.settings.min_component)
         return known

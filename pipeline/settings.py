@@ -36,6 +36,8 @@ class Settings:
     """Largest difference of left and right absolute phase."""
     max_residual: float = 0.5
     """Largest deviation of the projector's phase from its neighbourhood."""
+    max_phase_error: float = 1.0
+    """Largest deviation of a point's phase from the projector's phase there, after self-calibration."""
     min_component: int = 120
     """Smallest connected surface, pixels."""
     self_calibrate: bool = True
@@ -78,6 +80,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "switch_penalty": (0, 20),
     "max_check": (0.1, 3.1),
     "max_residual": (0.05, 3.1),
+    "max_phase_error": (0.1, 3.1),
     "min_component": (1, 100_000),
     "self_calibration_range": (0, 8),
     "read_noise": (0, 50),
