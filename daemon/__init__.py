@@ -1,1 +1,1 @@
-"""The measuring service: composes drivers, pipeline and the public stream."""
+"""The daemon composes everything: cameras, pairing, pipeline, sinks, control, and the command line."""

@@ -8,7 +8,8 @@ counter, shows the same difference of numbers at equal times again and again. A 
 ``resync_after`` such sightings in a row, and doubted again at the first contrary sighting or after a silence. In
 doubt, frames that agree wait in the room until the shift is confirmed, then all of them leave as pairs: a doubt
 costs a little delay, never a wrong pair. A frame that contradicts its own camera's last frames (the same number at
-another time, or the same time under another number) is in no pair either. ``tolerance_ns`` must be below half the trigger interval.
+another time, or the same time under another number) is in no pair either. ``tolerance_ns`` must be below half the
+trigger interval.
 """
 
 from __future__ import annotations

@@ -1,0 +1,82 @@
+"""The table of commands; each command's module is imported only when that command is named."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "run": ("daemon.commands.run", "Measure: run the daemon of a rig."),
+    "demo": ("daemon.commands.demo", "See it work: a simulated rig, measured live, in a viewer."),
+    "view": ("daemon.commands.view", "Watch the stream of a daemon in the Rerun viewer."),
+    "listen": ("daemon.commands.listen", "Print rate, points, latency and losses of a stream."),
+    "status": ("daemon.commands.status", "Show what a running daemon is doing."),
+    "record": ("daemon.commands.record", "Record raw pictures: start, stop, or directly from the rig."),
+    "replay": ("daemon.commands.replay", "Reconstruct a recorded take."),
+    "info": ("daemon.commands.info", "Tell what a take holds and whether it is whole."),
+    "check": ("daemon.commands.check", "Check a rig.yaml, a calibration or a take."),
+    "export": ("daemon.commands.export", "Turn clouds into PLY, PCD or a video."),
+}
+
+
+class LazyGroup(TyperGroup):
+    """Shows the table in the help; imports a command when it is to run."""
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Every name, in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A stand-in with the one-line help while the overview is printed, else the real command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, summary = COMMANDS[cmd_name]
+        if ctx.invoked_subcommand is None and not getattr(ctx, "_resolving", False):
+            return TyperCommand(cmd_name, help=summary)
+        return load(cmd_name, module, summary)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that was named; from here on the real one is wanted."""
+        ctx._resolving = True
+        return super().resolve_command(ctx, args)
+
+
+def load(name: str, module: str, summary: str) -> Any:
+    """Import a command's module: its ``app`` (a typer app with sub-commands) or its function ``main``."""
+    loaded = importlib.import_module(module)
+    app = getattr(loaded, "app", None)
+    if app is None:
+        app = typer.Typer(add_completion=False)
+        app.command(name=name, help=(loaded.main.__doc__ or summary))(loaded.main)
+    command = typer.main.get_command(app)
+    command.name = name
+    return command
+
+
+app = typer.Typer(cls=LazyGroup, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.callback()
+def _root(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    """Live 3D measurement: two colour cameras, one projected picture, a metric cloud per frame."""
+
+
+def invoke(arguments: list[str]) -> int:
+    """Run one command line; usage errors are printed and give 2."""
+    try:
+        result = app(args=arguments, prog_name="fringed", standalone_mode=False)
+    except typer.Exit as stop:
+        return int(stop.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        return 130
+    except Exception as error:
+        if hasattr(error, "show") and hasattr(error, "exit_code"):
+            error.show()
+            return int(error.exit_code)
+        raise
+    return result if isinstance(result, int) and not isinstance(result, bool) else 0

@@ -1,0 +1,119 @@
+"""What a schema cannot say of rig.yaml: addresses, names of drivers and settings, files that must be there."""
+
+from __future__ import annotations
+
+import difflib
+import ipaddress
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from daemon.config.registry import RIGS
+from daemon.config.source import Path_
+from pipeline.errors import PipelineError
+from pipeline.pattern import from_mapping as pattern_from_mapping
+from pipeline.settings import Settings
+
+Found = Iterator[tuple[Path_, str]]
+
+
+def semantic_problems(data: dict[str, Any], base_dir: Path) -> Found:
+    """Every mistake of meaning, with the path of the value; values of a wrong type are left to the schema."""
+    yield from _drivers(data)
+    yield from _settings(data)
+    yield from _addresses(data)
+    yield from _files(data, base_dir)
+    yield from _volume(data)
+
+
+def _section(data: dict[str, Any], name: str) -> dict[str, Any]:
+    value = data.get(name)
+    return value if isinstance(value, dict) else {}
+
+
+def _drivers(data: dict[str, Any]) -> Found:
+    for name in ("cameras", "projector"):
+        driver = _section(data, name).get("driver")
+        if isinstance(driver, str) and driver not in RIGS:
+            near = difflib.get_close_matches(driver, RIGS, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(RIGS)}"
+            yield (name, "driver"), f"there is no driver {driver!r}; {hint}"
+    camera_driver = _section(data, "cameras").get("driver")
+    if camera_driver != "sim":
+        for name in ("calibration", "pattern", "volume"):
+            if camera_driver in RIGS and data.get(name) is None:
+                yield (), f"{name} is missing; only the simulated rig knows its own"
+
+
+def _settings(data: dict[str, Any]) -> Found:
+    settings = _section(data, "pipeline").get("settings")
+    for key, value in settings.items() if isinstance(settings, dict) else ():
+        if not isinstance(value, bool | int | float):
+            continue
+        try:
+            Settings().with_overrides({key: value})
+        except PipelineError as error:
+            yield ("pipeline", "settings", key), str(error)
+
+
+def _addresses(data: dict[str, Any]) -> Found:
+    stream = _section(data, "stream")
+    endpoints = stream.get("endpoints")
+    remote = stream.get("allow_remote") is True
+    for i, endpoint in enumerate(endpoints if isinstance(endpoints, list) else ()):
+        if isinstance(endpoint, str) and (problem := endpoint_problem(endpoint, remote=remote)):
+            yield ("stream", "endpoints", i), problem
+    control = _section(data, "control").get("endpoint")
+    if isinstance(control, str) and (problem := endpoint_problem(control, remote=False)):
+        yield ("control", "endpoint"), problem
+
+
+def endpoint_problem(endpoint: str, *, remote: bool) -> str | None:
+    """What is wrong with a ZeroMQ address, or None."""
+    if endpoint.startswith("ipc://"):
+        length = len(endpoint.removeprefix("ipc://").encode())
+        if not 0 < length <= 107:
+            return f"{endpoint!r}: a socket path has 1 to 107 bytes, this one {length}"
+        return None
+    try:
+        parts = urlsplit(endpoint)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        parts, host, port = urlsplit(""), None, None
+    if parts.scheme != "tcp" or host is None or port is None or parts.path:
+        if not (endpoint.startswith("tcp://") and endpoint.endswith(":*") and _is_local(endpoint[6:-2])):
+            return f"{endpoint!r} is not an address; write ipc:///path or tcp://127.0.0.1:5555"
+        return None
+    if not _is_local(host) and not remote:
+        return (
+            f"{endpoint!r} can be reached by other machines; use 127.0.0.1 and a tunnel, "
+            "or for the stream set stream.allow_remote: true"
+        )
+    return None
+
+
+def _is_local(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _files(data: dict[str, Any], base_dir: Path) -> Found:
+    for name in ("calibration", "pattern", "volume"):
+        value = data.get(name)
+        if isinstance(value, str) and not (base_dir / Path(value).expanduser()).is_file():
+            yield (name,), f"{name}: there is no file {base_dir / Path(value).expanduser()}"
+    if isinstance(data.get("pattern"), dict):
+        try:
+            pattern_from_mapping(data["pattern"])
+        except PipelineError as error:
+            yield ("pattern",), str(error)
+
+
+def _volume(data: dict[str, Any]) -> Found:
+    volume = _section(data, "volume")
+    near, far = volume.get("near_mm"), volume.get("far_mm")
+    if isinstance(near, int | float) and isinstance(far, int | float) and near >= far:
+        yield ("volume", "far_mm"), f"volume.far_mm {far} must be larger than near_mm {near}"

@@ -1,0 +1,117 @@
+"""Read rig.yaml: all mistakes at once, each with file:line:column and, for a mistyped key, what was meant."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from daemon.config.checks import semantic_problems
+from daemon.config.models import RigConfig
+from daemon.config.source import Path_, Source, read_yaml
+from daemon.errors import ConfigError
+
+MAX_BYTES = 1 << 20
+_BRANCHES = ("path", "inline", "bool", "int", "float")
+
+
+def load_rig(path: Path) -> RigConfig:
+    """The rig of a file.
+
+    Raises:
+        ConfigError: with every mistake, one line each.
+        OSError: when the file cannot be read.
+    """
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise ConfigError([f"{path}: {size} bytes, a rig file has at most {MAX_BYTES}"])
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError([f"{path}: not UTF-8 text (byte {error.start})"]) from error
+    return parse_rig(text, name=str(path), base_dir=path.parent)
+
+
+def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None) -> RigConfig:
+    """The rig of a YAML text; ``name`` stands in the messages, relative paths are looked for in ``base_dir``."""
+    source = read_yaml(text)
+    config: RigConfig | None = None
+    if source.data is not None or not source.problems:
+        try:
+            config = RigConfig.model_validate_json(json.dumps(source.data))
+        except ValidationError as error:
+            _translate(error, source)
+        if isinstance(source.data, dict):
+            for path, message in semantic_problems(source.data, base_dir or Path()):
+                source.complain(path, message)
+    if source.problems or config is None:
+        ordered = sorted(set(source.problems), key=lambda p: (p.line, p.column, p.message))
+        raise ConfigError([f"{name}:{p.line}:{p.column}: {p.message}" for p in ordered])
+    return config
+
+
+def _translate(error: ValidationError, source: Source) -> None:
+    for item in error.errors(include_url=False):
+        if item["loc"][-1:] in (("bool",), ("int",)):
+            continue  # branches of a union that ends with float: one complaint is enough
+        path = _real_path(item["loc"], source)
+        dotted = ".".join(str(part) for part in path) or "the file"
+        if item["type"] == "extra_forbidden":
+            source.complain(path, f"unknown key {path[-1]!r}{_meant(path)}", key=True)
+        elif item["type"] == "missing":
+            source.complain(path[:-1], f"{dotted} is missing")
+        else:
+            shown = "" if isinstance(item["input"], dict | list) else f", got {item['input']!r:.60}"
+            source.complain(path, f"{dotted}: {_lower(item['msg'])}{shown}{_number_hint(item)}")
+
+
+def _real_path(loc: tuple[int | str, ...], source: Source) -> Path_:
+    """The location without the names of union branches, which are not in the file; the last part always stays."""
+    path: Path_ = ()
+    for i, part in enumerate(loc):
+        if (*path, part) in source.places or (
+            i == len(loc) - 1 and part not in ("path", "inline", "bool", "int", "float")
+        ):
+            path = (*path, part)
+    return path
+
+
+def _lower(message: str) -> str:
+    return message[:1].lower() + message[1:]
+
+
+def _number_hint(item: Any) -> str:
+    """YAML 1.1 reads 1e3 as text: say so."""
+    if not isinstance(item["input"], str) or item["type"] not in ("float_type", "int_type"):
+        return ""
+    try:
+        value = float(item["input"])
+    except ValueError:
+        return ""
+    return f" as text; write {value:g} without quotes or exponent"
+
+
+def _meant(path: Path_) -> str:
+    known = list(_fields(path[:-1]))
+    near = difflib.get_close_matches(str(path[-1]), known, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; known here: {', '.join(known)}"
+
+
+def _fields(path: Path_) -> Iterator[str]:
+    model: type[BaseModel] | None = RigConfig
+    for part in path:
+        field = model.model_fields.get(str(part)) if model else None
+        model = _model_in(field.annotation) if field else None
+    yield from (model.model_fields if model else ())
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    inner = get_args(annotation) if isinstance(annotation, UnionType) or get_args(annotation) else ()
+    return next((model for model in map(_model_in, inner) if model), None)

@@ -1,0 +1,126 @@
+"""The shape of rig.yaml. Strict: no text is taken for a number, no unknown key is passed over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+
+from daemon import runtime
+
+
+class Section(BaseModel):
+    """A part of rig.yaml."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Device(Section):
+    """What this rig calls itself."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$", description="Name in every message.")] = (
+        "rig-01"
+    )
+
+
+class Cameras(Section):
+    """The two cameras."""
+
+    driver: Annotated[str, Field(description="Name of the camera driver.")]
+    left: Annotated[dict[str, Any], Field(description="Options of the left camera.")] = {}
+    right: Annotated[dict[str, Any], Field(description="Options of the right camera.")] = {}
+
+
+class Projector(Section):
+    """The projector."""
+
+    driver: Annotated[str, Field(description="Name of the projector driver.")]
+    options: Annotated[dict[str, Any], Field(description="Options of the projector.")] = {}
+
+
+class Pairing(Section):
+    """How left and right frames are brought together."""
+
+    tolerance_us: Annotated[float, Field(gt=0, le=1e6, description="Largest difference of the exposures' starts.")] = (
+        2000.0
+    )
+    max_wait_ms: Annotated[float, Field(gt=0, le=60000, description="How long a frame waits for its partner.")] = 500.0
+    resync_after: Annotated[int, Field(ge=2, le=100, description="Sightings before another count is believed.")] = 3
+
+
+class Volume(Section):
+    """Measuring volume along the left camera's z axis."""
+
+    near_mm: Annotated[float, Field(gt=0)]
+    far_mm: Annotated[float, Field(gt=0)]
+
+
+class Pipeline(Section):
+    """The reconstruction."""
+
+    threads: Annotated[int, Field(ge=0, le=256, description="Worker threads; 0 = all.")] = 0
+    queue: Annotated[int, Field(ge=1, le=16, description="Pairs that wait; the oldest is dropped for a new one.")] = 1
+    settings: Annotated[dict[str, bool | int | float], Field(description="Changes to the pipeline's defaults.")] = {}
+
+
+class Stream(Section):
+    """The point-cloud stream."""
+
+    endpoints: Annotated[list[str], Field(min_length=1, max_length=8, description="Where the stream is bound.")] = (
+        Field(default_factory=lambda: [runtime.stream_endpoint(), runtime.TCP_STREAM])
+    )
+    allow_remote: Annotated[bool, Field(description="Allow addresses that other machines can reach.")] = False
+    preview_hz: Annotated[float, Field(ge=0, le=10, description="Pictures a second; 0 = none.")] = 2.0
+
+
+class Control(Section):
+    """The control socket."""
+
+    endpoint: str = Field(default_factory=runtime.control_endpoint)
+
+
+class Recording(Section):
+    """Where and how takes are written."""
+
+    dir: Annotated[str, Field(min_length=1, description="Directory of the takes.")] = "takes"
+    max_part_mb: Annotated[int, Field(ge=16, le=1_000_000, description="Size at which a new part begins.")] = 2048
+    min_free_mb: Annotated[int, Field(ge=0, description="Free space at which recording ends.")] = 1024
+    queue: Annotated[int, Field(ge=2, le=1000, description="Pairs that wait for the disk.")] = 16
+
+
+def _kind(value: Any) -> str:
+    return "path" if isinstance(value, str) else "inline"
+
+
+PathOrVolume = Annotated[
+    Annotated[str, Tag("path")] | Annotated[Volume, Tag("inline")],
+    Discriminator(_kind),
+    Field(description="Path of a volume.json, or near_mm and far_mm."),
+]
+PathOrPattern = Annotated[
+    Annotated[str, Tag("path")] | Annotated[dict[str, Any], Tag("inline")],
+    Discriminator(_kind),
+    Field(description="Path of a pattern.json, or the pattern itself."),
+]
+
+
+class RigConfig(Section):
+    """Everything `fringed run` needs to know of a rig."""
+
+    device: Device = Device()
+    cameras: Cameras
+    projector: Projector | None = None
+    simulation: Annotated[dict[str, Any], Field(description="Options of the simulated rig.")] = {}
+    calibration: Annotated[str | None, Field(description="Path of calibration.yaml.")] = None
+    pattern: PathOrPattern | None = None
+    volume: PathOrVolume | None = None
+    pairing: Pairing = Pairing()
+    pipeline: Pipeline = Pipeline()
+    stream: Stream = Field(default_factory=Stream)
+    control: Control = Field(default_factory=Control)
+    recording: Recording = Recording()
+
+    def path(self, name: str, base_dir: Path) -> Path:
+        """A path of the file; relative ones start at the directory of rig.yaml."""
+        return base_dir / Path(name).expanduser()

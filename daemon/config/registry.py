@@ -1,0 +1,24 @@
+"""The table of drivers: a name in rig.yaml, and the function that opens such a rig, imported only when it is named."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+from daemon.errors import DaemonError
+
+RIGS: dict[str, str] = {
+    "sim": "sim.devices:open_rig",
+}
+"""Whole rigs: a function of the options that gives both cameras, the projector and what they know of themselves."""
+
+
+def load(target: str) -> Callable[..., Any]:
+    """The function behind ``module:function``."""
+    module, _, name = target.partition(":")
+    try:
+        function: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise DaemonError(f"the driver {target} cannot be loaded: {error}") from error
+    return function

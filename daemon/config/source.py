@@ -1,0 +1,116 @@
+"""YAML to plain JSON values, with the place of every key and value, and no surprises: no duplicate keys, no dates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+Path_ = tuple[str | int, ...]
+MAX_NODES = 20_000
+MAX_DEPTH = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One mistake: where (line and column start at 1) and what."""
+
+    line: int
+    column: int
+    message: str
+
+
+@dataclass(slots=True)
+class Source:
+    """The values of a YAML text and where each stands."""
+
+    data: Any = None
+    places: dict[Path_, tuple[int, int]] = field(default_factory=dict)
+    keys: dict[Path_, tuple[int, int]] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+
+    def place(self, path: Path_, *, key: bool = False) -> tuple[int, int]:
+        """Line and column of a value (or of its key), else of the nearest thing around it."""
+        for length in range(len(path), -1, -1):
+            table = self.keys if key and length == len(path) else self.places
+            if path[:length] in table:
+                return table[path[:length]]
+        return (1, 1)
+
+    def complain(self, path: Path_, message: str, *, key: bool = False) -> None:
+        """Add a problem at a path."""
+        self.problems.append(Problem(*self.place(path, key=key), message))
+
+
+def read_yaml(text: str) -> Source:
+    """Parse one YAML document; syntax errors and duplicate keys become problems."""
+    source = Source()
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        if node is None:
+            source.problems.append(Problem(1, 1, "the file is empty"))
+        else:
+            source.data = _Walk(source).value(node, ())
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        source.problems.append(Problem(line, column, f"YAML syntax: {error.problem or error.context}"))
+    except yaml.YAMLError as error:
+        source.problems.append(Problem(1, 1, f"YAML syntax: {' '.join(str(error).split())}"))
+    except RecursionError:
+        source.problems.append(Problem(1, 1, "nested too deeply"))
+    return source
+
+
+class _Walk:
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.constructor = yaml.SafeLoader("")
+        self.nodes = 0
+
+    def value(self, node: yaml.Node, path: Path_) -> Any:
+        place = (node.start_mark.line + 1, node.start_mark.column + 1)
+        self.source.places[path] = place
+        self.nodes += 1
+        if len(path) > MAX_DEPTH or self.nodes > MAX_NODES:
+            raise yaml.YAMLError(f"more than {MAX_NODES} values or {MAX_DEPTH} levels")
+        if isinstance(node, yaml.MappingNode):
+            return self.mapping(node, path)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
+        return self.scalar(node, path)
+
+    def mapping(self, node: yaml.MappingNode, path: Path_) -> dict[str, Any]:
+        out: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != "tag:yaml.org,2002:str":
+                shown = getattr(key_node, "value", "")
+                self.source.problems.append(Problem(*place, f"the key {shown!r:.40} is not plain text; quote it"))
+                continue
+            key = key_node.value
+            if key in out:
+                first = self.source.keys[(*path, key)][0]
+                self.source.problems.append(
+                    Problem(*place, f"the key {key!r} stands here twice, first in line {first}")
+                )
+                continue
+            self.source.keys[(*path, key)] = place
+            out[key] = self.value(value_node, (*path, key))
+        return out
+
+    def scalar(self, node: yaml.Node, path: Path_) -> Any:
+        try:
+            value = self.constructor.construct_object(node, deep=True)
+        except (yaml.YAMLError, ValueError) as error:
+            self.source.complain(path, f"cannot be read: {' '.join(str(error).split()):.120}")
+            return None
+        if isinstance(value, float) and not math.isfinite(value):
+            self.source.complain(path, f"{node.value} is not a finite number")
+            return None
+        if isinstance(value, bool | int | float | str) or value is None:
+            return value
+        self.source.complain(path, f"{node.value!r:.60} reads as a {type(value).__name__}; put it in quotes")
+        return None

@@ -1,0 +1,55 @@
+"""The console command ``fringed``: quick to start, and plain-spoken where the rig's packages are missing."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+_INSTALL = (
+    "fringed: the commands need the packages of a rig PC; install them with: pip install 'fringed[rig]' "
+    "({name} is missing). Reading a stream from Python needs none of them: from fringed import subscribe"
+)
+_OWN = ("daemon", "sim", "drivers", "pipeline", "fringed")
+
+
+def main() -> None:
+    """Run the command line; the exit status is 0, 1 for an expected error, 2 for wrong usage."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line and return its exit status."""
+    debug = "--debug" in arguments or bool(os.environ.get("FRINGED_DEBUG"))
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    try:
+        status: int = importlib.import_module("daemon.cli").invoke(arguments)
+        return status
+    except ModuleNotFoundError as error:
+        if debug or (error.name or "").partition(".")[0] in _OWN:
+            raise
+        print(_INSTALL.format(name=error.name), file=sys.stderr)  # noqa: T201 - nothing else may be there to say it
+        return 1
+    except Exception as error:
+        if debug or not _expected(error):
+            raise
+        print(f"fringed: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+
+
+def _expected(error: Exception) -> bool:
+    """Our own errors and those of the operating system, told by name so that nothing heavy is imported."""
+    if isinstance(error, OSError):
+        return True
+    names = {f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__}
+    return bool(names & _EXPECTED)
+
+
+_EXPECTED = {
+    "daemon.errors.DaemonError",
+    "drivers.errors.DriverError",
+    "pipeline.errors.PipelineError",
+    "fringed.errors.FringedError",
+    "sim.options.OptionError",
+    "zmq.error.ZMQError",
+}

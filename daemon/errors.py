@@ -1,0 +1,19 @@
+"""What can go wrong in the daemon and its commands, each with a name to catch."""
+
+from __future__ import annotations
+
+
+class DaemonError(RuntimeError):
+    """Root of the daemon's errors; the message is one plain sentence for the person at the terminal."""
+
+
+class ConfigError(DaemonError):
+    """A rig.yaml that cannot be used; ``problems`` holds one line for each mistake."""
+
+    def __init__(self, problems: list[str]) -> None:
+        self.problems = problems
+        super().__init__("\n".join(problems))
+
+
+class ControlError(DaemonError):
+    """A control request that failed or found no daemon."""

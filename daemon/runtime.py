@@ -1,0 +1,43 @@
+"""Where the sockets live: the service's runtime directory, the user's, or a private one in /tmp."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from daemon.errors import DaemonError
+
+TCP_STREAM = "tcp://127.0.0.1:5555"
+
+
+def runtime_dir() -> Path:
+    """The directory for sockets; not made yet. systemd's RUNTIME_DIRECTORY, else XDG_RUNTIME_DIR, else /tmp."""
+    service = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    if service:
+        return Path(service)
+    user = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(user) / "fringed" if user else Path(tempfile.gettempdir()) / f"fringed-{os.getuid()}"
+
+
+def stream_endpoint() -> str:
+    """The default ipc endpoint of the stream."""
+    return f"ipc://{runtime_dir() / 'stream'}"
+
+
+def control_endpoint() -> str:
+    """The default endpoint of control."""
+    return f"ipc://{runtime_dir() / 'control'}"
+
+
+def prepare_ipc(endpoint: str) -> None:
+    """Make the directory of an ipc endpoint, for this user alone; refuses one that belongs to somebody else."""
+    if not endpoint.startswith("ipc://"):
+        return
+    directory = Path(endpoint.removeprefix("ipc://")).parent
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    owner = directory.stat().st_uid
+    if directory.name.startswith("fringed") and owner != os.getuid():
+        raise DaemonError(
+            f"the socket directory {directory} belongs to user {owner}, not to you; remove it or set XDG_RUNTIME_DIR"
+        )

@@ -1,0 +1,90 @@
+"""rig.yaml: every mistake at once, at its line and column, in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from daemon.config import RigConfig, load_rig, parse_rig, schema
+from daemon.config import schema as schema_module
+from daemon.errors import ConfigError
+
+GOOD = "cameras: {driver: sim}\n"
+
+
+def problems(text: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        parse_rig(text)
+    return caught.value.problems
+
+
+def test_a_rig_of_one_line_is_complete() -> None:
+    config = parse_rig(GOOD)
+    assert isinstance(config, RigConfig) and config.stream.endpoints[-1] == "tcp://127.0.0.1:5555"
+
+
+def test_the_example_is_valid() -> None:
+    load_rig(Path(__file__).parents[2] / "examples" / "rig.yaml")
+
+
+def test_all_mistakes_are_told_at_once_each_with_its_place() -> None:
+    found = problems(
+        "camras: {}\n"
+        "cameras:\n"
+        "  driver: smi\n"
+        "pipeline:\n"
+        "  threads: 1e3\n"
+        "  settings: {min_modulatio: 3, max_check: a}\n"
+        "volume: {near_mm: 5, far_mm: 3}\n"
+    )
+    places = [problem.split(": ")[0] for problem in found]
+    assert places == [f"rig.yaml:{p}" for p in ("1:1", "3:11", "5:12", "6:29", "6:43", "7:30")]
+    assert "did you mean 'cameras'" in found[0] and "did you mean 'sim'" in found[1]
+    assert "write 1000" in found[2] and "min_modulation" in found[3]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "empty"),
+        ("cameras: {driver: sim\n", "YAML syntax"),
+        (GOOD + "cameras: {driver: sim}\n", "stands here twice, first in line 1"),
+        (GOOD + "device: {name: 2020-01-01}\n", "reads as a date"),
+        (GOOD + "stream: {allow_remote: 1}\n", "valid boolean"),
+        (GOOD + "recording: {max_part_mb: 64.0}\n", "valid integer"),
+        (GOOD + "stream: {preview_hz: .nan}\n", "not a finite number"),
+        (GOOD + "stream: {endpoints: ['tcp://0.0.0.0:5555']}\n", "other machines"),
+        (GOOD + "stream: {endpoints: ['udp://x']}\n", "not an address"),
+        (GOOD + "control: {endpoint: 'tcp://*:5556'}\n", "other machines"),
+        (GOOD + "calibration: nowhere.yaml\n", "there is no file"),
+        (GOOD + "1: 2\n", "not plain text"),
+        ("[" * 3000, "nested too deeply"),
+        ("- 1\n", "the file"),
+        (GOOD + "pattern: {kind: stripes}\n", "stripes"),
+    ],
+)
+def test_a_mistake_is_told_in_words(text: str, told: str) -> None:
+    assert any(told in problem for problem in problems(text))
+
+
+def test_remote_addresses_need_a_clear_yes() -> None:
+    config = parse_rig(GOOD + "stream: {endpoints: ['tcp://0.0.0.0:5555'], allow_remote: true}\n")
+    assert config.stream.allow_remote
+
+
+def test_a_bomb_of_aliases_is_refused() -> None:
+    bomb = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
+    bomb += "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12))
+    assert any("more than" in problem for problem in problems(bomb))
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_bytes(b"#" * (1 << 21))
+    with pytest.raises(ConfigError, match="at most"):
+        load_rig(path)
+
+
+def test_the_committed_schema_is_current() -> None:
+    assert schema_module.COMMITTED.read_text(encoding="utf-8") == schema.text(), "run python -m daemon.config.schema"
