@@ -155,3 +155,17 @@ def test_plain_values_become_checked_options(tmp_path):
 def test_wrong_options_are_told_by_name(data, message):
     with pytest.raises(OptionError, match=message):
         from_mapping(data)
+
+
+def test_a_shot_holds_pictures_and_truth(tmp_path, small):
+    import cv2
+
+    from sim import render, scenes
+    from sim.shot import write_shot
+
+    pair = render.render_pair(small, scenes.build("face"), small.pattern())
+    write_shot(pair, tmp_path)
+    assert np.array_equal(cv2.imread(str(tmp_path / "left.png"))[..., ::-1], pair.left)
+    with np.load(tmp_path / "truth_right.npz", allow_pickle=False) as truth:
+        assert set(truth) == {"xyz", "projector", "order", "lit", "seen_by_both"}
+        assert np.array_equal(truth["lit"], pair.truth_right.lit)

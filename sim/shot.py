@@ -1,0 +1,54 @@
+"""``python -m sim.shot SCENE FOLDER``: one pair of a scene as PNG files, with its truth and the rig's files.
+
+Options of the rig follow as ``key=value`` of its optics, for instance ``defocus_px=1.5 gamma=2.2``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sim import files, scenes
+from sim.optics import Optics
+from sim.render import RenderedPair, render_pair
+from sim.rig import RigLayout
+
+
+def write_shot(pair: RenderedPair, folder: Path) -> None:
+    """``left.png``, ``right.png`` and ``truth_left.npz``, ``truth_right.npz`` in a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for side, picture, truth in (("left", pair.left, pair.truth_left), ("right", pair.right, pair.truth_right)):
+        image = picture[..., ::-1] if picture.ndim == 3 else picture
+        if not cv2.imwrite(str(folder / f"{side}.png"), image):
+            raise OSError(f"{folder / side}.png cannot be written")
+        np.savez_compressed(folder / f"truth_{side}.npz", allow_pickle=False, **truth.arrays())
+
+
+def main(arguments: list[str]) -> int:
+    """Render, write, and tell in one line what there is."""
+    if len(arguments) < 2:
+        sys.stderr.write(f"{__doc__}Scenes: {', '.join(scenes.NAMES)}; a path stands for the mesh of that file.\n")
+        return 2
+    name, folder, *changes = arguments
+    optics = Optics(**{key: json.loads(value) for key, _, value in (item.partition("=") for item in changes)})
+    mesh_file = None if name in scenes.NAMES else Path(name)
+    layout, scene = RigLayout(), scenes.build("mesh" if mesh_file else name, mesh_file=mesh_file)
+    pair = render_pair(layout, scene, layout.pattern(), optics)
+    write_shot(pair, Path(folder))
+    for file, mapping in (
+        ("calibration.json", files.calibration_mapping(layout, optics)),
+        ("pattern.json", files.pattern_mapping(layout)),
+        ("volume.json", files.volume_mapping(layout)),
+    ):
+        (Path(folder) / file).write_text(json.dumps(mapping, indent=1))
+    share = float(pair.truth_left.scorable.mean())
+    sys.stdout.write(f"{scene.name}: brightest {int(pair.left.max())}, measurable {share:.1%} of the left picture\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
