@@ -1,0 +1,128 @@
+"""One thread a camera: open, read, and open again when the device was gone."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+from daemon.counters import Rate
+from daemon.status import CameraState, CameraStatus
+from drivers.errors import DriverError
+from drivers.protocols import Camera, Clock, Frame, Side
+
+log = logging.getLogger("fringed.camera")
+
+_READ_TIMEOUT_S = 0.2
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.2, 5.0
+
+
+class CameraThread:
+    """Owns a camera from open to close.
+
+    Args:
+        side: which one; camera: closed.
+        deliver: takes each frame; must be quick.
+        changed: told whenever the camera's state changes.
+    """
+
+    def __init__(
+        self, side: Side, camera: Camera, *, deliver: Callable[[Frame], None], changed: Callable[[], None], clock: Clock
+    ) -> None:
+        self.side = side
+        self._camera, self._deliver, self._changed, self._clock = camera, deliver, changed, clock
+        self._status = CameraStatus(CameraState.CLOSED)
+        self._rate = Rate()
+        self._frames = 0
+        self._wanted = threading.Event()
+        self._wanted.set()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"camera-{side}", daemon=True)
+
+    @property
+    def status(self) -> CameraStatus:
+        """The camera now; the fates of its frames are the pairing's to add."""
+        rate = self._rate.per_second(self._clock.monotonic_ns())
+        return replace(self._status, rate_hz=round(rate, 2), frames=self._frames)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def measure(self, wanted: bool) -> None:
+        """Accept triggers, or stay connected without accepting them."""
+        (self._wanted.set if wanted else self._wanted.clear)()
+
+    def ask_stop(self) -> None:
+        """End soon; :meth:`join` waits for it."""
+        self._stop.set()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the end; False when the driver hangs."""
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        wait_s = _FIRST_WAIT_S
+        while not self._stop.is_set():
+            try:
+                self._open()
+                wait_s = _FIRST_WAIT_S
+                while not self._stop.is_set():
+                    self._acquire()
+            except DriverError as error:
+                self._lost(str(error))
+            except Exception as error:  # a driver's bug must not take the daemon down
+                log.exception("camera %s: unexpected error", self.side)
+                self._lost(f"{type(error).__name__}: {error}")
+            finally:
+                self._camera.close()
+            self._stop.wait(wait_s)
+            wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+        self._set(replace(self._status, state=CameraState.CLOSED))
+
+    def _open(self) -> None:
+        info = self._camera.open()
+        for note in info.notes:
+            log.info("camera %s: %s", self.side, note)
+        self._set(
+            replace(
+                self._status,
+                state=CameraState.PAUSED,
+                model=info.model,
+                serial=info.serial,
+                encoding=info.encoding,
+                size=info.size,
+                problem="",
+            )
+        )
+
+    def _acquire(self) -> None:
+        """Read until told to pause or stop; waits while paused."""
+        if not self._wanted.wait(_READ_TIMEOUT_S):
+            return
+        self._camera.start()
+        self._set(replace(self._status, state=CameraState.ACQUIRING))
+        while self._wanted.is_set() and not self._stop.is_set():
+            frame = self._camera.read(_READ_TIMEOUT_S)
+            if frame is not None:
+                self._frames += 1
+                self._rate.note(self._clock.monotonic_ns())
+                self._deliver(frame)
+        self._camera.stop()
+        self._set(replace(self._status, state=CameraState.PAUSED))
+
+    def _lost(self, problem: str) -> None:
+        first = self._status.state is not CameraState.LOST
+        if first:
+            log.warning("camera %s is lost: %s", self.side, problem)
+        losses = self._status.losses + first
+        self._set(replace(self._status, state=CameraState.LOST, problem=problem, losses=losses))
+
+    def _set(self, status: CameraStatus) -> None:
+        changed = status.state is not self._status.state
+        self._status = status
+        if changed:
+            self._changed()

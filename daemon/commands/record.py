@@ -1,0 +1,87 @@
+"""``fringed record``: start and stop takes of a running daemon, or record directly from a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+_DIRECT = "direct"
+
+
+class DirectGroup(TyperGroup):
+    """``record RIG`` is short for ``record direct RIG``."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Take the first word for a sub-command if it is one, else for the rig file."""
+        if args and args[0] not in self.commands:
+            args = [_DIRECT, *args]
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(cls=DirectGroup, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
+
+Endpoint = Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")]
+RigOption = Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")]
+
+
+@app.callback()
+def _root() -> None:
+    """Record raw pictures: start and stop a take of a running daemon, or `record RIG` to record directly."""
+
+
+@app.command()
+def start(
+    name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
+    endpoint: Endpoint = None,
+    rig: RigOption = None,
+) -> None:
+    """Begin a take in a running daemon."""
+    answer = _ask("record.start", endpoint, rig, name=name)
+    typer.echo(f"recording to {answer['file']}")
+
+
+@app.command()
+def stop(endpoint: Endpoint = None, rig: RigOption = None) -> None:
+    """End the take of a running daemon."""
+    answer = _ask("record.stop", endpoint, rig)
+    if "file" not in answer:
+        typer.echo("no take was being written")
+        return
+    rest = ", ".join(f"{key} {value}" for key, value in answer.items() if key not in ("file", "recording"))
+    typer.echo(f"{answer['file']}: {rest}" if rest else answer["file"])
+
+
+@app.command(_DIRECT)
+def direct(
+    rig: Annotated[Path, typer.Argument(help="The rig file, rig.yaml.")],
+    name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop by itself after so many seconds.")] = None,
+) -> None:
+    """Record directly from a rig, without a daemon, until Ctrl-C (the default: `fringed record RIG`)."""
+    import threading
+
+    from daemon.commands.progress import rendering
+    from daemon.launch import StopFlag, log_to_stderr, run_rig
+
+    log_to_stderr()
+    with StopFlag().on_signals() as flag, rendering() as progress:
+        timer: list[threading.Timer] = []
+
+        def on_status(status: dict[str, Any]) -> None:
+            if seconds is not None and status["pairs"] and not timer:
+                timer.append(threading.Timer(seconds, flag.ask))
+                timer[0].daemon = True
+                timer[0].start()
+
+        run_rig(rig, progress=progress, flag=flag, record=name, on_status=on_status)
+
+
+def _ask(method: str, endpoint: str | None, rig: Path | None, **params: Any) -> Any:
+    from daemon.commands.status import control_endpoint
+    from daemon.control.client import ControlClient
+
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=30.0) as client:
+        return client.call(method, **params)

@@ -1,0 +1,23 @@
+"""``fringed run``: measure until stopped."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def main(
+    rig: Annotated[Path, typer.Argument(help="The rig file, rig.yaml.")],
+    record: Annotated[str | None, typer.Option(help="Begin a take of this name at once.")] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
+) -> None:
+    """Measure: run the daemon of a rig until SIGTERM or Ctrl-C."""
+    from daemon.commands.progress import rendering
+    from daemon.launch import StopFlag, log_to_stderr, run_rig
+
+    log_to_stderr(logging.DEBUG if verbose else logging.INFO)
+    with StopFlag().on_signals() as flag, rendering() as progress:
+        run_rig(rig, progress=progress, flag=flag, record=record)

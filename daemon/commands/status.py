@@ -1,0 +1,76 @@
+"""``fringed status``: what a running daemon is doing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def main(
+    endpoint: Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")] = None,
+    rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON.")] = False,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the answer.")] = 5.0,
+) -> None:
+    """Show what a running daemon is doing."""
+    from daemon.control.client import ControlClient
+
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout) as client:
+        status = client.call("status")
+    typer.echo(json.dumps(status, indent=2) if as_json else table(status))
+
+
+def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
+    """The endpoint that was named, that of a rig file, or the default."""
+    if endpoint is not None:
+        return endpoint
+    if rig is not None:
+        from daemon.config import load_rig
+
+        return load_rig(rig).control.endpoint
+    from daemon.runtime import control_endpoint as default
+
+    return default()
+
+
+def table(status: dict[str, Any]) -> str:
+    """The status as a table of text."""
+    from io import StringIO
+
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = Table(show_header=False, box=None, pad_edge=False)
+    shown.add_column(style="bold")
+    shown.add_column()
+    for name, value in rows(status):
+        shown.add_row(name, value)
+    console = Console(file=StringIO(), width=110)
+    console.print(shown)
+    text: str = console.file.getvalue().rstrip()  # type: ignore[attr-defined]
+    return text
+
+
+def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of every line of the table."""
+    latency = status["latency_ms"]
+    out = [
+        ("state", f"{status['state']}{''.join(f'; {reason}' for reason in status['reasons'])}"),
+        ("device", f"{status['device']}, fringed {status['version']}, up {status['uptime_s']:.0f} s"),
+        ("calibration", status["calibration"]),
+        ("clouds", f"{status['clouds']}, {status['cloud_rate_hz']:.1f} per second"),
+        ("points", f"{status['points']} ({100 * status['valid']:.0f} % of the pixels)"),
+        ("latency", "  ".join(f"{name} {value:.0f} ms" for name, value in latency.items()) or "no cloud yet"),
+        ("pairs", f"{status['pairs']}, {status['pair_rate_hz']:.1f} per second"),
+    ]
+    for side, camera in status["cameras"].items():
+        fates = ", ".join(f"{name} {count}" for name, count in camera["fates"].items() if count)
+        text = f"{camera['state']}, {camera['rate_hz']:.1f} frames per second, {camera['losses']} losses; {fates}"
+        out.append((f"camera {side}", text))
+    out.append(("dropped", ", ".join(f"{name} {count}" for name, count in status["drops"].items()) or "nothing"))
+    recorder = status["recorder"]
+    out.append(("recorder", ", ".join(f"{k} {v}" for k, v in recorder.items()) if recorder.get("recording") else "off"))
+    return out

@@ -1,0 +1,1 @@
+"""Control: JSON-RPC 2.0 over ZeroMQ."""

@@ -1,0 +1,63 @@
+"""Ask a running daemon."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from types import TracebackType
+from typing import Any, Self
+
+import zmq
+
+from daemon.errors import ControlError
+
+
+class ControlClient:
+    """One connection to a daemon's control socket.
+
+    Args:
+        endpoint: where the daemon listens; timeout_s: how long to wait for each answer.
+    """
+
+    def __init__(self, endpoint: str, *, timeout_s: float = 5.0) -> None:
+        self.endpoint, self._timeout_s = endpoint, timeout_s
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket = self._context.socket(zmq.DEALER)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        try:
+            self._socket.connect(endpoint)
+        except zmq.ZMQError as error:
+            self._context.destroy(linger=0)
+            raise ControlError(f"{endpoint} is not an address of a daemon: {error}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        self._context.destroy(linger=0)
+
+    def call(self, method: str, **params: Any) -> Any:
+        """The result of a method.
+
+        Raises:
+            ControlError: no answer in time, or the daemon's own words for what went wrong.
+        """
+        request_id = str(uuid.uuid4())
+        request = {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
+        self._socket.send(json.dumps(request).encode())
+        while self._socket.poll(round(1000 * self._timeout_s)):
+            response = json.loads(self._socket.recv_multipart()[-1])
+            if response.get("id") not in (request_id, None):
+                continue  # an answer to an earlier request that came too late
+            if "error" in response:
+                raise ControlError(f"the daemon refused {method}: {response['error'].get('message')}")
+            return response.get("result")
+        raise ControlError(
+            f"no daemon answers at {self.endpoint}; start one with `fringed run rig.yaml`, or name its control endpoint"
+        )

@@ -1,0 +1,138 @@
+"""Put a daemon together from rig.yaml and run it until a signal comes."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import threading
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from daemon.config import RigConfig, load_rig
+from daemon.control.methods import Methods
+from daemon.control.server import ControlServer
+from daemon.errors import DaemonError
+from daemon.outputs import open_publisher, open_take
+from daemon.recorder import Recorder
+from daemon.rig import Progress, open_rig
+from daemon.service import Service
+
+log = logging.getLogger("fringed")
+
+
+class StopAskedError(DaemonError):
+    """A signal came while the daemon was still being put together."""
+
+
+@dataclass(slots=True)
+class StopFlag:
+    """Turns SIGTERM and SIGINT into one orderly stop, whenever they come."""
+
+    asked: threading.Event = field(default_factory=threading.Event)
+    stop: Callable[[], None] | None = None
+
+    def ask(self) -> None:
+        """Stop what runs, or whatever will be started."""
+        self.asked.set()
+        if self.stop is not None:
+            self.stop()
+
+    @contextmanager
+    def on_signals(self) -> Iterator[StopFlag]:
+        """Listen to the signals inside the block; only the main thread can."""
+
+        def handle(number: int, _: FrameType | None) -> None:
+            log.info("%s: stopping", signal.Signals(number).name)
+            self.ask()
+
+        before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def run_rig(
+    path: Path,
+    *,
+    progress: Progress | None = None,
+    flag: StopFlag | None = None,
+    record: str | None = None,
+    on_status: Callable[[dict[str, Any]], None] | None = None,
+) -> None:
+    """Measure with the rig of a file until asked to stop.
+
+    Args:
+        path: of rig.yaml; record: name of a take that begins at once.
+        progress: told (done, of) while a simulated rig is rendered.
+        on_status: told the status once a second.
+    """
+    flag = flag or StopFlag()
+    config, base_dir = load_rig(path), path.resolve().parent
+
+    def watched(done: int, of: int) -> None:
+        if flag.asked.is_set():
+            raise StopAskedError("stopped while starting")
+        if progress is not None:
+            progress(done, of)
+
+    try:
+        rig = open_rig(config, base_dir, progress=watched)
+    except StopAskedError:
+        return
+    _run(config, rig, path, base_dir, flag, record, on_status)
+
+
+def _run(
+    config: RigConfig,
+    rig: Any,
+    path: Path,
+    base_dir: Path,
+    flag: StopFlag,
+    record: str | None,
+    on_status: Callable[[dict[str, Any]], None] | None,
+) -> None:
+    session = str(uuid.uuid4())
+    try:
+        publisher = open_publisher(config, rig, session)
+    except BaseException:
+        rig.release()
+        raise
+
+    def publish(status: dict[str, Any]) -> None:
+        publisher.publish_status(status)
+        if on_status is not None:
+            on_status(status)
+
+    try:
+        service = Service(config, rig, {"stream": publisher}, on_status=publish, session=session)
+        takes = config.path(config.recording.dir, base_dir)
+        recorder = Recorder(service, takes, lambda take: open_take(config, rig, session, take, path))
+        methods = Methods(service, recorder, path=path, base_dir=base_dir)
+        control = ControlServer(config.control.endpoint, methods.table())
+    except BaseException:
+        publisher.close()
+        rig.release()
+        raise
+    control.start()
+    flag.stop = service.ask_stop
+    if flag.asked.is_set():
+        service.ask_stop()
+    try:
+        if record is not None:
+            log.info("recording to %s", recorder.start(record)["file"])
+        service.run()
+    finally:
+        control.close()
+
+
+def log_to_stderr(level: int = logging.INFO) -> None:
+    """One line an event on standard error, with its time."""
+    logging.basicConfig(stream=sys.stderr, level=level, format="%(asctime)s %(levelname).1s %(name)s: %(message)s")

@@ -1,0 +1,69 @@
+"""The pairing, shared by the camera threads: each event goes where it belongs, under one lock."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from daemon.counters import Rate
+from daemon.pairing import Event, Fate, Lost, Pair, Pairer, PairingSettings, Resynced
+from drivers.protocols import Clock, Frame, Side
+
+log = logging.getLogger("fringed.pairing")
+
+RECORDED_ALONE = frozenset({Fate.PARTNER_MISSING, Fate.LATE, Fate.ROOM_FULL})
+
+
+class PairingDesk:
+    """Takes frames from every camera's thread.
+
+    Args:
+        paired: takes each pair; lone: takes frames whose partner is missing. Both must be quick.
+    """
+
+    def __init__(
+        self,
+        settings: PairingSettings,
+        *,
+        paired: Callable[[Pair], None],
+        lone: Callable[[Frame], None],
+        clock: Clock,
+    ) -> None:
+        self._pairer, self._paired, self._lone, self._clock = Pairer(settings), paired, lone, clock
+        self._lock = threading.Lock()
+        self.pairs, self.rate = 0, Rate()
+
+    def receive(self, frame: Frame) -> None:
+        """Take a frame."""
+        with self._lock:
+            self._handle(self._pairer.feed(frame, self._clock.monotonic_ns()))
+
+    def tick(self) -> None:
+        """Let time pass."""
+        with self._lock:
+            self._handle(self._pairer.tick(self._clock.monotonic_ns()))
+
+    def flush(self) -> None:
+        """The end: every frame meets its fate."""
+        with self._lock:
+            self._handle(self._pairer.flush())
+
+    def fates(self, side: Side) -> dict[str, int]:
+        """Counts of what became of a camera's frames, and how many still wait."""
+        with self._lock:
+            counts = {str(fate): count for fate, count in sorted(self._pairer.fates[side].items())}
+            waiting = self._pairer.fed[side] - sum(counts.values())
+            return counts | {"waiting": waiting}
+
+    def _handle(self, events: list[Event]) -> None:
+        for event in events:
+            if isinstance(event, Pair):
+                self.pairs += 1
+                self.rate.note(self._clock.monotonic_ns())
+                self._paired(event)
+            elif isinstance(event, Lost):
+                if event.fate in RECORDED_ALONE:
+                    self._lone(event.frame)
+            elif isinstance(event, Resynced):
+                log.warning("the cameras' trigger counts differ: right minus left is now taken as %d", event.shift)

@@ -1,0 +1,284 @@
+"""The daemon: cameras, pairing, pipeline and sinks, started in order and stopped in the opposite order."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import uuid
+from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as version_of
+from typing import Any
+
+from daemon.acquisition import CameraThread
+from daemon.clock import SystemClock
+from daemon.config.models import RigConfig
+from daemon.counters import Counters
+from daemon.errors import DaemonError
+from daemon.pairing import Pair, PairingSettings
+from daemon.pairing_desk import PairingDesk
+from daemon.rig import Rig
+from daemon.sinks import CloudItem, Item, LoneItem, PairItem, Sink
+from daemon.status import CameraState, CameraStatus, State, Status
+from daemon.worker import Worker
+from drivers.protocols import SIDES, Clock, Frame, Side
+from pipeline.reconstruct import Reconstructor
+from pipeline.settings import Settings
+
+log = logging.getLogger("fringed")
+
+_TICK_S = 0.1
+_JOIN_S = 5.0
+
+
+class Service:
+    """One measuring rig.
+
+    ``run()`` blocks until :meth:`ask_stop`, from any thread or a signal handler, and then has closed everything.
+
+    Args:
+        config: of the rig; rig: its devices, closed.
+        sinks: by name; the service closes them.
+        on_status: told the status once a second.
+    """
+
+    def __init__(
+        self,
+        config: RigConfig,
+        rig: Rig,
+        sinks: Mapping[str, Sink],
+        *,
+        on_status: Callable[[dict[str, Any]], None] | None = None,
+        clock: Clock | None = None,
+        session: str | None = None,
+    ) -> None:
+        self.config, self.rig = config, rig
+        self.sinks: dict[str, Sink] = dict(sinks)
+        self.clock = clock or SystemClock()
+        self.session = session or str(uuid.uuid4())
+        self.settings = Settings().with_overrides(config.pipeline.settings)
+        self.drops = Counters()
+        self._on_status = on_status
+        self._started_ns = self.clock.monotonic_ns()
+        self._ready, self._paused = False, False
+        self._fatal = ""
+        self._stop = threading.Event()
+        self._sinks_lock = threading.Lock()
+        self._last_state: State | None = None
+        limits = PairingSettings(
+            tolerance_ns=round(1000 * config.pairing.tolerance_us),
+            max_wait_ns=round(1e6 * config.pairing.max_wait_ms),
+            resync_after=config.pairing.resync_after,
+        )
+        self.desk = PairingDesk(limits, paired=self._paired, lone=self._lone, clock=self.clock)
+        self.worker = Worker(config.pipeline.queue, emit=self.emit, drops=self.drops, clock=self.clock)
+        self.cameras: dict[Side, CameraThread] = {
+            side: CameraThread(
+                side, rig.cameras[side], deliver=self.desk.receive, changed=self._note_state, clock=self.clock
+            )
+            for side in SIDES
+        }
+
+    def run(self) -> None:
+        """Measure until asked to stop; closes devices and sinks whatever happens."""
+        try:
+            self._start()
+            while not self._stop.wait(_TICK_S):
+                self._tick()
+        finally:
+            self._shut_down()
+
+    def ask_stop(self) -> None:
+        """Let :meth:`run` come to its end."""
+        self._stop.set()
+
+    def measure(self, wanted: bool) -> None:
+        """Accept triggers, or pause: everything stays connected."""
+        self._paused = not wanted
+        for camera in self.cameras.values():
+            camera.measure(wanted)
+
+    def reconstructor(self, settings: Settings) -> Reconstructor:
+        """A reconstructor for these settings and the cameras' encoding, its kernels compiled."""
+        encodings = {self.cameras[side].status.encoding for side in SIDES}
+        if len(encodings) != 1 or "" in encodings:
+            raise DaemonError(f"the cameras send {sorted(encodings)}; both must send the same encoding")
+        made = Reconstructor(
+            self.rig.calibration,
+            self.rig.pattern,
+            self.rig.volume,
+            encoding=encodings.pop(),
+            settings=settings,
+            clock=self.clock.monotonic_ns,
+            threads=self.config.pipeline.threads,
+        )
+        made.warm_up()
+        return made
+
+    def apply(self, settings: Settings) -> None:
+        """Use other settings from the next pair on."""
+        if not self._ready:
+            raise DaemonError("the daemon is still starting; try again when it is running")
+        self.worker.use(self.reconstructor(settings))
+        self.settings = settings
+
+    def add_sink(self, name: str, sink: Sink) -> None:
+        """Offer everything to this sink too."""
+        with self._sinks_lock:
+            self.sinks = self.sinks | {name: sink}
+
+    def remove_sink(self, name: str) -> Sink | None:
+        """Offer nothing more to a sink; the caller closes it."""
+        with self._sinks_lock:
+            sink = self.sinks.get(name)
+            self.sinks = {other: s for other, s in self.sinks.items() if other != name}
+        return sink
+
+    def emit(self, item: Item) -> None:
+        """Offer an item to every sink; what a sink refuses is counted under its name."""
+        for name, sink in self.sinks.items():
+            if not sink.offer(item):
+                self.drops.add(f"{_KINDS[type(item)]}_{name}_busy")
+
+    def state(self) -> tuple[State, tuple[str, ...]]:
+        """The state now and why it is degraded."""
+        if self._stop.is_set():
+            return State.STOPPING, ()
+        reasons = tuple(self._reasons())
+        if not self._ready:
+            return State.STARTING, reasons
+        if self._paused:
+            return State.PAUSED, reasons
+        return (State.DEGRADED if reasons else State.RUNNING), reasons
+
+    def status(self) -> Status:
+        """Everything worth knowing at this moment."""
+        state, reasons = self.state()
+        now_ns = self.clock.monotonic_ns()
+        sinks = {name: sink.status() for name, sink in self.sinks.items()}
+        return Status(
+            state=state,
+            reasons=reasons,
+            device=self.config.device.name,
+            session=self.session,
+            version=program_version(),
+            pid=os.getpid(),
+            t_ns=self.clock.realtime_ns(),
+            uptime_s=round((now_ns - self._started_ns) / 1e9, 1),
+            calibration=self.rig.identity,
+            pairs=self.desk.pairs,
+            clouds=self.worker.clouds,
+            pair_rate_hz=round(self.desk.rate.per_second(now_ns), 2),
+            cloud_rate_hz=round(self.worker.rate.per_second(now_ns), 2),
+            points=self.worker.points,
+            valid=round(self.worker.valid, 4),
+            latency_ms=self.worker.latency_ms.summary(),
+            stages_ms=self.worker.stages_ms,
+            drops=self.drops.snapshot(),
+            cameras={side: self._camera_status(side) for side in SIDES},
+            recorder=sinks.pop("recorder", {"recording": False}),
+            sinks=sinks,
+        )
+
+    def _camera_status(self, side: Side) -> CameraStatus:
+        from dataclasses import replace
+
+        return replace(self.cameras[side].status, fates=self.desk.fates(side))
+
+    def _reasons(self) -> list[str]:
+        reasons = [
+            f"camera {side} is gone: {camera.status.problem}"
+            for side, camera in self.cameras.items()
+            if camera.status.state is CameraState.LOST
+        ]
+        for name, sink in self.sinks.items():
+            problem = sink.status().get("problem")
+            if problem:
+                reasons.append(f"{name}: {problem}")
+        return reasons
+
+    def _start(self) -> None:
+        log.info("starting: rig %s, session %s", self.config.device.name, self.session)
+        projector = self.rig.projector.open()
+        log.info("projector %s, %d x %d", projector.output, *projector.size)
+        self.rig.projector.show(self.rig.pattern.picture(self.rig.calibration.response))
+        for camera in self.cameras.values():
+            camera.start()
+        while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
+            self._stop.wait(_TICK_S)
+            self._publish_status()
+        if self._stop.is_set():
+            return
+        reconstructor = self.reconstructor(self.settings)
+        if not self._stop.is_set():
+            self.worker.start(reconstructor)
+            self._ready = True
+            self._note_state()
+
+    def _tick(self) -> None:
+        self.desk.tick()
+        self._note_state()
+        self._publish_status()
+
+    _status_due_ns = 0
+
+    def _publish_status(self) -> None:
+        now_ns = self.clock.monotonic_ns()
+        if self._on_status is not None and now_ns >= self._status_due_ns:
+            self._status_due_ns = now_ns + 1_000_000_000
+            self._on_status(self.status().as_dict())
+
+    def _shut_down(self) -> None:
+        self._stop.set()
+        self._note_state()
+        for camera in self.cameras.values():
+            camera.ask_stop()
+        for side, camera in self.cameras.items():
+            if not camera.join(_JOIN_S):
+                log.error("camera %s: its driver does not come back; left behind", side)
+        self.desk.flush()
+        if not self.worker.stop(_JOIN_S):
+            log.error("the pipeline does not come back; left behind")
+        self._publish_last_status()
+        for name, sink in self.sinks.items():
+            self._guarded(f"closing {name}", sink.close)
+        self._guarded("the projector", self.rig.projector.close)
+        self._guarded("the rig", self.rig.release)
+        log.info("stopped: %d pairs, %d clouds", self.desk.pairs, self.worker.clouds)
+
+    def _publish_last_status(self) -> None:
+        if self._on_status is not None:
+            on_status = self._on_status
+            self._guarded("the last status", lambda: on_status(self.status().as_dict()))
+
+    def _guarded(self, what: str, action: Callable[[], object]) -> None:
+        """One failure at the end must not keep the rest from being closed."""
+        try:
+            action()
+        except Exception:
+            log.exception("%s failed", what)
+
+    def _paired(self, pair: Pair) -> None:
+        self.emit(PairItem(pair.left, pair.right))
+        self.worker.offer(pair)
+
+    def _lone(self, frame: Frame) -> None:
+        self.emit(LoneItem(frame))
+
+    def _note_state(self) -> None:
+        state, reasons = self.state()
+        if state is not self._last_state:
+            self._last_state = state
+            log.info("state: %s%s", state, f" ({'; '.join(reasons)})" if reasons else "")
+
+
+_KINDS: dict[type, str] = {PairItem: "pairs", LoneItem: "frames", CloudItem: "clouds"}
+
+
+def program_version() -> str:
+    """The installed version of the project."""
+    try:
+        return version_of("fringed")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,62 @@
+"""What leaves the measuring: items, and what takes them. A sink never makes the measuring wait."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from drivers.protocols import Frame
+from pipeline.cloud import Cloud
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairItem:
+    """Two raw frames of one exposure; both carry the same trigger number."""
+
+    left: Frame
+    right: Frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoneItem:
+    """A frame whose partner is missing; only the recorder wants it."""
+
+    frame: Frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudItem:
+    """A reconstructed pair.
+
+    Args:
+        seq: number of the trigger; t_ns: start of exposure, CLOCK_REALTIME.
+        latency_ms: from the start of exposure to the finished cloud.
+        dropped: pairs that were dropped so far because the pipeline was busy.
+    """
+
+    seq: int
+    t_ns: int
+    cloud: Cloud
+    left: Frame
+    right: Frame
+    latency_ms: float
+    dropped: int = 0
+
+
+Item = PairItem | LoneItem | CloudItem
+
+
+class Sink(Protocol):
+    """Takes items into a bounded queue of its own; its own thread does the work."""
+
+    def offer(self, item: Item) -> bool:
+        """Take an item, or refuse it (False) because the queue is full; never blocks.
+
+        Kinds of items that the sink has no use for are taken as done.
+        """
+
+    def close(self) -> None:
+        """Finish what is queued, within seconds, and let go of everything."""
+
+    def status(self) -> dict[str, Any]:
+        """Plain values that tell how it goes; the key ``problem`` names what is wrong, if anything."""

@@ -1,0 +1,81 @@
+"""What the daemon says of itself.
+
+States::
+
+    starting --> running <--> degraded          degraded: a camera is gone, a sink has a problem, ...
+        |           |             |             paused: told to stop measuring; everything stays connected
+        |           +--> paused <-+
+        +-----------+------+------+--> stopping
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+
+class State(StrEnum):
+    """What the daemon is doing."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    DEGRADED = "degraded"
+    PAUSED = "paused"
+    STOPPING = "stopping"
+
+
+class CameraState(StrEnum):
+    """What a camera's thread is doing."""
+
+    CLOSED = "closed"
+    ACQUIRING = "acquiring"
+    PAUSED = "paused"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraStatus:
+    """One camera, as its thread sees it; ``losses`` counts the times the device was gone."""
+
+    state: CameraState
+    model: str = ""
+    serial: str = ""
+    encoding: str = ""
+    size: tuple[int, int] = (0, 0)
+    problem: str = ""
+    losses: int = 0
+    rate_hz: float = 0.0
+    frames: int = 0
+    fates: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The whole daemon at one moment; ``reasons`` tells why it is degraded."""
+
+    state: State
+    reasons: tuple[str, ...]
+    device: str
+    session: str
+    version: str
+    pid: int
+    t_ns: int
+    uptime_s: float
+    calibration: str
+    pairs: int
+    clouds: int
+    pair_rate_hz: float
+    cloud_rate_hz: float
+    points: int
+    valid: float
+    latency_ms: dict[str, float]
+    stages_ms: dict[str, float]
+    drops: dict[str, int]
+    cameras: dict[str, CameraStatus]
+    sinks: dict[str, dict[str, Any]]
+    recorder: dict[str, Any]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
