@@ -90,12 +90,50 @@ def components(known: Any, absolute: Any, match: Any, slope_x: float, slope_y: f
 
 
 @serial
-def drop_small(known: Any, label: Any, size: Any, smallest: int) -> None:
-    """Forget surfaces of fewer pixels."""
-    for i in range(known.shape[0]):
-        for j in range(known.shape[1]):
-            if known[i, j] and size[label[i, j]] < smallest:
+def drop_doubtful(known: Any, label: Any, size: Any, residual: Any, smallest: int, largest_bias: float) -> None:
+    """Forget surfaces that are too small, or not large and off the projector's phase as a whole.
+
+    A ghost agrees in left and right phase by construction but has no reason to agree with the projector.
+    """
+    total = np.zeros(size.shape[0], np.float32)
+    height, width = known.shape
+    for i in range(height):
+        for j in range(width):
+            if known[i, j]:
+                a, b = residual[i, j, 0], residual[i, j, 1]
+                total[label[i, j]] += a if abs(a) < abs(b) else b
+    for i in range(height):
+        for j in range(width):
+            if not known[i, j]:
+                continue
+            n = size[label[i, j]]
+            if n < smallest or (n < 20 * smallest and abs(total[label[i, j]]) > largest_bias * n):
                 known[i, j] = False
+
+
+@parallel
+def drop_mixed_edges(known: Any, label: Any, modulation: Any, share: float) -> Any:
+    """(H, W) bool: known without border pixels whose modulation falls below a share of their surface's next to them.
+
+    At the border of a surface a pixel that sees only half of it, or half in shadow, mixes two phases.
+    """
+    height, width = known.shape
+    out = known.copy()
+    for i in prange(height):
+        for j in range(width):
+            if not known[i, j]:
+                continue
+            border = i == 0 or j == 0 or i == height - 1 or j == width - 1
+            best = 0.0
+            for y in range(max(0, i - 1), min(height, i + 2)):
+                for x in range(max(0, j - 1), min(width, j + 2)):
+                    if known[y, x] and label[y, x] == label[i, j]:
+                        best = max(best, float(modulation[y, x]))
+                    else:
+                        border = True
+            if border and modulation[i, j] < share * best:
+                out[i, j] = False
+    return out
 
 
 @serial

@@ -59,8 +59,7 @@ class Decoder:
         color: black level and crosstalk.
         shifts: of the pattern's channels, radians.
         mosaic: (2, 2) channel numbers of a Bayer sensor, or None.
-        period_px: fringe period in this camera's picture, pixels.
-        axis: direction along which the phase grows, ``x`` or ``y``.
+        slopes: expected phase steps per pixel in this camera's picture, (x, y) radians; one of them is 0.
     """
 
     def __init__(
@@ -69,8 +68,7 @@ class Decoder:
         shifts: tuple[float, float, float],
         *,
         mosaic: NDArray[np.int64] | None,
-        period_px: float,
-        axis: str,
+        slopes: tuple[float, float],
         settings: Settings,
     ) -> None:
         self._rows = design(color, shifts)
@@ -78,7 +76,10 @@ class Decoder:
         self._ideal = np.linalg.inv(design(ColorModel(), shifts)).astype(np.float32)
         self._black = color.black.astype(np.float32)
         self._unmix = color.unmix.astype(np.float32)
-        self._mosaic, self._period_px, self._axis = mosaic, period_px, axis
+        self._mosaic = mosaic
+        self._axis = "x" if abs(slopes[0]) > abs(slopes[1]) else "y"
+        self._period_px = 2 * np.pi / max(abs(slopes[0]), abs(slopes[1]))
+        self._nominal = np.array([f(slope) for slope in slopes for f in (np.cos, np.sin)])
         self._settings = settings
         self._weights = weights_of(settings.window_radius, settings.window_sigma)
 
@@ -91,14 +92,14 @@ class Decoder:
                 image, self._solve, self._black, self._unmix, clip, np.float32(noise.floor), np.float32(noise.gain)
             )
             fitted = fit_three_chip(
-                image, phasor, mean, tangential, clipped, self._rows, self._black, self._weights, clip,
+                image, phasor, mean, tangential, clipped, self._rows, self._black, self._weights, self._nominal, clip,
                 noise.floor, noise.gain,
             )  # fmt: skip
         else:
             channels, clipped = rough_channels(image, self._mosaic, self._black, self._unmix, clip)
             rough = _phasor_of(channels, self._ideal)
             fitted = fit_bayer(
-                image, self._mosaic, rough, channels.mean(axis=2), self._rows, self._black, self._weights, clip,
+                image, self._mosaic, rough, channels.mean(axis=2), self._rows, self._black, self._weights, self._nominal, clip,
                 noise.floor, noise.gain,
             )  # fmt: skip
         means = local_means(channels, self._period_px, axis=self._axis)

@@ -180,19 +180,21 @@ class Reconstructor:
         self, left: PhaseMap, order: Any, depth: Any, match: Any, source: Any, residual: Any
     ) -> NDArray[np.bool_]:
         known = gates.local_outliers(residual, np.isfinite(depth), self.settings.max_residual, self.settings.max_phase_error, 3)
+        smallest = self.settings.min_component
         absolute = left.phase + np.float32(2 * np.pi) * order
         slope_x, slope_y = self._left.slopes
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
-        gates.drop_small(known, label, size, self.settings.min_component)
+        known = gates.drop_mixed_edges(known, label, left.modulation, self.settings.edge_modulation)
+        label, size = gates.components(known, absolute, match, slope_x, slope_y)
+        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_bias)
         s = (1 / depth - self._left.depth.base) / self._left.depth.span
-        sure = 4 * self.settings.min_component
         for place, value, device, tolerance in (
             (match, absolute, self.calibration.right, 1.5),
             (source, s, self.calibration.projector, self._left.order_step / 4),
         ):
-            gates.unique(known, place, value, depth, label, size, device.size[::-1], tolerance, sure)
+            gates.unique(known, place, value, depth, label, size, device.size[::-1], tolerance, 4 * smallest)
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
-        gates.drop_small(known, label, size, self.settings.min_component)
+        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_bias)
         return known
 
 

@@ -18,7 +18,7 @@ from pipeline.kernels import parallel, prange, project, serial
 
 _TWO_PI = 2 * pi
 _STEPS = 6
-_COHERENCE = 0.75
+_COHERENCE = 0.4
 
 
 @serial
@@ -132,7 +132,7 @@ def refine(
                 slope = atan2(ar * bi - ai * br, ar * br + ai * bi) / 1.2 * speed
                 if not abs(slope) > 1e-9:
                     break
-            if not found and not abs(f) < 0.02:
+            if not found and not abs(f) < 0.1:
                 continue
             if not (s > -0.02 and s < 1.02) or abs(s - start) * abs(slope) > 3.0:
                 continue

@@ -40,6 +40,10 @@ class Settings:
     """Largest deviation of a point's phase from the projector's phase there, after self-calibration."""
     min_component: int = 120
     """Smallest connected surface, pixels."""
+    max_bias: float = 0.3
+    """Largest mean phase error against the projector of a surface that is not large."""
+    edge_modulation: float = 0.65
+    """Share of its neighbours' modulation below which a border pixel is taken as mixed."""
     self_calibrate: bool = True
     """Correct the projector columns from the first pair."""
     self_calibration_range: float = 2.0
@@ -80,6 +84,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "switch_penalty": (0, 20),
     "max_check": (0.1, 3.1),
     "max_residual": (0.05, 3.1),
+    "max_bias": (0.02, 3.1),
+    "edge_modulation": (0, 1),
     "max_phase_error": (0.1, 3.1),
     "min_component": (1, 100_000),
     "self_calibration_range": (0, 8),

@@ -56,9 +56,10 @@ class View:
         period = period_in_picture(calibration, depth, axis=axis, period=pattern.length / pattern.periods)
         step = (settings.lattice_x, settings.lattice_y)
         table = ray_table(calibration, depth, axis=axis, step=step if axis == "x" else step[::-1])
-        decoder = Decoder(color, pattern.shifts, mosaic=mosaic, period_px=period, axis=axis, settings=settings)
         sign = _growth(calibration, depth, axis)
         slope = sign * 2 * np.pi / period
+        slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
+        decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings)
         along = table.along.astype(np.float64)
         near, far = (along[..., 0] + along[..., 1]) / (1 + along[..., 2]), along[..., 0]
         phases = pattern.phase
@@ -67,7 +68,7 @@ class View:
         widest = float(across_volume.max()) / (2 * np.pi)
         return View(
             decoder, table, depth, packed(calibration.right), packed(calibration.projector), _even_table(pattern),
-            np.ascontiguousarray(phases), (slope, 0.0) if axis == "x" else (0.0, slope), int(widest) + 2,
+            np.ascontiguousarray(phases), slopes, int(widest) + 2,
             1 / max(widest, 1e-3), 0 if axis == "x" else 1, float(pattern.size[1] if axis == "x" else pattern.size[0]),
             settings,
         )  # fmt: skip

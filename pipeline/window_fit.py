@@ -19,6 +19,8 @@ from pipeline.kernels import half_turn, parallel, prange, serial
 F32 = NDArray[np.float32]
 
 CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
+AGREEING = 0.85  # cosine of the largest difference of the steps to both sides on one surface
+AGREEING_ROUGH = 0.2  # the same for the first guess of a mosaic, whose error changes from pixel to pixel
 
 
 def weights_of(radius: int, sigma: float) -> F32:
@@ -59,7 +61,7 @@ def three_chip_pointwise(
             x, y, z = r - black[0], g - black[1], b - black[2]
             for k in range(3):
                 channels[i, j, k] = unmix[k, 0] * x + unmix[k, 1] * y + unmix[k, 2] * z
-            mean[i, j] = solve[0, 0] * x + solve[0, 1] * y + solve[0, 2] * z
+            mean[i, j] = max(solve[0, 0] * x + solve[0, 1] * y + solve[0, 2] * z, np.float32(0.0))
             c = solve[1, 0] * x + solve[1, 1] * y + solve[1, 2] * z
             s = solve[2, 0] * x + solve[2, 1] * y + solve[2, 2] * z
             phasor[i, j] = complex(c, s)
@@ -74,13 +76,30 @@ def three_chip_pointwise(
 
 
 @serial
-def _slopes(phasor: Any, i: int, j: int) -> tuple[float, float, float, float]:
-    """Phasors of the phase's steps by one pixel to the right and down, from central differences."""
-    east, west, south, north = phasor[i, j + 1], phasor[i, j - 1], phasor[i + 1, j], phasor[i - 1, j]
-    cx, sx = half_turn(east.real * west.real + east.imag * west.imag, east.imag * west.real - east.real * west.imag)
-    cy, sy = half_turn(
-        south.real * north.real + south.imag * north.imag, south.imag * north.real - south.real * north.imag
-    )
+def _step(back: Any, here: Any, ahead: Any, nominal_c: float, nominal_s: float, agreeing: float) -> tuple[float, float]:
+    """Phasor of the phase's step by one pixel.
+
+    The central difference where both sides agree; at the border of a surface the side whose step is nearer to the
+    expected one (``nominal``), since the other crosses over to another surface.
+    """
+    fc = ahead.real * here.real + ahead.imag * here.imag
+    fs = ahead.imag * here.real - ahead.real * here.imag
+    bc = here.real * back.real + here.imag * back.imag
+    bs = here.imag * back.real - here.real * back.imag
+    f, b = sqrt(fc * fc + fs * fs) + 1e-12, sqrt(bc * bc + bs * bs) + 1e-12
+    if fc * bc + fs * bs > agreeing * f * b:
+        return half_turn(fc * bc - fs * bs, fc * bs + fs * bc)
+    if (fc * nominal_c + fs * nominal_s) * b >= (bc * nominal_c + bs * nominal_s) * f:
+        return fc / f, fs / f
+    return bc / b, bs / b
+
+
+@serial
+def _slopes(phasor: Any, i: int, j: int, nominal: Any, agreeing: float) -> tuple[float, float, float, float]:
+    """Phasors of the phase's steps by one pixel to the right and down; ``nominal`` (4,) the expected ones."""
+    here = phasor[i, j]
+    cx, sx = _step(phasor[i, j - 1], here, phasor[i, j + 1], nominal[0], nominal[1], agreeing)
+    cy, sy = _step(phasor[i - 1, j], here, phasor[i + 1, j], nominal[2], nominal[3], agreeing)
     return cx, sx, cy, sy
 
 
@@ -183,7 +202,7 @@ def _smooth_pixel(
 @parallel
 def fit_three_chip(
     image: Any, phasor: Any, mean: Any, tangential: Any, clipped: Any, rows: Any, black: Any,
-    weights: Any, clip: float, floor: float, gain: float,
+    weights: Any, nominal: Any, clip: float, floor: float, gain: float,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Window fit of a three-chip picture.
 
@@ -204,7 +223,7 @@ def fit_three_chip(
         cosines, sines = np.empty(weights.shape), np.empty(weights.shape)
         n, q, rhs, found = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(4)
         for j in range(edge, width - edge):
-            cx, sx, cy, sy = _slopes(phasor, i, j)
+            cx, sx, cy, sy = _slopes(phasor, i, j, nominal, AGREEING)
             _turns(cx, sx, cy, sy, radius, cosines, sines)
             if clipped[i, j] == 0:
                 a, c, s, v = _smooth_pixel(phasor, mean, tangential, clipped, i, j, weights, cosines, sines)
@@ -228,7 +247,7 @@ def fit_three_chip(
                              floor + gain * max(raw - black[k], 0.0))  # fmt: skip
             _solve(n, q, rhs, found)
             if found[3] > 0.0:
-                smooth[i, j] = found[0]
+                smooth[i, j] = min(max(found[0], 0.0), 1024.0)
                 out[i, j] = complex(found[1], found[2])
                 variance[i, j] = found[3]
     return out, smooth, variance
@@ -267,8 +286,8 @@ def rough_channels(image: Any, mosaic: Any, black: Any, unmix: Any, clip: float)
 
 @parallel
 def fit_bayer(
-    image: Any, mosaic: Any, rough: Any, rough_mean: Any, rows: Any, black: Any, weights: Any, clip: float,
-    floor: float, gain: float,
+    image: Any, mosaic: Any, rough: Any, rough_mean: Any, rows: Any, black: Any, weights: Any, nominal: Any,
+    clip: float, floor: float, gain: float,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Window fit on the raw mosaic; arguments and results as :func:`fit_three_chip`.
 
@@ -284,7 +303,7 @@ def fit_bayer(
         cosines, sines = np.empty(weights.shape), np.empty(weights.shape)
         n, q, rhs, found = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(4)
         for j in range(edge, width - edge):
-            cx, sx, cy, sy = _slopes(rough, i, j)
+            cx, sx, cy, sy = _slopes(rough, i, j, nominal, AGREEING_ROUGH)
             _turns(cx, sx, cy, sy, radius, cosines, sines)
             centre = rough[i, j]
             limit = CONSISTENT * sqrt(centre.real * centre.real + centre.imag * centre.imag)
@@ -309,7 +328,7 @@ def fit_bayer(
                          floor + gain * max(raw - black[k], 0.0))  # fmt: skip
             _solve(n, q, rhs, found)
             if found[3] > 0.0:
-                mean[i, j] = found[0]
+                mean[i, j] = min(max(found[0], 0.0), 1024.0)
                 out[i, j] = complex(found[1], found[2])
                 variance[i, j] = found[3]
     return out, mean, variance

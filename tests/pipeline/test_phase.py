@@ -43,7 +43,7 @@ def mosaic(rgb, encoding):
 
 def decoder(encoding="rgb8", color=COLOR, **settings):
     return Decoder(
-        color, SHIFTS, mosaic=mosaic_of(encoding), period_px=11.0, axis="x", settings=Settings(**settings)
+        color, SHIFTS, mosaic=mosaic_of(encoding), slopes=(2 * np.pi / 11, 0.0), settings=Settings(**settings)
     )
 
 
@@ -118,7 +118,7 @@ def test_the_predicted_variance_is_the_scatter(radius, encoding):
 def test_clipped_samples_are_left_out_of_the_fit():
     phase = smooth_phase()
     bright = picture(phase, mean=150.0, amplitude=110.0, ambient=10.0, color=ColorModel())
-    dec = Decoder(ColorModel(), SHIFTS, mosaic=None, period_px=11.0, axis="x", settings=Settings())
+    dec = Decoder(ColorModel(), SHIFTS, mosaic=None, slopes=(2 * np.pi / 11, 0.0), settings=Settings())
     found = dec.decode(bright)
     clipped = (bright >= 254).any(axis=2)[INNER]
     assert 0.1 < clipped.mean() < 0.9
