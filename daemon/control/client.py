@@ -42,7 +42,7 @@ class ControlClient:
         """Let go of the connection."""
         self._context.destroy(linger=0)
 
-    def call(self, method: str, **params: Any) -> Any:
+    def call(self, method: str, /, **params: Any) -> Any:
         """The result of a method.
 
         Raises:

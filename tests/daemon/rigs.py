@@ -1,0 +1,120 @@
+"""A rig without light for tests of the daemon: the simulated world's triggers over pictures of nothing in particular."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daemon.config import RigConfig, parse_rig
+from daemon.rig import Rig
+from daemon.sinks import CloudItem, Item, PairItem
+from pipeline import calibration, cloud, pattern
+from sim.devices import RigDevices, open_rig
+
+SMALL = {"frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}}
+
+
+class Noise:
+    """Pictures of the size that is asked for."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        rng = np.random.default_rng(3)
+        self._pictures = [rng.integers(40, 200, (*size[::-1], 3), dtype=np.uint8) for _ in range(2)]
+        for picture in self._pictures:
+            picture.setflags(write=False)
+
+    def pair(self, index: int) -> tuple[Any, Any]:
+        return self._pictures[0], self._pictures[1]
+
+
+def devices(**options: Any) -> RigDevices:
+    """A stepped simulated rig that renders nothing."""
+    merged = SMALL | options
+    size = open_rig_size(merged)
+    return open_rig(merged, Path(), pictures=Noise(size), clock=SteppedClock())
+
+
+class SteppedClock:
+    """Real time that the test moves on, 50 ms a trigger, from a fixed start."""
+
+    def __init__(self) -> None:
+        self.now_ns = 1_700_000_000_000_000_000
+
+    def realtime_ns(self) -> int:
+        return self.now_ns
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+
+def step(made: RigDevices) -> None:
+    """One trigger, 50 ms after the one before."""
+    made.trigger._clock.now_ns += 50_000_000  # type: ignore[attr-defined]
+    made.trigger.step()
+
+
+def open_rig_size(options: dict[str, Any]) -> tuple[int, int]:
+    from sim.options import from_mapping
+
+    width, height = from_mapping(options).layout.camera_size
+    return width, height
+
+
+def rig_of(made: RigDevices) -> Rig:
+    return Rig(
+        made.cameras,
+        made.projector,
+        calibration.from_mapping(made.calibration),
+        pattern.from_mapping(made.pattern),
+        cloud.Volume(**made.volume),
+        b"x",
+        "sha256:00",
+        made.close,
+    )
+
+
+def config(tmp_path: Path, extra: str = "") -> RigConfig:
+    return parse_rig(
+        f"cameras: {{driver: sim}}\nstream: {{endpoints: ['ipc://{tmp_path}/s']}}\n"
+        f"control: {{endpoint: 'ipc://{tmp_path}/c'}}\n" + extra
+    )
+
+
+class Collector:
+    """A sink that keeps everything, or refuses everything."""
+
+    def __init__(self, *, full: bool = False) -> None:
+        self.items: list[Item] = []
+        self.full, self.closed, self.problem = full, False, ""
+
+    def offer(self, item: Item) -> bool:
+        if self.full:
+            return False
+        self.items.append(item)
+        return True
+
+    def close(self) -> None:
+        self.closed = True
+
+    def status(self) -> dict[str, Any]:
+        return {"items": len(self.items), "problem": self.problem}
+
+    @property
+    def clouds(self) -> list[CloudItem]:
+        return [item for item in self.items if isinstance(item, CloudItem)]
+
+    @property
+    def pairs(self) -> list[PairItem]:
+        return [item for item in self.items if isinstance(item, PairItem)]
+
+
+def wait_until(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
+    """Return as soon as the condition holds; fail when it does not in time."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "the condition did not come true in time"
+        time.sleep(0.005)

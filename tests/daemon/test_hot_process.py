@@ -1,0 +1,35 @@
+"""The measuring process carries no viewer, no plotting and no simulator, unless rig.yaml names it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+_PROGRAM = """
+import sys, threading, types
+from pathlib import Path
+from daemon import launch, service
+from daemon.config import registry
+from tests.daemon import silent_rig
+registry.RIGS["silent"] = "tests.daemon.silent_rig:open_rig"
+path = Path(sys.argv[1])
+silent_rig.write(path)
+flag = launch.StopFlag()
+states = []
+def on_status(status):
+    states.append(status["state"])
+    if status["state"] == "running":
+        flag.ask()
+launch.run_rig(path / "rig.yaml", flag=flag, on_status=on_status)
+heavy = ("rerun", "matplotlib", "sim", "pyarrow", "trimesh")
+print(states[-1], sorted(name for name in sys.modules if name.partition(".")[0] in heavy))
+"""
+
+
+def test_a_running_daemon_has_not_imported_what_it_does_not_need(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _PROGRAM, str(tmp_path)], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split(maxsplit=1) == ["stopping", "[]\n"], done.stdout + done.stderr

@@ -1,0 +1,133 @@
+"""What can be asked of a running daemon, and what it refuses."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon.control.methods import Methods
+from daemon.control.protocol import RpcError
+from daemon.recorder import Recorder
+from daemon.service import Service
+from daemon.status import State
+from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
+
+RIG = "cameras: {{driver: sim}}\npipeline: {{settings: {{min_modulation: {0}}}}}\n{1}"
+
+
+@pytest.fixture(scope="module")
+def methods(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Methods]:
+    tmp_path = tmp_path_factory.mktemp("rig")
+    made = devices()
+    service = Service(config(tmp_path), rig_of(made), {"stream": Collector()})
+    recorder = Recorder(service, tmp_path / "takes", lambda path: Collector())
+    thread = threading.Thread(target=service.run)
+    thread.start()
+    wait_until(lambda: service.state()[0] is State.RUNNING, 60)
+    wait_until(lambda: all(camera.status.state == "acquiring" for camera in service.cameras.values()))
+    for _ in range(4):
+        step(made)
+    wait_until(lambda: service.worker.last is not None)
+    yield Methods(service, recorder, path=tmp_path / "rig.yaml", base_dir=tmp_path)
+    service.ask_stop()
+    thread.join(20)
+
+
+def call(methods: Methods, method: str, /, **params: object) -> object:
+    return methods.table()[method](params)
+
+
+def test_hello_tells_who_answers(methods: Methods) -> None:
+    hello = methods.hello({})
+    assert hello["program"] == "fringed" and hello["device"] == "rig-01" and "status" in hello["methods"]
+
+
+def test_a_setting_is_set_from_the_next_pair_on_and_read_back(methods: Methods) -> None:
+    assert call(methods, "set", path="pipeline.settings.min_modulation", value=7.0) == {
+        "pipeline.settings.min_modulation": 7.0
+    }
+    assert call(methods, "get", path="pipeline.settings.min_modulation") == 7.0
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [("pipeline.settings.min_modulation", 1e9), ("pipeline.settings.nothing", 1), ("device.name", "x"), ("", 1)],
+)
+def test_what_cannot_be_set_is_refused_with_its_path(methods: Methods, path: str, value: object) -> None:
+    with pytest.raises(RpcError) as caught:
+        call(methods, "set", path=path, value=value)
+    assert caught.value.path == path
+
+
+def test_get_refuses_what_is_not_there(methods: Methods) -> None:
+    with pytest.raises(RpcError, match="no setting"):
+        call(methods, "get", path="pipeline.nothing.deeper")
+
+
+def test_a_snapshot_is_the_newest_cloud_in_the_directory_of_takes(methods: Methods) -> None:
+    answer = call(methods, "snapshot", name="desk")
+    assert isinstance(answer, dict)
+    path = Path(answer["file"])
+    assert path.parent.name == "takes" and path.name.startswith("desk_")
+    with np.load(path) as file:
+        assert sorted(file) == ["gray", "sigma_mm", "xyz"]
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/x", "", ".x", "a/b", "x" * 65, "a\0b", 5])
+@pytest.mark.parametrize("method", ["snapshot", "record.start"])
+def test_a_name_cannot_leave_the_directory(methods: Methods, method: str, name: object) -> None:
+    with pytest.raises(RpcError):
+        call(methods, method, name=name)
+
+
+def test_unknown_parameters_are_refused(methods: Methods) -> None:
+    with pytest.raises(RpcError, match="unknown parameter 'nam'"):
+        call(methods, "snapshot", nam="x")
+
+
+def test_a_take_begins_once_and_ends(methods: Methods) -> None:
+    assert call(methods, "record.start", name="a")["recording"] is True  # type: ignore[index]
+    with pytest.raises(RpcError, match="already"):
+        call(methods, "record.start", name="b")
+    assert call(methods, "record.stop")["recording"] is False  # type: ignore[index]
+
+
+def test_patterns_are_shown_by_name(methods: Methods) -> None:
+    assert call(methods, "pattern.show", name="white") == {"shown": "white"}
+    assert call(methods, "pattern.show") == {"shown": "fringe"}
+    with pytest.raises(RpcError, match="no picture"):
+        call(methods, "pattern.show", name="plaid")
+
+
+def test_reload_takes_live_settings_or_nothing_at_all(methods: Methods) -> None:
+    path = methods._path
+    assert path is not None
+    same = f"stream: {{endpoints: ['ipc://{path.parent}/s']}}\ncontrol: {{endpoint: 'ipc://{path.parent}/c'}}\n"
+    path.write_text(RIG.format(9.0, same))
+    assert call(methods, "reload") == {"changed": True}
+    assert methods._service.settings.min_modulation == 9.0
+    path.write_text(RIG.format(11.0, same + "device: {name: other}\n"))
+    with pytest.raises(RpcError, match="device need a restart"):
+        call(methods, "reload")
+    path.write_text("cameras: {driver: smi}\n")
+    with pytest.raises(RpcError, match=r"rig\.yaml:1:19"):
+        call(methods, "reload")
+    assert methods._service.settings.min_modulation == 9.0
+
+
+def test_measuring_stops_and_starts(methods: Methods) -> None:
+    assert call(methods, "stop") == {"state": "paused"}
+    assert call(methods, "start") == {"state": "running"}
+
+
+def test_the_status_is_plain_json(methods: Methods) -> None:
+    import json
+
+    from daemon.commands.status import table
+
+    status = json.loads(json.dumps(call(methods, "status")))
+    assert status["state"] == "running" and "camera left" in table(status)

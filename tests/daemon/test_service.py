@@ -1,0 +1,135 @@
+"""The daemon end to end on a small stepped rig: clouds flow, losses are named, the end is orderly."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.errors import DaemonError
+from daemon.recorder import Recorder
+from daemon.service import Service
+from daemon.status import State
+from sim.devices import RigDevices
+from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
+
+
+@dataclass
+class Running:
+    service: Service
+    devices: RigDevices
+    sink: Collector
+    statuses: list[dict[str, Any]]
+    thread: threading.Thread
+
+    def step(self, count: int = 1) -> None:
+        """Give triggers; the queues are wide enough for those of a test."""
+        for _ in range(count):
+            step(self.devices)
+
+    def state(self) -> State:
+        return self.service.state()[0]
+
+    def stop(self) -> None:
+        self.service.ask_stop()
+        self.thread.join(20)
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[Running]:
+    made = devices()
+    sink, statuses = Collector(), []
+    service = Service(
+        config(tmp_path, "pipeline: {queue: 16}\n"), rig_of(made), {"stream": sink}, on_status=statuses.append
+    )
+    thread = threading.Thread(target=service.run)
+    running = Running(service, made, sink, statuses, thread)
+    thread.start()
+    wait_until(lambda: running.state() is State.RUNNING, 60)
+    wait_until(lambda: all(c["state"] == "acquiring" for c in service.status().as_dict()["cameras"].values()))
+    yield running
+    running.stop()
+
+
+def test_every_pair_becomes_a_cloud_and_is_offered_raw_before(running: Running) -> None:
+    running.step(6)
+    wait_until(lambda: len(running.sink.clouds) == 6)
+    assert [item.seq for item in running.sink.clouds] == list(range(6))
+    assert [item.left.trigger for item in running.sink.pairs] == list(range(6))
+    status = running.service.status()
+    assert status.pairs == status.clouds == 6 and status.drops == {}
+    assert status.cameras["left"].fates["paired"] == 6
+    assert set(status.latency_ms) == {"p50", "p95", "p99", "max", "last"}
+
+
+def test_a_camera_that_goes_away_degrades_the_daemon_and_comes_back_by_itself(running: Running) -> None:
+    running.step(4)
+    running.devices.cameras["right"].set_present(False)  # type: ignore[attr-defined]
+    wait_until(lambda: running.state() is State.DEGRADED)
+    status = running.service.status()
+    assert "camera right is gone" in status.reasons[0] and status.cameras["right"].losses == 1
+    running.devices.cameras["right"].set_present(True)  # type: ignore[attr-defined]
+    wait_until(lambda: running.state() is State.RUNNING)
+    wait_until(lambda: running.service.cameras["right"].status.state == "acquiring")
+    before = running.service.worker.clouds
+    running.step(4)
+    wait_until(lambda: running.service.worker.clouds == before + 4)
+
+
+def test_a_full_sink_loses_its_items_by_name_and_nobody_else_waits(running: Running) -> None:
+    running.service.add_sink("slow", Collector(full=True))
+    running.step(4)
+    wait_until(lambda: len(running.sink.clouds) == 4)
+    wait_until(lambda: running.service.drops["clouds_slow_busy"] == 4)
+    assert running.service.drops["pairs_slow_busy"] == 4
+
+
+def test_a_sink_with_a_problem_degrades_the_daemon(running: Running) -> None:
+    running.sink.problem = "no space left"
+    assert running.service.state() == (State.DEGRADED, ("stream: no space left",))
+
+
+def test_pausing_stops_frames_and_starting_brings_them_back(running: Running) -> None:
+    running.service.measure(False)
+    assert running.state() is State.PAUSED
+    wait_until(lambda: all(c.status.state == "paused" for c in running.service.cameras.values()))
+    running.step()
+    assert running.service.status().pairs == 0
+    running.service.measure(True)
+    wait_until(lambda: all(c.status.state == "acquiring" for c in running.service.cameras.values()))
+    running.step(4)
+    wait_until(lambda: len(running.sink.clouds) == 4)
+
+
+def test_stopping_closes_sinks_and_devices_and_says_so(running: Running) -> None:
+    running.step(1)
+    running.stop()
+    assert running.sink.closed
+    assert {str(camera.state) for camera in running.devices.cameras.values()} == {"closed"}  # type: ignore[attr-defined]
+    assert running.statuses[-1]["state"] == "stopping"
+    assert sum(running.service.desk.fates("left").values()) == running.service.cameras["left"].status.frames
+
+
+def test_stopping_while_starting_is_orderly(tmp_path: Path) -> None:
+    made, sink = devices(), Collector()
+    service = Service(config(tmp_path), rig_of(made), {"stream": sink})
+    service.ask_stop()
+    service.run()
+    assert sink.closed
+
+
+def test_a_take_is_a_sink_for_as_long_as_it_lasts(running: Running, tmp_path: Path) -> None:
+    taken = Collector()
+    recorder = Recorder(running.service, tmp_path / "takes", lambda path: taken)
+    assert recorder.start("a")["recording"] is True
+    with pytest.raises(DaemonError, match="already"):
+        recorder.start("b")
+    running.step(4)
+    wait_until(lambda: len(taken.pairs) == 4)
+    assert recorder.stop()["file"].startswith(str(tmp_path / "takes" / "a_")) and taken.closed
+    assert recorder.stop() == {"recording": False}
