@@ -7,6 +7,8 @@ import os
 import threading
 import uuid
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from typing import Any
@@ -30,6 +32,7 @@ log = logging.getLogger("fringed")
 
 _TICK_S = 0.1
 _JOIN_S = 5.0
+_CHANGE_S = 20.0
 
 
 class Service:
@@ -62,10 +65,10 @@ class Service:
         self._on_status = on_status
         self._started_ns = self.clock.monotonic_ns()
         self._ready, self._paused = False, False
-        self._fatal = ""
         self._stop = threading.Event()
         self._sinks_lock = threading.Lock()
         self._last_state: State | None = None
+        self._status_due_ns = 0
         limits = PairingSettings(
             tolerance_ns=round(1000 * config.pairing.tolerance_us),
             max_wait_ns=round(1e6 * config.pairing.max_wait_ms),
@@ -100,11 +103,11 @@ class Service:
             camera.measure(wanted)
 
     def reconstructor(self, settings: Settings) -> Reconstructor:
-        """A reconstructor for these settings and the cameras' encoding, its kernels compiled."""
+        """A reconstructor for these settings and the cameras' encoding; not warmed up."""
         encodings = {self.cameras[side].status.encoding for side in SIDES}
         if len(encodings) != 1 or "" in encodings:
             raise DaemonError(f"the cameras send {sorted(encodings)}; both must send the same encoding")
-        made = Reconstructor(
+        return Reconstructor(
             self.rig.calibration,
             self.rig.pattern,
             self.rig.volume,
@@ -113,14 +116,12 @@ class Service:
             clock=self.clock.monotonic_ns,
             threads=self.config.pipeline.threads,
         )
-        made.warm_up()
-        return made
 
     def apply(self, settings: Settings) -> None:
         """Use other settings from the next pair on."""
         if not self._ready:
             raise DaemonError("the daemon is still starting; try again when it is running")
-        self.worker.use(self.reconstructor(settings))
+        self.worker.replace(lambda: self.reconstructor(settings), _CHANGE_S)
         self.settings = settings
 
     def add_sink(self, name: str, sink: Sink) -> None:
@@ -182,8 +183,6 @@ class Service:
         )
 
     def _camera_status(self, side: Side) -> CameraStatus:
-        from dataclasses import replace
-
         return replace(self.cameras[side].status, fates=self.desk.fates(side))
 
     def _reasons(self) -> list[str]:
@@ -210,18 +209,39 @@ class Service:
             self._publish_status()
         if self._stop.is_set():
             return
-        reconstructor = self.reconstructor(self.settings)
-        if not self._stop.is_set():
-            self.worker.start(reconstructor)
+        warm = self._warm()
+        if warm is not None and not self._stop.is_set():
+            self.worker.start(warm)
             self._ready = True
             self._note_state()
+
+    def _warm(self) -> Reconstructor | None:
+        """A reconstructor with all kernels compiled; None when asked to stop meanwhile.
+
+        Compiling takes up to a minute after an update. It runs in a thread that the end of the program does not wait
+        for, so that a stop is obeyed at once.
+        """
+        box: Future[Reconstructor] = Future()
+
+        def compile_all() -> None:
+            try:
+                made = self.reconstructor(self.settings)
+                made.warm_up()
+                box.set_result(made)
+            except Exception as error:
+                box.set_exception(error)
+
+        threading.Thread(target=compile_all, name="warm-up", daemon=True).start()
+        while not self._stop.wait(_TICK_S):
+            self._publish_status()
+            if box.done():
+                return box.result()
+        return None
 
     def _tick(self) -> None:
         self.desk.tick()
         self._note_state()
         self._publish_status()
-
-    _status_due_ns = 0
 
     def _publish_status(self) -> None:
         now_ns = self.clock.monotonic_ns()

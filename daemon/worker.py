@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from typing import Any, Protocol
 
 from daemon.counters import Counters, Percentiles, Rate
+from daemon.errors import DaemonError
 from daemon.mailbox import Mailbox
 from daemon.pairing import Pair
 from daemon.sinks import CloudItem
@@ -44,15 +48,28 @@ class Worker:
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
         self.last: CloudItem | None = None
+        self._changes: deque[tuple[Callable[[], Reconstructs], Future[None]]] = deque(maxlen=16)
 
     def start(self, reconstructor: Reconstructs) -> None:
         """Begin, with a reconstructor that is warm."""
         self._reconstructor = reconstructor
         self._thread.start()
 
-    def use(self, reconstructor: Reconstructs) -> None:
-        """From the next pair on, reconstruct with this one."""
-        self._reconstructor = reconstructor
+    def replace(self, make: Callable[[], Reconstructs], timeout_s: float) -> None:
+        """Make another reconstructor between two pairs and use it from then on.
+
+        It is made in the pipeline's thread, because not every threading layer of numba bears two callers.
+
+        Raises:
+            DaemonError: when the pipeline does not get to it in time; PipelineError: from ``make``.
+        """
+        done: Future[None] = Future()
+        self._changes.append((make, done))
+        try:
+            done.result(timeout_s)
+        except FutureTimeoutError as error:
+            done.cancel()
+            raise DaemonError(f"the pipeline did not take over the change within {timeout_s:g} s") from error
 
     def offer(self, pair: Pair) -> None:
         """Take a pair; the freshest wins."""
@@ -71,7 +88,8 @@ class Worker:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            pair = self._box.get(0.5)
+            self._change()
+            pair = self._box.get(0.2)
             if pair is None:
                 continue
             try:
@@ -82,6 +100,17 @@ class Worker:
             except Exception:
                 self._drops.add("pairs_failed_in_pipeline")
                 log.exception("pair %d failed", pair.seq)
+
+    def _change(self) -> None:
+        while self._changes:
+            make, done = self._changes.popleft()
+            if not done.set_running_or_notify_cancel():
+                continue
+            try:
+                self._reconstructor = make()
+                done.set_result(None)
+            except Exception as error:
+                done.set_exception(error)
 
     def _measure(self, pair: Pair) -> None:
         assert self._reconstructor is not None  # noqa: S101 - start() has set it

@@ -15,6 +15,7 @@ from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
 from daemon.errors import ConfigError, DaemonError
 from daemon.recorder import Recorder
 from daemon.service import Service, program_version
+from drivers.errors import DriverError
 from pipeline.errors import PipelineError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -177,7 +178,7 @@ def _checked(method: Method, allowed: tuple[str, ...]) -> Method:
             raise RpcError(INVALID_PARAMS, f"unknown parameter {unknown[0]!r:.60}; known: {known}")
         try:
             return method(params)
-        except DaemonError as error:
+        except (DaemonError, DriverError) as error:
             raise RpcError(FAILED, str(error)) from error
 
     return call

@@ -1,4 +1,4 @@
-"""A rig without light for tests of the daemon: the simulated world's triggers over pictures of nothing in particular."""
+"""A rig without light for tests of the daemon: the simulated world's triggers over pictures of nothing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Noise:
         for picture in self._pictures:
             picture.setflags(write=False)
 
-    def pair(self, index: int) -> tuple[Any, Any]:
+    def pair(self, index: int) -> tuple[Any, Any]:  # noqa: ARG002 - the protocol's
         return self._pictures[0], self._pictures[1]
 
 

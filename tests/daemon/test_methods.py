@@ -24,7 +24,7 @@ def methods(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Methods]:
     tmp_path = tmp_path_factory.mktemp("rig")
     made = devices()
     service = Service(config(tmp_path), rig_of(made), {"stream": Collector()})
-    recorder = Recorder(service, tmp_path / "takes", lambda path: Collector())
+    recorder = Recorder(service, tmp_path / "takes", lambda _: Collector())
     thread = threading.Thread(target=service.run)
     thread.start()
     wait_until(lambda: service.state()[0] is State.RUNNING, 60)
@@ -97,10 +97,12 @@ def test_a_take_begins_once_and_ends(methods: Methods) -> None:
 
 
 def test_patterns_are_shown_by_name(methods: Methods) -> None:
-    assert call(methods, "pattern.show", name="white") == {"shown": "white"}
+    assert call(methods, "pattern.show", name="black") == {"shown": "black"}
     assert call(methods, "pattern.show") == {"shown": "fringe"}
     with pytest.raises(RpcError, match="no picture"):
         call(methods, "pattern.show", name="plaid")
+    with pytest.raises(RpcError, match="simulated"):
+        call(methods, "pattern.show", name="white")
 
 
 def test_reload_takes_live_settings_or_nothing_at_all(methods: Methods) -> None:

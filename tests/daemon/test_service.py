@@ -44,9 +44,8 @@ class Running:
 def running(tmp_path: Path) -> Iterator[Running]:
     made = devices()
     sink, statuses = Collector(), []
-    service = Service(
-        config(tmp_path, "pipeline: {queue: 16}\n"), rig_of(made), {"stream": sink}, on_status=statuses.append
-    )
+    wide = config(tmp_path, "pipeline: {queue: 16}\n")
+    service = Service(wide, rig_of(made), {"stream": sink}, on_status=statuses.append)
     thread = threading.Thread(target=service.run)
     running = Running(service, made, sink, statuses, thread)
     thread.start()
@@ -125,7 +124,7 @@ def test_stopping_while_starting_is_orderly(tmp_path: Path) -> None:
 
 def test_a_take_is_a_sink_for_as_long_as_it_lasts(running: Running, tmp_path: Path) -> None:
     taken = Collector()
-    recorder = Recorder(running.service, tmp_path / "takes", lambda path: taken)
+    recorder = Recorder(running.service, tmp_path / "takes", lambda _: taken)
     assert recorder.start("a")["recording"] is True
     with pytest.raises(DaemonError, match="already"):
         recorder.start("b")

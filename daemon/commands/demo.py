@@ -1,0 +1,92 @@
+"""``fringed demo``: a simulated rig, measured live, with a viewer; nothing to configure."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+SMALL_SCALE = 0.25
+
+
+def main(
+    scene: Annotated[str, typer.Option(help="Scene of the simulated rig: moving, face, spheres, ...")] = "moving",
+    mesh: Annotated[Path | None, typer.Option(help="Show this OBJ, PLY or STL file instead.")] = None,
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="Pictures rendered at start, then played.")] = 24,
+    rate: Annotated[float, typer.Option(min=0.1, max=200, help="Triggers per second.")] = 5.0,
+    seconds: Annotated[float | None, typer.Option(min=1, help="Stop by itself after so many seconds.")] = None,
+    view: Annotated[bool, typer.Option(help="Serve the viewer to a browser.")] = True,
+    small: Annotated[bool, typer.Option(help="Pictures of 256 x 205 pixels instead of 1024 x 820.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
+) -> None:
+    """See it work: a simulated rig, measured live, in a viewer, until Ctrl-C."""
+    import logging
+
+    from daemon.commands.demo_parts import Report, Viewer
+    from daemon.commands.progress import rendering
+    from daemon.launch import StopFlag, log_to_stderr, run_rig
+    from daemon.runtime import runtime_dir
+
+    log_to_stderr(logging.INFO if verbose else logging.WARNING)
+    with ExitStack() as stack:
+        flag = stack.enter_context(StopFlag().on_signals())
+        directory = _private_directory(runtime_dir())
+        stack.callback(shutil.rmtree, directory, ignore_errors=True)
+        simulation = options(scene, mesh, frames, rate, small=small)
+        rig_file, endpoint = write_rig(directory, simulation)
+        viewer = Viewer(endpoint) if view else None
+        if viewer is not None:
+            stack.callback(viewer.close)
+        report = Report(seconds, stop=flag.ask, viewer=viewer, say=typer.echo, now_s=time.monotonic)
+        progress = stack.enter_context(rendering())
+        typer.echo("Rendering the scene (kept for the next time), then measuring it live. Ctrl-C ends it.")
+        run_rig(rig_file, progress=progress, flag=flag, on_status=report)
+
+
+def options(scene: str, mesh: Path | None, frames: int, rate: float, *, small: bool) -> dict[str, Any]:
+    """The ``simulation`` section of the demo's rig."""
+    chosen: dict[str, Any] = {"scene": scene, "frames": frames, "rate_hz": rate}
+    if mesh is not None:
+        chosen |= {"scene": "mesh", "mesh": str(mesh.resolve())}
+    if small:
+        chosen["layout"] = {"scale": SMALL_SCALE}
+    return chosen
+
+
+def write_rig(directory: Path, simulation: dict[str, Any]) -> tuple[Path, str]:
+    """Write rig.yaml into a directory; returns its path and the ipc endpoint of the stream."""
+    endpoint = f"ipc://{directory / 'stream'}"
+    rig = {
+        "device": {"name": "demo"},
+        "cameras": {"driver": "sim"},
+        "simulation": simulation,
+        "stream": {"endpoints": [endpoint, _free_tcp()]},
+        "control": {"endpoint": f"ipc://{directory / 'control'}"},
+        "recording": {"dir": str(Path.cwd() / "takes")},
+    }
+    path = directory / "rig.yaml"
+    path.write_text(json.dumps(rig, indent=2), encoding="utf-8")  # JSON is YAML
+    return path, endpoint
+
+
+def _private_directory(base: Path) -> Path:
+    base.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return Path(tempfile.mkdtemp(prefix="demo-", dir=base))
+
+
+def _free_tcp() -> str:
+    """The usual address, or any free port when a daemon already has it."""
+    import socket
+
+    with socket.socket() as probe:
+        try:
+            probe.bind(("127.0.0.1", 5555))
+        except OSError:
+            return "tcp://127.0.0.1:*"
+    return "tcp://127.0.0.1:5555"

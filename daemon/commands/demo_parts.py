@@ -1,0 +1,93 @@
+"""The demo's viewer process and its line per second."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+_VIEW = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+
+
+class Viewer:
+    """``fringed view --web`` as a process of its own; what happens to it changes nothing for the measuring."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._endpoint = endpoint
+        self._process: subprocess.Popen[bytes] | None = None
+        self._told = False
+
+    def start(self) -> None:
+        """Start it once; it prints its own address."""
+        if self._process is None:
+            command = [sys.executable, "-c", _VIEW, "view", self._endpoint, "--web"]
+            self._process = subprocess.Popen(command, start_new_session=True, stdin=subprocess.DEVNULL)
+
+    def ended(self) -> int | None:
+        """Its exit status, the first time it is found to have ended by itself."""
+        if self._process is None or self._told or self._process.poll() is None:
+            return None
+        self._told = True
+        return self._process.returncode
+
+    def close(self) -> None:
+        """End it and everything that it started."""
+        if self._process is None:
+            return
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(5.0)
+
+
+class Report:
+    """Called with the status once a second: prints a line, starts the viewer, ends the demo in time.
+
+    Args:
+        seconds: of measuring, then ``stop`` is called; None = for ever.
+        say: prints a line; now_s: monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        seconds: float | None,
+        *,
+        stop: Callable[[], None],
+        viewer: Viewer | None,
+        say: Callable[[str], object],
+        now_s: Callable[[], float],
+    ) -> None:
+        self._seconds, self._stop, self._viewer, self._say, self._now_s = seconds, stop, viewer, say, now_s
+        self._measuring_since_s: float | None = None
+
+    def __call__(self, status: dict[str, Any]) -> None:
+        """Take a status."""
+        if status["state"] == "starting":
+            self._say("starting: loading the measuring kernels (the first time, they are compiled)")
+            return
+        if self._measuring_since_s is None:
+            self._measuring_since_s = self._now_s()
+            if self._viewer is not None:
+                self._viewer.start()
+        code = self._viewer.ended() if self._viewer is not None else None
+        if code is not None:
+            self._say(f"the viewer ended (exit status {code}); measuring goes on")
+        self._say(line(status))
+        if self._seconds is not None and self._now_s() - self._measuring_since_s >= self._seconds:
+            self._stop()
+
+
+def line(status: dict[str, Any]) -> str:
+    """Rate, points and latency in one line."""
+    latency = status["latency_ms"]
+    timing = f"latency {latency['p50']:.0f} ms (95 %: {latency['p95']:.0f} ms)" if latency else "no cloud yet"
+    dropped = sum(status["drops"].values())
+    return (
+        f"{status['state']}: {status['cloud_rate_hz']:.1f} clouds/s of {status['pair_rate_hz']:.1f} pairs/s, "
+        f"{status['points']} points, {timing}, dropped {dropped}"
+    )
