@@ -90,7 +90,7 @@ def components(known: Any, absolute: Any, match: Any, slope_x: float, slope_y: f
 
 
 @serial
-def drop_doubtful(known: Any, label: Any, size: Any, residual: Any, smallest: int, largest_bias: float) -> None:
+def drop_doubtful(known: Any, label: Any, size: Any, residual: Any, smallest: int, largest_rms: float) -> None:
     """Forget surfaces that are too small, or not large and off the projector's phase as a whole.
 
     A ghost agrees in left and right phase by construction but has no reason to agree with the projector.
@@ -101,13 +101,13 @@ def drop_doubtful(known: Any, label: Any, size: Any, residual: Any, smallest: in
         for j in range(width):
             if known[i, j]:
                 a, b = residual[i, j, 0], residual[i, j, 1]
-                total[label[i, j]] += a if abs(a) < abs(b) else b
+                total[label[i, j]] += min(a * a, b * b)
     for i in range(height):
         for j in range(width):
             if not known[i, j]:
                 continue
             n = size[label[i, j]]
-            if n < smallest or (n < 20 * smallest and abs(total[label[i, j]]) > largest_bias * n):
+            if n < smallest or (n < 20 * smallest and total[label[i, j]] > largest_rms * largest_rms * n):
                 known[i, j] = False
 
 
@@ -161,7 +161,9 @@ def _prevails(label: int, depth: float, rival: int, rival_depth: float, size: An
 
 
 @serial
-def _contested(known: Any, place: Any, value: Any, depth: Any, label: Any, size: Any, shape: Any, tolerance: float) -> Any:
+def _contested(
+    known: Any, place: Any, value: Any, depth: Any, label: Any, size: Any, shape: Any, tolerance: float
+) -> Any:
     """Share of each surface's points whose pixel of the other device another surface claims as well, by label."""
     height, width = shape
     near = np.full((height, width), np.int32(-1))

@@ -81,7 +81,7 @@ class Decoder:
         self._period_px = 2 * np.pi / max(abs(slopes[0]), abs(slopes[1]))
         self._nominal = np.array([f(slope) for slope in slopes for f in (np.cos, np.sin)])
         self._settings = settings
-        self._weights = weights_of(settings.window_radius, settings.window_sigma)
+        self._weights = weights_of(*settings.window(mosaic=mosaic is not None))
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
         """Phase of a raw picture, (H, W, 3) three-chip or (H, W) mosaic."""

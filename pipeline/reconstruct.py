@@ -69,7 +69,7 @@ class Reconstructor:
         self._right = View.of(swapped, pattern, _volume_of_right(calibration, volume), self.settings,
                               calibration.right_color, mosaic)  # fmt: skip
         self._rays = calibration.left.rays().astype(np.float32)
-        weights = weights_of(self.settings.window_radius, self.settings.window_sigma)
+        weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         self._labels = max(self._left.labels, self._right.labels)
         if self._labels > MAX_LABELS:
@@ -179,14 +179,16 @@ class Reconstructor:
     def _gate(
         self, left: PhaseMap, order: Any, depth: Any, match: Any, source: Any, residual: Any
     ) -> NDArray[np.bool_]:
-        known = gates.local_outliers(residual, np.isfinite(depth), self.settings.max_residual, self.settings.max_phase_error, 3)
+        known = gates.local_outliers(
+            residual, np.isfinite(depth), self.settings.max_residual, self.settings.max_phase_error, 3
+        )
         smallest = self.settings.min_component
         absolute = left.phase + np.float32(2 * np.pi) * order
         slope_x, slope_y = self._left.slopes
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
         known = gates.drop_mixed_edges(known, label, left.modulation, self.settings.edge_modulation)
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
-        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_bias)
+        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_surface_error)
         s = (1 / depth - self._left.depth.base) / self._left.depth.span
         for place, value, device, tolerance in (
             (match, absolute, self.calibration.right, 1.5),
@@ -194,7 +196,7 @@ class Reconstructor:
         ):
             gates.unique(known, place, value, depth, label, size, device.size[::-1], tolerance, 4 * smallest)
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
-        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_bias)
+        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_surface_error)
         return known
 
 

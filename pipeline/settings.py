@@ -18,8 +18,9 @@ class Settings:
     """Fringe amplitude below which a pixel is unknown."""
     saturation: float = 254.0
     """Counts from which a sample is taken as clipped."""
-    window_radius: int = 1
-    """Half width of the window that the phase is fitted in: 0 (pointwise, three-chip only), 1 or 2 pixels."""
+    window_radius: int = -1
+    """Half width of the window that the phase is fitted in, 0 (pointwise, three-chip only), 1 or 2 pixels;
+    -1: 1 for three chips, 2 for a mosaic."""
     window_sigma: float = 1.0
     """Width of the Gaussian weights of that window, pixels."""
     lattice_x: int = 2
@@ -40,8 +41,8 @@ class Settings:
     """Largest deviation of a point's phase from the projector's phase there, after self-calibration."""
     min_component: int = 120
     """Smallest connected surface, pixels."""
-    max_bias: float = 0.3
-    """Largest mean phase error against the projector of a surface that is not large."""
+    max_surface_error: float = 0.2
+    """Largest rms phase error against the projector of a surface that is not large."""
     edge_modulation: float = 0.65
     """Share of its neighbours' modulation below which a border pixel is taken as mixed."""
     self_calibrate: bool = True
@@ -59,6 +60,12 @@ class Settings:
             if not low <= value <= high:
                 raise PipelineError(f"setting {name} is {value}, allowed {low} to {high}")
 
+    def window(self, *, mosaic: bool) -> tuple[int, float]:
+        """Radius and width of the window fit for this kind of sensor, pixels."""
+        if self.window_radius >= 0:
+            return max(self.window_radius, 1 if mosaic else 0), self.window_sigma
+        return (2 if mosaic else 1), self.window_sigma
+
     def with_overrides(self, overrides: Mapping[str, object]) -> Settings:
         """A copy with some values changed; an unknown name or a wrong type raises PipelineError."""
         fields = {f.name: f for f in dataclasses.fields(self)}
@@ -75,7 +82,7 @@ class Settings:
 LIMITS: dict[str, tuple[float, float]] = {
     "min_modulation": (0.5, 100),
     "saturation": (128, 256),
-    "window_radius": (0, 2),
+    "window_radius": (-1, 2),
     "window_sigma": (0.3, 5),
     "lattice_x": (1, 8),
     "lattice_y": (1, 8),
@@ -84,7 +91,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "switch_penalty": (0, 20),
     "max_check": (0.1, 3.1),
     "max_residual": (0.05, 3.1),
-    "max_bias": (0.02, 3.1),
+    "max_surface_error": (0.02, 3.1),
     "edge_modulation": (0, 1),
     "max_phase_error": (0.1, 3.1),
     "min_component": (1, 100_000),
