@@ -50,6 +50,8 @@ class Rate:
                 return 0.0
             recent = sum(1 for t_ns in self._times if t_ns > now_ns - self._window_ns)
             span_ns = min(self._window_ns, now_ns - self._first_ns)
+            # While the window is not full yet, the first event only marks its beginning.
+            recent -= span_ns < self._window_ns
             return recent / (span_ns / 1e9) if span_ns > 200_000_000 else 0.0
 
 

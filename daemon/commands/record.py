@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 _DIRECT = "direct"
+_SHOWN = ("file", "recording")
 
 
 class DirectGroup(TyperGroup):
@@ -50,7 +51,7 @@ def stop(endpoint: Endpoint = None, rig: RigOption = None) -> None:
     if "file" not in answer:
         typer.echo("no take was being written")
         return
-    rest = ", ".join(f"{key} {value}" for key, value in answer.items() if key not in ("file", "recording"))
+    rest = ", ".join(f"{key} {value}" for key, value in answer.items() if key not in _SHOWN and value)
     typer.echo(f"{answer['file']}: {rest}" if rest else answer["file"])
 
 

@@ -50,8 +50,8 @@ def table(status: dict[str, Any]) -> str:
         shown.add_row(name, value)
     console = Console(file=StringIO(), width=110)
     console.print(shown)
-    text: str = console.file.getvalue().rstrip()  # type: ignore[attr-defined]
-    return text
+    text: str = console.file.getvalue()  # type: ignore[attr-defined]
+    return "\n".join(line.rstrip() for line in text.splitlines())
 
 
 def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
