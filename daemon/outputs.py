@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import Any, Protocol
 
 from daemon.config.models import RigConfig
 from daemon.rig import Rig
+from daemon.runtime import prepare_ipc
 from daemon.sinks import Sink
+
+MEGABYTE = 1_000_000
 
 
 class StatusSink(Sink, Protocol):
@@ -18,10 +22,35 @@ class StatusSink(Sink, Protocol):
 
 
 def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
-    """The ZeroMQ publisher, bound."""
-    raise NotImplementedError
+    """The ZeroMQ publisher, bound to every endpoint."""
+    for endpoint in config.stream.endpoints:
+        prepare_ipc(endpoint)
+    publisher: StatusSink = importlib.import_module("daemon.publisher").Publisher(
+        config.stream.endpoints,
+        device=config.device.name,
+        session=session,
+        calibration=rig.calibration,
+        calibration_data=rig.calibration_data,
+        identity=rig.identity,
+        config=config.model_dump(mode="json"),
+        preview_hz=config.stream.preview_hz,
+    )
+    return publisher
 
 
 def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path) -> Sink:
-    """The writer of a take."""
-    raise NotImplementedError
+    """The writer of a take, its first part open."""
+    recording = config.recording
+    writer: Sink = importlib.import_module("daemon.recording.writer").TakeWriter(
+        path,
+        session=session,
+        device=config.device.name,
+        calibration_data=rig.calibration_data,
+        pattern=rig.pattern.as_mapping(),
+        volume={"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm},
+        rig_data=rig_file.read_bytes(),
+        queue=recording.queue,
+        max_part_bytes=recording.max_part_mb * MEGABYTE,
+        min_free_bytes=recording.min_free_mb * MEGABYTE,
+    )
+    return writer

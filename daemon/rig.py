@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,17 @@ from pipeline.pattern import ColorFringe
 from pipeline.pattern import from_mapping as pattern_from_mapping
 
 Progress = Callable[[int, int], None]
+
+
+class OptionsError(ConfigError):
+    """Options that a driver refuses: ``path`` names the key as well as the driver's message tells it."""
+
+    def __init__(self, section: str, message: str) -> None:
+        named = re.match(r"(?:sim|cameras|projector)\.([A-Za-z0-9_.\[\]]+)", message)
+        keys = re.findall(r"[A-Za-z_]\w*|\d+", named.group(1)) if named else []
+        self.path = (section, *(int(key) if key.isdigit() else key for key in keys))
+        self.message = re.sub(r"^sim\b", section, message)
+        super().__init__([f"{section}: {self.message}"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,14 +61,14 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
     """Make the devices that rig.yaml names and read the files it names.
 
     Raises:
-        ConfigError: an option or a file that does not fit.
+        OptionsError: options that the driver refuses; ConfigError: a file that does not fit.
         DaemonError: a driver that cannot be loaded.
     """
     opener = registry.load(registry.RIGS[config.cameras.driver])
     try:
         devices = opener(_options(config), base_dir, progress=progress)
     except (ValueError, TypeError) as error:
-        raise ConfigError([f"rig.yaml, {_section(config)}: {error}"]) from error
+        raise OptionsError(_section(config), str(error)) from error
     try:
         data = _calibration_data(config, base_dir, devices)
         return Rig(
