@@ -1,0 +1,131 @@
+"""calibration.yaml: read with places in its errors, identified by its bytes, written whole."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from daemon.atomic import write_atomically
+from daemon.bounded import read_at_most
+from pipeline import calibration as model
+from pipeline.calibration import Calibration
+from pipeline.errors import CalibrationError
+
+SIZE_LIMIT = 4 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationFile:
+    """A calibration with the file it came from.
+
+    Args:
+        identity: ``sha256:`` and the digest of ``data``; it travels with every cloud.
+        data: the file byte for byte; mapping: its plain content, unknown keys included.
+    """
+
+    calibration: Calibration
+    identity: str
+    data: bytes
+    mapping: dict[str, Any]
+
+
+def read_calibration(path: Path) -> CalibrationFile:
+    """Read a calibration file.
+
+    Raises:
+        CalibrationError: it cannot be read or used; the message begins with the file's name.
+    """
+    return parse_calibration(read_at_most(path, SIZE_LIMIT, CalibrationError), str(path))
+
+
+def parse_calibration(data: bytes, name: str) -> CalibrationFile:
+    """The calibration in the bytes of a file; ``name`` is what errors call it.
+
+    Raises:
+        CalibrationError: syntax as ``name:line:column``, content as ``name: key``.
+    """
+    mapping = _load(data, name)
+    try:
+        calibration = model.from_mapping(mapping)
+    except CalibrationError as error:
+        raise CalibrationError(f"{name}: {error}") from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise CalibrationError(f"{name}: not a calibration: {error}") from error
+    return CalibrationFile(calibration, f"sha256:{hashlib.sha256(data).hexdigest()}", data, mapping)
+
+
+def write_calibration(
+    path: Path,
+    calibration: Calibration,
+    *,
+    created: datetime | None = None,
+    quality: Mapping[str, Any] | None = None,
+    keep: Mapping[str, Any] | None = None,
+) -> CalibrationFile:
+    """Write a calibration file, whole or not at all.
+
+    Args:
+        created: when it was measured; now if not told.
+        quality: free: rms errors, number of views.
+        keep: mapping of the file that this one replaces; the keys that this program does not know are kept.
+    """
+    stamp = (created or datetime.now(UTC)).astimezone(UTC)
+    ours = model.to_mapping(calibration)
+    head = {"fringed_calibration": ours.pop("fringed_calibration"), "created": stamp.strftime("%Y-%m-%dT%H:%M:%SZ")}
+    mapping = head | ours | ({"quality": dict(quality)} if quality is not None else {})
+    if keep is not None:
+        _keep_unknown(mapping, keep)
+    data = yaml.safe_dump(mapping, sort_keys=False, default_flow_style=None, width=120).encode()
+    file = parse_calibration(data, str(path))
+    write_atomically(Path(path), data)
+    return file
+
+
+# Optional parts that a new calibration may leave out on purpose: they must not come back from the old file.
+_NOT_KEPT = {"response", "color"}
+
+
+def _keep_unknown(new: dict[str, Any], old: Mapping[str, Any]) -> None:
+    for key, value in old.items():
+        if key not in new and key not in _NOT_KEPT:
+            new[key] = copy.deepcopy(value)
+        elif key != "quality" and isinstance(new.get(key), dict) and isinstance(value, Mapping):
+            _keep_unknown(new[key], value)
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe, and refuses a key that is written twice, which YAML would silently let win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+            if key is not None and key in seen:
+                raise yaml.MarkedYAMLError(problem=f"the key {key!r} is there twice", problem_mark=key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _load(data: bytes, name: str) -> dict[str, Any]:
+    try:
+        mapping = yaml.load(data, Loader=_Loader)  # noqa: S506  (a SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        raise CalibrationError(f"{name}{place}: {error.problem or error.context}") from error
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        raise CalibrationError(f"{name}: not YAML: {' '.join(str(error).split())}") from error
+    except RecursionError as error:
+        raise CalibrationError(f"{name}: nested too deeply for a calibration") from error
+    if not isinstance(mapping, dict):
+        raise CalibrationError(
+            f"{name}: expected keys and values, got {type(mapping).__name__}"
+        )
+    return mapping

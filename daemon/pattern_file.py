@@ -1,0 +1,70 @@
+"""pattern.json and volume.json: read with a bound on their size and errors that name the file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from daemon.bounded import read_at_most
+from pipeline.cloud import Volume
+from pipeline.errors import PatternError, PipelineError
+from pipeline.pattern import ColorFringe, from_mapping
+
+PATTERN_LIMIT = 4 << 20
+VOLUME_LIMIT = 1 << 16
+
+T = TypeVar("T")
+
+
+def read_pattern(path: Path) -> ColorFringe:
+    """Read a pattern file; PatternError names the file and the key."""
+    return parse_pattern(read_at_most(path, PATTERN_LIMIT, PatternError), str(path))
+
+
+def parse_pattern(data: bytes, name: str) -> ColorFringe:
+    """The pattern in the bytes of a file; ``name`` is what errors call it."""
+    return _named(name, PatternError, lambda: from_mapping(_object(data, name, PatternError)))
+
+
+def read_volume(path: Path) -> Volume:
+    """Read a volume file; PipelineError names the file and the key."""
+    return parse_volume(read_at_most(path, VOLUME_LIMIT, PipelineError), str(path))
+
+
+def parse_volume(data: bytes, name: str) -> Volume:
+    """The measuring volume in the bytes of a file; ``name`` is what errors call it."""
+    return _named(name, PipelineError, lambda: _volume(_object(data, name, PipelineError)))
+
+
+def _volume(values: Mapping[str, Any]) -> Volume:
+    limits = []
+    for key in ("near_mm", "far_mm"):
+        value = values.get(key)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise PipelineError(f"{key} is {value!r:.80}, expected a number of millimetres")
+        limits.append(float(value))
+    return Volume(*limits)
+
+
+def _object(data: bytes, name: str, error: type[PipelineError]) -> dict[str, Any]:
+    try:
+        value = json.loads(data)
+    except json.JSONDecodeError as problem:
+        raise error(f"{name}:{problem.lineno}:{problem.colno}: {problem.msg}") from problem
+    except (ValueError, RecursionError) as problem:
+        raise error(f"{name}: not JSON: {problem}") from problem
+    if not isinstance(value, dict):
+        raise error(f"{name}: expected a JSON object, got {type(value).__name__}")
+    return value
+
+
+def _named(name: str, error: type[PipelineError], make: Callable[[], T]) -> T:
+    try:
+        return make()
+    except PipelineError as problem:
+        text = str(problem)
+        raise error(text if text.startswith(name) else f"{name}: {text}") from problem
+    except (ValueError, TypeError, OverflowError) as problem:
+        raise error(f"{name}: {problem}") from problem

@@ -1,0 +1,9 @@
+"""What can go wrong with a take."""
+
+from __future__ import annotations
+
+from daemon.errors import DaemonError
+
+
+class TakeError(DaemonError):
+    """A take that cannot be read or written; the message names the file and what is wrong with it."""
