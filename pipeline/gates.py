@@ -189,7 +189,7 @@ def _contested(
             y, x = _cell(place, i, j, height, width)
             if y < 0:
                 continue
-            for rival in (near[y, x], far[y, x]):
+            for rival in (int(near[y, x]), int(far[y, x])):
                 a, b = rival // columns, rival % columns
                 if label[a, b] != label[i, j] and abs(value[a, b] - value[i, j]) > tolerance:
                     share[label[i, j]] += np.float32(1.0)

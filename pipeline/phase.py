@@ -99,8 +99,8 @@ class Decoder:
             channels, clipped = rough_channels(image, self._mosaic, self._black, self._unmix, clip)
             rough = _phasor_of(channels, self._ideal)
             fitted = fit_bayer(
-                image, self._mosaic, rough, channels.mean(axis=2), self._rows, self._black, self._weights, self._nominal, clip,
-                noise.floor, noise.gain,
+                image, self._mosaic, rough, channels.mean(axis=2), self._rows, self._black, self._weights,
+                self._nominal, clip, noise.floor, noise.gain,
             )  # fmt: skip
         means = local_means(channels, self._period_px, axis=self._axis)
         equalized = equalized_phasor(channels, means, self._ideal)

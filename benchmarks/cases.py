@@ -1,0 +1,89 @@
+"""What is measured: scenes, rigs and faults, each with the promise it is held to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pipeline.cloud import Cloud
+from pipeline.pattern import modulated_profile
+from pipeline.reconstruct import Reconstructor
+from pipeline.settings import Settings
+from sim.optics import Optics
+from sim.render import RenderedPair, render_pair
+from sim.rig import RigLayout
+from sim.scenes import build
+from sim.score import Score, score
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One row of the table.
+
+    Args:
+        name: of the row; scene: of the simulator.
+        optics: light and sensor; layout: of the rig; encoding: of the sensor.
+        modulated: frequency-modulated fringes instead of equal ones.
+        promise: least reconstructed share, largest wrong share, largest rms in mm; None = shown only.
+    """
+
+    name: str
+    scene: str
+    optics: Optics = field(default_factory=Optics)
+    layout: RigLayout = field(default_factory=RigLayout)
+    encoding: str = "rgb8"
+    modulated: bool = False
+    periods: float = 96.0
+    promise: tuple[float, float, float] | None = None
+
+    def render(self, seed: int = 0) -> RenderedPair:
+        """The pictures of this case with their truth."""
+        return render_pair(
+            self.layout, build(self.scene, seed=seed), self.pattern, self.optics, 0.0, seed, self.encoding
+        )
+
+    @property
+    def pattern(self):  # noqa: ANN201 - the type is the simulator's
+        """What the projector shows."""
+        plain = self.layout.pattern(self.periods)
+        if not self.modulated:
+            return plain
+        return replace(plain, profile=modulated_profile(plain.length, plain.periods))
+
+    def reconstructor(self, settings: Settings | None = None, clock=None) -> Reconstructor:  # noqa: ANN001
+        """A reconstructor that knows of the rig what its calibration would."""
+        calibration = self.layout.calibration_for(self.optics)
+        return Reconstructor(
+            calibration, self.pattern, self.layout.volume(), encoding=self.encoding, settings=settings, clock=clock
+        )
+
+
+STANDARD = (0.97, 0.0015, 0.090)
+REALISTIC = (0.965, 0.002, 0.085)
+MIDDLE = RigLayout(projector_fraction=0.5)
+
+CASES = (
+    Case("all at once", "mixed", promise=STANDARD),
+    Case("bare white plane", "plane", promise=STANDARD),
+    Case("spheres", "spheres"),
+    Case("steps", "steps"),
+    Case("face", "face"),
+    Case("isolated objects", "isolated"),
+    Case("realistic, Bayer", "mixed", Optics.realistic(), encoding="bayer_rggb8", promise=REALISTIC),
+    Case("standard, Bayer", "mixed", encoding="bayer_rggb8"),
+    Case("projector off by one column", "mixed", Optics(projector_error_px=(1.0, 0.0))),
+    Case("projector in the middle", "mixed", layout=MIDDLE),
+    Case("the same, modulated fringes", "mixed", layout=MIDDLE, modulated=True),
+    Case("N = 64", "mixed", periods=64.0),
+    Case("N = 128", "mixed", periods=128.0),
+    Case("over-exposed 1.8 times", "mixed", Optics(exposure=1.8)),
+    Case("noise x 4", "mixed", Optics(noise=4.0)),
+    Case("gamma 2.2 unknown", "mixed", Optics(gamma=2.2, precorrected=False)),
+)
+
+
+def measure(case: Case, pair: RenderedPair, reconstructor: Reconstructor) -> tuple[Cloud, Score]:
+    """Reconstruct a rendered pair and score it."""
+    cloud = reconstructor.reconstruct(np.asarray(pair.left), np.asarray(pair.right))
+    return cloud, score(cloud.xyz, pair.truth_left)
