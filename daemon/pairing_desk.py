@@ -12,7 +12,7 @@ from drivers.protocols import Clock, Frame, Side
 
 log = logging.getLogger("fringed.pairing")
 
-RECORDED_ALONE = frozenset({Fate.PARTNER_MISSING, Fate.LATE, Fate.ROOM_FULL})
+RECORDED_ALONE = frozenset({Fate.PARTNER_MISSING, Fate.LATE, Fate.ROOM_FULL, Fate.BEFORE_SYNC})
 
 
 class PairingDesk:

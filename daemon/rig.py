@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,14 +10,14 @@ from typing import Any
 
 import yaml
 
+from daemon.calibration_file import CalibrationFile, parse_calibration, read_calibration
 from daemon.config import registry
 from daemon.config.models import RigConfig
 from daemon.errors import ConfigError
+from daemon.pattern_file import read_pattern, read_volume
 from drivers.protocols import Camera, Projector, Side
 from pipeline.calibration import Calibration
-from pipeline.calibration import from_mapping as calibration_from_mapping
 from pipeline.cloud import Volume
-from pipeline.errors import PipelineError
 from pipeline.pattern import ColorFringe
 from pipeline.pattern import from_mapping as pattern_from_mapping
 
@@ -61,7 +59,7 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
     """Make the devices that rig.yaml names and read the files it names.
 
     Raises:
-        OptionsError: options that the driver refuses; ConfigError: a file that does not fit.
+        OptionsError: options that the driver refuses; PipelineError: a file that does not fit.
         DaemonError: a driver that cannot be loaded.
     """
     opener = registry.load(registry.RIGS[config.cameras.driver])
@@ -70,15 +68,15 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
     except (ValueError, TypeError) as error:
         raise OptionsError(_section(config), str(error)) from error
     try:
-        data = _calibration_data(config, base_dir, devices)
+        calibration = _calibration(config, base_dir, devices)
         return Rig(
             cameras=devices.cameras,
             projector=devices.projector,
-            calibration=_parsed(data, config.calibration or "the driver's calibration"),
+            calibration=calibration.calibration,
             pattern=_pattern(config, base_dir, devices),
             volume=_volume(config, base_dir, devices),
-            calibration_data=data,
-            identity=f"sha256:{hashlib.sha256(data).hexdigest()}",
+            calibration_data=calibration.data,
+            identity=calibration.identity,
             release=devices.close,
         )
     except BaseException:
@@ -97,45 +95,22 @@ def _options(config: RigConfig) -> dict[str, Any]:
     return {"cameras": config.cameras.model_dump(), "projector": projector}
 
 
-def _calibration_data(config: RigConfig, base_dir: Path, devices: Any) -> bytes:
+def _calibration(config: RigConfig, base_dir: Path, devices: Any) -> CalibrationFile:
     if config.calibration is not None:
-        return config.path(config.calibration, base_dir).read_bytes()
-    return yaml.safe_dump(dict(devices.calibration), sort_keys=False).encode()
-
-
-def _parsed(data: bytes, name: str) -> Calibration:
-    try:
-        mapping = yaml.safe_load(data)
-        if not isinstance(mapping, dict):
-            raise ConfigError([f"{name}: not a calibration file"])
-        return calibration_from_mapping(mapping)
-    except yaml.YAMLError as error:
-        raise ConfigError([f"{name}: YAML syntax: {' '.join(str(error).split())}"]) from error
-    except PipelineError as error:
-        raise ConfigError([f"{name}: {error}"]) from error
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ConfigError([f"{path}: not JSON: {error}"]) from error
-    if not isinstance(value, dict):
-        raise ConfigError([f"{path}: expected a JSON object"])
-    return value
+        return read_calibration(config.path(config.calibration, base_dir))
+    data = yaml.safe_dump(dict(devices.calibration), sort_keys=False).encode()
+    return parse_calibration(data, "the driver's calibration")
 
 
 def _pattern(config: RigConfig, base_dir: Path, devices: Any) -> ColorFringe:
-    given = config.pattern if config.pattern is not None else devices.pattern
-    return pattern_from_mapping(_json(config.path(given, base_dir)) if isinstance(given, str) else given)
+    if isinstance(config.pattern, str):
+        return read_pattern(config.path(config.pattern, base_dir))
+    return pattern_from_mapping(config.pattern if config.pattern is not None else devices.pattern)
 
 
 def _volume(config: RigConfig, base_dir: Path, devices: Any) -> Volume:
-    given = config.volume if config.volume is not None else devices.volume
-    if isinstance(given, str):
-        given = _json(config.path(given, base_dir))
-    values = given if isinstance(given, Mapping) else given.model_dump()
-    try:
-        return Volume(float(values["near_mm"]), float(values["far_mm"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError([f"volume: {error}; expected near_mm and far_mm, millimetres"]) from error
+    if isinstance(config.volume, str):
+        return read_volume(config.path(config.volume, base_dir))
+    if config.volume is not None:
+        return Volume(config.volume.near_mm, config.volume.far_mm)
+    return Volume(float(devices.volume["near_mm"]), float(devices.volume["far_mm"]))

@@ -139,8 +139,12 @@ class Service:
     def emit(self, item: Item) -> None:
         """Offer an item to every sink; what a sink refuses is counted under its name."""
         for name, sink in self.sinks.items():
-            if not sink.offer(item):
-                self.drops.add(f"{_KINDS[type(item)]}_{name}_busy")
+            try:
+                if not sink.offer(item):
+                    self.drops.add(f"{_KINDS[type(item)]}_{name}_busy")
+            except Exception:  # a sink's bug must not look like a camera's or the pipeline's
+                self.drops.add(f"{_KINDS[type(item)]}_{name}_failed")
+                log.exception("%s cannot take an item", name)
 
     def state(self) -> tuple[State, tuple[str, ...]]:
         """The state now and why it is degraded."""
@@ -247,7 +251,10 @@ class Service:
         now_ns = self.clock.monotonic_ns()
         if self._on_status is not None and now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + 1_000_000_000
-            self._on_status(self.status().as_dict())
+            self._tell(self._on_status)
+
+    def _tell(self, on_status: Callable[[dict[str, Any]], None]) -> None:
+        self._guarded("telling the status", lambda: on_status(self.status().as_dict()))
 
     def _shut_down(self) -> None:
         self._stop.set()
@@ -260,20 +267,16 @@ class Service:
         self.desk.flush()
         if not self.worker.stop(_JOIN_S):
             log.error("the pipeline does not come back; left behind")
-        self._publish_last_status()
+        if self._on_status is not None:
+            self._tell(self._on_status)
         for name, sink in self.sinks.items():
             self._guarded(f"closing {name}", sink.close)
         self._guarded("the projector", self.rig.projector.close)
         self._guarded("the rig", self.rig.release)
         log.info("stopped: %d pairs, %d clouds", self.desk.pairs, self.worker.clouds)
 
-    def _publish_last_status(self) -> None:
-        if self._on_status is not None:
-            on_status = self._on_status
-            self._guarded("the last status", lambda: on_status(self.status().as_dict()))
-
     def _guarded(self, what: str, action: Callable[[], object]) -> None:
-        """One failure at the end must not keep the rest from being closed."""
+        """One failure must not keep the rest from being done."""
         try:
             action()
         except Exception:

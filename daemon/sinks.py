@@ -31,7 +31,7 @@ class CloudItem:
     Args:
         seq: number of the trigger; t_ns: start of exposure, CLOCK_REALTIME.
         latency_ms: from the start of exposure to the finished cloud.
-        dropped: pairs that were dropped so far because the pipeline was busy.
+        dropped: pairs that were dropped so far because the pipeline was busy or not ready.
     """
 
     seq: int

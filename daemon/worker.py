@@ -44,7 +44,7 @@ class Worker:
         self._reconstructor: Reconstructs | None = None
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
-        self.clouds, self.points, self.valid = 0, 0, 0.0
+        self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
         self.last: CloudItem | None = None
@@ -74,9 +74,13 @@ class Worker:
     def offer(self, pair: Pair) -> None:
         """Take a pair; the freshest wins."""
         if not self._thread.is_alive():
-            self._drops.add("pairs_not_ready")
+            self._drop("pairs_not_ready")
         elif self._box.put(pair) is not None:
-            self._drops.add("pairs_pipeline_busy")
+            self._drop("pairs_pipeline_busy")
+
+    def _drop(self, reason: str) -> None:
+        self.dropped += 1
+        self._drops.add(reason)
 
     def stop(self, timeout_s: float) -> bool:
         """Finish the pair at hand and end; False when it does not end in time."""
@@ -117,8 +121,7 @@ class Worker:
         cloud = self._reconstructor.reconstruct(pair.left.image, pair.right.image)
         # The latency is taken here, where the result is made, not where it is written or shown.
         latency_ms = (self._clock.realtime_ns() - pair.left.t_exposure_ns) / 1e6
-        dropped = sum(self._drops.snapshot().values())
-        item = CloudItem(pair.seq, pair.left.t_exposure_ns, cloud, pair.left, pair.right, latency_ms, dropped)
+        item = CloudItem(pair.seq, pair.left.t_exposure_ns, cloud, pair.left, pair.right, latency_ms, self.dropped)
         self.latency_ms.note(latency_ms)
         self.rate.note(self._clock.monotonic_ns())
         self.clouds += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from daemon.atomic import write_atomically
 from daemon.config import load_rig
 from daemon.config.models import RigConfig
 from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
@@ -124,10 +126,9 @@ class Methods:
         directory = self._service.config.path(self._service.config.recording.dir, self._base_dir)
         directory.mkdir(parents=True, exist_ok=True)
         target = directory / f"{name}_{item.seq:06d}.npz"
-        partial = target.with_name(f".{target.name}.tmp")
-        with partial.open("wb") as file:
-            np.savez(file, xyz=item.cloud.xyz, sigma_mm=item.cloud.sigma_mm, gray=item.cloud.gray)
-        partial.replace(target)
+        buffer = io.BytesIO()
+        np.savez(buffer, xyz=item.cloud.xyz, sigma_mm=item.cloud.sigma_mm, gray=item.cloud.gray)
+        write_atomically(target, buffer.getvalue())
         return {"file": str(target), "seq": item.seq, "t_ns": item.t_ns, "points": item.cloud.points}
 
     def record_start(self, params: dict[str, Any]) -> dict[str, Any]:

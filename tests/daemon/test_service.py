@@ -13,6 +13,7 @@ import pytest
 from daemon.errors import DaemonError
 from daemon.recorder import Recorder
 from daemon.service import Service
+from daemon.sinks import Item
 from daemon.status import State
 from sim.devices import RigDevices
 from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
@@ -86,6 +87,27 @@ def test_a_full_sink_loses_its_items_by_name_and_nobody_else_waits(running: Runn
     wait_until(lambda: len(running.sink.clouds) == 4)
     wait_until(lambda: running.service.drops["clouds_slow_busy"] == 4)
     assert running.service.drops["pairs_slow_busy"] == 4
+
+
+def test_a_sink_that_breaks_is_counted_and_harms_nobody(running: Running) -> None:
+    class Broken(Collector):
+        def offer(self, item: Item) -> bool:
+            raise RuntimeError("broken")
+
+    running.service.add_sink("bad", Broken())
+    running.step(4)
+    wait_until(lambda: len(running.sink.clouds) == 4)
+    wait_until(lambda: running.service.drops["clouds_bad_failed"] == 4)
+    assert running.state() is State.RUNNING
+
+
+def test_a_setting_that_changes_is_used_from_the_next_pair_on(running: Running) -> None:
+    running.step(4)
+    wait_until(lambda: len(running.sink.clouds) == 4)
+    running.service.apply(running.service.settings.with_overrides({"min_modulation": 100.0}))
+    running.step(1)
+    wait_until(lambda: len(running.sink.clouds) == 5)
+    assert running.sink.clouds[-1].cloud.points == 0
 
 
 def test_a_sink_with_a_problem_degrades_the_daemon(running: Running) -> None:

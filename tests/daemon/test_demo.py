@@ -1,0 +1,68 @@
+"""The demo's parts: its rig file, its viewer, its line per second."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.commands import demo, demo_parts
+from daemon.config import load_rig
+from tests.daemon.rigs import wait_until
+
+STATUS: dict[str, Any] = {
+    "state": "running",
+    "cloud_rate_hz": 4.5,
+    "pair_rate_hz": 5.0,
+    "points": 1000,
+    "latency_ms": {"p50": 100.2, "p95": 200.0},
+    "drops": {"pairs_pipeline_busy": 2},
+}
+
+
+@pytest.mark.parametrize("small", [True, False])
+def test_the_demo_writes_a_valid_rig_file(tmp_path: Path, small: bool) -> None:
+    path, endpoint = demo.write_rig(tmp_path, demo.options("moving", None, 3, 2.0, small=small))
+    config = load_rig(path)
+    assert endpoint in config.stream.endpoints and config.simulation["frames"] == 3
+
+
+def test_the_line_tells_rate_points_and_latency() -> None:
+    text = demo_parts.line(STATUS)
+    assert all(part in text for part in ("4.5 clouds/s", "1000 points", "latency 100 ms", "dropped 2"))
+    assert "no cloud yet" in demo_parts.line(STATUS | {"latency_ms": {}})
+
+
+def test_the_demo_ends_after_its_seconds_of_measuring() -> None:
+    now_s, said, stopped = [0.0], [], []
+    report = demo_parts.Report(
+        2.0, stop=lambda: stopped.append(True), viewer=None, say=said.append, now_s=lambda: now_s[0]
+    )
+    for second in (50.0, 51.0, 52.0):
+        now_s[0] = second
+        report(STATUS | {"state": "starting"} if second == 0 else STATUS)
+    assert len(said) == 3 and stopped == [True]
+
+
+def test_a_viewer_that_dies_is_told_once_and_measuring_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo_parts, "_VIEW", "raise SystemExit(7)")
+    said: list[str] = []
+    viewer = demo_parts.Viewer("ipc://nowhere")
+    report = demo_parts.Report(None, stop=lambda: None, viewer=viewer, say=said.append, now_s=lambda: 0.0)
+    report(STATUS)
+    assert viewer._process is not None
+    wait_until(lambda: viewer._process is not None and viewer._process.poll() is not None)
+    report(STATUS)
+    report(STATUS)
+    assert [text for text in said if "viewer" in text] == ["the viewer ended (exit status 7); measuring goes on"]
+
+
+def test_a_viewer_that_hangs_is_ended_with_the_demo(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo_parts, "_VIEW", "import time; time.sleep(1000)")
+    viewer = demo_parts.Viewer("ipc://nowhere")
+    viewer.start()
+    process = viewer._process
+    viewer.close()
+    assert process is not None and process.returncode is not None and sys.executable in process.args
