@@ -1,0 +1,203 @@
+"""Read a take: its frames and pairs, in bounded memory, up to whatever damage there is."""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from daemon.calibration_file import CalibrationFile, parse_calibration
+from daemon.pattern_file import parse_pattern, parse_volume
+from daemon.recording import parts
+from daemon.recording.errors import TakeError
+from daemon.recording.part_reader import PartReader, Where
+from daemon.sinks import PairItem
+from drivers.protocols import Frame, Side
+from pipeline.cloud import Volume
+from pipeline.pattern import ColorFringe
+
+CALIBRATION, PATTERN, VOLUME, RIG = "calibration.yaml", "pattern.json", "volume.json", "rig.yaml"
+WAITING_FRAMES = 16
+"""Frames that are kept in memory while their partner has not come; older ones are read again when it does."""
+
+
+@dataclass(slots=True)
+class Counts:
+    """What has been read so far."""
+
+    frames: Counter[str] = field(default_factory=Counter)
+    pairs: int = 0
+    unpaired: Counter[str] = field(default_factory=Counter)
+    duplicates: Counter[str] = field(default_factory=Counter)
+
+
+class TakeReader:
+    """A take: one file, or all the parts of it if the first part is named.
+
+    Cut and damaged files are read as far as they can be; :attr:`problems` tells what is wrong with them. The counts in
+    :attr:`counts` are those of the last walk through :meth:`frames` or :meth:`pairs`.
+
+    Raises:
+        TakeError: a file that is no recording, or that holds something else than pairs of raw pictures.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._parts: list[PartReader] = []
+        try:
+            for part in parts.of_take(path):
+                self._parts.append(PartReader(part))
+            first = self._parts[0]
+            strangers = [p for p in self._parts if p.metadata.get("session") != first.metadata.get("session")]
+            for stranger in strangers:
+                stranger.close()
+            self._parts = [p for p in self._parts if p not in strangers]
+        except BaseException:
+            self.close()
+            raise
+        self.counts = Counts()
+
+    def __enter__(self) -> TakeReader:
+        return self
+
+    def __exit__(self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files; pictures that were handed out stay valid."""
+        for part in self._parts:
+            part.close()
+
+    @property
+    def parts(self) -> list[PartReader]:
+        """The files of the take."""
+        return self._parts
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The record ``fringed``: version, session, device."""
+        return self._parts[0].metadata
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """The attached files by name."""
+        return self._parts[0].attachments
+
+    @property
+    def problems(self) -> list[str]:
+        """What is wrong, file by file; complete once everything was read."""
+        return [f"{part.path}: {problem}" for part in self._parts for problem in part.problems]
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is missing or damaged, as far as it was read."""
+        return not self.problems
+
+    @property
+    def size(self) -> int:
+        """Bytes of all parts."""
+        return sum(part.survey.size for part in self._parts)
+
+    def calibration(self) -> CalibrationFile:
+        """The attached calibration; TakeError when there is none, CalibrationError when it is wrong."""
+        return parse_calibration(*self._attached(CALIBRATION))
+
+    def pattern(self) -> ColorFringe:
+        """The attached pattern description."""
+        return parse_pattern(*self._attached(PATTERN))
+
+    def volume(self) -> Volume:
+        """The attached measuring volume."""
+        return parse_volume(*self._attached(VOLUME))
+
+    def _attached(self, name: str) -> tuple[bytes, str]:
+        data = self.attachments.get(name)
+        if data is None:
+            there = ", ".join(self.attachments) or "nothing"
+            raise TakeError(f"{self.path}: no readable attachment {name}; attached is {there}")
+        return data, f"{self.path}:{name}"
+
+    def frames(self, progress: Callable[[int], Any] | None = None) -> Iterator[Frame]:
+        """Every frame in the order of the files, double ones and lone ones included.
+
+        Args:
+            progress: told the number of bytes read so far.
+        """
+        self.counts = Counts()
+        for frame, _ in self._walk(progress):
+            yield frame
+
+    def pairs(self, progress: Callable[[int], Any] | None = None) -> Iterator[PairItem]:
+        """Every pair, as soon as its second frame is read; left and right may come in any order.
+
+        A second frame of the same number and side is counted and ignored; so are frames without a partner.
+        """
+        self.counts = Counts()
+        for part, done in self._parts_done():
+            matcher = _Matcher(part, self.counts)
+            for frame, where in part.frames():
+                self.counts.frames[frame.side] += 1
+                if progress is not None:
+                    progress(done + where.place.offset)
+                pair = matcher.match(frame, where)
+                if pair is not None:
+                    yield pair
+            matcher.finish()
+
+    def _parts_done(self) -> Iterator[tuple[PartReader, int]]:
+        done = 0
+        for part in self._parts:
+            yield part, done
+            done += part.survey.size
+
+    def _walk(self, progress: Callable[[int], Any] | None) -> Iterator[tuple[Frame, Where]]:
+        for part, done in self._parts_done():
+            for frame, where in part.frames():
+                self.counts.frames[frame.side] += 1
+                if progress is not None:
+                    progress(done + where.place.offset)
+                yield frame, where
+
+
+class _Matcher:
+    """Brings frames of one part together by number, with few of them in memory."""
+
+    def __init__(self, part: PartReader, counts: Counts) -> None:
+        self._part, self._counts = part, counts
+        self._seen: dict[Side, set[int]] = {"left": set(), "right": set()}
+        self._waiting: OrderedDict[tuple[Side, int], Where] = OrderedDict()
+        self._held: OrderedDict[tuple[Side, int], Frame] = OrderedDict()
+
+    def match(self, frame: Frame, where: Where) -> PairItem | None:
+        """The pair that this frame completes."""
+        if frame.trigger in self._seen[frame.side]:
+            self._counts.duplicates[frame.side] += 1
+            return None
+        self._seen[frame.side].add(frame.trigger)
+        other: Side = "right" if frame.side == "left" else "left"
+        key = (other, frame.trigger)
+        if key not in self._waiting:
+            self._wait(frame, where)
+            return None
+        partner = self._held.pop(key, None) or self._part.frame_at(self._waiting[key])
+        del self._waiting[key]
+        if partner is None:
+            self._counts.unpaired[frame.side] += 1
+            return None
+        self._counts.pairs += 1
+        return PairItem(frame, partner) if frame.side == "left" else PairItem(partner, frame)
+
+    def _wait(self, frame: Frame, where: Where) -> None:
+        key = (frame.side, frame.trigger)
+        self._waiting[key] = where
+        self._held[key] = frame
+        if len(self._held) > WAITING_FRAMES:
+            self._held.popitem(last=False)
+
+    def finish(self) -> None:
+        """No more frames: those that still wait have no partner."""
+        for side, _ in self._waiting:
+            self._counts.unpaired[side] += 1
