@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
+import json
 from pathlib import Path
 from typing import Any, Protocol
 
+from daemon.clock import SystemClock
 from daemon.config.models import RigConfig
 from daemon.rig import Rig
-from daemon.runtime import prepare_ipc
 from daemon.sinks import Sink
 
 MEGABYTE = 1_000_000
@@ -22,35 +22,37 @@ class StatusSink(Sink, Protocol):
 
 
 def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
-    """The ZeroMQ publisher, bound to every endpoint."""
-    for endpoint in config.stream.endpoints:
-        prepare_ipc(endpoint)
-    publisher: StatusSink = importlib.import_module("daemon.publisher").Publisher(
-        config.stream.endpoints,
-        device=config.device.name,
-        session=session,
-        calibration=rig.calibration,
-        calibration_data=rig.calibration_data,
-        identity=rig.identity,
+    """The ZeroMQ publisher, bound to every endpoint, with what late joiners are told."""
+    from daemon.publisher import Publisher
+    from daemon.stream.messages import Origin, retained
+
+    origin = Origin(config.device.name, session, rig.identity)
+    meta = retained(
+        origin,
+        calibration=rig.calibration_data,
+        rays=rig.calibration.left.rays(),
         config=config.model_dump(mode="json"),
-        preview_hz=config.stream.preview_hz,
+        t_ns=SystemClock().realtime_ns(),
     )
-    return publisher
+    hz = config.stream.preview_hz
+    return Publisher(config.stream.endpoints, origin=origin, volume=rig.volume, retained=meta, preview_hz=hz)
 
 
 def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path) -> Sink:
-    """The writer of a take, its first part open."""
+    """The writer of a take, its first part open; everything that a replay needs is attached."""
+    from daemon.recording.writer import TakeOptions, TakeWriter
+
+    volume = {"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm}
+    attachments = {
+        "calibration.yaml": rig.calibration_data,
+        "pattern.json": json.dumps(rig.pattern.as_mapping()).encode(),
+        "volume.json": json.dumps(volume).encode(),
+        "rig.yaml": rig_file.read_bytes(),
+    }
     recording = config.recording
-    writer: Sink = importlib.import_module("daemon.recording.writer").TakeWriter(
-        path,
-        session=session,
-        device=config.device.name,
-        calibration_data=rig.calibration_data,
-        pattern=rig.pattern.as_mapping(),
-        volume={"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm},
-        rig_data=rig_file.read_bytes(),
-        queue=recording.queue,
+    options = TakeOptions(
         max_part_bytes=recording.max_part_mb * MEGABYTE,
         min_free_bytes=recording.min_free_mb * MEGABYTE,
+        queue=recording.queue,
     )
-    return writer
+    return TakeWriter(path, attachments=attachments, session=session, device=config.device.name, options=options)

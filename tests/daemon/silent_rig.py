@@ -90,19 +90,3 @@ def write(directory: Path) -> None:
         f"volume: {{near_mm: 1200, far_mm: 1500}}\nstream: {{endpoints: ['ipc://{directory}/s']}}\n"
         f"control: {{endpoint: 'ipc://{directory}/c'}}\n"
     )
-
-
-class Stream:
-    """Stands for the publisher."""
-
-    def offer(self, item: Any) -> bool:
-        return item is not None
-
-    def publish_status(self, status: dict[str, Any]) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-    def status(self) -> dict[str, Any]:
-        return {}
