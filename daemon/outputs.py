@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any, Protocol
 
-from daemon.clock import SystemClock
 from daemon.config.models import RigConfig
 from daemon.rig import Rig
 from daemon.sinks import Sink
@@ -22,20 +21,19 @@ class StatusSink(Sink, Protocol):
 
 
 def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
-    """The ZeroMQ publisher, bound to every endpoint, with what late joiners are told."""
+    """The ZeroMQ publisher, bound to every endpoint."""
     from daemon.publisher import Publisher
-    from daemon.stream.messages import Origin, retained
 
-    origin = Origin(config.device.name, session, rig.identity)
-    meta = retained(
-        origin,
-        calibration=rig.calibration_data,
-        rays=rig.calibration.left.rays(),
+    return Publisher(
+        config.stream.endpoints,
+        device=config.device.name,
+        session=session,
+        calibration=rig.calibration,
+        calibration_data=rig.calibration_data,
+        identity=rig.identity,
         config=config.model_dump(mode="json"),
-        t_ns=SystemClock().realtime_ns(),
+        preview_hz=config.stream.preview_hz,
     )
-    hz = config.stream.preview_hz
-    return Publisher(config.stream.endpoints, origin=origin, volume=rig.volume, retained=meta, preview_hz=hz)
 
 
 def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path) -> Sink:
