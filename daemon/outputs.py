@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -38,19 +37,18 @@ def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
 
 def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path) -> Sink:
     """The writer of a take, its first part open; everything that a replay needs is attached."""
-    from daemon.recording.writer import TakeOptions, TakeWriter
+    from daemon.recording.writer import TakeWriter
 
-    volume = {"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm}
-    attachments = {
-        "calibration.yaml": rig.calibration_data,
-        "pattern.json": json.dumps(rig.pattern.as_mapping()).encode(),
-        "volume.json": json.dumps(volume).encode(),
-        "rig.yaml": rig_file.read_bytes(),
-    }
     recording = config.recording
-    options = TakeOptions(
+    return TakeWriter(
+        path,
+        session=session,
+        device=config.device.name,
+        calibration_data=rig.calibration_data,
+        pattern=rig.pattern.as_mapping(),
+        volume={"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm},
+        rig_data=rig_file.read_bytes(),
+        queue=recording.queue,
         max_part_bytes=recording.max_part_mb * MEGABYTE,
         min_free_bytes=recording.min_free_mb * MEGABYTE,
-        queue=recording.queue,
     )
-    return TakeWriter(path, attachments=attachments, session=session, device=config.device.name, options=options)
