@@ -1,0 +1,131 @@
+"""``fringed listen``: rate, points, latency and losses of a stream, once a second."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Annotated
+
+import typer
+
+from fringed.client import DEFAULT_ENDPOINT, ReceivedCloud, Subscription, subscribe
+from fringed.errors import SilenceError
+
+_WAIT_S = 0.25
+
+
+def main(
+    endpoint: Annotated[str, typer.Argument(help="Of the stream: tcp://HOST:PORT or ipc://PATH.")] = DEFAULT_ENDPOINT,
+    topic: Annotated[str, typer.Option(help="cloud/full or cloud/depth.")] = "cloud/full",
+    every: Annotated[bool, typer.Option("--every", help="Take every cloud, not only the newest.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
+    save: Annotated[Path | None, typer.Option(help="Write each cloud as PLY into this directory.")] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="Stop after so many clouds.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after so many seconds.")] = None,
+) -> None:
+    """Print rate, points, latency and losses of a stream once a second, until Ctrl-C."""
+    if save is not None:
+        save.mkdir(parents=True, exist_ok=True)
+    with subscribe(endpoint, topic=topic, latest=not every, timeout_s=_WAIT_S) as stream:
+        for report in reports(stream, save=save, count=count, seconds=seconds):
+            typer.echo(json.dumps(asdict(report)) if as_json else line(report))
+        if count is not None and stream.received < count:
+            typer.echo(f"{stream.received} of {count} clouds came from {endpoint}; is a daemon running?", err=True)
+            raise typer.Exit(1)
+
+
+@dataclass(slots=True)
+class Report:
+    """One second of a stream; latencies from the start of exposure, by this machine's clock, ms (median)."""
+
+    clouds: int = 0
+    clouds_per_second: float = 0.0
+    points: int = 0
+    valid: float = 0.0
+    latency_ms: float | None = None
+    daemon_latency_ms: float | None = None
+    lost: int = 0
+    skipped: int = 0
+    session: str = ""
+    device: str = ""
+    seq: int | None = None
+
+
+@dataclass(slots=True)
+class _Second:
+    """What came since the last report."""
+
+    began_s: float
+    latencies_ms: list[float] = field(default_factory=list)
+    last: ReceivedCloud | None = None
+
+    def add(self, cloud: ReceivedCloud) -> None:
+        self.latencies_ms.append((time.time_ns() - cloud.header.t_ns) / 1e6)
+        self.last = cloud
+
+    def report(self, stream: Subscription, now_s: float) -> Report:
+        out = Report(clouds=stream.received, lost=stream.lost, skipped=stream.skipped)
+        if self.last is not None:
+            header, points = self.last.header, int(self.last.valid.sum())
+            out.clouds_per_second = round(len(self.latencies_ms) / max(now_s - self.began_s, 1e-3), 2)
+            out.points, out.valid = points, round(points / self.last.valid.size, 4)
+            out.latency_ms, out.daemon_latency_ms = round(median(self.latencies_ms), 1), header.stats.get("latency_ms")
+            out.session, out.device, out.seq = header.session, header.device, header.seq
+        return out
+
+
+def reports(
+    stream: Subscription,
+    *,
+    save: Path | None = None,
+    count: int | None = None,
+    seconds: float | None = None,
+    now_s: Callable[[], float] = time.monotonic,
+) -> Iterator[Report]:
+    """A report each second, and one for the rest at the end."""
+    began_s = now_s()
+    second = _Second(began_s)
+    while True:
+        try:
+            cloud = next(stream)
+        except SilenceError:
+            pass
+        else:
+            second.add(cloud)
+            if save is not None:
+                _save(save, cloud)
+        done = _reached(stream.received, count) or _reached(now_s() - began_s, seconds)
+        if done or now_s() - second.began_s >= 1.0:
+            yield second.report(stream, now_s())
+            second = _Second(now_s())
+        if done:
+            return
+
+
+def _reached(value: float, limit: float | None) -> bool:
+    return limit is not None and value >= limit
+
+
+def line(report: Report) -> str:
+    """A report in one line."""
+    if report.latency_ms is None:
+        return f"no cloud; {report.clouds} so far, lost {report.lost}"
+    return (
+        f"{report.device}: {report.clouds_per_second:.1f} clouds/s, {report.points} points "
+        f"({100 * report.valid:.0f} %), latency {report.latency_ms:.0f} ms, "
+        f"lost {report.lost}, skipped {report.skipped}"
+    )
+
+
+def _save(directory: Path, cloud: ReceivedCloud) -> None:
+    """Under a temporary name first: a program that watches the directory never sees half a file."""
+    from fringed.ply import ply_bytes
+
+    path = directory / f"cloud_{cloud.header.seq:06d}.ply"
+    temporary = path.with_suffix(".ply.part")
+    temporary.write_bytes(ply_bytes(cloud.xyz, cloud.gray))
+    temporary.rename(path)

@@ -1,0 +1,255 @@
+"""The publisher: one thread that owns the XPUB socket and never makes the measuring wait.
+
+Producers put what they have into slots (clouds and status: one slot, the freshest wins; log lines: a short queue) and
+wake the thread. A topic is put together only while somebody subscribes to it. Who comes late gets the ``meta/``
+messages at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import zmq
+
+from daemon.clock import SystemClock
+from daemon.counters import Counters
+from daemon.sinks import CloudItem, Item
+from daemon.stream import messages
+from daemon.stream.endpoints import bind_all
+from daemon.stream.log import StreamHandler
+from daemon.stream.messages import Frames, Origin
+from drivers.protocols import Clock
+from pipeline.calibration import Calibration
+
+log = logging.getLogger("fringed.stream")
+
+MAX_PREVIEW_HZ = 10.0
+_SEND_QUEUE = 4  # messages of 14 MB that wait for each subscriber
+_LOG_QUEUE = 64
+_MAX_PREFIXES = 256
+_MAX_PREFIX_BYTES = 64
+_JOIN_S = 5.0
+_LINGER_MS = 200  # at the end only, so that the last status goes out
+
+
+class Publisher:
+    """A sink for clouds; bound and running once it is made.
+
+    Args:
+        endpoints: to bind; port ``*`` or 0 becomes a free one, see :attr:`endpoints`.
+        device, session, identity: stand in every header, the last as ``calibration``.
+        calibration: gives the rays of the left camera; calibration_data: the bytes of its file.
+        config: of the rig, plain values.
+        preview_hz: pictures a second, at most 10; 0 = none.
+
+    Raises:
+        DaemonError: an endpoint that cannot be bound.
+    """
+
+    def __init__(
+        self,
+        endpoints: Iterable[str],
+        *,
+        device: str,
+        session: str,
+        calibration: Calibration,
+        calibration_data: bytes,
+        identity: str,
+        config: dict[str, Any],
+        preview_hz: float = 2.0,
+        clock: Clock | None = None,
+    ) -> None:
+        self._clock = clock or SystemClock()
+        self._origin = Origin(device, session, identity)
+        self._retained = messages.retained(
+            self._origin,
+            calibration=calibration_data,
+            rays=calibration.left.rays(),
+            config=config,
+            t_ns=self._clock.realtime_ns(),
+        )
+        self._preview_ns = round(1e9 / min(preview_hz, MAX_PREVIEW_HZ)) if preview_hz > 0 else None
+        self._preview_due_ns = 0
+        self._lock = threading.Lock()
+        self._cloud: CloudItem | None = None
+        self._status: dict[str, Any] | None = None
+        self._lines: deque[tuple[int, str, str, str]] = deque(maxlen=_LOG_QUEUE)
+        self._prefixes: set[bytes] = set()
+        self._sent, self._dropped = Counters(), 0
+        self._line_count = self._status_count = 0
+        self._problems: dict[str, str] = {}
+        self._closing = False
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._socket = self._context.socket(zmq.XPUB)
+        self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        for option, value in _OPTIONS.items():
+            self._socket.setsockopt(option, value)
+        try:
+            #: What was bound, with real port numbers.
+            self.endpoints = bind_all(self._socket, endpoints)
+        except BaseException:
+            self._release()
+            raise
+        self._handler = StreamHandler(self._publish_line)
+        logging.getLogger("fringed").addHandler(self._handler)
+        self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
+        self._thread.start()
+        log.info("stream at %s", ", ".join(self.endpoints))
+
+    def offer(self, item: Item) -> bool:
+        """Take a cloud; one that still waits is dropped for it and counted."""
+        if isinstance(item, CloudItem):
+            with self._lock:
+                if self._closing:
+                    return False
+                self._dropped += self._cloud is not None
+                self._cloud = item
+                self._wake()
+        return True
+
+    def publish_status(self, status: dict[str, Any]) -> None:
+        """Send the status; never blocks."""
+        with self._lock:
+            self._status = status
+            self._wake()
+
+    def wants(self, topic: str) -> bool:
+        """Whether anybody subscribes to a topic now."""
+        return any(topic.encode().startswith(prefix) for prefix in tuple(self._prefixes))
+
+    def status(self) -> dict[str, Any]:
+        """Where it is bound, what was sent by topic, clouds that were overtaken before they were sent."""
+        values: dict[str, Any] = {
+            "endpoints": self.endpoints,
+            "sent": self._sent.snapshot(),
+            "dropped": self._dropped,
+            "topics": sorted(prefix.decode(errors="replace") for prefix in tuple(self._prefixes)),
+        }
+        problems = [f"{topic}: {text}" for topic, text in dict(self._problems).items()]
+        return values | ({"problem": "; ".join(problems)} if problems else {})
+
+    def close(self) -> None:
+        """Send what waits and unbind; may be called twice."""
+        logging.getLogger("fringed").removeHandler(self._handler)
+        with self._lock:
+            self._closing = True
+            self._wake()
+        self._thread.join(_JOIN_S)
+
+    def _wake(self) -> None:
+        """With the lock held, so that the file cannot be closed, and its number used anew, meanwhile."""
+        if self._wake_fd >= 0:
+            os.eventfd_write(self._wake_fd, 1)
+
+    def _publish_line(self, t_ns: int, level: str, logger: str, text: str) -> None:
+        with self._lock:
+            self._lines.append((t_ns, level, logger, text))
+            self._wake()
+
+    def _run(self) -> None:
+        poller = zmq.Poller()
+        poller.register(self._socket, zmq.POLLIN)
+        poller.register(self._wake_fd, zmq.POLLIN)
+        try:
+            while not self._closing:
+                events = dict(poller.poll())
+                if self._wake_fd in events:
+                    os.eventfd_read(self._wake_fd)
+                self._serve_subscriptions()
+                self._send_waiting()
+            self._send_waiting()  # the last status
+        except Exception as error:
+            self._problems["thread"] = f"it ended: {error}"
+            log.exception("the stream's thread ended")
+        finally:
+            with self._lock:
+                self._closing = True
+                self._release()
+
+    def _release(self) -> None:
+        self._socket.close(linger=_LINGER_MS)
+        self._context.term()
+        os.close(self._wake_fd)
+        self._wake_fd = -1
+
+    def _serve_subscriptions(self) -> None:
+        """Note who wants what; send each retained topic at most once, however many ask at the same time."""
+        asked: set[str] = set()
+        while (prefix := self._next_subscription()) is not None:
+            asked |= {topic for topic in self._retained if topic.encode().startswith(prefix)}
+        for topic in sorted(asked):
+            self._send(topic, self._retained[topic])
+
+    def _next_subscription(self) -> bytes | None:
+        """The prefix of a new subscription (one that fits nothing for other words), None when nothing waits."""
+        try:
+            said = self._socket.recv(zmq.NOBLOCK)
+        except zmq.Again:
+            return None
+        prefix = said[1:]
+        if said[:1] == b"\0":
+            self._prefixes.discard(prefix)
+        elif said[:1] == b"\1" and len(prefix) <= _MAX_PREFIX_BYTES and len(self._prefixes) < _MAX_PREFIXES:
+            self._prefixes.add(prefix)
+            return prefix
+        return b"\xff"
+
+    def _send_waiting(self) -> None:
+        with self._lock:
+            item, self._cloud = self._cloud, None
+            status, self._status = self._status, None
+            lines = list(self._lines)
+            self._lines.clear()
+        if item is not None:
+            self._send_cloud(item)
+        if status is not None:
+            self._status_count += 1
+            self._send_if_wanted("status", lambda: messages.status(self._origin, status, seq=self._status_count))
+        for t_ns, level, logger, text in lines:
+            self._line_count += 1
+            self._send_if_wanted("log", lambda line=(t_ns, level, logger, text): self._line(*line))  # type: ignore[misc]
+
+    def _send_cloud(self, item: CloudItem) -> None:
+        self._send_if_wanted("cloud/full", lambda: messages.full(self._origin, item))
+        self._send_if_wanted("cloud/depth", lambda: messages.depth(self._origin, item))
+        now_ns = self._clock.monotonic_ns()
+        if self._preview_ns is not None and now_ns >= self._preview_due_ns and self.wants("preview"):
+            self._preview_due_ns = now_ns + self._preview_ns
+            from daemon.stream.preview import preview
+
+            self._send_if_wanted("preview", lambda: preview(self._origin, item))
+
+    def _line(self, t_ns: int, level: str, logger: str, text: str) -> Frames:
+        return messages.log(self._origin, seq=self._line_count, t_ns=t_ns, level=level, logger=logger, text=text)
+
+    def _send_if_wanted(self, topic: str, make: Callable[[], Frames]) -> None:
+        """One message that cannot be made must not silence the others; the problem is told in the status."""
+        if not self.wants(topic):
+            return
+        try:
+            frames = make()
+        except Exception as error:
+            if topic not in self._problems:
+                log.exception("cannot put %s together", topic)
+            self._problems[topic] = str(error)
+            return
+        self._problems.pop(topic, None)
+        self._send(topic, frames)
+
+    def _send(self, topic: str, frames: Frames) -> None:
+        self._socket.send_multipart(frames, zmq.NOBLOCK, copy=False)
+        self._sent.add(topic)
+
+
+_OPTIONS = {
+    zmq.XPUB_VERBOSE: 1,
+    zmq.SNDHWM: _SEND_QUEUE,
+    zmq.LINGER: 0,
+    zmq.TCP_KEEPALIVE: 1,
+    zmq.MAXMSGSIZE: 1024,  # subscriptions are short; a longer message disconnects its sender
+}

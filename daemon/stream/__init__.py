@@ -1,0 +1,1 @@
+"""The pieces of the point-cloud stream on the daemon's side."""

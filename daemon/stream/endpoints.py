@@ -1,0 +1,62 @@
+"""Binding the stream's socket: private directories, left-over socket files, free ports."""
+
+from __future__ import annotations
+
+import socket
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from daemon.errors import DaemonError
+from daemon.runtime import prepare_ipc
+
+_MAX_IPC_BYTES = 107  # sun_path of Linux
+
+
+def bind_all(publisher: zmq.Socket[Any], endpoints: Iterable[str]) -> list[str]:
+    """Bind every endpoint; returns them with the ports that ``*`` or 0 became.
+
+    Raises:
+        DaemonError: an endpoint that is taken or not possible.
+    """
+    return [_bind(publisher, endpoint) for endpoint in endpoints]
+
+
+def _bind(publisher: zmq.Socket[Any], endpoint: str) -> str:
+    if endpoint.startswith("ipc://"):
+        prepare_ipc(endpoint)
+        _clear(Path(endpoint.removeprefix("ipc://")), endpoint)
+    if endpoint.startswith("tcp://") and endpoint.endswith(":0"):
+        endpoint = endpoint[:-1] + "*"
+    try:
+        publisher.bind(endpoint)
+    except zmq.ZMQError as error:
+        raise DaemonError(
+            f"stream: cannot bind {endpoint}: {error}; stop what uses it or change stream.endpoints"
+        ) from error
+    bound: bytes = publisher.getsockopt(zmq.LAST_ENDPOINT)  # type: ignore[assignment]
+    return bound.rstrip(b"\0").decode()
+
+
+def _clear(path: Path, endpoint: str) -> None:
+    """Remove the socket file of a daemon that died; one that answers is left alone.
+
+    ZeroMQ itself would take over the file of a living daemon without a word.
+    """
+    if len(str(path).encode()) > _MAX_IPC_BYTES:
+        raise DaemonError(f"stream: the path of {endpoint} is longer than {_MAX_IPC_BYTES} bytes; choose a shorter one")
+    if not path.exists():
+        return
+    if not stat.S_ISSOCK(path.stat().st_mode):
+        raise DaemonError(f"stream: {path} exists and is no socket; remove it or change stream.endpoints")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except OSError:
+            path.unlink(missing_ok=True)
+            return
+    raise DaemonError(f"stream: another daemon already publishes on {endpoint}; stop it or change stream.endpoints")

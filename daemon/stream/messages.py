@@ -1,0 +1,118 @@
+"""What is said on the stream: clouds, meta data, status and log as frames of messages."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.sinks import CloudItem
+from fringed import wire
+from fringed.errors import WireError
+
+Frames = list[Any]
+
+_LOG_CHARACTERS = 500  # up to six bytes each as JSON
+_DEPTH_STEP_MM = 0.005  # far below the noise; coarser only where a cloud is deeper than 327 mm
+_DEPTH_STEPS = 65534  # from 1 to 65535; 0 is unknown
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Who speaks; stands in every header."""
+
+    device: str
+    session: str
+    calibration: str
+
+    def keys(self) -> dict[str, Any]:
+        """As keys of a header."""
+        return {"device": self.device, "session": self.session, "calibration": self.calibration}
+
+
+def full(origin: Origin, item: CloudItem) -> Frames:
+    """``cloud/full``: points, texture and standard deviation, not compressed, not copied."""
+    cloud = item.cloud
+    arrays: dict[str, NDArray[Any]] = {"xyz": cloud.xyz, "gray": cloud.gray, "sigma": cloud.sigma_mm}
+    return wire.encode("cloud/full", _cloud_header(origin, item), arrays)
+
+
+def depth(origin: Origin, item: CloudItem) -> Frames:
+    """``cloud/depth``: z in steps of a few micrometres, compressed."""
+    stored, scale, offset = quantised(item.cloud.xyz[..., 2])
+    row = {"codec": "blosc2", "scale": scale, "offset": offset}
+    return wire.encode("cloud/depth", _cloud_header(origin, item), {"z": stored}, rows={"z": row})
+
+
+def quantised(z: NDArray[np.float32]) -> tuple[NDArray[np.uint16], float, float]:
+    """Depth as uint16 with scale and offset, mm: z = stored * scale + offset; 0 = unknown."""
+    known = np.isfinite(z)
+    least, most = (float(z[known].min()), float(z[known].max())) if known.any() else (0.0, 0.0)
+    scale = max(_DEPTH_STEP_MM, (most - least) / (_DEPTH_STEPS - 1))
+    offset = least - scale
+    steps = np.rint((np.where(known, z, np.float32(least)) - offset) / scale)
+    return np.where(known, np.clip(steps, 1, _DEPTH_STEPS + 1), 0).astype(np.uint16), scale, offset
+
+
+def status(origin: Origin, values: dict[str, Any], *, seq: int) -> Frames:
+    """``status``: the values in ``data`` of the header; the longest are left out if they do not fit."""
+    values = dict(values)
+    left_out: list[str] = []
+    while True:
+        data = values | ({"left_out": left_out} if left_out else {})
+        header = wire.Header(kind="status", seq=seq, t_ns=int(values.get("t_ns", 0)), data=data, **origin.keys())
+        try:
+            return wire.encode("status", header)
+        except WireError:
+            longest = max(values, key=lambda key: len(msgspec.json.encode(values[key])))
+            left_out.append(longest)
+            del values[longest]
+
+
+def log(origin: Origin, *, seq: int, t_ns: int, level: str, logger: str, text: str) -> Frames:
+    """``log``: one line, its beginning if it is long."""
+    data = {"level": level, "logger": logger[:64], "text": text[:_LOG_CHARACTERS]}
+    return wire.encode("log", wire.Header(kind="log", seq=seq, t_ns=t_ns, data=data, **origin.keys()))
+
+
+def retained(
+    origin: Origin, *, calibration: bytes, rays: NDArray[Any], config: dict[str, Any], t_ns: int
+) -> dict[str, Frames]:
+    """The ``meta/`` messages by topic.
+
+    Args:
+        calibration: the bytes of the file; rays: (H, W, 2), so that xyz = z * (rx, ry, 1); config: plain values.
+    """
+    schema = msgspec.json.schema(wire.CloudHeader)
+    return {
+        "meta/calibration": _meta(origin, t_ns, "calibration", _bytes(calibration), media="application/yaml"),
+        "meta/rays": _meta(origin, t_ns, "rays", rays.astype("<f4")),
+        "meta/config": _meta(origin, t_ns, "config", _bytes(_json(config)), media="application/json"),
+        "meta/schema": _meta(origin, t_ns, "schema", _bytes(_json(schema)), media="application/schema+json"),
+    }
+
+
+def _meta(origin: Origin, t_ns: int, name: str, array: NDArray[Any], **row: str) -> Frames:
+    header = wire.Header(kind="meta", t_ns=t_ns, **origin.keys())
+    return wire.encode(f"meta/{name}", header, {name: array}, rows={name: row})
+
+
+def _bytes(data: bytes) -> NDArray[np.uint8]:
+    return np.frombuffer(data, np.uint8)
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, indent=1, default=str).encode()
+
+
+def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
+    height, width = item.cloud.gray.shape
+    valid = item.cloud.points / (width * height)
+    stats = {"valid": round(valid, 4), "latency_ms": round(item.latency_ms, 2), "dropped": item.dropped}
+    return wire.CloudHeader(
+        kind="cloud", seq=item.seq, t_ns=item.t_ns, width=width, height=height, stats=stats, **origin.keys()
+    )

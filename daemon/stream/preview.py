@@ -1,0 +1,64 @@
+"""``preview``: both pictures as JPEG, and the left one's modulation with clipped pixels marked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.sinks import CloudItem
+from daemon.stream.messages import Frames, Origin
+from drivers.protocols import Frame
+from fringed import wire
+
+_QUALITY = 80
+_MARK_BGR = (0, 0, 255)
+_GAIN = 2  # modulation is seldom over half of the range
+_BAYER = {
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
+    "bayer_grbg8": cv2.COLOR_BayerGRBG2BGR,
+    "bayer_gbrg8": cv2.COLOR_BayerGBRG2BGR,
+    "bayer_bggr8": cv2.COLOR_BayerBGGR2BGR,
+}
+
+Picture = NDArray[np.uint8]
+
+
+def preview(origin: Origin, item: CloudItem) -> Frames:
+    """Parts ``left``, ``right`` and ``overlay``, each the bytes of a JPEG file."""
+    height, width = item.left.image.shape[:2]
+    pictures = {"left": shown(item.left), "right": shown(item.right), "overlay": overlay(item)}
+    header = wire.Header(
+        kind="preview", seq=item.seq, t_ns=item.t_ns, data={"width": width, "height": height}, **origin.keys()
+    )
+    rows = {name: {"media": "image/jpeg"} for name in pictures}
+    return wire.encode("preview", header, {name: _jpeg(p) for name, p in pictures.items()}, rows=rows)
+
+
+def shown(frame: Frame) -> Picture:
+    """The picture for the eye: (H, W) or (H, W, 3) uint8, BGR. Only here is a mosaic interpolated."""
+    image: NDArray[Any] = frame.image
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    if frame.encoding in _BAYER:
+        return np.asarray(cv2.cvtColor(image, _BAYER[frame.encoding]), np.uint8)
+    return np.asarray(image[..., ::-1] if image.ndim == 3 else image, np.uint8)
+
+
+def overlay(item: CloudItem) -> Picture:
+    """Modulation of the left picture as brightness, clipped pixels red; (H, W, 3) uint8, BGR."""
+    bright = np.minimum(item.cloud.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
+    out = np.repeat(bright[..., None], 3, axis=2)
+    image: NDArray[Any] = item.left.image
+    clipped = image >= np.iinfo(image.dtype).max
+    out[clipped.any(axis=2) if image.ndim == 3 else clipped] = _MARK_BGR
+    return out
+
+
+def _jpeg(picture: Picture) -> Picture:
+    good, data = cv2.imencode(".jpg", np.ascontiguousarray(picture), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    if not good:
+        raise ValueError(f"OpenCV cannot encode a picture of shape {picture.shape}")
+    return np.asarray(data, np.uint8).reshape(-1)

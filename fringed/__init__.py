@@ -1,0 +1,43 @@
+"""Receive metric point clouds from a fringed daemon.
+
+    from fringed import subscribe
+
+    for cloud in subscribe("tcp://rig:5555"):
+        print(cloud.header.seq, cloud.xyz.shape)
+
+Nothing is imported until it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fringed.client import ReceivedCloud, asubscribe, subscribe
+    from fringed.errors import FringedError, SilenceError, WireError
+
+__all__ = ["FringedError", "ReceivedCloud", "SilenceError", "WireError", "asubscribe", "subscribe"]
+
+_HOMES = {
+    "FringedError": "fringed.errors",
+    "ReceivedCloud": "fringed.client",
+    "SilenceError": "fringed.errors",
+    "WireError": "fringed.errors",
+    "asubscribe": "fringed.client",
+    "subscribe": "fringed.client",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first asked for."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'fringed' has no attribute {name!r}; it has {', '.join(__all__)}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)
