@@ -34,8 +34,7 @@ class PartReader:
         path: of the file.
 
     Raises:
-        TakeError: a file that is no recording of ours or of a version that is not known.
-        OSError: a file that cannot be opened.
+        TakeError: a file that cannot be read, is no recording of ours, or is of a version that is not known.
     """
 
     def __init__(self, path: Path) -> None:
@@ -43,18 +42,24 @@ class PartReader:
         self.problems: list[str] = []
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, str] = {}
-        self._file = path.open("rb")
+        try:
+            self._file = path.open("rb")
+        except OSError as error:
+            raise TakeError(f"{path}: {error.strerror or error}") from error
         try:
             self.survey: Survey = survey(self._file)
             self._read_small()
         except DamageError as error:
             self.close()
             raise TakeError(f"{path}: {error}") from error
+        except OSError as error:
+            self.close()
+            raise TakeError(f"{path}: {error.strerror or error}") from error
         except BaseException:
             self.close()
             raise
         if self.survey.problem:
-            self._complain(self.survey.problem)
+            self.complain(self.survey.problem)
 
     def close(self) -> None:
         """Close the file."""
@@ -72,7 +77,7 @@ class PartReader:
                     if frame is not None:
                         yield frame, Where(place, at)
             except DamageError as error:
-                self._complain(f"damaged at byte {place.offset}: {error}")
+                self.complain(f"damaged at byte {place.offset}: {error}")
 
     def frame_at(self, where: Where) -> Frame | None:
         """One frame again, or None if it cannot be read any more."""
@@ -86,7 +91,7 @@ class PartReader:
         try:
             return chunks.load(self._file, place)
         except DamageError as error:
-            self._complain(f"damaged at byte {place.offset}: {error}; its frames are left out")
+            self.complain(f"damaged at byte {place.offset}: {error}; its frames are left out")
             return None
         except OSError as error:
             raise TakeError(f"{self.path}: byte {place.offset}: {error}") from error
@@ -98,7 +103,7 @@ class PartReader:
         try:
             picture = decode(message.data)
         except ImageError as error:
-            self._complain(f"damaged at byte {place.offset}: {side} picture {message.sequence}: {error}")
+            self.complain(f"damaged at byte {place.offset}: {side} picture {message.sequence}: {error}")
             return None
         return Frame(side, message.sequence, message.publish_ns, message.log_ns, picture.encoding, picture.image)
 
@@ -106,7 +111,7 @@ class PartReader:
         """Which camera a channel is of; None for channels of other things."""
         channel = self.survey.channels.get(channel_id)
         if channel is None:
-            self._complain(f"damaged at byte {place.offset}: channel {channel_id} is not described")
+            self.complain(f"damaged at byte {place.offset}: channel {channel_id} is not described")
             return None
         side = _TOPICS.get(channel.topic)
         if side is None:
@@ -127,11 +132,12 @@ class PartReader:
                 elif (record := Metadata.parse(content)).name == "fringed":
                     self.metadata = record.values
             except DamageError as error:
-                self._complain(f"damaged at byte {place.offset}: {error}")
+                self.complain(f"damaged at byte {place.offset}: {error}")
         version = self.metadata.get("version", VERSION)
         if version != VERSION:
             raise TakeError(f"{self.path}: a take of version {version!r:.20}, this program reads version {VERSION}")
 
-    def _complain(self, problem: str) -> None:
+    def complain(self, problem: str) -> None:
+        """Note what is wrong, once."""
         if len(self.problems) < _MAX_PROBLEMS and problem not in self.problems:
             self.problems.append(problem)

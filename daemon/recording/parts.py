@@ -1,9 +1,12 @@
-"""The names of a take's files: ``take.mcap``, then ``take_part002.mcap`` and so on; ``.partial`` while being written."""
+"""The names of a take's files: ``take.mcap``, then ``take_part002.mcap`` and so on; ``.partial`` while written."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from daemon.recording.errors import TakeError
+
+CALIBRATION, PATTERN, VOLUME, RIG = "calibration.yaml", "pattern.json", "volume.json", "rig.yaml"
 PARTIAL = ".partial"
 _MAX_PARTS = 10_000
 
@@ -14,10 +17,12 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def of_take(path: Path) -> list[Path]:
-    """The existing files of a take in order, given its first; the last may be unfinished.
+    """The existing files of a take in order, given its first or their directory; the last may be unfinished.
 
     Any other file is a take of its own.
     """
+    if path.is_dir():
+        return _of_directory(path)
     first = path.with_name(path.name.removesuffix(PARTIAL))
     found = [path]
     for number in range(2, _MAX_PARTS):
@@ -30,3 +35,10 @@ def of_take(path: Path) -> list[Path]:
         else:
             break
     return found
+
+
+def _of_directory(directory: Path) -> list[Path]:
+    files = sorted(file for file in directory.iterdir() if file.name.endswith((".mcap", f".mcap{PARTIAL}")))
+    if not files:
+        raise TakeError(f"{directory}: no .mcap file in this directory")
+    return files

@@ -28,6 +28,10 @@ SIDE_LIMIT = 1 << 15
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
+class ImageError(TakeError):
+    """A message that is no picture, or a picture that no message can carry."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RawImage:
     """A picture as the sensor gave it.
@@ -44,11 +48,11 @@ class RawImage:
 
 
 def encode(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> bytes:
-    """The message of a picture; TakeError when picture and encoding contradict each other."""
+    """The message of a picture; ImageError when picture and encoding contradict each other."""
     dtype, channels = _encoding(encoding)
     shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
     if image.shape != shape or image.dtype != np.dtype(dtype).newbyteorder("="):
-        raise TakeError(f"{frame_id} picture: {image.dtype} {image.shape} does not fit the encoding {encoding}")
+        raise ImageError(f"{frame_id} picture: {image.dtype} {image.shape} does not fit the encoding {encoding}")
     height, width = image.shape[:2]
     step = width * channels * np.dtype(dtype).itemsize
     seconds, nanos = divmod(t_ns, 10**9)
@@ -63,7 +67,7 @@ def decode(data: bytes | memoryview) -> RawImage:
     """The picture of a message, a read-only view of ``data`` wherever its rows are not padded.
 
     Raises:
-        TakeError: bytes that are not a RawImage, or sizes that contradict each other.
+        ImageError: bytes that are not a RawImage, or sizes that contradict each other.
     """
     try:
         fields = _fields(memoryview(data))
@@ -73,7 +77,7 @@ def decode(data: bytes | memoryview) -> RawImage:
         t_ns = int(stamp.get(1, 0)) * 10**9 + int(stamp.get(2, 0))
         pixels = memoryview(fields.get(6, b""))
     except (IndexError, struct.error, UnicodeDecodeError, TypeError, ValueError) as error:
-        raise TakeError(f"not a RawImage message: {error}") from error
+        raise ImageError(f"not a RawImage message: {error}") from error
     return RawImage(t_ns, frame_id, encoding, _view(pixels, encoding, *sizes))
 
 
@@ -82,11 +86,11 @@ def _view(pixels: memoryview, encoding: str, width: int, height: int, step: int)
     item = np.dtype(dtype).itemsize
     row = width * channels * item
     if not (0 < width <= SIDE_LIMIT and 0 < height <= SIDE_LIMIT):
-        raise TakeError(f"picture of {width} x {height} pixels: each side must be 1 to {SIDE_LIMIT}")
+        raise ImageError(f"picture of {width} x {height} pixels: each side must be 1 to {SIDE_LIMIT}")
     if step < row:
-        raise TakeError(f"picture rows of {step} bytes cannot hold {width} pixels of {encoding} ({row} bytes)")
+        raise ImageError(f"picture rows of {step} bytes cannot hold {width} pixels of {encoding} ({row} bytes)")
     if not step * (height - 1) + row <= len(pixels) <= step * height:
-        raise TakeError(f"picture of {len(pixels)} bytes, expected {height} rows of {step} bytes")
+        raise ImageError(f"picture of {len(pixels)} bytes, expected {height} rows of {step} bytes")
     shape = (height, width) if channels == 1 else (height, width, channels)
     strides = (step, item) if channels == 1 else (step, item * channels, item)
     image: Any = np.ndarray(shape, dtype=dtype, buffer=pixels, strides=strides)
@@ -99,7 +103,7 @@ def _view(pixels: memoryview, encoding: str, width: int, height: int, step: int)
 
 def _encoding(encoding: str) -> tuple[str, int]:
     if encoding not in ENCODINGS:
-        raise TakeError(f"picture encoding {encoding[:40]!r} is not one of {', '.join(ENCODINGS)}")
+        raise ImageError(f"picture encoding {encoding[:40]!r} is not one of {', '.join(ENCODINGS)}")
     return ENCODINGS[encoding]
 
 

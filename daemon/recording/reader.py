@@ -14,14 +14,30 @@ from daemon.pattern_file import parse_pattern, parse_volume
 from daemon.recording import parts
 from daemon.recording.errors import TakeError
 from daemon.recording.part_reader import PartReader, Where
-from daemon.sinks import PairItem
+from daemon.recording.parts import CALIBRATION, PATTERN, VOLUME
+from daemon.recording.raw_image import Pixels
 from drivers.protocols import Frame, Side
 from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
 
-CALIBRATION, PATTERN, VOLUME, RIG = "calibration.yaml", "pattern.json", "volume.json", "rig.yaml"
 WAITING_FRAMES = 16
 """Frames that are kept in memory while their partner has not come; older ones are read again when it does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakePair:
+    """Two raw pictures of one exposure.
+
+    Args:
+        sequence: number of the trigger; t_ns: start of exposure of the left camera.
+        left, right: (H, W) or (H, W, 3), uint8 or uint16, read-only, both in ``encoding``.
+    """
+
+    sequence: int
+    left: Pixels
+    right: Pixels
+    t_ns: int
+    encoding: str
 
 
 @dataclass(slots=True)
@@ -120,6 +136,16 @@ class TakeReader:
             raise TakeError(f"{self.path}: no readable attachment {name}; attached is {there}")
         return data, f"{self.path}:{name}"
 
+    @property
+    def summary(self) -> Counts:
+        """The counts of the last walk."""
+        return self.counts
+
+    @property
+    def truncated_at(self) -> int | None:
+        """First byte that is lost, of the first part that has no end; None for a take whose parts all have one."""
+        return next((part.survey.readable_to for part in self._parts if not part.survey.whole), None)
+
     def frames(self, progress: Callable[[int], Any] | None = None) -> Iterator[Frame]:
         """Every frame in the order of the files, double ones and lone ones included.
 
@@ -130,7 +156,7 @@ class TakeReader:
         for frame, _ in self._walk(progress):
             yield frame
 
-    def pairs(self, progress: Callable[[int], Any] | None = None) -> Iterator[PairItem]:
+    def pairs(self, progress: Callable[[int], Any] | None = None) -> Iterator[TakePair]:
         """Every pair, as soon as its second frame is read; left and right may come in any order.
 
         A second frame of the same number and side is counted and ignored; so are frames without a partner.
@@ -171,7 +197,7 @@ class _Matcher:
         self._waiting: OrderedDict[tuple[Side, int], Where] = OrderedDict()
         self._held: OrderedDict[tuple[Side, int], Frame] = OrderedDict()
 
-    def match(self, frame: Frame, where: Where) -> PairItem | None:
+    def match(self, frame: Frame, where: Where) -> TakePair | None:
         """The pair that this frame completes."""
         if frame.trigger in self._seen[frame.side]:
             self._counts.duplicates[frame.side] += 1
@@ -187,8 +213,13 @@ class _Matcher:
         if partner is None:
             self._counts.unpaired[frame.side] += 1
             return None
+        left, right = (frame, partner) if frame.side == "left" else (partner, frame)
+        if left.encoding != right.encoding:
+            self._part.complain(f"pair {left.trigger}: {left.encoding} on the left, {right.encoding} on the right")
+            self._counts.unpaired.update(("left", "right"))
+            return None
         self._counts.pairs += 1
-        return PairItem(frame, partner) if frame.side == "left" else PairItem(partner, frame)
+        return TakePair(left.trigger, left.image, right.image, left.t_exposure_ns, left.encoding)
 
     def _wait(self, frame: Frame, where: Where) -> None:
         key = (frame.side, frame.trigger)

@@ -133,7 +133,8 @@ class Message:
         """From the content of the record."""
         if len(data) < 22:
             raise DamageError(f"a message of {len(data)} bytes")
-        return cls(*struct.unpack_from("<HIQQ", data), data[22:])
+        channel_id, sequence, log_ns, publish_ns = struct.unpack_from("<HIQQ", data)
+        return cls(channel_id, sequence, log_ns, publish_ns, data[22:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

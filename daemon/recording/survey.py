@@ -1,4 +1,4 @@
-"""Where everything lies in an MCAP file: by its index if that is sound, else by walking from the start to the damage."""
+"""Where everything lies in an MCAP file: by its index if that is sound, else by walking up to the damage."""
 
 from __future__ import annotations
 
