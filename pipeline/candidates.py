@@ -7,7 +7,7 @@ periods leaves a residual of 2 pi frac(m rho), rho = baseline left-right over ba
 
 from __future__ import annotations
 
-from math import atan2, exp, floor, pi
+from math import atan2, exp, floor, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -56,9 +56,9 @@ def shift_of(correction: Any, along: float, across: float) -> float:
 
 
 @serial
-def first_order(along: Any, phi: float, phases: Any, correction: Any, across: float) -> tuple[int, int]:
+def first_order(along: Any, limits: Any, phi: float, phases: Any, correction: Any, across: float) -> tuple[int, int]:
     """First order and number of orders whose projector coordinate lies in the volume."""
-    u0, u1 = ratio(along, 0.0), ratio(along, 1.0)
+    u0, u1 = ratio(along, limits[0]), ratio(along, limits[1])
     low, high = min(u0, u1), max(u0, u1)
     low += shift_of(correction, low, across)
     high += shift_of(correction, high, across)
@@ -75,33 +75,38 @@ def first_order(along: Any, phi: float, phases: Any, correction: Any, across: fl
 @serial
 def cost_at(
     x: float, y: float, phasor: Any, equalized: Any, mean: Any, here: Any, here_eq: Any, here_mean: float,
-    floor_sq: float, inv_two_var: float, texture: float,
+    floor_sq: float, inv_two_var: float, texture: float, slope_x: float, slope_y: float,
 ) -> float:  # fmt: skip
     """Cost 0 .. about 1.6 of seeing this pixel at (x, y) of the other picture; UNSEEN outside or without fringes."""
     height, width = mean.shape
     if not (x >= 1.0 and y >= 1.0 and x < width - 2.0 and y < height - 2.0):
         return UNSEEN
-    i, j = int(y), int(x)
-    b, a = y - i, x - j
-    w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    p = w00 * phasor[i, j] + w01 * phasor[i, j + 1] + w10 * phasor[i + 1, j] + w11 * phasor[i + 1, j + 1]
+    # The nearest pixel, its phase carried on by the expected slope: the rest of the slope times half a pixel is small.
+    i, j = int(y + 0.5), int(x + 0.5)
+    p, e, m = phasor[i, j], equalized[i, j], mean[i, j]
     if p.real * p.real + p.imag * p.imag < floor_sq:
         return UNSEEN
-    e = w00 * equalized[i, j] + w01 * equalized[i, j + 1] + w10 * equalized[i + 1, j] + w11 * equalized[i + 1, j + 1]
-    m = w00 * mean[i, j] + w01 * mean[i, j + 1] + w10 * mean[i + 1, j] + w11 * mean[i + 1, j + 1]
-    plain = atan2(here.imag * p.real - here.real * p.imag, here.real * p.real + here.imag * p.imag)
-    equal = atan2(here_eq.imag * e.real - here_eq.real * e.imag, here_eq.real * e.real + here_eq.imag * e.imag)
-    phase = 1.0 - 0.5 * (exp(-plain * plain * inv_two_var) + exp(-equal * equal * inv_two_var))
+    turn = slope_x * (x - j) + slope_y * (y - i)
+    s = turn * (1.0 - turn * turn * (1.0 / 6.0))
+    c = 1.0 - 0.5 * turn * turn * (1.0 - turn * turn * (1.0 / 12.0))
+    p = complex(p.real * c - p.imag * s, p.imag * c + p.real * s)
+    e = complex(e.real * c - e.imag * s, e.imag * c + e.real * s)
+    # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
+    size = sqrt((p.real * p.real + p.imag * p.imag) * (here.real * here.real + here.imag * here.imag)) + 1e-12
+    plain = 2.0 - 2.0 * (here.real * p.real + here.imag * p.imag) / size
+    size = sqrt((e.real * e.real + e.imag * e.imag) * (here_eq.real * here_eq.real + here_eq.imag * here_eq.imag))
+    equal = 2.0 - 2.0 * (here_eq.real * e.real + here_eq.imag * e.imag) / (size + 1e-12)
+    phase = 1.0 - 0.5 * (exp(-plain * inv_two_var) + exp(-equal * inv_two_var))
     return phase + texture * min(abs(here_mean - m) / (here_mean + m + 8.0), 0.4)
 
 
 @parallel
 def candidate_costs(
-    rows: Any, columns: Any, along: Any, across: Any, other_u: Any, other_v: Any,
+    rows: Any, columns: Any, along: Any, across: Any, other_u: Any, other_v: Any, limits: Any,
     phasor: Any, equalized: Any, mean: Any, valid: Any,
     other_phasor: Any, other_equalized: Any, other_mean: Any,
     table: Any, phases: Any, correction: Any, extent: float, labels: int,
-    floor_sq: float, cost_sigma: float, texture: float,
+    floor_sq: float, cost_sigma: float, texture: float, slope_x: float, slope_y: float,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Costs of all candidates of all lattice pixels.
 
@@ -128,7 +133,7 @@ def candidate_costs(
             bias = phi_e - phi
             bias -= _TWO_PI * np.rint(bias / _TWO_PI)
             row = ratio(across[a, b], 0.5)
-            k0, n = first_order(along[a, b], phi, phases, correction, row)
+            k0, n = first_order(along[a, b], limits[a, b], phi, phases, correction, row)
             n = min(n, labels)
             first[a, b], count[a, b] = k0, n
             for k in range(n):
@@ -136,7 +141,7 @@ def candidate_costs(
                 costs[a, b, k] = candidate_cost(
                     absolute, absolute + bias, along[a, b], across[a, b], other_u[a, b], other_v[a, b], p, e,
                     mean[i, j], other_phasor, other_equalized, other_mean, table, correction, extent, row,
-                    floor_sq, inv, texture,
+                    floor_sq, inv, texture, slope_x, slope_y,
                 )  # fmt: skip
     return costs, first, count
 
@@ -146,6 +151,7 @@ def candidate_cost(
     absolute: float, absolute_eq: float, along: Any, across: Any, other_u: Any, other_v: Any, here: Any, here_eq: Any,
     here_mean: float, other_phasor: Any, other_equalized: Any, other_mean: Any, table: Any, correction: Any,
     extent: float, row: float, floor_sq: float, inv: float, texture: float,
+    slope_x: float, slope_y: float,
 ) -> float:  # fmt: skip
     """Cost of one absolute phase of one pixel."""
     # The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces.
@@ -160,5 +166,5 @@ def candidate_cost(
         return 4.0
     return cost_at(
         ratio(other_u, s), ratio(other_v, s), other_phasor, other_equalized, other_mean, here, here_eq, here_mean,
-        floor_sq, inv, texture,
+        floor_sq, inv, texture, slope_x, slope_y,
     )  # fmt: skip

@@ -66,8 +66,10 @@ class Reconstructor:
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
         self._left = View.of(calibration, pattern, volume, self.settings, calibration.left_color, mosaic)
-        self._right = View.of(swapped, pattern, _volume_of_right(calibration, volume), self.settings,
-                              calibration.right_color, mosaic)  # fmt: skip
+        self._right = View.of(
+            swapped, pattern, _volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
+            inside=(swapped.right, volume),
+        )  # fmt: skip
         self._rays = calibration.left.rays().astype(np.float32)
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
@@ -117,7 +119,7 @@ class Reconstructor:
         best, least = 0.0, np.inf
         for offset in self_calibration.offsets_to_try(self.settings.self_calibration_range):
             trial = np.array([offset, 0.0, 0.0])
-            costs, _, count = self._left.costs(left, right, trial, self._labels, every=8)
+            costs, _, count = self._left.costs(left, right, trial, self._labels, self._right.slopes, every=8)
             cost = self_calibration.mean_best_cost(costs, count)
             if cost < least - 1e-6:
                 best, least = float(offset), cost
@@ -134,8 +136,11 @@ class Reconstructor:
     def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W)."""
         decided = []
-        for view, here, there in ((self._left, left, right), (self._right, right, left)):
-            costs, first, count = view.costs(here, there, self.correction, self._labels)
+        for view, other, here, there in (
+            (self._left, self._right, left, right),
+            (self._right, self._left, right, left),
+        ):
+            costs, first, count = view.costs(here, there, self.correction, self._labels, other.slopes)
             watch.lap("candidates")
             decided.append(view.decide(here, costs, first, count))
             watch.lap("aggregation")

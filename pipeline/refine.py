@@ -22,22 +22,59 @@ _COHERENCE = 0.4
 
 
 @serial
-def _sample(phasor: Any, x: float, y: float) -> tuple[float, float, float]:
-    """Real and imaginary part of the interpolated phasor, and its coherence (1: neighbours agree, 0: they cancel)."""
+def _inside(phasor: Any, x: float, y: float) -> bool:
     height, width = phasor.shape
-    if not (x >= 1.0 and y >= 1.0 and x < width - 2.0 and y < height - 2.0):
-        return 0.0, 0.0, 0.0
-    i, j = int(y), int(x)
+    return x >= 1.0 and y >= 1.0 and x < width - 2.0 and y < height - 2.0
+
+
+@serial
+def _sample(phasor: Any, x: float, y: float) -> tuple[float, float]:
+    """Real and imaginary part of the phasor, bilinear; 0 outside."""
+    if not _inside(phasor, x, y):
+        return 0.0, 0.0
+    i, j = np.uint32(y), np.uint32(x)
     b, a = y - i, x - j
     w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    p00, p01, p10, p11 = phasor[i, j], phasor[i, j + 1], phasor[i + 1, j], phasor[i + 1, j + 1]
+    p00, p01 = phasor[i, j], phasor[i, j + np.uint32(1)]
+    p10, p11 = phasor[i + np.uint32(1), j], phasor[i + np.uint32(1), j + np.uint32(1)]
     re = w00 * p00.real + w01 * p01.real + w10 * p10.real + w11 * p11.real
     im = w00 * p00.imag + w01 * p01.imag + w10 * p10.imag + w11 * p11.imag
-    size = (
-        w00 * sqrt(p00.real * p00.real + p00.imag * p00.imag) + w01 * sqrt(p01.real * p01.real + p01.imag * p01.imag)
-        + w10 * sqrt(p10.real * p10.real + p10.imag * p10.imag) + w11 * sqrt(p11.real * p11.real + p11.imag * p11.imag)
-    )  # fmt: skip
-    return re, im, sqrt(re * re + im * im) / (size + 1e-9)
+    return re, im
+
+
+@serial
+def _coherent(phasor: Any, x: float, y: float, floor_sq: float) -> bool:
+    """Whether the four neighbours agree in phase and are modulated enough: else (x, y) lies on a break."""
+    re, im = _sample(phasor, x, y)
+    if re * re + im * im < floor_sq:
+        return False
+    i, j = int(y), int(x)
+    b, a = y - i, x - j
+    size = 0.0
+    for di in range(2):
+        for dj in range(2):
+            p = phasor[i + di, j + dj]
+            w = (b if di else 1 - b) * (a if dj else 1 - a)
+            size += w * sqrt(p.real * p.real + p.imag * p.imag)
+    return re * re + im * im > _COHERENCE * _COHERENCE * size * size
+
+
+@serial
+def _angle(c: float, s: float) -> float:
+    """Angle of (c, s); a short series where it is small, which is nearly always."""
+    if abs(s) < 0.3 * c:
+        t = s / c
+        q = t * t
+        return t * (1.0 - q * (1.0 / 3.0 - q * (0.2 - q * (1.0 / 7.0 - q * (1.0 / 9.0)))))
+    return atan2(s, c)
+
+
+@serial
+def _slope(phasor: Any, x: float, y: float, hx: float, hy: float) -> float:
+    """Change of the phase from (x, y) - (hx, hy) to (x, y) + (hx, hy), radians."""
+    ar, ai = _sample(phasor, x - hx, y - hy)
+    br, bi = _sample(phasor, x + hx, y + hy)
+    return atan2(ar * bi - ai * br, ar * br + ai * bi)
 
 
 @serial
@@ -106,38 +143,34 @@ def refine(
             if not (speed > 1e-6 and speed < 1e7):
                 continue
             hx, hy = 0.6 * ex / speed, 0.6 * ey / speed
-            ar, ai, _ = _sample(other_phasor, x - hx, y - hy)
-            br, bi, _ = _sample(other_phasor, x + hx, y + hy)
-            slope = atan2(ar * bi - ai * br, ar * br + ai * bi) / 1.2 * speed
+            slope = _slope(other_phasor, x, y, hx, hy) / 1.2 * speed
             if not abs(slope) > 1e-9:
                 continue
-            found = False
-            start = s
+            # Iterate on the curve's tangent, then correct once on the curve itself.
+            start, x0, y0 = s, x, y
             f = 0.0
-            for _ in range(_STEPS):
-                pr, pi_, coherent = _sample(other_phasor, x, y)
-                if pr * pr + pi_ * pi_ < floor_sq or coherent < _COHERENCE:
-                    found = False
-                    break
-                f = atan2(pi_ * here.real - pr * here.imag, pr * here.real + pi_ * here.imag)
+            for step in range(_STEPS):
+                pr, pi_ = _sample(other_phasor, x, y)
+                f = _angle(pr * here.real + pi_ * here.imag, pi_ * here.real - pr * here.imag)
                 s -= f / slope
-                z = 1.0 / (base + span * s)
-                x, y = project(device, rx * z, ry * z, z)
-                if abs(f) < 2e-4 * abs(slope) / speed + 1e-5:
-                    found = True
+                x, y = x0 + ex * (s - start), y0 + ey * (s - start)
+                if abs(f) < 0.01:
                     break
                 # Slow convergence means the slope is not that of the surface here: measure it again.
-                ar, ai, _ = _sample(other_phasor, x - hx, y - hy)
-                br, bi, _ = _sample(other_phasor, x + hx, y + hy)
-                slope = atan2(ar * bi - ai * br, ar * br + ai * bi) / 1.2 * speed
-                if not abs(slope) > 1e-9:
-                    break
-            if not found and not abs(f) < 0.1:
+                if step > 0 or abs(f) > 0.5:
+                    slope = _slope(other_phasor, x, y, hx, hy) / 1.2 * speed
+                    if not abs(slope) > 1e-9:
+                        break
+            if not abs(f) < 0.1 or not (s > -0.02 and s < 1.02) or abs(s - start) * abs(slope) > 3.0:
                 continue
-            if not (s > -0.02 and s < 1.02) or abs(s - start) * abs(slope) > 3.0:
-                continue
-            pr, pi_, coherent = _sample(other_phasor, x, y)
-            if coherent < _COHERENCE or pr * pr + pi_ * pi_ < floor_sq:
+            z = 1.0 / (base + span * s)
+            x, y = project(device, rx * z, ry * z, z)
+            pr, pi_ = _sample(other_phasor, x, y)
+            f = _angle(pr * here.real + pi_ * here.imag, pi_ * here.real - pr * here.imag)
+            s -= f / slope
+            z = 1.0 / (base + span * s)
+            x, y = x - ex * f / slope, y - ey * f / slope
+            if not _inside(other_phasor, x, y) or not _coherent(other_phasor, x, y, floor_sq):
                 continue
             depth[i, j] = z
             match[i, j, 0], match[i, j, 1] = x, y

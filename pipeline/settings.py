@@ -23,7 +23,7 @@ class Settings:
     -1: 1 for three chips, 2 for a mosaic."""
     window_sigma: float = 1.0
     """Width of the Gaussian weights of that window, pixels."""
-    lattice_x: int = 2
+    lattice_x: int = 3
     """Step of the order search along the fringes' direction of growth, pixels."""
     lattice_y: int = 3
     """Step of the order search across it, pixels."""

@@ -38,6 +38,7 @@ class RayTable:
         along: projector coordinate along which the phase grows.
         across: the other projector coordinate.
         other_u, other_v: pixel in the other camera.
+        limits: (h, w, 2) float32, the least and the largest s of the ray inside the measuring volume.
     """
 
     rows: NDArray[np.int32]
@@ -46,6 +47,7 @@ class RayTable:
     across: F32
     other_u: F32
     other_v: F32
+    limits: F32
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +68,21 @@ class DepthScale:
 
 
 def ray_table(
-    calibration: Calibration, depth: DepthScale, *, axis: str, step: tuple[int, int], margin: int = 3
+    calibration: Calibration,
+    depth: DepthScale,
+    *,
+    axis: str,
+    step: tuple[int, int],
+    margin: int = 3,
+    inside: tuple[CameraModel, Volume] | None = None,
 ) -> RayTable:
-    """Tables of the calibration's left camera (pass ``calibration.swapped()`` for the right one)."""
+    """Tables of the calibration's left camera (pass ``calibration.swapped()`` for the right one).
+
+    Args:
+        step: of the lattice, (x, y) pixels; margin: pixels left out at the border.
+        inside: the camera whose z axis the measuring volume is given along, and the volume; None = this camera's own,
+            the whole range of s.
+    """
     width, height = calibration.left.size
     rows = np.arange(margin, height - margin, step[1], dtype=np.int32)
     columns = np.arange(margin, width - margin, step[0], dtype=np.int32)
@@ -86,7 +100,21 @@ def ray_table(
         across=_homography([p[..., 1 - first] for p in projector], "projector"),
         other_u=_homography([p[..., 0] for p in other], "other camera"),
         other_v=_homography([p[..., 1] for p in other], "other camera"),
+        limits=_limits(direction, depth, inside),
     )
+
+
+def _limits(direction: F64, depth: DepthScale, inside: tuple[CameraModel, Volume] | None) -> F32:
+    """(h, w, 2) range of s in which a ray's points lie in the volume."""
+    whole = np.broadcast_to(np.array([0.0, 1.0]), (*direction.shape[:2], 2))
+    if inside is None:
+        return whole.astype(np.float32)
+    camera, volume = inside
+    # A point of the ray is direction / w; along the other camera's axis z = (r3 . direction) / w + t3.
+    slope = direction @ camera.rotation[2]
+    w = [slope / (z - camera.translation[2]) for z in (volume.far_mm, volume.near_mm)]
+    s = np.sort((np.stack(w, axis=-1) - depth.base) / depth.span, axis=-1)
+    return np.clip(s, 0.0, 1.0).astype(np.float32)
 
 
 def _homography(values: list[F64], name: str) -> F32:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline import aggregate, candidates, propagate
 from pipeline.calibration import Calibration, ColorModel
+from pipeline.camera_model import CameraModel
 from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
 from pipeline.phase import Decoder, PhaseMap
@@ -48,20 +49,21 @@ class View:
     @staticmethod
     def of(
         calibration: Calibration, pattern: ColorFringe, volume: Volume, settings: Settings, color: ColorModel,
-        mosaic: NDArray[np.int64] | None,
+        mosaic: NDArray[np.int64] | None, inside: tuple[CameraModel, Volume] | None = None,
     ) -> View:  # fmt: skip
         """Build the tables of the calibration's left camera."""
         axis = pattern.axis
         depth = DepthScale.of(volume)
         period = period_in_picture(calibration, depth, axis=axis, period=pattern.length / pattern.periods)
         step = (settings.lattice_x, settings.lattice_y)
-        table = ray_table(calibration, depth, axis=axis, step=step if axis == "x" else step[::-1])
+        table = ray_table(calibration, depth, axis=axis, step=step if axis == "x" else step[::-1], inside=inside)
         sign = _growth(calibration, depth, axis)
         slope = sign * 2 * np.pi / period
         slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
         decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings)
         along = table.along.astype(np.float64)
-        near, far = (along[..., 0] + along[..., 1]) / (1 + along[..., 2]), along[..., 0]
+        limits = table.limits.astype(np.float64)
+        far, near = ((along[..., 0] + along[..., 1] * s) / (1 + along[..., 2] * s) for s in np.moveaxis(limits, -1, 0))
         phases = pattern.phase
         across_volume = np.abs(np.interp(near, np.arange(len(phases)), phases)
                                - np.interp(far, np.arange(len(phases)), phases))  # fmt: skip
@@ -78,15 +80,21 @@ class View:
         return self.decoder.decode(image)
 
     def costs(
-        self, here: PhaseMap, there: PhaseMap, correction: F64, labels: int, every: int = 1
+        self,
+        here: PhaseMap,
+        there: PhaseMap,
+        correction: F64,
+        labels: int,
+        slopes: tuple[float, float],
+        every: int = 1,
     ) -> tuple[Any, Any, Any]:
-        """Costs, first orders and counts of the lattice's candidates (of every n-th row)."""
+        """Costs, first orders and counts of the lattice's candidates (of every n-th row); slopes of the other view."""
         t, rows = self.table, slice(None, None, every)
         return candidates.candidate_costs(
-            t.rows[rows], t.columns, t.along[rows], t.across[rows], t.other_u[rows], t.other_v[rows],
+            t.rows[rows], t.columns, t.along[rows], t.across[rows], t.other_u[rows], t.other_v[rows], t.limits[rows],
             here.phasor, here.equalized, here.mean, here.valid, there.phasor, there.equalized, there.mean,
             self.columns, self.phases, correction, self.extent, labels,
-            self.settings.min_modulation**2, self.settings.cost_sigma, self.settings.texture_weight,
+            self.settings.min_modulation**2, self.settings.cost_sigma, self.settings.texture_weight, *slopes,
         )  # fmt: skip
 
     def decide(self, here: PhaseMap, costs: Any, first: Any, count: Any) -> NDArray[np.int16]:

@@ -107,17 +107,18 @@ def _slopes(phasor: Any, i: int, j: int, nominal: Any, agreeing: float) -> tuple
 def _turns(cx: float, sx: float, cy: float, sy: float, radius: int, cosines: Any, sines: Any) -> None:
     """Fill cos D and sin D for all offsets of the window."""
     n = 2 * radius + 1
-    for a in range(n):
+    cosines[radius, radius], sines[radius, radius] = 1.0, 0.0
+    for k in range(radius):
+        c, s = cosines[radius, radius + k], sines[radius, radius + k]
+        cosines[radius, radius + k + 1], sines[radius, radius + k + 1] = c * cx - s * sx, s * cx + c * sx
+        cosines[radius, radius - k - 1] = cosines[radius, radius + k + 1]
+        sines[radius, radius - k - 1] = -sines[radius, radius + k + 1]
+    for k in range(radius):
         for b in range(n):
-            c, s = 1.0, 0.0
-            for _ in range(abs(b - radius)):
-                t = sx if b > radius else -sx
-                c, s = c * cx - s * t, s * cx + c * t
-            for _ in range(abs(a - radius)):
-                t = sy if a > radius else -sy
-                c, s = c * cy - s * t, s * cy + c * t
-            cosines[a, b] = c
-            sines[a, b] = s
+            c, s = cosines[radius + k, b], sines[radius + k, b]
+            cosines[radius + k + 1, b], sines[radius + k + 1, b] = c * cy - s * sy, s * cy + c * sy
+            c, s = cosines[radius - k, b], sines[radius - k, b]
+            cosines[radius - k - 1, b], sines[radius - k - 1, b] = c * cy + s * sy, s * cy - c * sy
 
 
 @serial
@@ -176,7 +177,7 @@ def _smooth_pixel(
     """Mean of the window's phasors, each turned back to the centre; A and the angle's variance with it."""
     radius = weights.shape[0] // 2
     centre = phasor[i, j]
-    limit = CONSISTENT * sqrt(centre.real * centre.real + centre.imag * centre.imag)
+    limit = CONSISTENT * CONSISTENT * (centre.real * centre.real + centre.imag * centre.imag)
     sum_w = sum_c = sum_s = sum_a = sum_v = 0.0
     for a in range(-radius, radius + 1):
         for b in range(-radius, radius + 1):
@@ -186,8 +187,8 @@ def _smooth_pixel(
             cd, sd = cosines[a + radius, b + radius], sines[a + radius, b + radius]
             c = other.real * cd + other.imag * sd
             s = other.imag * cd - other.real * sd
-            size = sqrt(c * c + s * s)
-            if c * centre.real + s * centre.imag < limit * size:
+            dot = c * centre.real + s * centre.imag
+            if dot < 0.0 or dot * dot < limit * (c * c + s * s):
                 continue
             w = weights[a + radius, b + radius]
             sum_w += w
