@@ -19,6 +19,7 @@ from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError
 
 SIZE_LIMIT = 4 << 20
+VALUES_LIMIT = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,8 +125,19 @@ def _load(data: bytes, name: str) -> dict[str, Any]:
         raise CalibrationError(f"{name}: not YAML: {' '.join(str(error).split())}") from error
     except RecursionError as error:
         raise CalibrationError(f"{name}: nested too deeply for a calibration") from error
+    if _unfolded(mapping, {}) > VALUES_LIMIT:
+        raise CalibrationError(f"{name}: its aliases unfold to more than {VALUES_LIMIT} values")
     if not isinstance(mapping, dict):
-        raise CalibrationError(
-            f"{name}: expected keys and values, got {type(mapping).__name__}"
-        )
+        raise CalibrationError(f"{name}: expected keys and values, got {type(mapping).__name__}")
     return mapping
+
+
+def _unfolded(value: Any, known: dict[int, int]) -> int:
+    """Number of values with every alias written out; one that holds itself counts as too many."""
+    if not isinstance(value, dict | list):
+        return 1
+    if id(value) not in known:
+        known[id(value)] = VALUES_LIMIT + 1
+        inner = value.values() if isinstance(value, dict) else value
+        known[id(value)] = 1 + sum(_unfolded(item, known) for item in inner)
+    return known[id(value)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -40,7 +41,7 @@ class PartWriter:
     ) -> None:
         self.path, self.partial = path, path.with_name(path.name + PARTIAL)
         if path.exists():
-            raise FileExistsError(17, "exists already", str(path))
+            raise FileExistsError(errno.EEXIST, "exists already", str(path))
         self._file = self.partial.open("xb")
         try:
             self._writer = Writer(self._file, chunk_size=_NEVER, compression=_COMPRESSIONS[compression])
@@ -83,9 +84,9 @@ class PartWriter:
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()
-        # A link refuses an existing file, a rename would silently replace it.
-        os.link(self.partial, self.path)
-        self.partial.unlink()
+        if self.path.exists():
+            raise FileExistsError(errno.EEXIST, "appeared while the take was being written; it stays in", str(self.partial))
+        self.partial.rename(self.path)
         sync_directory(self.path.parent)
 
     def abandon(self) -> None:
@@ -94,9 +95,7 @@ class PartWriter:
             self._file.close()
         except OSError:
             # Its buffer could not be written; the handle is closed all the same.
-            os_file = getattr(self._file, "raw", None)
-            if os_file is not None:
-                os_file.close()
+            self._file.raw.close()
 
 
 def _media_type(name: str) -> str:

@@ -1,0 +1,308 @@
+from __future__ import annotations
+
+import errno
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from daemon.errors import DaemonError
+from daemon.recording import raw_image
+from daemon.recording.errors import TakeError
+from daemon.recording.part_writer import PartWriter, _schema
+from daemon.recording.reader import TakePair, TakeReader
+from daemon.sinks import CloudItem
+from tests.record import independent_reader
+from tests.record.takes import CALIBRATION, SIZE, frame, lone, pair, wait_until, write, writer
+
+
+def pairs_of(path: Path) -> list[TakePair]:
+    with TakeReader(path) as take:
+        return list(take.pairs())
+
+
+def assert_is(read: TakePair, number: int, encoding: str = "rgb8") -> None:
+    wrote = pair(number, encoding=encoding)
+    assert (read.sequence, read.encoding, read.t_ns) == (number, encoding, wrote.left.t_exposure_ns)
+    for got, put in ((read.left, wrote.left.image), (read.right, wrote.right.image)):
+        assert got.dtype == put.dtype
+        assert not got.flags.writeable
+        np.testing.assert_array_equal(got, put)
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8", "mono8", "mono16"])
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_what_was_written_is_read(tmp_path: Path, encoding: str, compression: str) -> None:
+    path = tmp_path / "take.mcap"
+    status = write(path, [pair(n, encoding=encoding) for n in range(3)], compression=compression, rig_data=b"rig: 1\n")
+    assert status["pairs"] == 3
+    assert status["files"] == [str(path)]
+    assert "problem" not in status
+    assert [p.name for p in tmp_path.iterdir()] == ["take.mcap"]
+    with TakeReader(path) as take:
+        for number, read in enumerate(take.pairs()):
+            assert_is(read, number, encoding)
+        assert take.summary.pairs == 3
+        assert take.truncated_at is None
+        assert take.problems == []
+        assert take.attachments["calibration.yaml"] == CALIBRATION
+        assert take.attachments["rig.yaml"] == b"rig: 1\n"
+        assert take.volume().far_mm == 1700
+        assert take.metadata["session"] == "a session"
+
+
+def test_an_independent_reader_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    write(path, [pair(4_294_967_295), pair(0), lone("right", 1)])
+    read = independent_reader.read(path)
+    assert read["schemas"] == ["foxglove.RawImage"]
+    assert (
+        read["metadata"]["fringed"] | {"version": "1", "session": "a session", "device": "rig-01"}
+        == (read["metadata"]["fringed"])
+    )
+    assert read["attachments"]["calibration.yaml"] == ("application/yaml", CALIBRATION)
+    assert read["attachments"]["volume.json"] == ("application/json", b'{"near_mm": 1200, "far_mm": 1700}')
+    assert read["chunks"] == 3
+    expected = [("left", 4_294_967_295), ("right", 4_294_967_295), ("left", 0), ("right", 0), ("right", 1)]
+    assert [(topic, number) for topic, number, *_ in read["frames"]] == [(f"/{s}/image", n) for s, n in expected]
+    for topic, number, publish_ns, log_ns, image, pixels in read["frames"]:
+        side = topic.split("/")[1]
+        wrote = frame(side, number)
+        assert (publish_ns, log_ns) == (wrote.t_exposure_ns, wrote.t_host_ns)
+        assert image.timestamp.ToNanoseconds() == publish_ns
+        assert (image.frame_id, image.encoding, image.step) == (side, "rgb8", SIZE[1] * 3)
+        np.testing.assert_array_equal(pixels, wrote.image)
+
+
+def test_pairs_come_whatever_the_order_and_double_frames_are_ignored(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    rights = [lone("right", n) for n in range(30)]
+    lefts = [lone("left", n) for n in range(29, -1, -1)]
+    write(path, [*rights, *lefts, lone("left", 3), lone("right", 3), lone("left", 99)])
+    with TakeReader(path) as take:
+        pairs = list(take.pairs())
+        assert [p.sequence for p in pairs] == list(range(29, -1, -1))
+        for read in pairs:
+            assert_is(read, read.sequence)
+        assert dict(take.summary.duplicates) == {"left": 1, "right": 1}
+        assert dict(take.summary.unpaired) == {"left": 1}
+        assert dict(take.summary.frames) == {"left": 32, "right": 31}
+        assert len(list(take.pairs())) == 30
+
+
+def test_foreign_takes_with_padded_rows_and_other_topics_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    image = frame("left", 1, encoding="mono16").image
+    height, width = image.shape
+    padded = np.zeros((height, 2 * width + 7), np.uint8)
+    padded[:, : 2 * width] = np.ascontiguousarray(image, "<u2").view(np.uint8)
+    message = raw_image.encode(5, "left", "mono16", image)
+    head = message[: message.index(b"\x32" + raw_image._varint(image.nbytes))]
+    old, new = (b"\x2d" + step.to_bytes(4, "little") for step in (2 * width, 2 * width + 7))
+    message = head.replace(old, new) + b"\x32" + raw_image._varint(padded.nbytes) + padded.tobytes()
+    with path.open("wb") as file:
+        out = Writer(file, compression=CompressionType.NONE, use_chunking=False)
+        out.start()
+        other = out.register_channel("/notes", "json", 0)
+        schema = out.register_schema("foxglove.RawImage", "protobuf", _schema())
+        channels = [out.register_channel(f"/{side}/image", "protobuf", schema) for side in ("left", "right")]
+        out.add_message(other, 1, b"{}", 1)
+        for channel in channels:
+            out.add_message(channel, 1, message, 1, sequence=7)
+        out.finish()
+    (read,) = pairs_of(path)
+    np.testing.assert_array_equal(read.left, image)
+    assert read.left.flags.c_contiguous
+    assert read.left.flags.aligned
+
+
+def test_a_cut_at_any_byte_loses_only_the_end(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.mcap"
+    write(whole, [pair(n) for n in range(6)])
+    data = whole.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    rng = np.random.default_rng(1)
+    positions = sorted({0, 3, 8, len(data) - 1, *rng.integers(0, len(data), 40).tolist()})
+    counts = []
+    for position in positions:
+        cut.write_bytes(data[:position])
+        try:
+            with TakeReader(cut) as take:
+                pairs = list(take.pairs())
+                assert take.truncated_at is not None
+                assert take.truncated_at <= position
+                assert any("cut off" in problem for problem in take.problems)
+        except TakeError as error:
+            assert str(cut) in str(error)
+            assert position < 8
+            continue
+        assert [p.sequence for p in pairs] == list(range(len(pairs)))
+        for read in pairs:
+            assert_is(read, read.sequence)
+        counts.append(len(pairs))
+    assert counts == sorted(counts)
+    assert counts[-1] == 6
+    assert sum(0 < count < 6 for count in counts) > 0
+
+
+def test_flipped_bytes_never_give_a_wrong_pair(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.mcap"
+    write(whole, [pair(n) for n in range(6)])
+    data = whole.read_bytes()
+    bad = tmp_path / "bad.mcap"
+    rng = np.random.default_rng(2)
+    for position in rng.integers(0, len(data), 40).tolist():
+        broken = bytearray(data)
+        broken[position] ^= int(rng.integers(1, 256))
+        bad.write_bytes(broken)
+        try:
+            with TakeReader(bad) as take:
+                pairs = list(take.pairs())
+                assert len(pairs) == 6 or take.problems
+                assert take.attachments.get("calibration.yaml", CALIBRATION) == CALIBRATION
+        except TakeError as error:
+            assert str(bad) in str(error)
+            continue
+        for read in pairs:
+            assert_is(read, read.sequence)
+
+
+@pytest.mark.parametrize("data", [b"", b"PK\x03\x04 something else altogether", b"\x89MCAP0\r\n" + b"\xff" * 64])
+def test_other_files_are_refused_by_name_or_empty(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(data)
+    try:
+        with TakeReader(path) as take:
+            assert list(take.pairs()) == []
+            assert take.problems
+    except TakeError as error:
+        assert str(path) in str(error)
+
+
+def test_a_missing_file_and_an_empty_directory_are_named(tmp_path: Path) -> None:
+    with pytest.raises(TakeError, match=r"none\.mcap: No such file"):
+        TakeReader(tmp_path / "none.mcap")
+    with pytest.raises(TakeError, match=r"no \.mcap file"):
+        TakeReader(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["take.mcap", ""])
+def test_rotation_keeps_pairs_together(tmp_path: Path, name: str) -> None:
+    takes = tmp_path / "takes"
+    takes.mkdir()
+    status = write(takes / "take.mcap", [pair(n) for n in range(12)], max_part_bytes=20_000)
+    assert len(status["files"]) > 3
+    assert sorted(str(p) for p in takes.iterdir()) == status["files"]
+    for file in status["files"]:
+        read = independent_reader.read(Path(file))
+        assert set(read["attachments"]) == {"calibration.yaml", "pattern.json", "volume.json"}
+        numbers = [n for topic, n, *_ in read["frames"] if topic == "/left/image"]
+        assert numbers == [n for topic, n, *_ in read["frames"] if topic == "/right/image"]
+    assert [p.sequence for p in pairs_of(takes / name)] == list(range(12))
+
+
+class SlowPart(PartWriter):
+    """A disk that waits for permission."""
+
+    go = threading.Event()
+
+    def write(self, *frames: Any) -> None:
+        assert self.go.wait(20)
+        super().write(*frames)
+
+
+def test_a_slow_disk_drops_and_counts(tmp_path: Path) -> None:
+    SlowPart.go.clear()
+    recorder = writer(tmp_path / "take.mcap", queue=2, open_part=SlowPart)
+    assert recorder.offer(pair(0))
+    wait_until(lambda: recorder.status()["queued"] == 0)
+    assert [recorder.offer(pair(n)) for n in range(1, 6)] == [True, True, False, False, False]
+    assert recorder.status()["dropped"] == {"queue_full": 3}
+    SlowPart.go.set()
+    recorder.close()
+    assert not recorder.offer(pair(9))
+    assert recorder.status()["dropped"] == {"queue_full": 3, "closed": 1}
+    assert [p.sequence for p in pairs_of(tmp_path / "take.mcap")] == [0, 1, 2]
+
+
+class FullPart(PartWriter):
+    """A disk that is full after two pairs."""
+
+    def write(self, *frames: Any) -> None:
+        if frames[0].trigger == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        super().write(*frames)
+
+
+def test_a_full_disk_is_told_and_what_was_written_stays(tmp_path: Path) -> None:
+    recorder = writer(tmp_path / "take.mcap", open_part=FullPart)
+    for number in range(2):
+        assert recorder.offer(pair(number))
+    wait_until(lambda: recorder.status()["pairs"] == 2)
+    assert recorder.offer(pair(2))
+    wait_until(lambda: "problem" in recorder.status())
+    assert not recorder.offer(pair(3))
+    recorder.close()
+    recorder.close()
+    status = recorder.status()
+    assert "No space left" in status["problem"]
+    assert status["dropped"] == {"failed": 2}
+    assert status["files"] == [str(tmp_path / "take.mcap.partial")]
+    assert [p.sequence for p in pairs_of(tmp_path / "take.mcap.partial")] == [0, 1]
+
+
+def test_the_guard_ends_the_take_while_it_can_still_be_finished(tmp_path: Path) -> None:
+    free = [5 << 30]
+    recorder = writer(tmp_path / "take.mcap", min_free_bytes=1 << 30, free_bytes=lambda _: free[0])
+    assert recorder.offer(pair(0))
+    wait_until(lambda: recorder.status()["pairs"] == 1)
+    free[0] = 1 << 30
+    recorder.offer(pair(1))
+    wait_until(lambda: "problem" in recorder.status())
+    recorder.close()
+    status = recorder.status()
+    assert "1024 MB free" in status["problem"]
+    assert "recording.min_free_mb" in status["problem"]
+    assert status["dropped"] == {"failed": 1}
+    assert [p.sequence for p in pairs_of(tmp_path / "take.mcap")] == [0]
+    with pytest.raises(DaemonError, match="MB free"):
+        writer(tmp_path / "next.mcap", min_free_bytes=2 << 30, free_bytes=lambda _: free[0])
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(FileExistsError):
+        writer(path)
+    assert path.read_bytes() == b"precious"
+
+
+def test_clouds_are_not_for_the_recorder(tmp_path: Path) -> None:
+    recorder = writer(tmp_path / "take.mcap")
+    item = pair(0)
+    cloud: Any = None
+    assert recorder.offer(CloudItem(0, 0, cloud, item.left, item.right, 0.0))
+    recorder.close()
+    assert pairs_of(tmp_path / "take.mcap") == []
+
+
+@pytest.mark.parametrize(
+    ("encoding", "image"),
+    [("rgb8", np.zeros((4, 4), np.uint8)), ("mono16", np.zeros((4, 4), np.uint8)), ("jpeg", np.zeros(4, np.uint8))],
+)
+def test_a_picture_that_contradicts_its_encoding_is_not_written(encoding: str, image: Any) -> None:
+    with pytest.raises(TakeError, match="encoding"):
+        raw_image.encode(0, "left", encoding, image)
+
+
+def test_the_public_stereo_pair_is_read(shared_data: Any) -> None:
+    with TakeReader(shared_data("bust", "take.mcap")) as take:
+        (read,) = take.pairs()
+        assert read.left.shape == read.right.shape == (768, 1024, 3)
+        assert take.calibration().identity.startswith("sha256:")
+        assert take.attachments["calibration.yaml"] == shared_data("bust", "calibration.yaml").read_bytes()
+        assert take.pattern().periods == 32
+        assert take.problems == []
