@@ -85,7 +85,9 @@ class PartWriter:
         os.fsync(self._file.fileno())
         self._file.close()
         if self.path.exists():
-            raise FileExistsError(errno.EEXIST, "appeared while the take was being written; it stays in", str(self.partial))
+            raise FileExistsError(
+                errno.EEXIST, "appeared while the take was being written; it stays in", str(self.partial)
+            )
         self.partial.rename(self.path)
         sync_directory(self.path.parent)
 
