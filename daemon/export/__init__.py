@@ -1,0 +1,1 @@
+"""Clouds for other programs: PLY, PCD, videos of depth maps."""

@@ -1,0 +1,104 @@
+"""A cloud as the bytes of a file, and the clouds that a replay has left in a directory."""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.errors import DaemonError
+from daemon.export.pcd import pcd_bytes
+from fringed.ply import ply_bytes
+
+KINDS = ("npz", "ply", "pcd")
+_NAME = re.compile(r"cloud_(\d{6,})\.npz")
+_MAX_PIXELS = 1 << 28
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedCloud:
+    """A cloud as it stands in a file.
+
+    Args:
+        xyz: (H, W, 3) float32, mm, NaN where unknown; sigma_mm: (H, W) float32; gray: (H, W) uint8.
+    """
+
+    xyz: NDArray[np.float32]
+    sigma_mm: NDArray[np.float32]
+    gray: NDArray[np.uint8]
+
+
+def cloud_name(sequence: int, kind: str) -> str:
+    """The name of a cloud's file: six digits, more only where the number has more."""
+    return f"cloud_{sequence:06d}.{kind}"
+
+
+def cloud_bytes(cloud: SavedCloud, kind: str) -> bytes:
+    """The file of a cloud; the same cloud always gives the same bytes.
+
+    Args:
+        kind: ``npz`` (the whole organised cloud), ``ply`` or ``pcd`` (only the known points, gray as colour).
+    """
+    if kind == "ply":
+        return ply_bytes(cloud.xyz, cloud.gray)
+    if kind == "pcd":
+        return pcd_bytes(cloud.xyz, cloud.gray)
+    if kind != "npz":
+        raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
+    buffer = io.BytesIO()
+    np.savez(buffer, xyz=cloud.xyz, sigma_mm=cloud.sigma_mm, gray=cloud.gray)
+    return buffer.getvalue()
+
+
+def clouds_in(directory: Path) -> list[tuple[int, Path]]:
+    """Sequence number and file of every ``cloud_NNNNNN.npz``, in the order of the numbers.
+
+    Raises:
+        DaemonError: when there are none.
+    """
+    matches = ((_NAME.fullmatch(path.name), path) for path in directory.iterdir())
+    found = sorted((int(match[1]), path) for match, path in matches if match)
+    if not found:
+        raise DaemonError(f"{directory}: no cloud_NNNNNN.npz here; `fringed replay TAKE.mcap --out DIR` writes them")
+    return found
+
+
+def read_cloud(path: Path) -> SavedCloud:
+    """A cloud of a npz file.
+
+    Raises:
+        DaemonError: naming the file and what is wrong with it.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            xyz = _array(archive, "xyz", np.dtype(np.float32), 3)
+            sigma_mm = _array(archive, "sigma_mm", np.dtype(np.float32), 2)
+            gray = _array(archive, "gray", np.dtype(np.uint8), 2)
+    except (OSError, ValueError, zipfile.BadZipFile, KeyError, EOFError, NotImplementedError) as error:
+        raise DaemonError(f"{path}: not a cloud of this program: {error}") from error
+    if xyz.shape != (*gray.shape, 3) or sigma_mm.shape != gray.shape:
+        raise DaemonError(f"{path}: xyz {xyz.shape}, sigma_mm {sigma_mm.shape} and gray {gray.shape} do not fit")
+    return SavedCloud(xyz, sigma_mm, gray)
+
+
+def _array(archive: zipfile.ZipFile, name: str, kind: np.dtype[Any], dimensions: int) -> NDArray[Any]:
+    """One array; its type and size are looked at before anything is allocated for it."""
+    with archive.open(f"{name}.npy") as file:
+        read_header = _HEADERS.get(np.lib.format.read_magic(file))
+        if read_header is None:
+            raise ValueError(f"{name} is of an unknown array format")
+        shape, fortran, found = read_header(file)
+        count = int(np.prod(shape, dtype=np.float64))
+        if found != kind or fortran or len(shape) != dimensions or not 0 < count <= 3 * _MAX_PIXELS:
+            raise ValueError(f"{name} is {found} {shape}, expected {kind} in {dimensions} dimensions")
+        data = file.read(count * kind.itemsize + 1)
+    if len(data) != count * kind.itemsize:
+        raise ValueError(f"{name} holds {len(data)} bytes, expected {count * kind.itemsize}")
+    return np.frombuffer(data, kind).reshape(shape)

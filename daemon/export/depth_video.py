@@ -1,0 +1,106 @@
+"""A video of depth maps: near is warm, far is cold, unknown is black."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.errors import DaemonError
+
+CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+
+
+def depth_picture(depth_mm: NDArray[np.float32], near_mm: float, far_mm: float) -> NDArray[np.uint8]:
+    """A depth map as a colour picture, (H, W) -> (H, W, 3) B G R; depths outside the limits get the end colours."""
+    known = np.isfinite(depth_mm)
+    share = (far_mm - np.where(known, depth_mm, far_mm)) / (far_mm - near_mm)
+    levels = np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
+    colors = np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), dtype=np.uint8)
+    colors[~known] = 0
+    return colors
+
+
+def depth_limits(depths_mm: Iterable[NDArray[np.float32]]) -> tuple[float, float]:
+    """Depths between which nearly all points of all maps lie, mm."""
+    ranges = [np.percentile(known, (1, 99)) for depth in depths_mm if (known := depth[np.isfinite(depth)]).size]
+    if not ranges:
+        raise DaemonError("none of the clouds holds a point; there is nothing to show")
+    near, far = float(min(r[0] for r in ranges)), float(max(r[1] for r in ranges))
+    margin = max(0.5, 0.02 * (far - near))
+    return near - margin, far + margin
+
+
+def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], *, rate_hz: float) -> int:
+    """Write pictures of one size as a video and prove that it can be opened again.
+
+    Args:
+        path: its suffix chooses the kind, ``.mp4`` or ``.avi``.
+        pictures: (H, W, 3) B G R; odd sizes lose their last row or column, which the codecs ask for.
+
+    Returns:
+        number of pictures written.
+
+    Raises:
+        DaemonError: a kind that cannot be written, pictures of different sizes, or a file that does not open.
+    """
+    codec = CODECS.get(path.suffix.lower())
+    if codec is None:
+        raise DaemonError(f"{path}: a video ends with {' or '.join(CODECS)}")
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix.lower(), dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        count = _encode(temporary, path, codec, pictures, rate_hz)
+        _check(temporary, path, count)
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+    return count
+
+
+def _encode(temporary: Path, path: Path, codec: str, pictures: Iterable[NDArray[np.uint8]], rate_hz: float) -> int:
+    writer: cv2.VideoWriter | None = None
+    size, count = (0, 0), 0
+    try:
+        for picture in pictures:
+            even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+            if writer is None:
+                size = (even.shape[1], even.shape[0])
+                writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*codec), rate_hz, size)  # type: ignore[attr-defined]
+                if not writer.isOpened():
+                    raise DaemonError(f"{path}: this OpenCV cannot write {codec} video of {size[0]} x {size[1]}")
+            if (even.shape[1], even.shape[0]) != size:
+                raise DaemonError(f"{path}: picture {count} is {even.shape[1]} x {even.shape[0]}, the first {size}")
+            writer.write(np.ascontiguousarray(even))
+            count += 1
+    finally:
+        if writer is not None:
+            writer.release()
+    if count == 0:
+        raise DaemonError(f"{path}: there are no pictures for a video")
+    return count
+
+
+def _check(temporary: Path, path: Path, count: int) -> None:
+    """OpenCV tells nothing of a full disk, so the video is opened again and its last picture asked for."""
+    video = cv2.VideoCapture(str(temporary))
+    try:
+        read = 0
+        while video.grab():
+            read += 1
+    finally:
+        video.release()
+    if read != count:
+        raise DaemonError(f"{path}: {read} of {count} pictures can be read back; is the disk full?")
