@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ from fringed.ply import ply_bytes
 KINDS = ("npz", "ply", "pcd")
 _NAME = re.compile(r"cloud_(\d{6,})\.npz")
 _MAX_PIXELS = 1 << 28
+# Everything that zipfile and numpy say of damaged archives; RuntimeError is a flipped "encrypted" flag.
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile)
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -81,7 +85,7 @@ def read_cloud(path: Path) -> SavedCloud:
             xyz = _array(archive, "xyz", np.dtype(np.float32), 3)
             sigma_mm = _array(archive, "sigma_mm", np.dtype(np.float32), 2)
             gray = _array(archive, "gray", np.dtype(np.uint8), 2)
-    except (OSError, ValueError, zipfile.BadZipFile, KeyError, EOFError, NotImplementedError) as error:
+    except _UNREADABLE as error:
         raise DaemonError(f"{path}: not a cloud of this program: {error}") from error
     if xyz.shape != (*gray.shape, 3) or sigma_mm.shape != gray.shape:
         raise DaemonError(f"{path}: xyz {xyz.shape}, sigma_mm {sigma_mm.shape} and gray {gray.shape} do not fit")
