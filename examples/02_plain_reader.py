@@ -12,11 +12,11 @@ import zmq
 
 
 def _live(endpoint):
-    socket = zmq.Context.instance().socket(zmq.SUB)
-    socket.connect(endpoint)
-    socket.subscribe(b"cloud/full")
-    while True:
-        yield socket.recv_multipart()
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.connect(endpoint)
+        socket.subscribe(b"cloud/full")
+        while True:
+            yield socket.recv_multipart()
 
 
 def _stored(path):
