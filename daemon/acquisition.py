@@ -23,16 +23,24 @@ class CameraThread:
 
     Args:
         side: which one; camera: closed.
-        deliver: takes each frame; must be quick.
+        deliver: takes each frame; must be quick. started: told before the camera accepts triggers (again).
         changed: told whenever the camera's state changes.
     """
 
     def __init__(
-        self, side: Side, camera: Camera, *, deliver: Callable[[Frame], None], changed: Callable[[], None], clock: Clock
+        self,
+        side: Side,
+        camera: Camera,
+        *,
+        deliver: Callable[[Frame], None],
+        started: Callable[[], None],
+        changed: Callable[[], None],
+        clock: Clock,
     ) -> None:
         self.side = side
         self._camera, self._deliver, self._changed, self._clock = camera, deliver, changed, clock
         self._status = CameraStatus(CameraState.CLOSED)
+        self._started = started
         self._rate = Rate()
         self._frames = 0
         self._wanted = threading.Event()
@@ -103,6 +111,7 @@ class CameraThread:
         """Read until told to pause or stop; waits while paused."""
         if not self._wanted.wait(_READ_TIMEOUT_S):
             return
+        self._started()
         self._camera.start()
         self._set(replace(self._status, state=CameraState.ACQUIRING))
         while self._wanted.is_set() and not self._stop.is_set():

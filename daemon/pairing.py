@@ -5,7 +5,7 @@ known shift between the two counters) and the exposures began at the same time. 
 
 Exposure times are the authority on *which* shift holds: a camera that counted an extra first frame, or restarted its
 counter, shows the same difference of numbers at equal times again and again. A shift is believed after
-``resync_after`` such sightings in a row, and doubted again at the first contrary sighting or after a silence. In
+``resync_after`` such sightings in a row, and doubted again at the first contrary sighting or restart of a camera. In
 doubt, frames that agree wait in the room until the shift is confirmed, then all of them leave as pairs: a doubt
 costs a little delay, never a wrong pair. A frame that contradicts its own camera's last frames (the same number at
 another time, or the same time under another number) is in no pair either. ``tolerance_ns`` must be below half the
@@ -133,7 +133,6 @@ class Pairer:
         self._now_ns = 0
         self._synced = False
         self._confirmed = False
-        self._last_pair_ns = 0
         self._sighted_shift = 0
         self._sightings = 0
 
@@ -159,7 +158,7 @@ class Pairer:
         self._doubt(mine, guest)
         mine.seen.append((frame.trigger, frame.t_exposure_ns))
         partner = self._partner(guest)
-        if partner is not None and self._trusts_numbers():
+        if partner is not None and self._confirmed:
             return [*events, self._pair(guest, partner)]
         if self._came_late(guest):
             return [*events, self._lost(frame, Fate.LATE)]
@@ -179,16 +178,16 @@ class Pairer:
             for guest in [guest for guest in camera.waiting if guest.arrived_ns < oldest_ns]
         ]
 
+    def doubt(self) -> None:
+        """A camera was started anew: its count may have moved, so it must be confirmed again."""
+        self._confirmed, self._sightings = False, 0
+
     def flush(self) -> list[Event]:
         """The end: every frame still waiting is counted as stopped."""
         everyone = [guest for camera in self._cameras.values() for guest in camera.waiting]
         for camera in self._cameras.values():
             camera.waiting.clear()
         return [self._lost(guest.frame, Fate.STOPPED) for guest in everyone]
-
-    def _trusts_numbers(self) -> bool:
-        self._confirmed &= self._now_ns - self._last_pair_ns <= self.settings.max_wait_ns
-        return self._confirmed
 
     def _refusal(self, frame: Frame) -> Fate | None:
         if frame.t_host_ns - frame.t_exposure_ns > self.settings.stale_ns:
@@ -226,7 +225,7 @@ class Pairer:
 
     def _pair(self, guest: _Waiting, partner: _Waiting) -> Pair:
         self._opposite(guest.frame.side).waiting.remove(partner)
-        self._synced, self._sightings, self._last_pair_ns = True, 0, self._now_ns
+        self._synced, self._sightings = True, 0
         frames: dict[Side, Frame] = {}
         for member in (guest, partner):
             side = member.frame.side

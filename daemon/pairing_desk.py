@@ -44,6 +44,11 @@ class PairingDesk:
         with self._lock:
             self._handle(self._pairer.tick(self._clock.monotonic_ns()))
 
+    def doubt(self) -> None:
+        """A camera was started anew."""
+        with self._lock:
+            self._pairer.doubt()
+
     def flush(self) -> None:
         """The end: every frame meets its fate."""
         with self._lock:

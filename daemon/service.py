@@ -78,7 +78,12 @@ class Service:
         self.worker = Worker(config.pipeline.queue, emit=self.emit, drops=self.drops, clock=self.clock)
         self.cameras: dict[Side, CameraThread] = {
             side: CameraThread(
-                side, rig.cameras[side], deliver=self.desk.receive, changed=self._note_state, clock=self.clock
+                side,
+                rig.cameras[side],
+                deliver=self.desk.receive,
+                started=self.desk.doubt,
+                changed=self._note_state,
+                clock=self.clock,
             )
             for side in SIDES
         }

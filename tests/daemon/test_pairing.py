@@ -91,6 +91,22 @@ def test_the_time_alone_makes_no_pair() -> None:
     assert {e.fate for e in pairer.tick(10**15) if isinstance(e, Lost)} == {Fate.TRIGGER_MISMATCH}
 
 
+def test_triggers_slower_than_the_waiting_time_still_pair() -> None:
+    slow = [_frame(side, k, k * 200 * PERIOD_NS, 1) for k in range(20) for side in _BOTH]
+    sent, pairer = [Sent(frame, k // 2) for k, frame in enumerate(slow)], Pairer()
+    assert len(check(sent, play(sent, pairer), pairer)) >= 18
+
+
+def test_after_a_camera_started_anew_its_count_is_confirmed_first() -> None:
+    pairer = Pairer()
+    for k in range(5):
+        pairer.feed(_frame("left", k, k * PERIOD_NS, 1))
+        pairer.feed(_frame("right", k, k * PERIOD_NS, 1))
+    pairer.doubt()
+    fed = [pairer.feed(_frame(side, k, k * PERIOD_NS, 1)) for k in range(5, 8) for side in _BOTH]
+    assert fed[:5] == [[]] * 5 and len(fed[5]) == 3
+
+
 def test_frames_before_the_other_camera_runs_are_named_so() -> None:
     pairer = Pairer()
     events = [event for k in range(60) for event in pairer.feed(_frame("left", k, k * PERIOD_NS, 1))]

@@ -91,7 +91,7 @@ def test_a_full_sink_loses_its_items_by_name_and_nobody_else_waits(running: Runn
 
 def test_a_sink_that_breaks_is_counted_and_harms_nobody(running: Running) -> None:
     class Broken(Collector):
-        def offer(self, item: Item) -> bool:
+        def offer(self, item: Item) -> bool:  # noqa: ARG002 - the protocol's
             raise RuntimeError("broken")
 
     running.service.add_sink("bad", Broken())
