@@ -1,0 +1,99 @@
+"""``fringed check``: is a rig.yaml, a calibration, a pattern, a volume or a take right?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def main(
+    files: Annotated[list[Path], typer.Argument(help="rig.yaml, calibration.yaml, pattern.json, volume.json, takes.")],
+) -> None:
+    """Check files of a rig; every mistake is printed with its place, and the exit status is 1 if there is one."""
+    results = [check_file(path) for path in files]
+    for path, (good, lines) in zip(files, results, strict=True):
+        for line in lines:
+            typer.echo(line, err=not good)
+        if good and not lines:
+            typer.echo(f"{path}: good")
+    if not all(good for good, _ in results):
+        raise typer.Exit(1)
+
+
+def check_file(path: Path) -> tuple[bool, list[str]]:
+    """Whether a file is good, and what there is to say of it: its mistakes, or what it is."""
+    from daemon.errors import ConfigError, DaemonError
+    from pipeline.errors import PipelineError
+
+    try:
+        return _checker(path)(path)
+    except ConfigError as error:
+        return False, error.problems
+    except (DaemonError, PipelineError) as error:
+        return False, [str(error)]
+    except OSError as error:
+        return False, [f"{path}: {error.strerror or error}"]
+
+
+def _checker(path: Path) -> Callable[[Path], tuple[bool, list[str]]]:
+    """By what the file is, not only by how it is called."""
+    if path.is_dir() or path.name.removesuffix(".partial").endswith(".mcap"):
+        return _take
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if head.startswith(b"\x89MCAP"):
+        return _take
+    if path.suffix == ".json" or head.lstrip()[:1] == b"{":
+        return _volume if b'"near_mm"' in head else _pattern
+    return _calibration if b"fringed_calibration" in head or path.stem == "calibration" else _rig
+
+
+def _rig(path: Path) -> tuple[bool, list[str]]:
+    from daemon.config import load_rig
+
+    config = load_rig(path)
+    lines = [f"{path}: good: rig {config.device.name}, cameras by {config.cameras.driver}"]
+    problems: list[str] = []
+    for name in (config.calibration, config.pattern, config.volume):
+        if isinstance(name, str):  # the files that it names must be right too
+            good, found = check_file(config.path(name, path.parent))
+            (lines if good else problems).extend(found)
+    return not problems, problems or lines
+
+
+def _calibration(path: Path) -> tuple[bool, list[str]]:
+    from daemon.calibration_file import read_calibration
+
+    file = read_calibration(path)
+    left = file.calibration.left.size
+    baseline = file.calibration.baseline_mm
+    return True, [f"{path}: good: cameras {left[0]} x {left[1]}, baseline {baseline:.1f} mm, {file.identity}"]
+
+
+def _pattern(path: Path) -> tuple[bool, list[str]]:
+    from daemon.pattern_file import read_pattern
+
+    pattern = read_pattern(path)
+    return True, [
+        f"{path}: good: {pattern.periods:g} periods along {pattern.axis}, {pattern.size[0]} x {pattern.size[1]}"
+    ]
+
+
+def _volume(path: Path) -> tuple[bool, list[str]]:
+    from daemon.pattern_file import read_volume
+
+    volume = read_volume(path)
+    return True, [f"{path}: good: {volume.near_mm:g} to {volume.far_mm:g} mm"]
+
+
+def _take(path: Path) -> tuple[bool, list[str]]:
+    from daemon.recording.inspect import inspect
+    from daemon.recording.reader import TakeReader
+
+    with TakeReader(path) as take:
+        report = inspect(take)
+    problems: list[str] = report["problems"] + report["attachment_problems"]
+    return not problems, problems or [f"{path}: good: {report['pairs']} pairs"]

@@ -1,0 +1,154 @@
+"""What a take holds and whether it is whole: every picture is read and its checksum proven."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+from daemon.recording.part_reader import PartReader
+from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME
+from daemon.recording.reader import TakeReader
+from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
+from pipeline.errors import PipelineError
+
+_MAX_GAPS = 8
+
+
+@dataclass(slots=True)
+class _Tally:
+    """What the frames of a take add up to."""
+
+    frames: Counter[Side] = field(default_factory=Counter)
+    pairs: int = 0
+    unpaired: Counter[Side] = field(default_factory=Counter)
+    duplicates: Counter[Side] = field(default_factory=Counter)
+    pictures: Counter[str] = field(default_factory=Counter)
+    numbers: set[int] = field(default_factory=set)
+    times_ns: list[int] = field(default_factory=list)
+    last: int | None = None
+
+    def part(self, frames: dict[Side, set[int]]) -> None:
+        """Close the books of a part: both frames of a pair lie in the same one."""
+        left, right = frames["left"], frames["right"]
+        self.pairs += len(left & right)
+        self.unpaired["left"] += len(left - right)
+        self.unpaired["right"] += len(right - left)
+
+    def frame(self, frame: Frame, seen: dict[Side, set[int]]) -> None:
+        """Add a frame."""
+        self.frames[frame.side] += 1
+        height, width = frame.image.shape[:2]
+        self.pictures[f"{frame.side} {frame.encoding} {width} x {height}"] += 1
+        self.last = unwrapped(frame.trigger, self.last)
+        if frame.trigger in seen[frame.side]:
+            self.duplicates[frame.side] += 1
+            return
+        seen[frame.side].add(frame.trigger)
+        if self.last not in self.numbers:
+            self.numbers.add(self.last)
+            self.times_ns.append(frame.t_exposure_ns)
+
+
+def unwrapped(number: int, last: int | None) -> int:
+    """A trigger number without the wrap at 2**32: the one nearest to the number before."""
+    if last is None:
+        return number
+    step = (number - last + TRIGGER_MODULUS // 2) % TRIGGER_MODULUS - TRIGGER_MODULUS // 2
+    return last + step
+
+
+def gaps(numbers: set[int]) -> list[tuple[int, int]]:
+    """First and last missing number of every hole, trigger numbers as they were sent."""
+    ordered = sorted(numbers)
+    holes = [(a + 1, b - 1) for a, b in pairwise(ordered) if b > a + 1]
+    return [(first % TRIGGER_MODULUS, last % TRIGGER_MODULUS) for first, last in holes]
+
+
+def inspect(take: TakeReader, progress: Callable[[int], Any] | None = None) -> dict[str, Any]:
+    """Everything worth knowing of a take, as plain values.
+
+    Args:
+        progress: told the number of bytes read so far.
+    """
+    tally, done = _Tally(), 0
+    for part in take.parts:
+        seen: dict[Side, set[int]] = {side: set() for side in SIDES}
+        for frame, where in part.frames():
+            tally.frame(frame, seen)
+            if progress is not None:
+                progress(done + where.place.offset)
+        tally.part(seen)
+        done += part.survey.size
+    files = [_file(part) for part in take.parts]
+    return {
+        "take": str(take.path),
+        "whole": take.whole,
+        "problems": take.problems,
+        "truncated_at": take.truncated_at,
+        "parts": files,
+        "bytes": take.size,
+        **{key: take.metadata.get(key) for key in ("version", "session", "device")},
+        **_sums(tally),
+        **_attached(take),
+    }
+
+
+def _file(part: PartReader) -> dict[str, Any]:
+    return {"file": str(part.path), "bytes": part.survey.size, "readable_to": part.survey.readable_to}
+
+
+def _sums(tally: _Tally) -> dict[str, Any]:
+    holes = gaps(tally.numbers)
+    seconds = (max(tally.times_ns) - min(tally.times_ns)) / 1e9 if tally.times_ns else 0.0
+    steps = len(tally.times_ns) - 1
+    return {
+        "pairs": tally.pairs,
+        "frames": {side: tally.frames[side] for side in SIDES},
+        "unpaired": {side: tally.unpaired[side] for side in SIDES},
+        "duplicates": {side: tally.duplicates[side] for side in SIDES},
+        "pictures": dict(sorted(tally.pictures.items())),
+        "first_sequence": min(tally.numbers) % TRIGGER_MODULUS if tally.numbers else None,
+        "last_sequence": max(tally.numbers) % TRIGGER_MODULUS if tally.numbers else None,
+        "missing": sum((last - first) % TRIGGER_MODULUS + 1 for first, last in holes),
+        "gaps": [list(hole) for hole in holes[:_MAX_GAPS]],
+        "start_ns": min(tally.times_ns, default=None),
+        "duration_s": round(seconds, 6),
+        "rate_hz": round(steps / seconds, 3) if seconds > 0 else None,
+    }
+
+
+def _attached(take: TakeReader) -> dict[str, Any]:
+    """What the attachments say; one that cannot be used is told among the problems, not raised."""
+    out: dict[str, Any] = {"attachments": {name: len(data) for name, data in take.attachments.items()}}
+    problems: list[str] = []
+    for name, read in ((CALIBRATION, _calibration), (PATTERN, _pattern), (VOLUME, _volume)):
+        if name not in take.attachments:
+            problems.append(f"{take.path}: {name} is not attached")
+            continue
+        try:
+            out |= read(take)
+        except PipelineError as error:
+            problems.append(str(error))
+    out["has_rig"] = RIG in take.attachments
+    out["attachment_problems"] = problems
+    return out
+
+
+def _calibration(take: TakeReader) -> dict[str, Any]:
+    file = take.calibration()
+    return {"calibration": file.identity, "baseline_mm": round(file.calibration.baseline_mm, 3)}
+
+
+def _pattern(take: TakeReader) -> dict[str, Any]:
+    pattern = take.pattern()
+    fringe = "frequency-modulated" if pattern.profile is not None else "plain"
+    values = {"size": list(pattern.size), "periods": pattern.periods, "axis": pattern.axis, "fringe": fringe}
+    return {"pattern": values}
+
+
+def _volume(take: TakeReader) -> dict[str, Any]:
+    volume = take.volume()
+    return {"volume": {"near_mm": volume.near_mm, "far_mm": volume.far_mm}}
