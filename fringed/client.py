@@ -85,9 +85,9 @@ class _Stream:
         self._take_rays()
         frames = self._clouds.take()
         while frames is not None:
-            newer = self._clouds.take() if self.latest else None
             _, header = wire.decode_header(frames)
             self._losses.see(header.session, header.seq)
+            newer = self._clouds.take() if self.latest else None
             if newer is None:
                 break
             self.skipped += 1

@@ -16,12 +16,14 @@ import pytest
 import zmq
 
 from daemon.errors import DaemonError
+from daemon.outputs import open_publisher
 from daemon.publisher import Publisher
 from daemon.sinks import LoneItem
 from fringed import FringedError, SilenceError, WireError, asubscribe, subscribe, wire
 from fringed.client import Subscription
 from fringed.losses import Losses
 from fringed.receiver import Receiver
+from tests.daemon import rigs
 from tests.stream import clouds
 
 WAIT_S = 8.0
@@ -286,6 +288,19 @@ def test_a_taken_port_is_named_and_nothing_is_left_open() -> None:
             pass
     clouds.until(lambda: threading.active_count() == threads)
     clouds.until(lambda: open_files() <= files)
+
+
+def test_the_daemon_opens_it_from_its_configuration(tmp_path: Path) -> None:
+    config = rigs.config(tmp_path, "device: {name: rig-c}\n")
+    made = open_publisher(config, rigs.rig_of(rigs.devices()), "session-c")
+    try:
+        with Receiver(config.stream.endpoints[0], ["meta/calibration"]) as receiver:
+            came = message(receiver)
+        assert (came.header.device, came.header.session) == ("rig-c", "session-c")
+        assert bytes(came.arrays["calibration"]) == b"x"
+    finally:
+        made.close()
+        made.close()
 
 
 def test_wrong_endpoints_and_topics_are_told() -> None:
