@@ -81,16 +81,18 @@ def cost_at(
     height, width = mean.shape
     if not (x >= 1.0 and y >= 1.0 and x < width - 2.0 and y < height - 2.0):
         return UNSEEN
-    # The nearest pixel, its phase carried on by the expected slope: the rest of the slope times half a pixel is small.
-    i, j = int(y + 0.5), int(x + 0.5)
-    p, e, m = phasor[i, j], equalized[i, j], mean[i, j]
+    # Linear along the direction in which the phase grows, the nearest pixel across it.
+    if abs(slope_x) >= abs(slope_y):
+        i, j, di, dj = int(y + 0.5), int(x), 0, 1
+        a = x - j
+    else:
+        i, j, di, dj = int(y), int(x + 0.5), 1, 0
+        a = y - i
+    p = (1 - a) * phasor[i, j] + a * phasor[i + di, j + dj]
     if p.real * p.real + p.imag * p.imag < floor_sq:
         return UNSEEN
-    turn = slope_x * (x - j) + slope_y * (y - i)
-    s = turn * (1.0 - turn * turn * (1.0 / 6.0))
-    c = 1.0 - 0.5 * turn * turn * (1.0 - turn * turn * (1.0 / 12.0))
-    p = complex(p.real * c - p.imag * s, p.imag * c + p.real * s)
-    e = complex(e.real * c - e.imag * s, e.imag * c + e.real * s)
+    e = (1 - a) * equalized[i, j] + a * equalized[i + di, j + dj]
+    m = (1 - a) * mean[i, j] + a * mean[i + di, j + dj]
     # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
     size = sqrt((p.real * p.real + p.imag * p.imag) * (here.real * here.real + here.imag * here.imag)) + 1e-12
     plain = 2.0 - 2.0 * (here.real * p.real + here.imag * p.imag) / size

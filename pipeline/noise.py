@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _TILE = 16
+_BANDS_APART = 3
 _QUANTISATION = 1 / 12
 
 
@@ -31,7 +32,7 @@ def estimate(picture: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel
         step: distance of samples of one colour, 2 on a Bayer mosaic.
     """
     planes = [picture] if picture.ndim == 2 else [picture[..., c] for c in range(3)]
-    levels, spreads = zip(*(_tiles(np.moveaxis(p, along, 0)[: 2 * _TILE * 64], step) for p in planes), strict=True)
+    levels, spreads = zip(*(_tiles(np.moveaxis(p, along, 0), step) for p in planes), strict=True)
     level, spread = np.concatenate(levels), np.concatenate(spreads)
     usable = (level > 4) & (level < 235)
     if np.count_nonzero(usable) < 20:
@@ -40,14 +41,18 @@ def estimate(picture: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel
 
 
 def _tiles(plane: NDArray[np.uint8], step: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    x = plane.astype(np.float32)
-    second = x[: -2 * step] - 2 * x[step:-step] + x[2 * step :]
-    rows, columns = (n // _TILE for n in second.shape)
-    shape = (rows, _TILE, columns, _TILE)
-    cut = (slice(rows * _TILE), slice(columns * _TILE))
-    square = (second[cut] ** 2).reshape(shape).mean(axis=(1, 3), dtype=np.float64) / 6
-    level = x[step:-step][cut].reshape(shape).mean(axis=(1, 3), dtype=np.float64)
-    return level.ravel(), square.ravel()
+    """Mean and a sixth of the mean square second difference of tiles in every third band of them."""
+    height = _TILE + 2 * step
+    columns = plane.shape[1] // _TILE
+    levels, squares = [], []
+    for top in range(0, plane.shape[0] - height + 1, _BANDS_APART * _TILE):
+        x = plane[top : top + height, : columns * _TILE].astype(np.int16)
+        second = x[: -2 * step] - 2 * x[step:-step] + x[2 * step :]
+        squares.append((second.astype(np.float32) ** 2).reshape(_TILE, columns, _TILE).mean(axis=(0, 2)) / 6)
+        levels.append(x[step:-step].reshape(_TILE, columns, _TILE).mean(axis=(0, 2)))
+    if not levels:
+        return np.empty(0), np.empty(0)
+    return np.concatenate(levels).astype(np.float64), np.concatenate(squares).astype(np.float64)
 
 
 def _line(level: NDArray[np.float64], spread: NDArray[np.float64]) -> NoiseModel:

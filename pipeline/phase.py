@@ -79,7 +79,7 @@ class Decoder:
         self._mosaic = mosaic
         self._axis = "x" if abs(slopes[0]) > abs(slopes[1]) else "y"
         self._period_px = 2 * np.pi / max(abs(slopes[0]), abs(slopes[1]))
-        self._nominal = np.array([f(slope) for slope in slopes for f in (np.cos, np.sin)])
+        self._nominal = np.array([f(slope) for slope in slopes for f in (np.cos, np.sin)], dtype=np.float32)
         self._settings = settings
         self._weights = weights_of(*settings.window(mosaic=mosaic is not None))
 
@@ -92,8 +92,8 @@ class Decoder:
                 image, self._solve, self._black, self._unmix, clip, np.float32(noise.floor), np.float32(noise.gain)
             )
             fitted = fit_three_chip(
-                image, phasor, mean, tangential, clipped, self._rows, self._black, self._weights, self._nominal, clip,
-                noise.floor, noise.gain,
+                image, phasor, mean, tangential, clipped, self._rows, self._black, self._weights,
+                self._nominal, clip, noise.floor, noise.gain,
             )  # fmt: skip
         else:
             channels, clipped = rough_channels(image, self._mosaic, self._black, self._unmix, clip)
