@@ -75,7 +75,8 @@ class Publisher:
         )
         self._preview_ns = round(1e9 / min(preview_hz, MAX_PREVIEW_HZ)) if preview_hz > 0 else None
         self._preview_due_ns = 0
-        self._lock = threading.Lock()
+        # Re-entrant: a signal handler that logs may interrupt the very thread that holds it.
+        self._lock = threading.RLock()
         self._cloud: CloudItem | None = None
         self._status: dict[str, Any] | None = None
         self._lines: deque[tuple[int, str, str, str]] = deque(maxlen=_LOG_QUEUE)

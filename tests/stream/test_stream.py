@@ -211,6 +211,15 @@ def test_log_lines_travel() -> None:
     assert not any(type(h).__name__ == "StreamHandler" for h in logging.getLogger("fringed").handlers)
 
 
+def test_a_signal_handler_may_log_whatever_it_interrupts() -> None:
+    with clouds.publisher() as made, Receiver(made.endpoints[0], ["log"]) as receiver:
+        connected(made, "log")
+        with made._lock:  # as when the signal comes in the middle of publish_status
+            logging.getLogger("fringed").warning("SIGTERM: stopping")
+        data = message(receiver).header.data
+    assert isinstance(data, dict) and data["text"] == "SIGTERM: stopping"
+
+
 def test_the_client_reconnects_to_a_daemon_that_was_restarted(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/stream"
     with subscribe(endpoint, timeout_s=WAIT_S) as stream:  # nobody is there yet
