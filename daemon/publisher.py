@@ -20,7 +20,7 @@ from daemon.clock import SystemClock
 from daemon.counters import Counters
 from daemon.sinks import CloudItem, Item
 from daemon.stream import messages
-from daemon.stream.endpoints import bind_all
+from daemon.stream.endpoints import bind_all, remove_files
 from daemon.stream.log import StreamHandler
 from daemon.stream.messages import Frames, Origin
 from drivers.protocols import Clock
@@ -90,8 +90,9 @@ class Publisher:
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         for option, value in _OPTIONS.items():
             self._socket.setsockopt(option, value)
+        #: What was bound, with real port numbers.
+        self.endpoints: list[str] = []
         try:
-            #: What was bound, with real port numbers.
             self.endpoints = bind_all(self._socket, endpoints)
         except BaseException:
             self._release()
@@ -175,6 +176,7 @@ class Publisher:
     def _release(self) -> None:
         self._socket.close(linger=_LINGER_MS)
         self._context.term()
+        remove_files(self.endpoints)
         os.close(self._wake_fd)
         self._wake_fd = -1
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import stat
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,14 @@ def bind_all(publisher: zmq.Socket[Any], endpoints: Iterable[str]) -> list[str]:
         DaemonError: an endpoint that is taken or not possible.
     """
     return [_bind(publisher, endpoint) for endpoint in endpoints]
+
+
+def remove_files(endpoints: Iterable[str]) -> None:
+    """Remove the socket files of endpoints that are closed, if no other daemon has taken them meanwhile."""
+    for endpoint in endpoints:
+        if endpoint.startswith("ipc://"):
+            with suppress(DaemonError, OSError):
+                _clear(Path(endpoint.removeprefix("ipc://")), endpoint)
 
 
 def _bind(publisher: zmq.Socket[Any], endpoint: str) -> str:

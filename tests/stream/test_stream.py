@@ -281,6 +281,7 @@ def test_ipc_directories_are_private_and_left_over_sockets_replaced(tmp_path: Pa
         assert stat.S_IMODE(path.parent.stat().st_mode) & 0o027 == 0
         with pytest.raises(DaemonError, match="another daemon"), clouds.publisher(f"ipc://{path}"):
             pass
+    assert not path.exists(), "removed at the end"
     with clouds.publisher(f"ipc://{tmp_path}/new/stream"):
         assert stat.S_IMODE((tmp_path / "new").stat().st_mode) == 0o700
     (tmp_path / "file").write_text("precious")
