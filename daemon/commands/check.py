@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+_KEY = re.compile(r"(?:cameras|projector|fringed_calibration)(?:\.\w+)*")
 
 
 def main(
@@ -66,11 +69,27 @@ def _rig(path: Path) -> tuple[bool, list[str]]:
 
 def _calibration(path: Path) -> tuple[bool, list[str]]:
     from daemon.calibration_file import read_calibration
+    from pipeline.errors import CalibrationError
 
-    file = read_calibration(path)
+    try:
+        file = read_calibration(path)
+    except CalibrationError as error:
+        return False, [_with_line(path, str(error))]
     left = file.calibration.left.size
     baseline = file.calibration.baseline_mm
     return True, [f"{path}: good: cameras {left[0]} x {left[1]}, baseline {baseline:.1f} mm, {file.identity}"]
+
+
+def _with_line(path: Path, message: str) -> str:
+    """The message with the line of the key that it names, or of the nearest key around that."""
+    from daemon.config.source import read_yaml
+
+    text = message.removeprefix(f"{path}: ")
+    key = _KEY.match(text)
+    if text == message or key is None:
+        return message
+    line, column = read_yaml(path.read_text(encoding="utf-8")).place(tuple(key.group().split(".")), key=True)
+    return f"{path}:{line}:{column}: {text}"
 
 
 def _pattern(path: Path) -> tuple[bool, list[str]]:
