@@ -7,7 +7,7 @@ periods leaves a residual of 2 pi frac(m rho), rho = baseline left-right over ba
 
 from __future__ import annotations
 
-from math import atan2, exp, floor, pi, sqrt
+from math import exp, floor, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -105,7 +105,7 @@ def cost_at(
 @parallel
 def candidate_costs(
     rows: Any, columns: Any, along: Any, across: Any, other_u: Any, other_v: Any, limits: Any,
-    phasor: Any, equalized: Any, mean: Any, valid: Any,
+    phasor: Any, equalized: Any, mean: Any, valid: Any, phase: Any, phase_eq: Any,
     other_phasor: Any, other_equalized: Any, other_mean: Any,
     table: Any, phases: Any, correction: Any, extent: float, labels: int,
     floor_sq: float, cost_sigma: float, texture: float, slope_x: float, slope_y: float,
@@ -131,7 +131,7 @@ def candidate_costs(
             if not valid[i, j]:
                 continue
             p, e = phasor[i, j], equalized[i, j]
-            phi, phi_e = atan2(p.imag, p.real), atan2(e.imag, e.real)
+            phi, phi_e = phase[i, j], phase_eq[i, j]
             bias = phi_e - phi
             bias -= _TWO_PI * np.rint(bias / _TWO_PI)
             row = ratio(across[a, b], 0.5)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.kernels import parallel, prange, serial
 
@@ -136,13 +137,18 @@ def drop_mixed_edges(known: Any, label: Any, modulation: Any, share: float) -> A
     return out
 
 
-@serial
-def _cell(place: Any, i: int, j: int, height: int, width: int) -> tuple[int, int]:
-    """Row and column of the other device's pixel, -1 outside."""
-    y, x = int(np.rint(place[i, j, 1])), int(np.rint(place[i, j, 0]))
-    if y < 0 or x < 0 or y >= height or x >= width:
-        return -1, -1
-    return y, x
+@parallel
+def _cells(known: Any, place: Any, height: int, width: int) -> Any:
+    """(H * W) int32 flat index of the other device's pixel, -1 outside or where nothing is known."""
+    rows, columns = known.shape
+    out = np.full(rows * columns, np.int32(-1))
+    for i in prange(rows):
+        for j in range(columns):
+            if known[i, j]:
+                y, x = int(np.floor(place[i, j, 1] + 0.5)), int(np.floor(place[i, j, 0] + 0.5))
+                if y >= 0 and x >= 0 and y < height and x < width:
+                    out[i * columns + j] = y * width + x
+    return out
 
 
 @serial
@@ -161,49 +167,62 @@ def _prevails(label: int, depth: float, rival: int, rival_depth: float, size: An
 
 
 @serial
-def _contested(
-    known: Any, place: Any, value: Any, depth: Any, label: Any, size: Any, shape: Any, tolerance: float
-) -> Any:
+def _claims(cells: Any, depth: Any, n: int) -> tuple[Any, Any]:
+    """Nearest and farthest point (flat index, -1 none) of each of the other device's n pixels."""
+    near, far = np.full(n, np.int32(-1)), np.full(n, np.int32(-1))
+    for k in range(cells.shape[0]):
+        c = cells[k]
+        if c < 0:
+            continue
+        if near[c] < 0:
+            near[c] = far[c] = k
+        elif depth[k] < depth[near[c]]:
+            near[c] = k
+        elif depth[k] > depth[far[c]]:
+            far[c] = k
+    return near, far
+
+
+@serial
+def _contested(cells: Any, near: Any, far: Any, value: Any, label: Any, size: Any, tolerance: float) -> Any:
     """Share of each surface's points whose pixel of the other device another surface claims as well, by label."""
-    height, width = shape
-    near = np.full((height, width), np.int32(-1))
-    far = np.full((height, width), np.int32(-1))
-    rows, columns = known.shape
-    for i in range(rows):
-        for j in range(columns):
-            if not known[i, j]:
-                continue
-            y, x = _cell(place, i, j, height, width)
-            if y < 0:
-                continue
-            k = np.int32(i * columns + j)
-            if near[y, x] < 0 or depth[i, j] < depth[near[y, x] // columns, near[y, x] % columns]:
-                near[y, x] = k
-            if far[y, x] < 0 or depth[i, j] > depth[far[y, x] // columns, far[y, x] % columns]:
-                far[y, x] = k
     share = np.zeros(size.shape[0], np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            if not known[i, j]:
-                continue
-            y, x = _cell(place, i, j, height, width)
-            if y < 0:
-                continue
-            for rival in (int(near[y, x]), int(far[y, x])):
-                a, b = rival // columns, rival % columns
-                if label[a, b] != label[i, j] and abs(value[a, b] - value[i, j]) > tolerance:
-                    share[label[i, j]] += np.float32(1.0)
-                    break
-    for k in range(size.shape[0]):
-        if size[k] > 0:
-            share[k] /= size[k]
+    for k in range(cells.shape[0]):
+        c = cells[k]
+        if c < 0 or near[c] == far[c]:
+            continue
+        mine = label[k]
+        for rival in (near[c], far[c]):
+            if label[rival] != mine and abs(value[rival] - value[k]) > tolerance:
+                share[mine] += np.float32(1.0) / size[mine]
+                break
     return share
 
 
 @serial
+def _arbitrate(
+    known: Any, cells: Any, near: Any, far: Any, value: Any, depth: Any, label: Any, size: Any, share: Any,
+    tolerance: float, sure: int,
+) -> int:  # fmt: skip
+    """Forget the points whose claim does not prevail; all arrays flat. Returns their number."""
+    gone = 0
+    for k in range(cells.shape[0]):
+        c = cells[k]
+        if c < 0 or near[c] == far[c]:
+            continue
+        for rival in (near[c], far[c]):
+            if label[rival] == label[k] or abs(value[rival] - value[k]) <= tolerance:
+                continue
+            if not _prevails(label[k], depth[k], label[rival], depth[rival], size, share, sure):
+                known[k] = False
+                gone += 1
+                break
+    return gone
+
+
 def unique(
-    known: Any, place: Any, value: Any, depth: Any, label: Any, size: Any, shape: tuple[int, int], tolerance: float,
-    sure: int,
+    known: NDArray[np.bool_], place: Any, value: Any, depth: Any, label: Any, size: Any, shape: tuple[int, int],
+    tolerance: float, sure: int,
 ) -> int:  # fmt: skip
     """One pixel of another device sees (or lights) one surface only: of two that claim it one is forgotten there.
 
@@ -224,29 +243,12 @@ def unique(
         Number of points forgotten.
     """
     height, width = shape
-    share = _contested(known, place, value, depth, label, size, shape, tolerance)
-    owner = np.full((height, width), np.int32(-1))
-    held = np.zeros((height, width), np.float32)
-    where = np.zeros((height, width), np.float32)
-    for i in range(known.shape[0]):
-        for j in range(known.shape[1]):
-            if not known[i, j]:
-                continue
-            y, x = _cell(place, i, j, height, width)
-            if y < 0:
-                continue
-            mine = label[i, j]
-            if owner[y, x] < 0 or _prevails(mine, depth[i, j], owner[y, x], where[y, x], size, share, sure):
-                owner[y, x] = mine
-                held[y, x] = value[i, j]
-                where[y, x] = depth[i, j]
-    gone = 0
-    for i in range(known.shape[0]):
-        for j in range(known.shape[1]):
-            if not known[i, j]:
-                continue
-            y, x = _cell(place, i, j, height, width)
-            if y >= 0 and owner[y, x] != label[i, j] and abs(held[y, x] - value[i, j]) > tolerance:
-                known[i, j] = False
-                gone += 1
-    return gone
+    cells = _cells(known, place, height, width)
+    flat_depth, flat_value, flat_label = depth.ravel(), value.ravel(), label.ravel()
+    near, far = _claims(cells, flat_depth, height * width)
+    share = _contested(cells, near, far, flat_value, flat_label, size, tolerance)
+    return int(
+        _arbitrate(
+            known.reshape(-1), cells, near, far, flat_value, flat_depth, flat_label, size, share, tolerance, sure
+        )
+    )

@@ -11,7 +11,7 @@ A phasor ``C + i S`` is kept rather than its angle: it can be interpolated, the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -104,11 +104,11 @@ class Decoder:
             )  # fmt: skip
         means = local_means(channels, self._period_px, axis=self._axis)
         equalized = equalized_phasor(channels, means, self._ideal)
-        phase, phase_eq, modulation, valid = describe(
-            fitted[0], equalized, fitted[2], np.float32(self._settings.min_modulation)
-        )
+        modulation, valid = describe(fitted[0], fitted[2], np.float32(self._settings.min_modulation))
         share = float(np.count_nonzero(clipped)) / clipped.size
-        return PhaseMap(fitted[0], equalized, fitted[1], fitted[2], share, phase, phase_eq, modulation, valid)
+        return PhaseMap(
+            fitted[0], equalized, fitted[1], fitted[2], share, angles(fitted[0]), angles(equalized), modulation, valid
+        )
 
     def _noise(self, image: NDArray[np.uint8]) -> NoiseModel:
         if self._settings.read_noise > 0:
@@ -117,21 +117,23 @@ class Decoder:
 
 
 @parallel
-def describe(phasor: Any, equalized: Any, variance: Any, smallest: float) -> tuple[Any, Any, Any, Any]:
-    """Angles of both phasors, modulation (uint8) and validity, each (H, W)."""
+def describe(phasor: Any, variance: Any, smallest: float) -> tuple[Any, Any]:
+    """Modulation (H, W) uint8 and validity (H, W) bool."""
     height, width = phasor.shape
-    phase, phase_eq = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     modulation = np.empty((height, width), np.uint8)
     valid = np.empty((height, width), np.bool_)
     for i in prange(height):
         for j in range(width):
-            p, e = phasor[i, j], equalized[i, j]
-            phase[i, j] = atan2(p.imag, p.real)
-            phase_eq[i, j] = atan2(e.imag, e.real)
+            p = phasor[i, j]
             size = sqrt(p.real * p.real + p.imag * p.imag)
-            modulation[i, j] = np.uint8(min(size, 255.0))
-            valid[i, j] = size >= smallest and variance[i, j] < 1.0
-    return phase, phase_eq, modulation, valid
+            modulation[i, j] = np.uint8(size if size < 255.0 else 255.0)
+            valid[i, j] = size >= smallest and variance[i, j] < np.float32(1.0)
+    return modulation, valid
+
+
+def angles(phasor: NDArray[np.complex64]) -> F32:
+    """Wrapped phase of phasors; numpy's arctan2 uses vector instructions, a kernel's does not."""
+    return np.asarray(np.arctan2(phasor.imag, phasor.real))
 
 
 def _phasor_of(channels: F32, solve: F32) -> NDArray[np.complex64]:

@@ -36,4 +36,7 @@ def checked(image: NDArray[Any], side: str, encoding: str, size: tuple[int, int]
             f"{side} picture is {image.dtype} {image.shape}, but {encoding} of the calibrated camera is uint8 {shape}; "
             "use the calibration of this camera and its region of interest"
         )
-    return np.ascontiguousarray(image)
+    picture = np.ascontiguousarray(image).view()
+    # Always read-only: a kernel is compiled for writable and for read-only arrays apart, the second one mid-run.
+    picture.setflags(write=False)
+    return picture

@@ -66,9 +66,10 @@ class Reconstructor:
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
         self._left = View.of(calibration, pattern, volume, self.settings, calibration.left_color, mosaic)
+        # The right view only confirms the left one: fewer rows serve.
         self._right = View.of(
             swapped, pattern, _volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
-            inside=(swapped.right, volume),
+            inside=(swapped.right, volume), coarser=2,
         )  # fmt: skip
         self._rays = calibration.left.rays().astype(np.float32)
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
@@ -192,7 +193,6 @@ class Reconstructor:
         slope_x, slope_y = self._left.slopes
         label, size = gates.components(known, absolute, match, slope_x, slope_y)
         known = gates.drop_mixed_edges(known, label, left.modulation, self.settings.edge_modulation)
-        label, size = gates.components(known, absolute, match, slope_x, slope_y)
         gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_surface_error)
         s = (1 / depth - self._left.depth.base) / self._left.depth.span
         for place, value, device, tolerance in (

@@ -43,30 +43,32 @@ def _sample(phasor: Any, x: float, y: float) -> tuple[float, float]:
 
 
 @serial
-def _coherent(phasor: Any, x: float, y: float, floor_sq: float) -> bool:
-    """Whether the four neighbours agree in phase and are modulated enough: else (x, y) lies on a break."""
-    re, im = _sample(phasor, x, y)
-    if re * re + im * im < floor_sq:
-        return False
-    i, j = int(y), int(x)
+def _coherent(phasor: Any, x: float, y: float, re: float, im: float) -> bool:
+    """Whether the four neighbours agree in phase with their mean (re, im): else (x, y) lies on a break."""
+    i, j = np.uint32(y), np.uint32(x)
     b, a = y - i, x - j
-    size = 0.0
-    for di in range(2):
-        for dj in range(2):
-            p = phasor[i + di, j + dj]
-            w = (b if di else 1 - b) * (a if dj else 1 - a)
-            size += w * sqrt(p.real * p.real + p.imag * p.imag)
-    return re * re + im * im > _COHERENCE * _COHERENCE * size * size
+    one = np.uint32(1)
+    p00, p01, p10, p11 = phasor[i, j], phasor[i, j + one], phasor[i + one, j], phasor[i + one, j + one]
+    # The mean square is at least the square of the mean modulus: a slightly stricter test without four roots.
+    square = (
+        (1 - a) * (1 - b) * (p00.real * p00.real + p00.imag * p00.imag)
+        + a * (1 - b) * (p01.real * p01.real + p01.imag * p01.imag)
+        + (1 - a) * b * (p10.real * p10.real + p10.imag * p10.imag)
+        + a * b * (p11.real * p11.real + p11.imag * p11.imag)
+    )
+    return re * re + im * im > _COHERENCE * _COHERENCE * square
 
 
 @serial
 def _angle(c: float, s: float) -> float:
-    """Angle of (c, s); a short series where it is small, which is nearly always."""
-    if abs(s) < 0.3 * c:
-        t = s / c
-        q = t * t
-        return t * (1.0 - q * (1.0 / 3.0 - q * (0.2 - q * (1.0 / 7.0 - q * (1.0 / 9.0)))))
-    return atan2(s, c)
+    """Angle of (c, s); a polynomial (Abramowitz and Stegun 4.4.49, error below 2e-8) up to 45 degrees."""
+    if not abs(s) < c:
+        return atan2(s, c)
+    t = s / c
+    q = t * t
+    p = 0.0429096138 + q * (-0.0161657367 + q * 0.0028662257)
+    p = -0.1420889944 + q * (0.1065626393 + q * (-0.0752896400 + q * p))
+    return t * (1.0 + q * (-0.3333314528 + q * (0.1999355085 + q * p)))
 
 
 @serial
@@ -74,7 +76,7 @@ def _slope(phasor: Any, x: float, y: float, hx: float, hy: float) -> float:
     """Change of the phase from (x, y) - (hx, hy) to (x, y) + (hx, hy), radians."""
     ar, ai = _sample(phasor, x - hx, y - hy)
     br, bi = _sample(phasor, x + hx, y + hy)
-    return atan2(ar * bi - ai * br, ar * br + ai * bi)
+    return _angle(ar * br + ai * bi, ar * bi - ai * br)
 
 
 @serial
@@ -166,11 +168,13 @@ def refine(
             z = 1.0 / (base + span * s)
             x, y = project(device, rx * z, ry * z, z)
             pr, pi_ = _sample(other_phasor, x, y)
+            if pr * pr + pi_ * pi_ < floor_sq or not _coherent(other_phasor, x, y, pr, pi_):
+                continue
             f = _angle(pr * here.real + pi_ * here.imag, pi_ * here.real - pr * here.imag)
             s -= f / slope
             z = 1.0 / (base + span * s)
             x, y = x - ex * f / slope, y - ey * f / slope
-            if not _inside(other_phasor, x, y) or not _coherent(other_phasor, x, y, floor_sq):
+            if not _inside(other_phasor, x, y):
                 continue
             depth[i, j] = z
             match[i, j, 0], match[i, j, 1] = x, y

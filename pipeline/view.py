@@ -49,13 +49,13 @@ class View:
     @staticmethod
     def of(
         calibration: Calibration, pattern: ColorFringe, volume: Volume, settings: Settings, color: ColorModel,
-        mosaic: NDArray[np.int64] | None, inside: tuple[CameraModel, Volume] | None = None,
+        mosaic: NDArray[np.int64] | None, inside: tuple[CameraModel, Volume] | None = None, coarser: int = 1,
     ) -> View:  # fmt: skip
         """Build the tables of the calibration's left camera."""
         axis = pattern.axis
         depth = DepthScale.of(volume)
         period = period_in_picture(calibration, depth, axis=axis, period=pattern.length / pattern.periods)
-        step = (settings.lattice_x, settings.lattice_y)
+        step = (settings.lattice_x, coarser * settings.lattice_y)
         table = ray_table(calibration, depth, axis=axis, step=step if axis == "x" else step[::-1], inside=inside)
         sign = _growth(calibration, depth, axis)
         slope = sign * 2 * np.pi / period
@@ -92,7 +92,8 @@ class View:
         t, rows = self.table, slice(None, None, every)
         return candidates.candidate_costs(
             t.rows[rows], t.columns, t.along[rows], t.across[rows], t.other_u[rows], t.other_v[rows], t.limits[rows],
-            here.phasor, here.equalized, here.mean, here.valid, there.phasor, there.equalized, there.mean,
+            here.phasor, here.equalized, here.mean, here.valid, here.phase, here.phase_eq,
+            there.phasor, there.equalized, there.mean,
             self.columns, self.phases, correction, self.extent, labels,
             self.settings.min_modulation**2, self.settings.cost_sigma, self.settings.texture_weight, *slopes,
         )  # fmt: skip
