@@ -1,0 +1,172 @@
+"""What a replay is expected to give: for every pair its points, its coverage and the depth in every cell of a grid.
+
+A golden file is JSON and meant to be read, and its tolerances to be edited, by people.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.atomic import write_atomically
+from daemon.bounded import read_at_most
+from daemon.errors import DaemonError
+
+VERSION = 1
+CELL = 32
+MAX_BYTES = 256 << 20
+
+
+class GoldenError(DaemonError):
+    """A golden file that cannot be used; the message names file and key."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """How far a replay may move; they stand in the golden file."""
+
+    points_percent: float = 0.5
+    """Change of the number of points of a pair."""
+    coverage: float = 0.005
+    """Change of the share of pixels with a point."""
+    depth_mm: float = 0.05
+    """Change of a cell's median depth."""
+    spread_mm: float = 0.2
+    """Change of the distance between a cell's quartiles of depth."""
+    count_percent: float = 10.0
+    """Change of a cell's number of points, of the cell's pixels."""
+    cells_percent: float = 0.5
+    """Share of the cells that may move by more than the three limits above."""
+    min_count: int = 50
+    """Points that a cell needs, before and now, for its depth to be compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairStatistics:
+    """A cloud in figures, row by row of the grid; cells without points hold None."""
+
+    sequence: int
+    size: tuple[int, int]
+    points: int
+    coverage: float
+    median_mm: list[list[float | None]]
+    spread_mm: list[list[float | None]]
+    count: list[list[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class Golden:
+    """A golden file."""
+
+    pairs: dict[int, PairStatistics]
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    cell: int = CELL
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Something that is not what it was; ``limit`` says what would have been allowed."""
+
+    sequence: int
+    what: str
+    expected: str
+    got: str
+    limit: str
+
+
+def statistics(sequence: int, depth_mm: NDArray[np.float32], cell: int = CELL) -> PairStatistics:
+    """The figures of a depth map.
+
+    Args:
+        depth_mm: (H, W), NaN where unknown; cell: side of a square cell, pixels; those at the border may be smaller.
+    """
+    height, width = depth_mm.shape
+    medians: list[list[float | None]] = []
+    spreads: list[list[float | None]] = []
+    counts: list[list[int]] = []
+    for top in range(0, height, cell):
+        known = [row[np.isfinite(row)] for row in _cells(depth_mm[top : top + cell], cell)]
+        quartiles = [np.percentile(values, (25, 50, 75)) if values.size else None for values in known]
+        medians.append([None if q is None else round(float(q[1]), 4) for q in quartiles])
+        spreads.append([None if q is None else round(float(q[2] - q[0]), 4) for q in quartiles])
+        counts.append([int(values.size) for values in known])
+    points = int(np.isfinite(depth_mm).sum())
+    return PairStatistics(sequence, (width, height), points, round(points / depth_mm.size, 6), medians, spreads, counts)
+
+
+def _cells(band: NDArray[np.float32], cell: int) -> list[NDArray[np.float32]]:
+    return [band[:, left : left + cell].ravel() for left in range(0, band.shape[1], cell)]
+
+
+def bless(path: Path, pairs: Sequence[PairStatistics], about: Mapping[str, Any]) -> Golden:
+    """Write a golden file; tolerances and grid of the file that is replaced are kept.
+
+    Args:
+        about: where the figures come from: take, calibration, settings; for people.
+    """
+    before = load(path) if path.exists() else Golden({})
+    golden = Golden({pair.sequence: pair for pair in pairs}, before.tolerances, before.cell, dict(about))
+    head = {"fringed_golden": VERSION, "about": dict(about), "tolerances": asdict(golden.tolerances)}
+    head["cell"] = golden.cell
+    # One line a pair: a change can be seen in a diff, and the file stays short.
+    rows = ",\n  ".join(json.dumps(asdict(pair), separators=(", ", ": ")) for pair in pairs)
+    text = json.dumps(head, indent=1).removesuffix("\n}") + f',\n "pairs": [\n  {rows}\n ]\n}}\n'
+    write_atomically(path, text.encode())
+    return golden
+
+
+def load(path: Path) -> Golden:
+    """A golden file.
+
+    Raises:
+        GoldenError: when it is none, naming the key.
+    """
+    data = read_at_most(path, MAX_BYTES, GoldenError)
+    try:
+        value = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise GoldenError(f"{path}: not JSON: {error}; `--bless {path}` writes a new one") from error
+    if not isinstance(value, dict) or value.get("fringed_golden") != VERSION:
+        found = value.get("fringed_golden") if isinstance(value, dict) else None
+        raise GoldenError(f"{path}: fringed_golden is {found!r}, this program reads version {VERSION}")
+    try:
+        pairs = [_pair(item) for item in value["pairs"]]
+        cell = int(value["cell"])
+        if not 1 <= cell <= 65535:
+            raise ValueError(f"cell is {cell}, expected 1 to 65535 pixels")
+        tolerances = _tolerances(value.get("tolerances", {}))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        what = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
+        raise GoldenError(f"{path}: {what}") from error
+    return Golden({pair.sequence: pair for pair in pairs}, tolerances, cell, value.get("about", {}))
+
+
+def _pair(item: Mapping[str, Any]) -> PairStatistics:
+    width, height = item["size"]
+    return PairStatistics(
+        int(item["sequence"]),
+        (int(width), int(height)),
+        int(item["points"]),
+        float(item["coverage"]),
+        item["median_mm"],
+        item["spread_mm"],
+        item["count"],
+    )
+
+
+def _tolerances(values: Mapping[str, Any]) -> Tolerances:
+    known = {f.name for f in fields(Tolerances)}
+    unknown = sorted(set(values) - known)
+    if unknown:  # people edit these: a mistyped one must not silently do nothing
+        raise ValueError(f"tolerances.{unknown[0]} is not known; there are: {', '.join(sorted(known))}")
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
+            raise ValueError(f"tolerances.{name} is {value!r}, expected a number from 0")
+    return Tolerances(**values)
