@@ -3,9 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.complete
-export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: env demo test bench check clean
+.PHONY: help env demo test bench check golden screenshot clean
 .DEFAULT_GOAL := help
 
 help:
@@ -18,3 +17,30 @@ $(STAMP): pyproject.toml constraints.txt tools/system-packages
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[rig,dev]'
 	@touch $@
+
+demo: $(STAMP)  ## measure a moving object on the simulated rig, live; prints the viewer's address
+	$(BIN)/fringed demo
+
+test: $(STAMP)  ## everything that proves it: style, types, layers, all tests
+	tools/system-packages browser
+	$(MAKE) --no-print-directory check
+	$(BIN)/python -m pytest
+
+check: $(STAMP)  ## style, types and layers only
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(STAMP)  ## accuracy by case and speed by stage, as tables
+	$(BIN)/python -m benchmarks.bench
+
+golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
+	$(BIN)/python -m tests.golden.make
+
+screenshot: $(STAMP)  ## the picture in the README, from a running demo
+	tools/system-packages browser
+	$(BIN)/python -m tools.screenshot docs/pictures/demo.png
+
+clean:  ## remove the environment and everything made
+	rm -rf $(VENV) dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
