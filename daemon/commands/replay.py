@@ -1,0 +1,194 @@
+"""``fringed replay``: reconstruct a recorded take, write its clouds, and prove that they are what they were."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+if TYPE_CHECKING:
+    from daemon.replay.golden import Golden, Move, PairStatistics
+    from daemon.replay.runner import Replay, Result, Run
+
+_VIEWER = "viewer"
+
+
+class ReplayCommand(TyperCommand):
+    """``--rerun`` may stand alone or be followed by the name of a ``.rrd`` file."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Give a lone ``--rerun`` its value."""
+        given: list[str] = []
+        for argument, following in zip(args, [*args[1:], ""], strict=True):
+            given.append(argument)
+            if argument == "--rerun" and not following.endswith(".rrd"):
+                given.append(_VIEWER)
+        return super().parse_args(ctx, given)
+
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command(cls=ReplayCommand)
+def main(
+    take: Annotated[Path, typer.Argument(help="The take: its first file, or one of its parts.")],
+    out: Annotated[Path | None, typer.Option(help="Directory for clouds and summary.json.")] = None,
+    no_output: Annotated[bool, typer.Option("--no-output", help="Write only summary.json.")] = False,
+    repeat: Annotated[int, typer.Option(min=1, max=10000, help="Reconstruct every pair so often.")] = 1,
+    kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: npz, ply or pcd.")] = "npz",
+    calibration: Annotated[Path | None, typer.Option(help="Use this calibration instead of the attached one.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="Change a setting: key=value. May be repeated.")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=0, max=256, help="Worker threads; 0 = all.")] = 0,
+    rerun: Annotated[str | None, typer.Option(metavar="[FILE.rrd]", help="Show the clouds, or save for Rerun.")] = None,
+    expect: Annotated[
+        Path | None, typer.Option(help="Compare with this golden file; exit status 1 if it moved.")
+    ] = None,
+    bless: Annotated[Path | None, typer.Option(help="Write this golden file from what comes out.")] = None,
+) -> None:
+    """Reconstruct a recorded take.
+
+    The same take gives bit-identical clouds on the same machine, with any number of threads. A take that was cut off
+    is replayed up to the cut.
+    """
+    from daemon.commands.settings import parsed_settings
+    from daemon.errors import DaemonError
+    from daemon.export.cloud_files import KINDS
+    from daemon.recording.reader import TakeReader
+    from daemon.replay import golden
+    from daemon.replay.runner import Replay
+
+    if kind not in KINDS:
+        raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
+    if out is None and not no_output and rerun is None and expect is None and bless is None:
+        raise DaemonError("nothing to do with the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
+    expected = golden.load(expect) if expect is not None else None
+    cell = _cell(expected, bless)
+    with TakeReader(take) as reader:
+        replay = Replay(reader, settings=parsed_settings(set_ or []), threads=threads, calibration=calibration)
+        runs, figures = _replay(replay, None if no_output else out, kind, repeat, rerun, cell)
+        _tell(replay, runs, out)
+        if bless is not None:
+            _bless(bless, figures, replay)
+        if expected is not None and not _as_expected(expected, figures):
+            raise typer.Exit(1)
+
+
+def _cell(expected: Golden | None, bless: Path | None) -> int:
+    """Size of the golden grid's cells: as in the file that is compared or replaced."""
+    from daemon.replay import golden
+
+    if expected is not None:
+        return expected.cell
+    return golden.load(bless).cell if bless is not None and bless.exists() else golden.CELL
+
+
+def _replay(
+    replay: Replay, out: Path | None, kind: str, repeat: int, rerun: str | None, cell: int
+) -> tuple[list[Run], list[PairStatistics]]:
+    """Everything that is done with each cloud as it comes."""
+    from daemon.commands.progress import rendering
+    from daemon.replay.golden import statistics
+
+    runs: list[Run] = []
+    figures: list[PairStatistics] = []
+    size = replay.take.size
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        show = _viewer(rerun, replay, stack) if rerun is not None else None
+        progress = stack.enter_context(rendering(f"Replaying {replay.take.path.name}"))
+        for result in replay.results(repeat=repeat, progress=lambda done: progress(done, size)):
+            runs.extend(result.runs)
+            figures.append(statistics(result.pair.sequence, result.cloud.xyz[..., 2], cell))
+            if out is not None:
+                _write(out, kind, result)
+            if show is not None:
+                show(result)
+        progress(size, size)
+    return runs, figures
+
+
+def _write(out: Path, kind: str, result: Result) -> None:
+    from daemon.atomic import write_atomically
+    from daemon.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
+
+    cloud = SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
+    write_atomically(out / cloud_name(result.pair.sequence, kind), cloud_bytes(cloud, kind))
+
+
+def _viewer(rerun: str, replay: Replay, stack: ExitStack) -> Callable[[Result], None]:
+    from daemon.replay.rerun_log import RerunLog
+
+    log = RerunLog(replay.take.path.name, None if rerun == _VIEWER else Path(rerun))
+
+    def end(kind: type[BaseException] | None, _: object, __: object) -> None:
+        if kind is None:
+            log.close()
+        else:
+            log.abandon()
+
+    stack.push(end)
+    return log.show
+
+
+def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
+    """Write summary.json, say what happened, and fail when there is not one cloud."""
+    from daemon.errors import DaemonError
+    from daemon.replay.summary import summary_of, write_summary
+
+    summary = summary_of(replay, runs)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        write_summary(out, summary)
+    for problem in summary["problems"]:
+        typer.echo(f"warning: {problem}", err=True)
+    if not runs:
+        reason = replay.failures[0].error if replay.failures else "there are no pairs in it"
+        raise DaemonError(f"{replay.take.path}: no cloud came out: {reason}")
+    for failure in replay.failures:
+        typer.echo(f"warning: pair {failure.sequence}: {failure.error}", err=True)
+    where = f" in {out}" if out is not None else ""
+    rate = summary["pairs_per_second"]
+    typer.echo(f"{summary['clouds']} clouds of {summary['pairs']} pairs{where}, {rate:.2f} pairs per second")
+
+
+def _bless(path: Path, figures: list[PairStatistics], replay: Replay) -> None:
+    from daemon.replay import golden
+
+    about = {
+        "take": replay.take.path.name,
+        "session": replay.take.metadata.get("session"),
+        "calibration": replay.calibration_file.identity,
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    golden.bless(path, figures, about)
+    typer.echo(f"{len(figures)} pairs blessed in {path}")
+
+
+def _as_expected(expected: Golden, figures: list[PairStatistics]) -> bool:
+    from daemon.replay.compare import compare
+
+    moves = compare(expected, figures)
+    if not moves:
+        typer.echo(f"as expected: {len(figures)} pairs within the tolerances")
+        return True
+    _print_moves(moves)
+    return False
+
+
+def _print_moves(moves: list[Move]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="What moved")
+    for column in ("pair", "what", "expected", "got", "allowed"):
+        table.add_column(column, overflow="fold")
+    for move in moves:
+        table.add_row(str(move.sequence), move.what, move.expected, move.got, move.limit)
+    Console(highlight=False, markup=False).print(table)

@@ -1,0 +1,28 @@
+"""``--set key=value`` on the command line."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pipeline.settings import Settings
+
+
+def parsed_settings(given: list[str]) -> Settings:
+    """The pipeline's settings with the changes of ``key=value`` texts.
+
+    Raises:
+        DaemonError: a text that is not of this form; PipelineError: a key or a value that the pipeline does not take.
+    """
+    from daemon.errors import DaemonError
+    from pipeline.settings import Settings
+
+    changes: dict[str, object] = {}
+    for text in given:
+        key, _, value = text.partition("=")
+        try:
+            changes[key.strip()] = json.loads(value)
+        except ValueError as error:
+            raise DaemonError(f"--set {text}: expected key=value with a number, true or false") from error
+    return Settings().with_overrides(changes)

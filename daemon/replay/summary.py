@@ -1,0 +1,45 @@
+"""summary.json: what a replay gave and how long it took."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from daemon.atomic import write_atomically
+from daemon.replay.runner import Replay, Run
+from pipeline.settings import Settings
+
+NAME = "summary.json"
+
+
+def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
+    """The plain values of ``summary.json``; every run counts, also repeated ones."""
+    defaults = dataclasses.asdict(Settings())
+    changed = {k: v for k, v in dataclasses.asdict(replay.settings).items() if v != defaults[k]}
+    counts = replay.take.counts
+    middle_ms = median(run.total_ms for run in runs) if runs else 0.0
+    return {
+        "take": str(replay.take.path),
+        "session": replay.take.metadata.get("session"),
+        "device": replay.take.metadata.get("device"),
+        "calibration": replay.calibration_file.identity,
+        "settings": changed,
+        "threads": replay.threads,
+        "pairs": len(runs) + len(replay.failures),
+        "clouds": len(runs),
+        "pairs_per_second": round(1000 / middle_ms, 3) if middle_ms > 0 else 0.0,
+        "unpaired": dict(counts.unpaired),
+        "duplicates": dict(counts.duplicates),
+        "failed": [dataclasses.asdict(failure) for failure in replay.failures],
+        "problems": replay.take.problems,
+        "per_pair": [dataclasses.asdict(run) for run in runs],
+    }
+
+
+def write_summary(directory: Path, summary: dict[str, Any]) -> None:
+    """Write ``summary.json``."""
+    write_atomically(directory / NAME, (json.dumps(summary, indent=1) + "\n").encode())
