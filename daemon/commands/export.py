@@ -26,13 +26,14 @@ def main(
 ) -> None:
     """Turn clouds into PLY or PCD files, or into a video of depth maps."""
     from daemon.commands.progress import rendering
+    from daemon.commands.settings import parsed_settings
     from daemon.errors import DaemonError
     from daemon.export.cloud_files import KINDS
     from daemon.export.sources import is_take, reconstructed_clouds, saved_clouds
 
     if kind not in KINDS:
         raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
-    from_take = is_take(source)
+    from_take, settings = is_take(source), parsed_settings(set_ or [])
     if not from_take and (calibration is not None or set_):
         raise DaemonError(f"{source} holds finished clouds; --calibration and --set need a take")
     with rendering(f"Exporting {source.name}") as progress:
@@ -40,7 +41,7 @@ def main(
         def clouds() -> Clouds:
             if not from_take:
                 return saved_clouds(source, progress)
-            return reconstructed_clouds(source, progress, calibration=calibration, overrides=_settings(set_ or []))
+            return reconstructed_clouds(source, progress, calibration=calibration, settings=settings)
 
         if out.suffix.lower() in _VIDEOS:
             count = _video(clouds, source if from_take else None, out, near, far, rate)
@@ -86,21 +87,3 @@ def _video(
             yield depth_picture(cloud.xyz[..., 2], warm, cold)
 
     return write_video(out, pictures(), rate_hz=rate)
-
-
-def _settings(given: list[str]) -> dict[str, object]:
-    """``key=value`` texts as settings; values are read like JSON."""
-    import json
-
-    from daemon.errors import DaemonError
-
-    out: dict[str, object] = {}
-    for text in given:
-        key, equals, value = text.partition("=")
-        try:
-            out[key.strip()] = json.loads(value)
-        except ValueError as error:
-            raise DaemonError(f"--set {text}: expected key=value with a number, true or false") from error
-        if not equals or not key.strip():
-            raise DaemonError(f"--set {text}: expected key=value with a number, true or false")
-    return out

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from daemon.calibration_file import read_calibration
 from daemon.errors import DaemonError
 from daemon.export.cloud_files import SavedCloud, clouds_in, read_cloud
 from daemon.recording.reader import TakeReader
+
+if TYPE_CHECKING:
+    from pipeline.settings import Settings
 
 Clouds = Iterator[tuple[int, SavedCloud]]
 Progress = Callable[[int, int], Any]
@@ -32,27 +34,23 @@ def saved_clouds(directory: Path, progress: Progress) -> Clouds:
 
 
 def reconstructed_clouds(
-    path: Path, progress: Progress, *, calibration: Path | None = None, overrides: Mapping[str, object] | None = None
+    path: Path, progress: Progress, *, calibration: Path | None = None, settings: Settings | None = None
 ) -> Clouds:
     """Sequence and cloud of every pair of a take.
 
     Raises:
-        DaemonError: a take without pairs; PipelineError: pictures or files that do not fit together.
+        DaemonError: a take that gives no cloud; PipelineError: files that do not fit together.
     """
-    from pipeline.reconstruct import Reconstructor
+    from daemon.replay.runner import Replay
     from pipeline.settings import Settings
 
-    settings = Settings().with_overrides(overrides or {})
     with TakeReader(path) as take:
-        file = read_calibration(calibration) if calibration is not None else take.calibration()
-        made: Reconstructor | None = None
-        for pair in take.pairs(lambda done: progress(done, take.size)):
-            if made is None or made.encoding != pair.encoding:
-                made = Reconstructor(
-                    file.calibration, take.pattern(), take.volume(), encoding=pair.encoding, settings=settings
-                )
-            cloud = made.reconstruct(pair.left, pair.right)
-            yield pair.sequence, SavedCloud(cloud.xyz, cloud.sigma_mm, cloud.gray)
-        if made is None:
-            raise DaemonError(f"{path}: no pairs to export; {'; '.join(take.problems) or 'the take is empty'}")
+        replay = Replay(take, settings or Settings(), calibration=calibration)
+        count = 0
+        for result in replay.results(progress=lambda done: progress(done, take.size)):
+            count += 1
+            yield result.pair.sequence, SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
+        if count == 0:
+            reasons = [failure.error for failure in replay.failures[:1]] or take.problems or ["the take is empty"]
+            raise DaemonError(f"{path}: no cloud to export: {reasons[0]}")
         progress(take.size, take.size)
