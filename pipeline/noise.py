@@ -61,9 +61,12 @@ def _line(level: NDArray[np.float64], spread: NDArray[np.float64]) -> NoiseModel
     # A tile holds some 250 nearly independent differences: its lowest fifth is 8 % below the truth on average.
     points = [(level[g].mean(), np.quantile(spread[g], 0.2) * 1.08) for g in groups if len(g)]
     x, y = np.array(points).T
-    weight = 1 / np.maximum(y, _QUANTISATION)
-    gain, floor = np.polyfit(x, y, 1, w=weight) if len(x) > 2 else (0.0, float(np.median(y)))
+    weight = 1 / np.maximum(y, _QUANTISATION) ** 2
+    middle, height = np.average(x, weights=weight), np.average(y, weights=weight)
+    spread_x = np.average((x - middle) ** 2, weights=weight)
+    gain = np.average((x - middle) * (y - height), weights=weight) / spread_x if spread_x > 25 else 0.0
+    floor = height - gain * middle
     if gain < 0 or floor < _QUANTISATION:
-        gain = max(0.0, float(np.average((y - _QUANTISATION) / x, weights=weight)))
+        gain = max(0.0, (height - _QUANTISATION) / middle)
         floor = _QUANTISATION
     return NoiseModel(float(floor), float(gain))

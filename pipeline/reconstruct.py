@@ -22,7 +22,7 @@ from pipeline.stopwatch import Stopwatch
 from pipeline.view import View
 from pipeline.window_fit import weights_of
 
-MAX_LABELS = 96
+MAX_LABELS = 64
 
 
 class Reconstructor:

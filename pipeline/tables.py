@@ -93,13 +93,15 @@ def ray_table(
     projector = [calibration.projector.project(p) for p in points]
     other = [calibration.right.project(p) for p in points]
     first = 0 if axis == "x" else 1
+    along = _homography([p[..., first] for p in projector], "projector")
+    other_u = _homography([p[..., 0] for p in other], "other camera")
     return RayTable(
         rows,
         columns,
-        along=_homography([p[..., first] for p in projector], "projector"),
-        across=_homography([p[..., 1 - first] for p in projector], "projector"),
-        other_u=_homography([p[..., 0] for p in other], "other camera"),
-        other_v=_homography([p[..., 1] for p in other], "other camera"),
+        along=along.astype(np.float32),
+        across=_homography([p[..., 1 - first] for p in projector], "projector", along[..., 2]).astype(np.float32),
+        other_u=other_u.astype(np.float32),
+        other_v=_homography([p[..., 1] for p in other], "other camera", other_u[..., 2]).astype(np.float32),
         limits=_limits(direction, depth, inside),
     )
 
@@ -117,19 +119,22 @@ def _limits(direction: F64, depth: DepthScale, inside: tuple[CameraModel, Volume
     return np.clip(s, 0.0, 1.0).astype(np.float32)
 
 
-def _homography(values: list[F64], name: str) -> F32:
-    """c0, c1, c2 through the values at s = 0, 1/2, 1."""
+def _homography(values: list[F64], name: str, denominator: F64 | float = 0.0) -> F64:
+    """c0, c1, c2 through the values at s = 0, 1/2, 1.
+
+    A coordinate that hardly changes along the ray does not tell the denominator; it then takes the given one, which
+    the two coordinates of a device share.
+    """
     u0, uh, u1 = values
     if not np.isfinite(u0 + uh + u1).all():
         raise CalibrationError(f"part of the measuring volume lies behind the {name}; check its pose and the volume")
     # (c0 + c1 s) / (1 + c2 s): 2 uh + uh c2 = 2 c0 + c1 and u1 + u1 c2 = c0 + c1.
-    moves = np.abs(u1 - uh)
     with np.errstate(divide="ignore", invalid="ignore"):
         c2 = (2 * uh - u0 - u1) / (u1 - uh)
-    # A coordinate that hardly changes does not tell the denominator; a straight line serves it as well.
-    c2 = np.where((moves > 0.5) & (np.abs(c2) < 0.5), c2, 0.0)
+    told = (np.abs(u1 - uh) > 2.0) & (np.abs(c2 - denominator) < 0.2)
+    c2 = np.where(told if np.ndim(denominator) else np.abs(u1 - uh) > 0.5, c2, denominator)
     c1 = u1 * (1 + c2) - u0
-    return np.stack([u0, c1, c2], axis=-1).astype(np.float32)
+    return np.stack([u0, c1, c2], axis=-1)
 
 
 def period_in_picture(calibration: Calibration, depth: DepthScale, *, axis: str, period: float) -> float:

@@ -1,0 +1,253 @@
+"""Laws of the whole reconstruction, with the simulator's truth as the judge."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pipeline.calibration import Calibration
+from pipeline.camera_model import CameraModel
+from pipeline.cloud import Volume
+from pipeline.errors import CalibrationError, PictureError, PipelineError
+from pipeline.pattern import modulated_profile
+from pipeline.reconstruct import Reconstructor
+from pipeline.settings import LIMITS, Settings
+from pipeline.triangulate import triangulate
+from sim.optics import Optics
+from sim.render import render_counts, render_pair, with_noise
+from sim.rig import RigLayout
+from sim.scenes import build
+from sim.score import score
+
+SMALL = RigLayout().scaled(0.375)
+SETTINGS = Settings(min_component=40)
+
+
+def small_pattern(layout=SMALL, **options):
+    return layout.pattern(36.0, **options)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return render_pair(SMALL, build("mixed"), small_pattern(), Optics(), seed=1)
+
+
+def reconstructor(layout=SMALL, optics=None, settings=SETTINGS, **options):
+    optics = optics or Optics()
+    return Reconstructor(
+        layout.calibration_for(optics), small_pattern(layout), layout.volume(), settings=settings, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def cloud(pair):
+    return reconstructor().reconstruct(pair.left, pair.right)
+
+
+def test_a_scene_with_everything_is_measured(pair, cloud):
+    found = score(cloud.xyz, pair.truth_left)
+    # Edges weigh more in a small picture than in a full one, whose promise is checked below.
+    assert found.reconstructed > 0.92
+    assert found.wrong < 0.015
+
+
+def test_every_point_lies_on_its_pixels_ray(cloud):
+    rays = SMALL.calibration().left.rays()
+    known = np.isfinite(cloud.xyz[..., 2])
+    assert np.abs(cloud.xyz[known][:, :2] / cloud.xyz[known][:, 2:] - rays[known]).max() < 1e-6
+
+
+def test_unknown_is_nan_in_all_of_a_point_and_its_sigma(cloud):
+    known = np.isfinite(cloud.xyz[..., 2])
+    assert np.isfinite(cloud.xyz[known]).all()
+    assert np.isnan(cloud.xyz[~known]).all()
+    assert (np.isfinite(cloud.sigma_mm) == known).all()
+    assert ((cloud.order >= 0) == known).all()
+    assert cloud.xyz.dtype == np.float32
+    assert cloud.gray.dtype == np.uint8
+
+
+def test_orders_are_the_truths(pair, cloud):
+    both = (cloud.order >= 0) & pair.truth_left.scorable
+    away = (cloud.order - pair.truth_left.order)[both]
+    # Measured orders belong to phases in (-pi, pi], the truth's to [0, 2 pi): they may differ by one half of the time.
+    assert np.isin(away, (0, 1)).mean() > 0.99
+
+
+def test_the_point_solves_the_four_equations_of_both_views(pair, cloud):
+    calibration = SMALL.calibration_for(Optics())
+    known = np.argwhere(np.isfinite(cloud.xyz[..., 2]))[::97]
+    points = cloud.xyz[known[:, 0], known[:, 1]].astype(float)
+    left = known[:, ::-1].astype(float)
+    again = triangulate(calibration.left, calibration.right, left, calibration.right.project(points))
+    assert np.abs(again - points).max() < 1e-3
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads(pair, cloud):
+    for threads in (1, 2):
+        again = reconstructor(threads=threads).reconstruct(pair.left, pair.right)
+        assert again.xyz.tobytes() == cloud.xyz.tobytes()
+        assert again.sigma_mm.tobytes() == cloud.sigma_mm.tobytes()
+
+
+def test_warming_up_leaves_no_trace(pair, cloud):
+    warm = reconstructor()
+    warm.warm_up()
+    assert warm.reconstruct(pair.left, pair.right).xyz.tobytes() == cloud.xyz.tobytes()
+
+
+def test_measuring_in_other_units_gives_the_same_shape(pair, cloud):
+    calibration = SMALL.calibration_for(Optics())
+
+    def larger(device: CameraModel) -> CameraModel:
+        return dataclasses.replace(device, translation=2.5 * device.translation)
+
+    scaled = Calibration(
+        calibration.left, larger(calibration.right), larger(calibration.projector), calibration.left_color,
+        calibration.right_color, calibration.response,
+    )  # fmt: skip
+    volume = SMALL.volume()
+    big = Reconstructor(
+        scaled, small_pattern(), Volume(2.5 * volume.near_mm, 2.5 * volume.far_mm), settings=SETTINGS
+    ).reconstruct(pair.left, pair.right)
+    both = np.isfinite(big.xyz[..., 2]) & np.isfinite(cloud.xyz[..., 2])
+    assert both.sum() > 0.995 * cloud.points
+    assert np.abs(big.xyz[both] / 2.5 - cloud.xyz[both]).max() < 0.02
+    assert np.abs(big.sigma_mm[both] / 2.5 / cloud.sigma_mm[both] - 1).max() < 0.01
+
+
+def test_swapping_the_cameras_measures_the_same_surface(pair, cloud):
+    calibration = SMALL.calibration_for(Optics())
+    swapped = calibration.swapped()
+    truth = pair.truth_right
+    moved = truth.xyz.astype(float) @ calibration.right.rotation.T + calibration.right.translation
+    volume = Volume(float(np.nanmin(moved[..., 2])) - 10, float(np.nanmax(moved[..., 2])) + 10)
+    mirrored = Reconstructor(swapped, small_pattern(), volume, settings=SETTINGS).reconstruct(pair.right, pair.left)
+    error = np.linalg.norm(mirrored.xyz - moved, axis=-1)
+    scorable = truth.scorable
+    right = (error < 1)[scorable].mean()
+    assert right > 0.90
+    left = score(cloud.xyz, pair.truth_left)
+    assert np.sqrt((error[scorable & (error < 1)] ** 2).mean()) < 1.3 * left.rms_mm
+
+
+def test_frequency_modulated_fringes_take_the_same_path():
+    pattern = dataclasses.replace(small_pattern(), profile=modulated_profile(small_pattern().length, 36.0))
+    pair = render_pair(SMALL, build("mixed"), pattern, Optics(), seed=2)
+    found = Reconstructor(SMALL.calibration_for(Optics()), pattern, SMALL.volume(), settings=SETTINGS)
+    measured = score(found.reconstruct(pair.left, pair.right).xyz, pair.truth_left)
+    assert measured.reconstructed > 0.92
+    assert measured.wrong < 0.015
+
+
+def test_a_projector_off_by_a_column_is_noticed_and_corrected(pair, cloud):
+    optics = Optics(projector_error_px=(0.375, 0.0))
+    wrong = reconstructor(optics=optics)
+    again = wrong.reconstruct(pair.left, pair.right)
+    assert abs(wrong.correction[0] + 0.375) < 0.05
+    assert again.points > 0.99 * cloud.points
+
+
+def test_a_bayer_sensor_is_measured_without_demosaicing():
+    layout = RigLayout().scaled(0.5)
+    pattern = layout.pattern(48.0)
+    pair = render_pair(layout, build("spheres"), pattern, Optics(), seed=3, encoding="bayer_grbg8")
+    found = Reconstructor(
+        layout.calibration_for(Optics()), pattern, layout.volume(), encoding="bayer_grbg8", settings=SETTINGS
+    )
+    measured = score(found.reconstruct(pair.left, pair.right).xyz, pair.truth_left)
+    assert measured.reconstructed > 0.93
+
+
+def test_nothing_in_the_dark_and_nothing_without_fringes():
+    width, height = SMALL.calibration().left.size
+    for level in (0, 6, 120, 255):
+        flat = np.full((height, width, 3), level, np.uint8)
+        assert reconstructor().reconstruct(flat, flat).points == 0
+
+
+def test_pure_noise_is_not_a_surface():
+    width, height = SMALL.calibration().left.size
+    rng = np.random.default_rng(0)
+    left, right = rng.integers(0, 255, (2, height, width, 3), dtype=np.uint8)
+    assert reconstructor(settings=Settings()).reconstruct(left, right).points < 0.002 * width * height
+
+
+@pytest.mark.slow
+def test_sigma_is_the_scatter_over_fifty_noisy_pictures():
+    optics = Optics()
+    counts = render_counts(SMALL, build("spheres"), small_pattern(), optics)
+    found = reconstructor(settings=dataclasses.replace(SETTINGS, self_calibrate=False))
+    clouds = []
+    for seed in range(50):
+        left, right = with_noise(counts, optics, seed, "rgb8")
+        clouds.append(found.reconstruct(left, right))
+    z = np.stack([c.xyz for c in clouds]).astype(float)
+    always = np.isfinite(z[..., 2]).all(axis=0)
+    assert always.mean() > 0.5
+    scatter = np.linalg.norm(z[:, always].std(axis=0, ddof=1), axis=-1)
+    predicted = np.mean([c.sigma_mm[always] for c in clouds], axis=0)
+    assert 0.8 < np.median(predicted) / np.median(scatter) < 1.2
+    for low, high in ((0, 33), (33, 66), (66, 100)):
+        part = (predicted >= np.percentile(predicted, low)) & (predicted <= np.percentile(predicted, high))
+        assert 0.8 < np.median(predicted[part]) / np.median(scatter[part]) < 1.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scene", "layout", "reconstructed", "wrong", "rms_mm"),
+    [
+        ("mixed", RigLayout(), 0.97, 0.0015, 0.090),
+        ("plane", RigLayout(), 0.99, 0.0005, 0.030),
+        ("mixed", RigLayout(projector_fraction=0.5), 0.95, 0.015, 0.090),
+    ],
+)
+def test_the_promise_at_full_size(scene, layout, reconstructed, wrong, rms_mm):
+    pair = render_pair(layout, build(scene), layout.pattern(), Optics())
+    found = Reconstructor(layout.calibration_for(Optics()), layout.pattern(), layout.volume())
+    measured = score(found.reconstruct(pair.left, pair.right).xyz, pair.truth_left)
+    assert measured.reconstructed >= reconstructed
+    assert measured.wrong <= wrong
+    assert measured.rms_mm <= rms_mm
+    assert abs(measured.bias_mm) < 0.02
+
+
+def test_pictures_that_do_not_fit_are_refused(pair):
+    with pytest.raises(PictureError, match="left picture"):
+        reconstructor().reconstruct(pair.left[:-1], pair.right)
+    with pytest.raises(PictureError, match="right picture"):
+        reconstructor().reconstruct(pair.left, pair.right.astype(np.uint16))
+    with pytest.raises(PictureError, match="mono8"):
+        reconstructor(encoding="mono8")
+
+
+def test_a_pattern_of_another_projector_is_refused():
+    pattern = RigLayout().scaled(0.25).pattern(24.0)
+    with pytest.raises(CalibrationError, match=r"pattern\.size"):
+        Reconstructor(SMALL.calibration(), pattern, SMALL.volume())
+
+
+def test_a_volume_with_too_many_orders_is_refused_with_a_way_out():
+    with pytest.raises(CalibrationError, match="make the volume smaller"):
+        Reconstructor(SMALL.calibration(), SMALL.pattern(160.0), Volume(300.0, 90_000.0))
+
+
+@pytest.mark.parametrize("limits", [(0, 10), (10, 10), (20, 10), (-5, 5), (1, float("inf"))])
+def test_a_volume_that_is_none_is_refused(limits):
+    with pytest.raises(PipelineError, match="volume"):
+        Volume(*limits)
+
+
+def test_settings_are_changed_by_name_and_checked():
+    assert Settings().with_overrides({"min_modulation": 8}).min_modulation == 8.0
+    for change, words in (
+        ({"min_modulaton": 8}, "did you mean min_modulation"),
+        ({"min_modulation": "8"}, "takes float"),
+        ({"min_modulation": 1000.0}, "allowed"),
+        ({"lattice_x": 2.5}, "takes int"),
+        ({"self_calibrate": 1}, "takes bool"),
+        ({"min_component": True}, "takes int"),
+    ):
+        with pytest.raises(PipelineError, match=words):
+            Settings().with_overrides(change)
+    assert set(LIMITS) == {f.name for f in dataclasses.fields(Settings) if f.type != "bool"}
