@@ -1,0 +1,217 @@
+"""``fringed replay`` as a user types it, on a small take of the simulated rig."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daemon.entry import run
+from daemon.export.cloud_files import read_cloud
+from pipeline.reconstruct import Reconstructor
+from tests.record import small_take
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[small_take.Pictures]:
+    return small_take.render()
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory, pictures: list[small_take.Pictures]) -> Path:
+    return small_take.write(tmp_path_factory.mktemp("takes") / "take.mcap", pictures)
+
+
+def replay(take: Path, *arguments: object) -> int:
+    return run(["replay", str(take), *(str(argument) for argument in arguments)])
+
+
+def summary_in(directory: Path) -> dict[str, Any]:
+    return json.loads((directory / "summary.json").read_text())
+
+
+def test_the_results_are_what_the_format_promises(take: Path, tmp_path: Path) -> None:
+    assert replay(take, "--out", tmp_path) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"cloud_0000{n}.npz" for n in (40, 41, 42)] + ["summary.json"]
+    summary = summary_in(tmp_path)
+    assert (summary["pairs"], summary["clouds"]) == (3, 3)
+    assert summary["pairs_per_second"] > 0
+    rays = small_take.LAYOUT.calibration_for(small_take.OPTICS).left.rays()
+    for row in summary["per_pair"]:
+        with np.load(tmp_path / f"cloud_{row['sequence']:06d}.npz", allow_pickle=False) as cloud:
+            xyz, sigma, gray = cloud["xyz"], cloud["sigma_mm"], cloud["gray"]
+        assert (xyz.dtype, sigma.dtype, gray.dtype) == (np.float32, np.float32, np.uint8)
+        assert (xyz.shape, sigma.shape, gray.shape) == ((102, 128, 3), (102, 128), (102, 128))
+        known = np.isfinite(xyz).all(axis=-1)
+        assert known.sum() == row["points"] > 1000
+        assert np.isnan(sigma[~known]).all()
+        assert (sigma[known] > 0).mean() > 0.999
+        assert {"decode", "refinement"} <= set(row["ms"])
+        expected = rays[known] * xyz[known][:, 2:]
+        np.testing.assert_allclose(xyz[known][:, :2], expected, atol=1e-3)  # on the viewing ray of its pixel
+
+
+def test_the_clouds_are_those_of_the_pipeline(take: Path, tmp_path: Path, pictures: list[small_take.Pictures]) -> None:
+    replay(take, "--out", tmp_path)
+    layout = small_take.LAYOUT
+    calibration = layout.calibration_for(small_take.OPTICS)
+    reconstructor = Reconstructor(calibration, layout.pattern(), layout.volume())
+    for number, (left, right) in enumerate(pictures, 40):
+        cloud = reconstructor.reconstruct(left, right)
+        np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud_{number:06d}.npz").xyz, cloud.xyz)
+
+
+def test_a_replay_is_bit_identical_whatever_the_number_of_threads_and_runs(take: Path, tmp_path: Path) -> None:
+    variants = {"a": (), "b": ("--threads", 1), "c": ("--threads", 2), "d": ("--repeat", 2)}
+    for name, arguments in variants.items():
+        assert replay(take, "--out", tmp_path / name, *arguments) == 0
+    for number in (40, 41, 42):
+        clouds = {(tmp_path / name / f"cloud_{number:06d}.npz").read_bytes() for name in variants}
+        assert len(clouds) == 1
+
+
+def test_repeated_runs_all_count_and_no_output_writes_only_the_summary(take: Path, tmp_path: Path) -> None:
+    assert replay(take, "--out", tmp_path, "--no-output", "--repeat", 3) == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
+    summary = summary_in(tmp_path)
+    assert (summary["pairs"], summary["clouds"]) == (9, 9)
+    assert [row["sequence"] for row in summary["per_pair"]] == [40] * 3 + [41] * 3 + [42] * 3
+    totals = sorted(row["total_ms"] for row in summary["per_pair"])
+    assert summary["pairs_per_second"] == pytest.approx(1000 / totals[4], rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["ply", "pcd"])
+def test_other_kinds_of_files(take: Path, tmp_path: Path, kind: str) -> None:
+    assert replay(take, "--out", tmp_path, "--format", kind) == 0
+    assert len(list(tmp_path.glob(f"cloud_*.{kind}"))) == 3
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_other_settings_and_another_calibration_change_the_clouds(take: Path, tmp_path: Path) -> None:
+    replay(take, "--out", tmp_path / "a")
+    assert replay(take, "--out", tmp_path / "b", "--set", "min_modulation=30", "--set", "self_calibrate=false") == 0
+    before, after = summary_in(tmp_path / "a"), summary_in(tmp_path / "b")
+    assert after["settings"] == {"min_modulation": 30.0, "self_calibrate": False}
+    assert sum(row["points"] for row in after["per_pair"]) < sum(row["points"] for row in before["per_pair"])
+    other = tmp_path / "other.yaml"
+    other.write_bytes(small_take.CALIBRATION + b"# the same, other bytes\n")
+    assert replay(take, "--out", tmp_path / "c", "--calibration", other) == 0
+    assert summary_in(tmp_path / "c")["calibration"] != before["calibration"]
+
+
+def test_a_cut_take_replays_up_to_the_cut(take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = take.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(len(data) * 0.7)])
+    replay(take, "--out", tmp_path / "whole")
+    capsys.readouterr()
+    assert replay(cut, "--out", tmp_path / "cut") == 0
+    assert "cut off" in capsys.readouterr().err
+    assert summary_in(tmp_path / "cut")["pairs"] == 2
+    for number in (40, 41):
+        name = f"cloud_{number:06d}.npz"
+        assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_what_was_blessed_is_expected_and_what_moves_is_told(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    golden = tmp_path / "golden.json"
+    assert replay(take, "--bless", golden) == 0
+    assert replay(take, "--expect", golden) == 0
+    assert "as expected: 3 pairs" in capsys.readouterr().out
+    assert replay(take, "--expect", golden, "--set", "min_modulation=30") == 1
+    shown = capsys.readouterr().out
+    for column in ("What moved", "points", "coverage", "filled"):
+        assert column in shown
+
+
+def test_a_depth_that_drifts_is_found_though_the_points_stay(take: Path, tmp_path: Path) -> None:
+    golden = tmp_path / "golden.json"
+    replay(take, "--bless", golden)
+    content = json.loads(golden.read_text())
+    for row in content["pairs"][1]["median_mm"]:
+        row[:] = [None if depth is None else depth + 0.2 for depth in row]
+    golden.write_text(json.dumps(content))
+    assert replay(take, "--expect", golden) == 1
+    content["tolerances"]["depth_mm"] = 0.3
+    golden.write_text(json.dumps(content))
+    assert replay(take, "--expect", golden) == 0
+    assert replay(take, "--bless", golden) == 0  # blessing again keeps what a person has set
+    assert json.loads(golden.read_text())["tolerances"]["depth_mm"] == 0.3
+
+
+def test_a_missing_pair_and_a_new_one_are_told(
+    take: Path, tmp_path: Path, pictures: list[small_take.Pictures], capsys: pytest.CaptureFixture[str]
+) -> None:
+    golden = tmp_path / "golden.json"
+    replay(take, "--bless", golden)
+    later = small_take.write(tmp_path / "later.mcap", pictures, first=41)
+    assert replay(later, "--expect", golden) == 1
+    shown = capsys.readouterr().out
+    assert "must be there" in shown
+    assert "must be known" in shown
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fringed_golden": 2}, "fringed_golden is 2"),
+        ({"tolerances": {"depth": 1}}, "tolerances.depth is not known"),
+        ({"tolerances": {"depth_mm": "1"}}, "tolerances.depth_mm is '1'"),
+        ({"cell": 0}, "cell is 0"),
+        ({"pairs": [{}]}, "size is missing"),
+    ],
+)
+def test_a_bad_golden_file_is_refused_by_name(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any], message: str
+) -> None:
+    golden = tmp_path / "golden.json"
+    golden.write_text(json.dumps({"fringed_golden": 1, "cell": 32, "pairs": []} | change))
+    assert replay(take, "--expect", golden) == 1
+    error = capsys.readouterr().err
+    assert "golden.json" in error
+    assert message in error
+
+
+def test_mistakes_on_the_command_line_are_told(take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "bad.yaml").write_text("fringed_calibration: 2\n")
+    small = tmp_path / "small.yaml"
+    small.write_bytes(small_take.CALIBRATION.replace(b"- 128\n", b"- 126\n", 1))
+    for arguments, message in (
+        ((take,), "nothing to do"),
+        ((take, "--out", tmp_path, "--set", "min_modulatoin=3"), "did you mean min_modulation"),
+        ((take, "--out", tmp_path, "--set", "min_modulation"), "expected key=value"),
+        ((take, "--out", tmp_path, "--format", "obj"), "there are: npz, ply, pcd"),
+        ((take, "--out", tmp_path, "--calibration", tmp_path / "bad.yaml"), "bad.yaml"),
+        ((take, "--out", tmp_path, "--calibration", small), "no cloud came out"),
+        ((tmp_path / "empty.mcap", "--out", tmp_path), "empty.mcap"),
+        ((tmp_path / "absent.mcap", "--out", tmp_path), "absent.mcap"),
+    ):
+        assert replay(*arguments) == 1
+        assert message in capsys.readouterr().err
+
+
+def test_rerun_takes_a_file_or_none(take: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    file = tmp_path / "replay.rrd"
+    assert replay(take, "--rerun", file) == 0
+    clouds = [chunk for chunk in RrdReader(file).stream() if chunk.entity_path == "/world/cloud"]
+    assert sum(chunk.to_record_batch().num_rows for chunk in clouds) == 3
+    assert [p.name for p in tmp_path.iterdir()] == [file.name]
+
+
+@pytest.mark.shared
+def test_the_foreign_take_replays(shared_data: Callable[..., Path], tmp_path: Path) -> None:
+    path = shared_data("bust", "take.mcap")
+    assert replay(path, "--out", tmp_path) == 0
+    cloud = read_cloud(tmp_path / "cloud_000000.npz")
+    assert cloud.gray.shape == (768, 1024)
+    assert np.isfinite(cloud.xyz[..., 2]).mean() > 0.4
