@@ -63,14 +63,12 @@ class TakeReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._parts: list[PartReader] = []
+        self._lost_parts: list[str] = []
         try:
-            for part in parts.of_take(path):
-                self._parts.append(PartReader(part))
-            first = self._parts[0]
-            strangers = [p for p in self._parts if p.metadata.get("session") != first.metadata.get("session")]
-            for stranger in strangers:
-                stranger.close()
-            self._parts = [p for p in self._parts if p not in strangers]
+            first, *later = parts.of_take(path)
+            self._parts.append(PartReader(first))
+            for part in later:
+                self._add_part(part)
         except BaseException:
             self.close()
             raise
@@ -81,6 +79,19 @@ class TakeReader:
 
     def __exit__(self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None) -> None:
         self.close()
+
+    def _add_part(self, path: Path) -> None:
+        """Take a further file for a part, unless it is of another take; one that cannot be read is told."""
+        try:
+            part = PartReader(path)
+        except TakeError as error:
+            self._lost_parts.append(str(error))
+            return
+        sessions = self.metadata.get("session"), part.metadata.get("session")
+        if None not in sessions and sessions[0] != sessions[1]:
+            part.close()
+        else:
+            self._parts.append(part)
 
     def close(self) -> None:
         """Close the files; pictures that were handed out stay valid."""
@@ -105,7 +116,8 @@ class TakeReader:
     @property
     def problems(self) -> list[str]:
         """What is wrong, file by file; complete once everything was read."""
-        return [f"{part.path}: {problem}" for part in self._parts for problem in part.problems]
+        found = [f"{part.path}: {problem}" for part in self._parts for problem in part.problems]
+        return found + self._lost_parts
 
     @property
     def whole(self) -> bool:

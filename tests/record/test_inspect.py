@@ -156,3 +156,22 @@ def test_the_foreign_take_is_whole(shared_data: Callable[..., Path], capsys: pyt
     names = ("take.mcap", "calibration.yaml", "pattern.json", "volume.json")
     assert run(["check", *(str(shared_data("bust", name)) for name in names)]) == 0
     assert capsys.readouterr().out.count(": good") == 4
+
+
+def test_a_part_that_cannot_be_read_costs_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    write(path, [pair(n) for n in range(6)], max_part_bytes=12_000, **GOOD)
+    before = report_of(path)
+    last = sorted(tmp_path.glob("take_part*.mcap"))[-1]
+    last.write_bytes(b"")  # as a power cut leaves it
+    report = report_of(path)
+    assert report["pairs"] > 0  # type: ignore[operator]
+    assert report["pairs"] < before["pairs"]  # type: ignore[operator]
+    assert not report["whole"]
+    assert any(last.name in problem for problem in report["problems"])  # type: ignore[attr-defined]
+
+
+def test_parts_of_another_take_are_left_alone(tmp_path: Path) -> None:
+    write(tmp_path / "take.mcap", [pair(0)], **GOOD)
+    write(tmp_path / "take_part002.mcap", [pair(1)], session="another", **GOOD)
+    assert report_of(tmp_path / "take.mcap")["pairs"] == 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -215,3 +217,11 @@ def test_the_foreign_take_replays(shared_data: Callable[..., Path], tmp_path: Pa
     cloud = read_cloud(tmp_path / "cloud_000000.npz")
     assert cloud.gray.shape == (768, 1024)
     assert np.isfinite(cloud.xyz[..., 2]).mean() > 0.4
+
+
+def test_the_example_reads_a_take(take: Path) -> None:
+    example = Path(__file__).parents[2] / "examples" / "03_read_a_take.py"
+    done = subprocess.run([sys.executable, str(example), str(take)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "3 pairs, 0 frames without a partner" in done.stdout
+    assert "problem" not in done.stdout

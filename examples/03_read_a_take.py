@@ -1,0 +1,28 @@
+"""Read a recorded take in Python: `python examples/03_read_a_take.py TAKE.mcap`.
+
+Prints what the take carries, then the brightness of both pictures of every pair, and how many points it gives.
+A take that was cut off or damaged is read as far as it is sound; what is wrong with it is told at the end.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from daemon.recording.reader import TakeReader
+from daemon.replay.runner import Replay
+
+with TakeReader(Path(sys.argv[1])) as take:
+    calibration = take.calibration()
+    print(f"session {take.metadata.get('session')}, calibration {calibration.identity}")
+    print(f"baseline {calibration.calibration.baseline_mm:.1f} mm, {take.pattern().periods:g} fringe periods")
+
+    for result in Replay(take).results():
+        pair, cloud = result.pair, result.cloud
+        brightness = f"left {pair.left.mean():.1f}, right {pair.right.mean():.1f} counts"
+        print(f"pair {pair.sequence}: {pair.encoding} {pair.left.shape}, {brightness}, {cloud.points} points")
+
+    lone, double = take.counts.unpaired.total(), take.counts.duplicates.total()
+    print(f"{take.counts.pairs} pairs, {lone} frames without a partner, {double} double ones")
+    for problem in take.problems:
+        print(f"problem: {problem}")
