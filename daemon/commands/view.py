@@ -1,0 +1,105 @@
+"""``fringed view``: the stream of a daemon in the Rerun viewer; a process of its own, a subscriber like any other."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from daemon.errors import DaemonError
+from daemon.view.colors import COLORS
+from fringed.client import DEFAULT_ENDPOINT
+
+
+def main(
+    endpoint: Annotated[str, typer.Argument(help="Of the stream: tcp://HOST:PORT or ipc://PATH.")] = DEFAULT_ENDPOINT,
+    web: Annotated[bool, typer.Option("--web", help="Serve the viewer to a browser; prints its address.")] = False,
+    save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write a file for the viewer.")] = None,
+    screenshot: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Save a picture of the web viewer, made without a screen.")
+    ] = None,
+    color: Annotated[str, typer.Option(help="Of the points: depth, texture or sigma.")] = "depth",
+    decimate: Annotated[int, typer.Option(min=1, max=64, help="Show every so many rows and columns.")] = 2,
+    rate: Annotated[float, typer.Option(min=0.1, max=60, help="Show at most so many clouds a second.")] = 15.0,
+    count: Annotated[int | None, typer.Option(min=1, help="Stop after so many clouds.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after so many seconds.")] = None,
+    web_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Of the page; 0 = any free one.", show_default="9090")
+    ] = None,
+    grpc_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Of the data; 0 = any free one.", show_default="9876")
+    ] = None,
+) -> None:
+    """Watch the stream of a daemon in the Rerun viewer: native, in a browser (--web), or as a file (--save)."""
+    if color not in COLORS:
+        raise typer.BadParameter(f"{color!r} is not one of {', '.join(COLORS)}", param_hint="--color")
+    if sum((web, save is not None, screenshot is not None)) > 1:
+        raise typer.BadParameter("choose one of --web, --save and --screenshot")
+    if screenshot is not None:
+        from daemon.view.screenshot import take
+
+        take(endpoint, screenshot, color=color, decimate=decimate)
+        typer.echo(f"{screenshot} written")
+        return
+    options = {"decimate": decimate, "color": color, "rate_hz": rate, "count": count, "seconds": seconds}
+    _watch(endpoint, options, web=web, save=save, ports=(web_port, grpc_port))
+
+
+def _watch(
+    endpoint: str, options: dict[str, Any], *, web: bool, save: Path | None, ports: tuple[int | None, int | None]
+) -> None:
+    from daemon.view import sinks
+    from daemon.view.bridge import Bridge, Options
+    from daemon.view.source import NewestMessages
+
+    with ExitStack() as stack:
+        source = stack.enter_context(NewestMessages(endpoint))
+        stopped: Callable[[], bool] = lambda: False  # noqa: E731
+        if save is not None:
+            stopped = _on_signals(stack)
+            recording = stack.enter_context(sinks.file_recording(save))
+        elif web:
+            recording, address = stack.enter_context(sinks.web_recording(web_port=ports[0], grpc_port=ports[1]))
+            typer.echo(address)
+        else:
+            recording, viewer = stack.enter_context(sinks.native_recording())
+            stopped = lambda: viewer.poll() is not None  # noqa: E731
+            stack.callback(_check, viewer)
+        if save is None:
+            # A viewer that hangs blocks the call that logs; Ctrl-C must work even then, and there is nothing to lose.
+            _restore_signals(stack)
+        bridge = Bridge(source, recording, Options(**options))
+        bridge.run(stopped)
+    _report(bridge.clouds, source, save)
+
+
+def _check(viewer: subprocess.Popen[bytes]) -> None:
+    if viewer.poll():
+        raise DaemonError(
+            f"the viewer ended with exit status {viewer.returncode}; without a screen use --web or --save"
+        )
+
+
+def _report(clouds: int, source: Any, save: Path | None) -> None:
+    what = f"{save}: {clouds} clouds" if save is not None else f"{clouds} clouds shown"
+    typer.echo(f"{what}, {source.skipped} skipped, {source.lost} lost", err=True)
+    if not clouds:
+        raise DaemonError(f"no cloud came from {source.endpoint}; is a daemon running?")
+
+
+def _on_signals(stack: ExitStack) -> Callable[[], bool]:
+    """Turn SIGINT and SIGTERM into an orderly end, so that the file is finished."""
+    asked: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        stack.callback(signal.signal, number, signal.signal(number, lambda got, _: asked.append(got)))
+    return lambda: bool(asked)
+
+
+def _restore_signals(stack: ExitStack) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        stack.callback(signal.signal, number, signal.signal(number, signal.SIG_DFL))

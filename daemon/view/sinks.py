@@ -1,0 +1,126 @@
+"""Where the recording goes: a native viewer, a web viewer, a file. Each has a bound on the memory it takes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import socket
+import subprocess
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from daemon.errors import DaemonError
+from daemon.view.quiet import rerun
+
+VIEWER_MEMORY = "2GB"
+SERVER_MEMORY = "256MiB"
+WEB_PORT, GRPC_PORT = 9090, 9876
+
+_HOST = "127.0.0.1"
+_FLUSH_S = 5.0
+
+
+def to_viewer() -> Any:
+    """A recording sent to a native viewer, which holds it when this process has ended."""
+    recording = rerun().RecordingStream("fringed")
+    recording.spawn(memory_limit=VIEWER_MEMORY)
+    return recording
+
+
+def to_file(path: Path) -> Any:
+    """A recording written to a file as it is logged."""
+    recording = rerun().RecordingStream("fringed")
+    recording.save(path)
+    return recording
+
+
+@contextmanager
+def file_recording(path: Path) -> Iterator[Any]:
+    """A recording that becomes the file ``path`` when the block ends without an error."""
+    temporary = path.with_name(f".{path.name}.partial")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    recording = to_file(temporary)
+    try:
+        yield recording
+        recording.flush()
+        recording.disconnect()
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
+        temporary.replace(path)
+    finally:
+        recording.disconnect()
+        with suppress(OSError):
+            temporary.unlink()
+
+
+@contextmanager
+def web_recording(*, web_port: int | None, grpc_port: int | None) -> Iterator[tuple[Any, str]]:
+    """A recording served to browsers on this machine, and the address to open.
+
+    The data is served to this machine alone. Rerun serves the page of the viewer, which holds no data, on every
+    network interface.
+
+    Args:
+        web_port, grpc_port: of the page and of the data; 0 = any free one; None = the usual one, or a free one.
+    """
+    rr = rerun()
+    page, data = _port(web_port, WEB_PORT, ""), _port(grpc_port, GRPC_PORT, _HOST)
+    with _served(data) as recording:
+        rr.serve_web_viewer(web_port=page, open_browser=False)
+        yield recording, f"http://{_HOST}:{page}/?url=rerun%2Bhttp://{_HOST}:{data}/proxy"
+
+
+@contextmanager
+def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
+    """A recording shown by a native viewer, and the viewer; it stays open with what it has when the block ends.
+
+    The data is served by this process and fetched by the viewer, so a closed viewer is noticed and holds up nothing.
+    """
+    data = _port(0, GRPC_PORT, _HOST)
+    with _served(data) as recording:
+        address = f"rerun+http://{_HOST}:{data}/proxy"
+        command = [str(_viewer_program()), "--connect", address, "--memory-limit", VIEWER_MEMORY]
+        yield recording, subprocess.Popen(command, stdin=subprocess.DEVNULL)
+
+
+@contextmanager
+def _served(port: int) -> Iterator[Any]:
+    rr = rerun()
+    # An id of its own for each run: viewers that stay open must not mix two runs.
+    recording = rr.RecordingStream("fringed", recording_id=uuid.uuid4())
+    sink = rr.GrpcServerSink(bind_ip=_HOST, port=port, server_memory_limit=SERVER_MEMORY, newest_first=True)
+    recording.set_sinks(sink)
+    try:
+        yield recording
+    finally:
+        with suppress(RuntimeError, ValueError):  # a viewer that hangs must not keep this process
+            recording.flush(timeout_sec=_FLUSH_S)
+        recording.disconnect()
+
+
+def _viewer_program() -> Path:
+    """The viewer itself; the script ``rerun`` on the path would stay between us and it."""
+    rerun_cli: Any = importlib.import_module("rerun_cli")
+
+    program = Path(str(rerun_cli.__file__)).with_name("rerun")
+    if not program.is_file():
+        raise DaemonError(f"the native viewer {program} is not installed; use --web or --save FILE.rrd")
+    return program
+
+
+def _port(wanted: int | None, usual: int, host: str) -> int:
+    """A port that can be bound now; Rerun itself would only log that it is taken."""
+    candidates = [usual, 0] if wanted is None else [wanted]
+    for candidate in candidates:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, candidate))
+            except OSError:
+                continue
+            port: int = probe.getsockname()[1]
+            return port
+    raise DaemonError(f"port {wanted} is taken or not allowed; choose another one, or 0 for any free one")
