@@ -64,10 +64,15 @@ class PartWriter:
         """Bytes written so far."""
         return self._file.tell()
 
+    @property
+    def handle(self) -> int:
+        """The file's descriptor; ValueError once it is closed."""
+        return self._file.fileno()
+
     def write(self, *frames: Frame) -> None:
-        """Write frames that belong together as one chunk."""
-        for frame in frames:
-            data = encode(frame.t_exposure_ns, frame.side, frame.encoding, frame.image)
+        """Write frames that belong together as one chunk; ImageError, and nothing written, if one cannot be."""
+        messages = [encode(f.t_exposure_ns, f.side, f.encoding, f.image) for f in frames]
+        for frame, data in zip(frames, messages, strict=True):
             self._writer.add_message(
                 self._channels[frame.side], frame.t_host_ns, data, frame.t_exposure_ns, frame.trigger
             )

@@ -51,7 +51,7 @@ def encode(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> bytes:
     """The message of a picture; ImageError when picture and encoding contradict each other."""
     dtype, channels = _encoding(encoding)
     shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
-    if image.shape != shape or image.dtype != np.dtype(dtype).newbyteorder("="):
+    if image.shape != shape or image.size == 0 or image.dtype != np.dtype(dtype).newbyteorder("="):
         raise ImageError(f"{frame_id} picture: {image.dtype} {image.shape} does not fit the encoding {encoding}")
     height, width = image.shape[:2]
     step = width * channels * np.dtype(dtype).itemsize

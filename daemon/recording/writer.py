@@ -6,6 +6,7 @@ Whatever the disk does, the measuring goes on: a full queue, a full disk or an e
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 import threading
 import time
@@ -19,11 +20,14 @@ from daemon.errors import DaemonError
 from daemon.recording.errors import TakeError
 from daemon.recording.part_writer import PartWriter
 from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME, part_path
+from daemon.recording.raw_image import ImageError
+from daemon.recording.syncer import Syncer
 from daemon.sinks import CloudItem, Item, LoneItem, PairItem
 from drivers.protocols import Frame
 
-SYNC_S = 1.0
 CLOSE_S = 30.0
+log = logging.getLogger("fringed.recorder")
+
 # Index and footer of a part must still fit when the guard ends a take.
 _CLOSING_BYTES = 1 << 20
 
@@ -46,7 +50,8 @@ class TakeWriter:
         session: unique text; device: name of the rig.
         calibration_data: the calibration file byte for byte; pattern, volume: JSON objects; rig_data: rig.yaml, if any.
         queue: items that wait for the disk; compression: ``none``, ``lz4`` or ``zstd``.
-        max_part_bytes: size at which a new part begins; min_free_bytes: free space at which the take ends.
+        max_part_bytes, max_part_s: size and duration at which a new part begins.
+        min_free_bytes: free space at which the take ends.
         extra_metadata: more keys of the record ``fringed``; free_bytes: free space of a directory.
 
     Raises:
@@ -65,6 +70,7 @@ class TakeWriter:
         rig_data: bytes | None = None,
         queue: int = 16,
         max_part_bytes: int = 2048 << 20,
+        max_part_s: float = 600.0,
         min_free_bytes: int = 1024 << 20,
         compression: str = "none",
         extra_metadata: Mapping[str, str] | None = None,
@@ -73,6 +79,7 @@ class TakeWriter:
     ) -> None:
         self._path, self._free_bytes, self._open_part = Path(path), free_bytes, open_part
         self._capacity, self._max_part_bytes, self._min_free_bytes = queue, max_part_bytes, min_free_bytes
+        self._max_part_ns, self._part_began_ns = round(1e9 * max_part_s), 0
         self._compression = compression
         self._attachments = {CALIBRATION: calibration_data, PATTERN: _json(pattern), VOLUME: _json(volume)}
         if rig_data is not None:
@@ -87,6 +94,8 @@ class TakeWriter:
             raise DaemonError(problem)
         self._part: PartWriter | None = self._new_part()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._sync_error: OSError | None = None
+        self._syncer = Syncer(self._handle, self._cannot_sync)
         self._thread.start()
 
     def offer(self, item: Item) -> bool:
@@ -143,23 +152,28 @@ class TakeWriter:
             self._fail(f"{self._path}: recording ended by a defect: {error!r}")
         finally:
             self._let_go()
+            self._syncer.close()
 
     def _write_until_closed(self) -> None:
-        next_sync = time.monotonic() + SYNC_S
-        while True:
-            item = self._next(max(0.0, next_sync - time.monotonic()))
-            if item is not None:
-                self._write(item)
-            elif self._closing:
-                break
-            if time.monotonic() >= next_sync and self._part is not None:
-                self._part.sync()
-                next_sync = time.monotonic() + SYNC_S
+        while (item := self._next()) is not None:
+            if self._sync_error is not None:
+                self._count_lost(1)
+                raise self._sync_error
+            self._write(item)
         self._finish_part()
 
-    def _next(self, timeout_s: float) -> PairItem | LoneItem | None:
+    def _handle(self) -> int | None:
+        part = self._part
+        return None if part is None else part.handle
+
+    def _cannot_sync(self, error: OSError) -> None:
+        """Told by the syncer; the writing thread ends the take."""
+        self._sync_error = error
+
+    def _next(self) -> PairItem | LoneItem | None:
+        """What is to be written next; None once everything is and the take is to end."""
         with self._changed:
-            self._changed.wait_for(lambda: self._queue or self._closing, timeout_s)
+            self._changed.wait_for(lambda: self._queue or self._closing)
             return self._queue.popleft() if self._queue else None
 
     def _write(self, item: PairItem | LoneItem) -> None:
@@ -170,32 +184,38 @@ class TakeWriter:
             self._finish_part()
             self._fail(problem, 1)
             return
-        part = self._part_for(size)
+        part = self._part_for(size, frames[0].t_host_ns)
         if part is None:
             self._count_lost(1)
             return
         self._write_frames(part, frames)
-        with self._changed:
-            self._state.pairs += len(frames) == 2
-            self._state.lone_frames += len(frames) == 1
 
     def _write_frames(self, part: PartWriter, frames: tuple[Frame, ...]) -> None:
         before = part.size
         try:
             part.write(*frames)
+        except ImageError as error:
+            log.warning("not recorded: %s", error)
+            self._count_lost(1, "refused")
+            return
         except BaseException:
             self._count_lost(1)
             raise
         with self._changed:
             self._state.written_bytes += part.size - before
+            self._state.pairs += len(frames) == 2
+            self._state.lone_frames += len(frames) == 1
 
-    def _part_for(self, size: int) -> PartWriter | None:
-        """The part that takes the next frames; a new one when they do not fit any more."""
+    def _part_for(self, size: int, t_ns: int) -> PartWriter | None:
+        """The part that takes the next frames; a new one when this one is large or long enough."""
         part = self._part
-        empty = part is None or self._frames_in_part == 0
-        if part is not None and not empty and part.size + size > self._max_part_bytes:
-            self._finish_part()
-            part = self._part = self._new_part()
+        if part is not None and self._frames_in_part > 0:
+            too_large = part.size + size > self._max_part_bytes
+            if too_large or t_ns - self._part_began_ns > self._max_part_ns:
+                self._finish_part()
+                part = self._part = self._new_part()
+        if self._frames_in_part == 0:
+            self._part_began_ns = t_ns
         self._frames_in_part += 1
         return part
 
@@ -243,10 +263,10 @@ class TakeWriter:
             " make room or lower recording.min_free_mb"
         )
 
-    def _count_lost(self, count: int) -> None:
+    def _count_lost(self, count: int, reason: str = "failed") -> None:
         if count:
             with self._changed:
-                self._state.dropped["failed"] += count
+                self._state.dropped[reason] += count
 
     def _fail(self, problem: str, lost: int = 0) -> None:
         with self._changed:

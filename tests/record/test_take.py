@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import threading
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from daemon.recording import raw_image
 from daemon.recording.errors import TakeError
 from daemon.recording.part_writer import PartWriter, _schema
 from daemon.recording.reader import TakePair, TakeReader
-from daemon.sinks import CloudItem
+from daemon.sinks import CloudItem, PairItem
 from tests.record import independent_reader
 from tests.record.takes import CALIBRATION, SIZE, frame, lone, pair, wait_until, write, writer
 
@@ -202,6 +203,46 @@ def test_rotation_keeps_pairs_together(tmp_path: Path, name: str) -> None:
         numbers = [n for topic, n, *_ in read["frames"] if topic == "/left/image"]
         assert numbers == [n for topic, n, *_ in read["frames"] if topic == "/right/image"]
     assert [p.sequence for p in pairs_of(takes / name)] == list(range(12))
+
+
+def test_a_part_ends_by_its_duration(tmp_path: Path) -> None:
+    status = write(tmp_path / "take.mcap", [pair(n) for n in range(10)], max_part_s=0.1)  # 33 ms a pair
+    assert len(status["files"]) == 3
+    assert [p.sequence for p in pairs_of(tmp_path / "take.mcap")] == list(range(10))
+
+
+def test_a_disk_that_cannot_keep_the_data_ends_the_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    recorder = writer(tmp_path / "take.mcap")
+    monkeypatch.setattr("daemon.recording.syncer.os.fdatasync", broken)
+    assert recorder.offer(pair(0))
+    wait_until(lambda: not recorder.offer(pair(1)))
+    recorder.close()
+    assert "Input/output error" in recorder.status()["problem"]
+
+
+def test_what_was_written_is_synced_while_the_take_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[int] = []
+    recorder = writer(tmp_path / "take.mcap")
+    assert recorder.offer(pair(0))
+    wait_until(lambda: recorder.status()["pairs"] == 1)
+    monkeypatch.setattr("daemon.recording.syncer.os.fdatasync", lambda handle: synced.append(os.fstat(handle).st_size))
+    wait_until(lambda: bool(synced))
+    assert synced[0] >= 2 * pair(0).left.image.nbytes
+    recorder.close()
+
+
+def test_a_picture_that_cannot_be_recorded_costs_only_its_pair(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    wrong = PairItem(pair(1).left, frame("right", 1, encoding="mono8", size=(0, 7)))
+    status = write(path, [pair(0), wrong, pair(2)])
+    assert status["dropped"] == {"refused": 1}
+    assert "problem" not in status
+    with TakeReader(path) as take:
+        assert [p.sequence for p in take.pairs()] == [0, 2]
+        assert take.counts.unpaired.total() == 0
 
 
 class SlowPart(PartWriter):
