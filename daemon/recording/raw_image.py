@@ -49,6 +49,11 @@ class RawImage:
 
 def encode(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> bytes:
     """The message of a picture; ImageError when picture and encoding contradict each other."""
+    return b"".join(pieces(t_ns, frame_id, encoding, image))
+
+
+def pieces(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> tuple[bytes, memoryview]:
+    """The message in two pieces, the second the pixels themselves: they are not copied unless they have gaps."""
     dtype, channels = _encoding(encoding)
     shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
     if image.shape != shape or image.size == 0 or image.dtype != np.dtype(dtype).newbyteorder("="):
@@ -60,7 +65,7 @@ def encode(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> bytes:
     head = b"".join([b"\x0a", _varint(len(stamp)), stamp, struct.pack("<BIBI", 0x15, width, 0x1D, height)])
     head += _text(4, encoding) + struct.pack("<BI", 0x2D, step) + _text(7, frame_id)
     pixels = np.ascontiguousarray(image, dtype=dtype)
-    return b"".join([head, b"\x32", _varint(pixels.nbytes), pixels.reshape(-1).view(np.uint8).data])
+    return head + b"\x32" + _varint(pixels.nbytes), pixels.reshape(-1).view(np.uint8).data
 
 
 def decode(data: bytes | memoryview) -> RawImage:
