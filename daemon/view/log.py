@@ -1,7 +1,7 @@
 """What is logged to Rerun: entities, timelines, units.
 
     world/cloud                      points, mm, in the left camera's frame (x right, y down, z forward)
-    pictures/left, right, modulation JPEG as they came
+    pictures/left, right, modulation the pictures of ``preview``, BGR
     figures/rate_hz, latency_ms, points, drops, ... one number each
 
 Timelines: ``exposure`` (time of the start of exposure) and ``cloud`` (its number).
@@ -55,11 +55,10 @@ class Logger:
         self._recording.log(CLOUD, self._rr.Points3D(positions, colors=colors, radii=[_FILL * _pitch_mm(points)]))
 
     def pictures(self, jpegs: Mapping[str, NDArray[np.uint8]]) -> None:
-        """Log JPEG files by the names that they have in a ``preview`` message; the viewer decodes them."""
+        """Log JPEG files by the names that they have in a ``preview`` message; one that is damaged is passed over."""
         for part, name in PICTURES.items():
-            if part in jpegs:
-                image = self._rr.EncodedImage(contents=jpegs[part].tobytes(), media_type="image/jpeg")
-                self._recording.log(f"pictures/{name}", image)
+            if part in jpegs and (picture := _decoded(jpegs[part], half=self._step.step > 1)) is not None:
+                self._recording.log(f"pictures/{name}", self._rr.Image(picture, color_model="BGR"))
 
     def figures(self, values: Mapping[str, float]) -> None:
         """Log numbers for the plots, by name."""
@@ -83,6 +82,19 @@ def extent(xyz: NDArray[np.float32]) -> Extent | None:
     x, y, z = ((low + high) / 2).tolist()
     a, b, c = ((high - low) / 2).tolist()
     return Extent((x, y, z), (a, b, c))
+
+
+def _decoded(jpeg: NDArray[np.uint8], *, half: bool) -> NDArray[Any] | None:
+    """(H, W, 3) BGR, or half of that size.
+
+    The viewer could decode as well, but takes a series of JPEG files for a video that starts anew with each of them,
+    and live it never gets as far as showing one.
+    """
+    import cv2
+
+    if not jpeg.size:
+        return None
+    return cv2.imdecode(jpeg, cv2.IMREAD_REDUCED_COLOR_2 if half else cv2.IMREAD_COLOR)
 
 
 def _pitch_mm(points: NDArray[np.float32]) -> float:

@@ -82,7 +82,7 @@ def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
     data = _port(0, GRPC_PORT, _HOST)
     with _served(data) as recording:
         address = f"rerun+http://{_HOST}:{data}/proxy"
-        command = [str(_viewer_program()), "--connect", address, "--memory-limit", VIEWER_MEMORY]
+        command = [str(viewer_program()), "--connect", address, "--memory-limit", VIEWER_MEMORY]
         yield recording, subprocess.Popen(command, stdin=subprocess.DEVNULL)
 
 
@@ -101,7 +101,7 @@ def _served(port: int) -> Iterator[Any]:
         recording.disconnect()
 
 
-def _viewer_program() -> Path:
+def viewer_program() -> Path:
     """The viewer itself; the script ``rerun`` on the path would stay between us and it."""
     rerun_cli: Any = importlib.import_module("rerun_cli")
 

@@ -1,0 +1,184 @@
+"""``fringed view`` at work: the newest is shown, and a viewer that hangs disturbs nobody."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import cv2
+import pytest
+
+from daemon.entry import run
+from daemon.view import screenshot, sinks
+from daemon.view.bridge import Bridge, Options
+from daemon.view.source import NewestMessages
+from fringed import SilenceError, subscribe
+from tests.stream import clouds
+from tests.stream.clouds import until
+from tests.view import logged
+
+LARGE = (256, 205)
+
+
+@contextmanager
+def viewing(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """``fringed view`` as a process."""
+    program = "from daemon.entry import main; main()"
+    command = [sys.executable, "-c", program, "view", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wanted(publisher: Any, *topics: str) -> None:
+    until(lambda: all(publisher.wants(topic) for topic in topics))
+
+
+def test_of_what_waits_only_the_newest_of_each_topic_is_kept() -> None:
+    with clouds.publisher() as publisher, NewestMessages(publisher.endpoints[0]) as source:
+        wanted(publisher, "cloud/full", "preview")
+        for seq in range(5):
+            clouds.send(publisher, clouds.item(seq))
+
+            def came(seq: int = seq) -> bool:
+                source.drain(0.01)
+                return source.skipped == seq and "cloud/full" in source._waiting
+
+            until(came)
+        (cloud,) = (message for message in source.newest() if message.topic == "cloud/full")
+        assert cloud.header.seq == 4 and (source.skipped, source.lost) == (4, 0)
+        assert not list(source.newest())
+
+
+def test_clouds_pictures_and_figures_of_a_stream_reach_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "x.rrd"
+    with clouds.publisher() as publisher, NewestMessages(publisher.endpoints[0]) as source:
+        wanted(publisher, "cloud/full", "preview", "status")
+        with sinks.file_recording(file) as recording:
+            bridge = Bridge(source, recording, Options(decimate=1, rate_hz=1000))
+            clouds.send(publisher, clouds.item(3))
+            publisher.publish_status({"t_ns": 5, "cloud_rate_hz": 4.5, "drops": {"a": 2, "b": 3}})
+            seen: set[str] = set()
+
+            def all_came() -> bool:
+                source.drain(0.01)
+                seen.update(source._waiting)
+                bridge.show_newest()
+                return seen == {"cloud/full", "preview", "status"}
+
+            until(all_came)
+    assert list(logged.clouds(file)) == [3]
+    assert {"/pictures/left", "/pictures/right", "/pictures/modulation"} <= logged.entities(file)
+    figures = {
+        name: [float(value[0]) for value in logged.rows(file, f"/figures/{name}", "Scalars:scalars").values()]
+        for name in ("rate_hz", "drops", "points", "latency_ms")
+    }
+    assert figures == {"rate_hz": [4.5], "drops": [5.0], "points": [32 * 26 - 12], "latency_ms": [21.0]}
+
+
+def test_a_viewer_that_hangs_holds_up_neither_the_publisher_nor_other_subscribers(tmp_path: Path) -> None:
+    file, large = tmp_path / "x.rrd", clouds.item(0, size=LARGE)
+    numbers = iter(range(1, 1_000_000))
+    with clouds.publisher() as publisher:
+        arguments = ("--save", str(file), "--rate", "60", "--count", "30")
+        with viewing(publisher.endpoints[0], *arguments) as viewer:
+            wanted(publisher, "cloud/full")
+            os.kill(viewer.pid, signal.SIGSTOP)
+            for seq in islice(numbers, 80):  # 70 MB, far more than sockets and queues hold
+                clouds.send(publisher, replace(large, seq=seq))
+            with subscribe(publisher.endpoints[0], timeout_s=0.01) as healthy:
+
+                def served() -> bool:
+                    clouds.send(publisher, replace(large, seq=next(numbers)))
+                    with suppress(SilenceError):
+                        next(healthy)
+                    return healthy.received >= 10
+
+                until(served)
+            newest = next(numbers)
+            os.kill(viewer.pid, signal.SIGCONT)
+
+            def ended() -> bool:
+                clouds.send(publisher, replace(large, seq=next(numbers)))
+                return viewer.poll() is not None
+
+            until(ended, 20.0)
+            _, told = viewer.communicate()
+            assert viewer.returncode == 0, told
+    assert max(logged.clouds(file)) > newest and "30 clouds" in told and " 0 lost" not in told
+
+
+def test_ctrl_c_finishes_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "x.rrd"
+    with clouds.publisher() as publisher, viewing(publisher.endpoints[0], "--save", str(file)) as viewer:
+        wanted(publisher, "cloud/full")
+        clouds.send(publisher, clouds.item(1))
+        until(lambda: file.with_name(".x.rrd.partial").exists())
+        viewer.send_signal(signal.SIGINT)
+        _, told = viewer.communicate(timeout=20)
+    assert viewer.returncode in (0, 1), told  # 1: it was stopped before the cloud came
+    assert file.exists() == (viewer.returncode == 0) or "no cloud came" in told
+
+
+def test_no_cloud_is_an_error_that_names_the_endpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    endpoint = f"ipc://{tmp_path}/nobody"
+    assert run(["view", endpoint, "--save", str(tmp_path / "x.rrd"), "--seconds", "0.2"]) == 1
+    assert f"no cloud came from {endpoint}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--color", "pink"], ["--web", "--save", "x.rrd"], ["--decimate", "0"]])
+def test_wrong_usage_is_told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["view", *arguments]) == 2
+    assert capsys.readouterr().err
+
+
+def test_the_web_viewer_prints_one_line_with_its_address_and_serves_the_page() -> None:
+    with clouds.publisher() as publisher:
+        arguments = ("--web", "--web-port", "0", "--grpc-port", "0")
+        with viewing(publisher.endpoints[0], *arguments) as viewer:
+            assert viewer.stdout is not None
+            address = viewer.stdout.readline().strip()
+            assert address.startswith("http://127.0.0.1:") and "/?url=rerun%2Bhttp://127.0.0.1:" in address
+            with urlopen(address.partition("?")[0], timeout=10) as page:
+                assert b"<html" in page.read().lower()
+            viewer.send_signal(signal.SIGINT)
+            viewer.communicate(timeout=10)
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+@pytest.mark.usefixtures("browser")
+def test_a_picture_of_the_viewer_shows_the_cloud(tmp_path: Path) -> None:
+    done = threading.Event()
+    file = tmp_path / "view.png"
+    with clouds.publisher() as publisher:
+
+        def send() -> None:
+            large, seq = clouds.item(0, size=LARGE), 0
+            while not done.wait(0.2):
+                seq += 1
+                publisher.offer(replace(large, seq=seq, t_ns=1_700_000_000_000_000_000 + seq * 200_000_000))
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        try:
+            screenshot.take(publisher.endpoints[0], file)
+        finally:
+            done.set()
+            sender.join()
+    picture = cv2.imread(str(file))
+    assert picture is not None and picture.shape == (900, 1400, 3)
+    assert screenshot.paint(file.read_bytes()).enough
