@@ -47,14 +47,20 @@ class Survey:
     readable_to: int = 0
     problem: str = ""
 
-    def learn(self, opcode: int, content: bytes | memoryview) -> None:
-        """Keep a schema or a channel; other records are passed over."""
+    def learn(self, opcode: int, content: bytes | memoryview, *, again: bool = True) -> None:
+        """Keep a schema or a channel; other records are passed over.
+
+        Args:
+            again: replace what is known already; False for the repetition in a summary that is not proven.
+        """
         if opcode == Opcode.SCHEMA:
             schema = Schema.parse(content)
-            self.schemas[schema.id] = schema
+            if again or schema.id not in self.schemas:
+                self.schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
             channel = Channel.parse(content)
-            self.channels[channel.id] = channel
+            if again or channel.id not in self.channels:
+                self.channels[channel.id] = channel
 
 
 def survey(file: BinaryIO) -> Survey:
@@ -148,7 +154,7 @@ def _by_walking(file: BinaryIO, size: int) -> Survey:
         try:
             if place.opcode in _SMALL:
                 content = read_record(file, place, MAX_SMALL_RECORD)
-                found.learn(place.opcode, content)
+                found.learn(place.opcode, content, again=in_data)
         except DamageError as error:
             found.problem = found.problem or f"damaged at byte {place.offset}: {error}"
         if in_data and place.opcode in (Opcode.CHUNK, Opcode.MESSAGE):

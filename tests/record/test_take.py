@@ -205,6 +205,20 @@ def test_rotation_keeps_pairs_together(tmp_path: Path, name: str) -> None:
     assert [p.sequence for p in pairs_of(takes / name)] == list(range(12))
 
 
+def test_a_damaged_index_costs_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "take.mcap"
+    write(path, [pair(n) for n in range(2)])
+    data = path.read_bytes()
+    with TakeReader(path) as take:
+        end = take.parts[0].survey.data[-1].end
+    rng = np.random.default_rng(4)
+    for at in rng.integers(end + 100, len(data), 150):
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        assert [p.sequence for p in pairs_of(path)] == [0, 1]
+
+
 def test_a_part_ends_by_its_duration(tmp_path: Path) -> None:
     status = write(tmp_path / "take.mcap", [pair(n) for n in range(10)], max_part_s=0.1)  # 33 ms a pair
     assert len(status["files"]) == 3
