@@ -244,10 +244,14 @@ class TakeWriter:
             self._state.files[-1] = str(part.path)
 
     def _let_go(self) -> None:
-        """After an error: close what is open, count what nobody will write."""
+        """After an error: end the file with what is in it if the disk lets us, and count what nobody will write."""
         part = self._part
         if part is not None:
-            part.abandon()
+            try:
+                self._finish_part()
+            except (OSError, ValueError) as error:
+                log.warning("%s stays unfinished, up to its last whole pair it can be read: %s", part.partial, error)
+                part.abandon()
         with self._changed:
             self._part = None
             lost = len(self._queue)

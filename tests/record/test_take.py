@@ -284,15 +284,26 @@ def test_a_slow_disk_drops_and_counts(tmp_path: Path) -> None:
 
 
 class FullPart(PartWriter):
-    """A disk that is full after two pairs."""
+    """A disk that is full after two pairs; ``ends`` tells whether the index still finds room."""
+
+    ends = True
 
     def write(self, *frames: Any) -> None:
         if frames[0].trigger == 2:
             raise OSError(errno.ENOSPC, "No space left on device")
         super().write(*frames)
 
+    def finish(self) -> None:
+        if not self.ends:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        super().finish()
 
-def test_a_full_disk_is_told_and_what_was_written_stays(tmp_path: Path) -> None:
+
+@pytest.mark.parametrize(("ends", "name"), [(True, "take.mcap"), (False, "take.mcap.partial")])
+def test_a_full_disk_is_told_and_what_was_written_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: bool, name: str
+) -> None:
+    monkeypatch.setattr(FullPart, "ends", ends)
     recorder = writer(tmp_path / "take.mcap", open_part=FullPart)
     for number in range(2):
         assert recorder.offer(pair(number))
@@ -305,8 +316,10 @@ def test_a_full_disk_is_told_and_what_was_written_stays(tmp_path: Path) -> None:
     status = recorder.status()
     assert "No space left" in status["problem"]
     assert status["dropped"] == {"failed": 2}
-    assert status["files"] == [str(tmp_path / "take.mcap.partial")]
-    assert [p.sequence for p in pairs_of(tmp_path / "take.mcap.partial")] == [0, 1]
+    assert status["files"] == [str(tmp_path / name)]
+    with TakeReader(tmp_path / name) as take:
+        assert [p.sequence for p in take.pairs()] == [0, 1]
+        assert take.whole == ends
 
 
 def test_the_guard_ends_the_take_while_it_can_still_be_finished(tmp_path: Path) -> None:
