@@ -64,7 +64,7 @@ def _last_minute(rr: Any, rrb: Any) -> Any:
 def _eye(extent: Extent) -> dict[str, Any]:
     """Position, target and up of the eye, mm."""
     x, y, z = extent.center
-    reach = 2.4 * max(extent.half[0], extent.half[1], 1.0)
+    reach = 1.75 * max(extent.half[0], extent.half[1], 1.0)
     return {
         "position": [x + 0.45 * reach, y - 0.35 * reach, z - reach],
         "look_target": [x, y, z],

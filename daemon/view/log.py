@@ -19,7 +19,7 @@ from daemon.view.colors import packed
 from daemon.view.layout import CLOUD, PICTURES, Extent, blueprint
 from daemon.view.quiet import rerun
 
-_FILL = 0.6  # radius of a point as a part of the distance to its neighbour: closes the surface, hides no hole
+_FILL = 0.9  # radius of a point as a part of the distance to its neighbour: closes the surface, hides no real hole
 _DEFAULT_RADIUS_MM = 0.5
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -182,3 +183,25 @@ def test_a_picture_of_the_viewer_shows_the_cloud(tmp_path: Path) -> None:
     picture = cv2.imread(str(file))
     assert picture is not None and picture.shape == (900, 1400, 3)
     assert screenshot.paint(file.read_bytes()).enough
+
+
+@pytest.mark.parametrize(("status", "told"), [(0, "no cloud came"), (3, "the viewer ended with exit status 3")])
+def test_the_command_ends_with_its_native_viewer(
+    status: int, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = tmp_path / "viewer"
+    program.write_text(f"#!/bin/sh\nexit {status}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sinks, "viewer_program", lambda: program)
+    assert run(["view", f"ipc://{tmp_path}/nobody"]) == 1
+    assert told in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_is_told_and_the_usual_one_gives_way_to_a_free_one() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(sinks.DaemonError, match=f"port {port} is taken"):
+            sinks._port(port, 1, "127.0.0.1")
+        assert sinks._port(None, port, "127.0.0.1") not in (0, port)
