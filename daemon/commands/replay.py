@@ -101,7 +101,7 @@ def _replay(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        show = _viewer(rerun, replay, stack) if rerun is not None else None
+        show = _viewer(rerun, stack) if rerun is not None else None
         progress = stack.enter_context(rendering(f"Replaying {replay.take.path.name}"))
         for result in replay.results(repeat=repeat, progress=lambda done: progress(done, size)):
             runs.extend(result.runs)
@@ -122,10 +122,10 @@ def _write(out: Path, kind: str, result: Result) -> None:
     write_atomically(out / cloud_name(result.pair.sequence, kind), cloud_bytes(cloud, kind))
 
 
-def _viewer(rerun: str, replay: Replay, stack: ExitStack) -> Callable[[Result], None]:
+def _viewer(rerun: str, stack: ExitStack) -> Callable[[Result], None]:
     from daemon.replay.rerun_log import RerunLog
 
-    log = RerunLog(replay.take.path.name, None if rerun == _VIEWER else Path(rerun))
+    log = RerunLog(None if rerun == _VIEWER else Path(rerun))
 
     def end(kind: type[BaseException] | None, _: object, __: object) -> None:
         if kind is None:

@@ -5,58 +5,53 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from daemon.errors import DaemonError
 
 if TYPE_CHECKING:
     from daemon.replay.runner import Result
 
-_MEMORY_LIMIT = "2GB"
-
 
 class RerunLog:
-    """Logs clouds, pictures and figures on the timelines ``pair`` and ``exposure``.
+    """Logs clouds, pictures and figures as the live viewer shows them.
 
     Args:
-        name: of the take; file: to save to (``.rrd``), None = open the native viewer.
+        file: to save to (``.rrd``), None = open the native viewer.
 
     Raises:
         DaemonError: when Rerun is not installed.
     """
 
-    def __init__(self, name: str, file: Path | None) -> None:
+    def __init__(self, file: Path | None) -> None:
         try:
-            import rerun as rr
+            from daemon.view import sinks
+            from daemon.view.log import Logger
+
+            self._file = file
+            self._temporary = None if file is None else file.with_name(f".{file.name}.partial")
+            if self._temporary is None:
+                self._recording = sinks.to_viewer()
+            else:
+                self._temporary.parent.mkdir(parents=True, exist_ok=True)
+                self._recording = sinks.to_file(self._temporary)
+            self._logger = Logger(self._recording, decimate=1)
         except ModuleNotFoundError as error:
+            if error.name != "rerun":
+                raise
             raise DaemonError("--rerun needs the package rerun-sdk: pip install 'fringed[rig]'") from error
-        self._rr, self._file = rr, file
-        self._temporary = None if file is None else file.with_name(f".{file.name}.partial")
-        self._recording = rr.RecordingStream("fringed-replay", recording_id=name)
-        if self._temporary is None:
-            self._recording.spawn(memory_limit=_MEMORY_LIMIT)
-        else:
-            self._temporary.parent.mkdir(parents=True, exist_ok=True)
-            self._recording.save(self._temporary)
-        # Camera frame: x right, y down, z forward.
-        self._recording.log("world", rr.ViewCoordinates.RDF, static=True)
 
     def show(self, result: Result) -> None:
-        """Log the cloud of a pair, its texture and how it went."""
-        rr, recording, cloud = self._rr, self._recording, result.cloud
-        recording.set_time("pair", sequence=result.pair.sequence)
-        recording.set_time("exposure", timestamp=np.datetime64(result.pair.t_ns, "ns"))
-        known = np.isfinite(cloud.xyz[..., 2])
-        # Packed colours are several times cheaper for Rerun than rows of three.
-        gray = cloud.gray[known].astype(np.uint32)
-        colors = gray * np.uint32(0x01010100) + np.uint32(0xFF)
-        recording.log("world/cloud", rr.Points3D(cloud.xyz[known], colors=colors, radii=0.3))
-        recording.log("left/texture", rr.Image(cloud.gray))
-        recording.log("figures/points", rr.Scalars(result.runs[-1].points))
-        recording.log("figures/sigma_mm", rr.Scalars(float(np.median(cloud.sigma_mm[known])) if known.any() else 0.0))
-        recording.log("figures/total_ms", rr.Scalars(result.runs[-1].total_ms))
+        """Log a cloud, the pictures it was made from, and how it went."""
+        pair, cloud, run = result.pair, result.cloud, result.runs[-1]
+        self._logger.time(seq=pair.sequence, t_ns=pair.t_ns)
+        self._logger.cloud(cloud.xyz, cloud.gray, cloud.sigma_mm)
+        self._logger.pictures({"left": _jpeg(pair.left), "right": _jpeg(pair.right)})
+        self._logger.figures({"points": float(run.points), "latency_ms": run.total_ms})
 
     def close(self) -> None:
         """Finish the file, or leave the viewer to its user."""
@@ -73,3 +68,11 @@ class RerunLog:
         if self._temporary is not None:
             with suppress(OSError):
                 self._temporary.unlink()
+
+
+def _jpeg(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """A raw picture for the eye, as the bytes of a JPEG file; a mosaic is shown as it is."""
+    eight_bit = (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image
+    order = eight_bit[..., ::-1] if eight_bit.ndim == 3 else eight_bit
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(order))
+    return np.asarray(data, dtype=np.uint8)

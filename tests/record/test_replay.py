@@ -225,3 +225,13 @@ def test_the_example_reads_a_take(take: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "3 pairs, 0 frames without a partner" in done.stdout
     assert "problem" not in done.stdout
+
+
+def test_rerun_is_not_loaded_unless_asked_for(take: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys; from daemon.entry import run; "
+        f"assert run(['replay', {str(take)!r}, '--out', {str(tmp_path)!r}]) == 0; "
+        "assert not {'rerun', 'matplotlib', 'sim'} & {name.partition('.')[0] for name in sys.modules}"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
