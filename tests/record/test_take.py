@@ -366,6 +366,7 @@ def test_a_picture_that_contradicts_its_encoding_is_not_written(encoding: str, i
         raw_image.encode(0, "left", encoding, image)
 
 
+@pytest.mark.shared
 def test_the_public_stereo_pair_is_read(shared_data: Any) -> None:
     with TakeReader(shared_data("bust", "take.mcap")) as take:
         (read,) = take.pairs()
