@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -69,20 +68,13 @@ def _watch(
         else:
             recording, viewer = stack.enter_context(sinks.native_recording())
             stopped = lambda: viewer.poll() is not None  # noqa: E731
-            stack.callback(_check, viewer)
+            stack.callback(sinks.check_viewer, viewer)
         if save is None:
             # A viewer that hangs blocks the call that logs; Ctrl-C must work even then, and there is nothing to lose.
             _restore_signals(stack)
         bridge = Bridge(source, recording, Options(**options))
         bridge.run(stopped)
     _report(bridge.clouds, source, save)
-
-
-def _check(viewer: subprocess.Popen[bytes]) -> None:
-    if viewer.poll():
-        raise DaemonError(
-            f"the viewer ended with exit status {viewer.returncode}; without a screen use --web or --save"
-        )
 
 
 def _report(clouds: int, source: Any, save: Path | None) -> None:

@@ -6,6 +6,7 @@ import importlib
 import os
 import socket
 import subprocess
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -21,12 +22,21 @@ WEB_PORT, GRPC_PORT = 9090, 9876
 
 _HOST = "127.0.0.1"
 _FLUSH_S = 5.0
+_START_S, _WINDOW_S = 20.0, 0.5
 
 
 def to_viewer() -> Any:
-    """A recording sent to a native viewer, which holds it when this process has ended."""
-    recording = rerun().RecordingStream("fringed")
-    recording.spawn(memory_limit=VIEWER_MEMORY)
+    """A recording sent to a native viewer, which holds it when this process has ended.
+
+    Raises:
+        DaemonError: the viewer does not start, as without a screen.
+    """
+    rr = rerun()  # first: it is what switches the reports off, in the viewer too
+    port = _port(0, GRPC_PORT, _HOST)
+    viewer = _open_viewer(port, [])
+    _await(viewer, port)
+    recording = rr.RecordingStream("fringed")
+    recording.connect_grpc(f"rerun+http://{_HOST}:{port}/proxy")
     return recording
 
 
@@ -82,8 +92,7 @@ def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
     data = _port(0, GRPC_PORT, _HOST)
     with _served(data) as recording:
         address = f"rerun+http://{_HOST}:{data}/proxy"
-        command = [str(viewer_program()), "--connect", address, "--memory-limit", VIEWER_MEMORY]
-        yield recording, subprocess.Popen(command, stdin=subprocess.DEVNULL)
+        yield recording, _open_viewer(_port(0, GRPC_PORT, _HOST), ["--connect", address])
 
 
 @contextmanager
@@ -99,6 +108,38 @@ def _served(port: int) -> Iterator[Any]:
         with suppress(RuntimeError, ValueError):  # a viewer that hangs must not keep this process
             recording.flush(timeout_sec=_FLUSH_S)
         recording.disconnect()
+
+
+def _open_viewer(port: int, arguments: list[str]) -> subprocess.Popen[bytes]:
+    """Start the native viewer; by default it would listen on every network interface, and take 75 % of the memory."""
+    options = ["--bind", _HOST, "--port", str(port), "--memory-limit", VIEWER_MEMORY, "--hide-welcome-screen"]
+    environment = {"RUST_LOG": "error"} | os.environ
+    return subprocess.Popen([str(viewer_program()), *options, *arguments], stdin=subprocess.DEVNULL, env=environment)
+
+
+def _await(viewer: subprocess.Popen[bytes], port: int) -> None:
+    """Wait until the viewer listens."""
+    deadline_s = time.monotonic() + _START_S
+    while time.monotonic() < deadline_s:
+        check_viewer(viewer)
+        with suppress(OSError), socket.create_connection((_HOST, port), timeout=1.0):
+            break
+        time.sleep(0.05)
+    else:
+        viewer.terminate()
+        raise DaemonError(f"the viewer did not start within {_START_S:.0f} s; use a .rrd file instead")
+    with suppress(subprocess.TimeoutExpired):  # it listens before it opens its window, which is what may fail
+        viewer.wait(_WINDOW_S)
+    check_viewer(viewer)
+
+
+def check_viewer(viewer: subprocess.Popen[bytes]) -> None:
+    """Complain about a viewer that ended with an error."""
+    if viewer.poll():
+        raise DaemonError(
+            f"the viewer ended with exit status {viewer.returncode}; it needs a screen: without one, "
+            "choose a .rrd file or, for fringed view, --web"
+        )
 
 
 def viewer_program() -> Path:
