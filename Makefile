@@ -38,9 +38,9 @@ bench: $(STAMP)  ## accuracy by case and speed by stage, as tables
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make
 
-screenshot: $(STAMP)  ## the picture in the README, from a running demo
+screenshot: $(STAMP)  ## the picture in this README, of a running `make demo`
 	tools/system-packages browser
-	$(BIN)/python -m tools.screenshot docs/pictures/demo.png
+	$(BIN)/fringed view --screenshot docs/pictures/demo.png
 
 clean:  ## remove the environment and everything made
 	rm -rf $(VENV) dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

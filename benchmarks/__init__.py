@@ -1,0 +1,1 @@
+"""Accuracy against the simulator's truth, and speed."""

@@ -30,7 +30,7 @@ def accuracy(cases: Sequence[Case], console: Console, seeds: int) -> bool:
         scores = []
         for seed in range(seeds):
             reconstructor = case.reconstructor()
-            scores.append(measure(case, case.render(seed), reconstructor)[1])
+            scores.append(measure(case.render(seed), reconstructor)[1])
         mean = {name: float(np.mean([getattr(s, name) for s in scores])) for name in type(scores[0]).__slots__}
         word = ""
         if case.promise is not None:
@@ -43,7 +43,8 @@ def accuracy(cases: Sequence[Case], console: Console, seeds: int) -> bool:
             limits = f"{100 * case.promise[0]:.1f} / {100 * case.promise[1]:.2f} / {1e3 * case.promise[2]:.0f}"
             word = ("kept " if good else "MISSED ") + limits
         table.add_row(
-            case.name, f"{100 * mean['reconstructed']:.2f}", f"{100 * mean['wrong']:.3f}", f"{1e3 * mean['rms_mm']:.0f}",
+            case.name, f"{100 * mean['reconstructed']:.2f}",
+            f"{100 * mean['wrong']:.3f}", f"{1e3 * mean['rms_mm']:.0f}",
             f"{1e3 * mean['smooth_rms_mm']:.0f}", f"{1e3 * mean['bias_mm']:+.1f}", f"{mean['points']:.0f}", word,
         )  # fmt: skip
     console.print(table)

@@ -44,14 +44,14 @@ class Case:
         )
 
     @property
-    def pattern(self):  # noqa: ANN201 - the type is the simulator's
+    def pattern(self):
         """What the projector shows."""
         plain = self.layout.pattern(self.periods)
         if not self.modulated:
             return plain
         return replace(plain, profile=modulated_profile(plain.length, plain.periods))
 
-    def reconstructor(self, settings: Settings | None = None, clock=None) -> Reconstructor:  # noqa: ANN001
+    def reconstructor(self, settings: Settings | None = None, clock=None) -> Reconstructor:
         """A reconstructor that knows of the rig what its calibration would."""
         calibration = self.layout.calibration_for(self.optics)
         return Reconstructor(
@@ -83,7 +83,7 @@ CASES = (
 )
 
 
-def measure(case: Case, pair: RenderedPair, reconstructor: Reconstructor) -> tuple[Cloud, Score]:
+def measure(pair: RenderedPair, reconstructor: Reconstructor) -> tuple[Cloud, Score]:
     """Reconstruct a rendered pair and score it."""
     cloud = reconstructor.reconstruct(np.asarray(pair.left), np.asarray(pair.right))
     return cloud, score(cloud.xyz, pair.truth_left)

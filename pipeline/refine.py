@@ -176,6 +176,14 @@ def refine(
             x, y = x - ex * f / slope, y - ey * f / slope
             if not _inside(other_phasor, x, y):
                 continue
+            jj, ii = int(x), int(y)
+            a, b = x - jj, y - ii
+            v = (1 - b) * ((1 - a) * other_variance[ii, jj] + a * other_variance[ii, jj + 1]) + b * (
+                (1 - a) * other_variance[ii + 1, jj] + a * other_variance[ii + 1, jj + 1]
+            )
+            v *= (1 - 2 * a * (1 - a) * (1 - correlation)) * (1 - 2 * b * (1 - b) * (1 - correlation))
+            if not v < 1.0:
+                continue
             depth[i, j] = z
             match[i, j, 0], match[i, j, 1] = x, y
             pu, pv = project(projector, rx * z, ry * z, z)
@@ -184,12 +192,6 @@ def refine(
             seen = phase_at(phases, p_along + shift_of(correction, p_along, p_across))
             residual[i, j, 0] = absolute + bias - seen
             residual[i, j, 1] = absolute - seen
-            jj, ii = int(x), int(y)
-            a, b = x - jj, y - ii
-            v = (1 - b) * ((1 - a) * other_variance[ii, jj] + a * other_variance[ii, jj + 1]) + b * (
-                (1 - a) * other_variance[ii + 1, jj] + a * other_variance[ii + 1, jj + 1]
-            )
-            v *= (1 - 2 * a * (1 - a) * (1 - correlation)) * (1 - 2 * b * (1 - b) * (1 - correlation))
             ray = sqrt(rx * rx + ry * ry + 1.0)
             sigma[i, j] = sqrt(variance[i, j] + v) / abs(slope) * span * z * z * ray
     return depth, sigma, match, source, residual

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,3 +31,16 @@ def shared_data() -> Callable[..., Path]:
         pytest.skip(reason)
 
     return find
+
+
+@pytest.fixture(scope="session")
+def fringed() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """``fringed("info", "take.mcap")`` runs the command as a user would, in a process of its own."""
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        start = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+        return subprocess.run(
+            [sys.executable, "-c", start, *arguments], capture_output=True, text=True, timeout=100, check=False
+        )
+
+    return run

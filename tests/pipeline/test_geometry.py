@@ -24,7 +24,7 @@ def test_triangulation_inverts_projection_through_distortion_and_skew():
 def test_triangulation_splits_an_error_between_the_views_by_their_weights():
     calibration, world = rig(), points(50)
     left, right = calibration.left.project(world), calibration.right.project(world)
-    off = left + [0.0, 1.0]
+    off = left + np.array([0.0, 1.0])
 
     def error(weights):
         found = triangulate(calibration.left, calibration.right, off, right, weights=weights)

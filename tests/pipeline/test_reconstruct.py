@@ -74,7 +74,7 @@ def test_orders_are_the_truths(pair, cloud):
     assert np.isin(away, (0, 1)).mean() > 0.99
 
 
-def test_the_point_solves_the_four_equations_of_both_views(pair, cloud):
+def test_the_point_solves_the_four_equations_of_both_views(cloud):
     calibration = SMALL.calibration_for(Optics())
     known = np.argwhere(np.isfinite(cloud.xyz[..., 2]))[::97]
     points = cloud.xyz[known[:, 0], known[:, 1]].astype(float)
