@@ -80,10 +80,14 @@ class Receiver:
         self.close()
 
 
+# A dead peer is noticed by TCP's own keep-alive, within seconds. Not by ZeroMQ's heartbeats: together with a short queue
+# they end a slow reader's process (libzmq #3937, "Assertion failed: _input_stopped").
 _OPTIONS = {
     zmq.LINGER: 0,
-    zmq.HEARTBEAT_IVL: 1000,
-    zmq.HEARTBEAT_TIMEOUT: 3000,
+    zmq.TCP_KEEPALIVE: 1,
+    zmq.TCP_KEEPALIVE_IDLE: 3,
+    zmq.TCP_KEEPALIVE_INTVL: 1,
+    zmq.TCP_KEEPALIVE_CNT: 3,
     zmq.RECONNECT_IVL: 50,
     zmq.RECONNECT_IVL_MAX: 1000,
     zmq.MAXMSGSIZE: wire.MAX_PART_BYTES,

@@ -33,8 +33,9 @@ class ControlServer:
             (zmq.MAXMSGSIZE, MAX_BYTES),
             (zmq.RCVHWM, 64),
             (zmq.SNDHWM, 64),
-            (zmq.HEARTBEAT_IVL, 1000),
-            (zmq.HEARTBEAT_TIMEOUT, 3000),
+            # Not ZeroMQ's heartbeats: with a full queue they can end the process (libzmq #3937).
+            (zmq.TCP_KEEPALIVE, 1),
+            (zmq.TCP_KEEPALIVE_IDLE, 30),
             (zmq.HANDSHAKE_IVL, 2000),
         ):
             self._socket.setsockopt(option, value)
