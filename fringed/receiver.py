@@ -80,8 +80,8 @@ class Receiver:
         self.close()
 
 
-# A dead peer is noticed by TCP's own keep-alive, within seconds. Not by ZeroMQ's heartbeats: together with a short queue
-# they end a slow reader's process (libzmq #3937, "Assertion failed: _input_stopped").
+# A dead peer is noticed by the keep-alive of TCP, within seconds. Not by the heartbeats of ZeroMQ: with a short queue
+# they end the process of a slow reader (libzmq #3937, "Assertion failed: _input_stopped").
 _OPTIONS = {
     zmq.LINGER: 0,
     zmq.TCP_KEEPALIVE: 1,
