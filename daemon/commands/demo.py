@@ -18,7 +18,7 @@ SMALL_SCALE = 0.25
 def main(
     scene: Annotated[str, typer.Option(help="Scene of the simulated rig: moving, face, spheres, ...")] = "moving",
     mesh: Annotated[Path | None, typer.Option(help="Show this OBJ, PLY or STL file instead.")] = None,
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="Pictures rendered at start, then played.")] = 24,
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="Pictures rendered at start, then played.")] = 12,
     rate: Annotated[float, typer.Option(min=0.1, max=200, help="Triggers per second.")] = 5.0,
     seconds: Annotated[float | None, typer.Option(min=1, help="Stop by itself after so many seconds.")] = None,
     view: Annotated[bool, typer.Option(help="Serve the viewer to a browser.")] = True,
