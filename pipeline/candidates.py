@@ -89,7 +89,7 @@ def cost_at(
         i, j, di, dj = int(y), int(x + 0.5), 1, 0
         a = y - i
     p = (1 - a) * phasor[i, j] + a * phasor[i + di, j + dj]
-    if p.real * p.real + p.imag * p.imag < floor_sq:
+    if not p.real * p.real + p.imag * p.imag >= floor_sq:
         return UNSEEN
     e = (1 - a) * equalized[i, j] + a * equalized[i + di, j + dj]
     m = (1 - a) * mean[i, j] + a * mean[i + di, j + dj]

@@ -199,7 +199,7 @@ def _row_steps(re: Any, im: Any, middle: int, nominal: Any, power_x: Any, power_
             dot = fc * bc + fs * bs
             c, s = fc * bc - fs * bs, fc * bs + fs * bc
             norm = np.float32(sqrt(c * c + s * s)) + tiny
-            root = np.float32(sqrt(half * (one + c / norm) + np.float32(1e-8)))
+            root = np.float32(sqrt(max(half * (one + c / norm), np.float32(1e-8))))
             inv_f, inv_b = one / np.float32(sqrt(f2)), one / np.float32(sqrt(b2))
             forward = (fc * nc + fs * ns) * inv_f >= (bc * nc + bs * ns) * inv_b
             side_c = fc * inv_f if forward else bc * inv_b

@@ -194,6 +194,18 @@ def test_sigma_is_the_scatter_over_fifty_noisy_pictures():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("columns", [-1.0, 1.0])
+def test_a_projector_off_by_a_whole_column_costs_nothing(columns):
+    optics, layout = Optics(projector_error_px=(columns, 0.0)), RigLayout()
+    pair = render_pair(layout, build("steps"), layout.pattern(), Optics())
+    found = Reconstructor(layout.calibration_for(optics), layout.pattern(), layout.volume())
+    measured = score(found.reconstruct(pair.left, pair.right).xyz, pair.truth_left)
+    assert abs(found.correction[0] + columns) < 0.05
+    assert measured.reconstructed >= 0.98
+    assert measured.wrong < 0.003
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "layout", "reconstructed", "wrong", "rms_mm"),
     [
