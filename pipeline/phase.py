@@ -22,7 +22,8 @@ from pipeline.equalize import equalized_phasor, local_means
 from pipeline.kernels import parallel, prange
 from pipeline.noise import NoiseModel, estimate
 from pipeline.settings import Settings
-from pipeline.window_fit import fit_bayer, fit_three_chip, rough_channels, three_chip_pointwise, weights_of
+from pipeline.three_step import three_chip_pointwise
+from pipeline.window_fit import fit_bayer, fit_three_chip, rough_channels, weights_of
 
 F32 = NDArray[np.float32]
 
