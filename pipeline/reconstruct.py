@@ -9,10 +9,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import gates, self_calibration
+from pipeline import self_calibration
+from pipeline.assemble import assemble
 from pipeline.calibration import Calibration
 from pipeline.cloud import Cloud, Volume
 from pipeline.errors import CalibrationError
+from pipeline.gates import Gates
+from pipeline.located import Located
 from pipeline.pattern import ColorFringe
 from pipeline.phase import PhaseMap
 from pipeline.raw import checked, mosaic_of
@@ -71,7 +74,11 @@ class Reconstructor:
             swapped, pattern, _volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
             inside=(swapped.right, volume), coarser=2,
         )  # fmt: skip
-        self._rays = calibration.left.rays().astype(np.float32)
+        self._rays = np.moveaxis(calibration.left.rays().astype(np.float32), -1, 0).copy()
+        self._gates = Gates(
+            calibration.left.size[::-1], calibration.right.size, calibration.projector.size, self._left.slopes,
+            self._left.depth, self._left.order_step, self.settings,
+        )  # fmt: skip
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         self._labels = max(self._left.labels, self._right.labels)
@@ -151,58 +158,39 @@ class Reconstructor:
         return order
 
     def _locate(self, left: PhaseMap, right: PhaseMap, order: NDArray[np.int16]) -> tuple[Any, ...]:
-        view = self._left
+        view, rays = self._left, np.moveaxis(self._rays, 0, -1)
         return refine(
-            order, view.table.rows, view.table.columns, view.table.along, self._rays, left.phase, left.phase_eq,
+            order, view.table.rows, view.table.columns, view.table.along, rays, left.phase, left.phase_eq,
             left.phasor, left.variance, right.phasor, right.variance, view.other, view.projector, view.first_axis,
             view.depth.base, view.depth.span, view.columns, view.phases, self.correction,
             self.settings.min_modulation**2, self._correlation,
         )  # fmt: skip
 
     def _finish(self, left: PhaseMap, right: PhaseMap, order: NDArray[np.int16], watch: Stopwatch) -> Cloud:
-        depth, sigma, match, source, residual = self._locate(left, right, order)
+        located = _planes(self._locate(left, right, order))
         watch.lap("refinement")
-        known = self._gate(left, order, depth, match, source, residual)
+        known = self._gates.certain(located, left.phase, order, left.modulation)
         watch.lap("gates")
-        unknown = ~known
-        depth[unknown] = np.nan
-        sigma[unknown] = np.nan
-        xyz = np.empty((*depth.shape, 3), np.float32)
-        np.multiply(self._rays, depth[..., None], out=xyz[..., :2])
-        xyz[..., 2] = depth
+        xyz, sigma, gray, kept = assemble(
+            known, located.depth_mm, located.sigma_mm, self._rays[0], self._rays[1], left.mean, order
+        )
         cloud = Cloud(
             xyz=xyz,
             sigma_mm=sigma,
-            gray=np.clip(np.rint(left.mean), 0, 255).astype(np.uint8),
+            gray=gray,
             modulation=(left.modulation, right.modulation),
-            order=np.where(known, order, -1).astype(np.int16),
+            order=kept,
             saturated=(left.clipped, right.clipped),
             ms=watch.ms,
         )
         watch.lap("output")
         return cloud
 
-    def _gate(
-        self, left: PhaseMap, order: Any, depth: Any, match: Any, source: Any, residual: Any
-    ) -> NDArray[np.bool_]:
-        known = gates.local_outliers(
-            residual, np.isfinite(depth), self.settings.max_residual, self.settings.max_phase_error, 3
-        )
-        smallest = self.settings.min_component
-        absolute = left.phase + np.float32(2 * np.pi) * order
-        slope_x, slope_y = self._left.slopes
-        label, size = gates.components(known, absolute, match, slope_x, slope_y)
-        known = gates.drop_mixed_edges(known, label, left.modulation, self.settings.edge_modulation)
-        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_surface_error)
-        s = (1 / depth - self._left.depth.base) / self._left.depth.span
-        for place, value, device, tolerance in (
-            (match, absolute, self.calibration.right, 1.5),
-            (source, s, self.calibration.projector, self._left.order_step / 4),
-        ):
-            gates.unique(known, place, value, depth, label, size, device.size[::-1], tolerance, 4 * smallest)
-        label, size = gates.components(known, absolute, match, slope_x, slope_y)
-        gates.drop_doubtful(known, label, size, residual, smallest, self.settings.max_surface_error)
-        return known
+
+def _planes(located: tuple[Any, ...]) -> Located:
+    depth, sigma, match, source, residual = located
+    apart = [np.ascontiguousarray(x[..., k]) for x in (match, source, residual) for k in (0, 1)]
+    return Located(np.isfinite(depth).astype(np.uint8), depth, sigma, *apart)
 
 
 def _volume_of_right(calibration: Calibration, volume: Volume) -> Volume:
