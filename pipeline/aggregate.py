@@ -4,8 +4,8 @@ Going from pixel q to p is free when the unwrapped phase is continuous: ``m_p = 
 A sloping surface then costs nothing, however steep; any other change of order costs a penalty, less where the phase
 itself shows a break. After Hirschmueller, PAMI 30 (2008), with another meaning of "smooth".
 
-All labels of a pixel are handled at once: a path keeps ``lanes`` costs between two margins as wide, so that a change of
-the first order is a shifted look at the same memory.
+A path keeps the costs of a pixel's labels between two margins as wide, so that a change of the first order is a shifted
+look at the same memory.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from pipeline.candidates import NO_SUCH
 from pipeline.kernels import inline, ordered, parallel, prange
 from pipeline.tiles import decay, turns
 
-LANES = 16
-"""Labels are handled in groups of this many."""
+BLOCK = 16
+"""Columns whose paths go down together: the costs of a row of them are neighbours in memory."""
 NONE = -32768
 """Order of a pixel that has none."""
 _TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
@@ -94,116 +94,107 @@ def column_links(
 
 
 @ordered
-def _advance(cost: Any, at: int, old: Any, new: Any, lanes: int, offset: int, penalty: Any) -> None:
-    """One step of a path: new(m) = cost(m) + min(old(m - offset) - least old, penalty)."""
-    least = old[lanes]
-    for k in range(lanes):
-        least = min(least, old[np.uint32(lanes + k)])
-    source, target = np.uint32(lanes + min(max(offset, -lanes), lanes)), np.uint32(at)
-    for group in range(0, lanes, LANES):
-        for k in range(LANES):
-            m = np.uint32(group + k)
-            best = old[source + m] - least
-            new[np.uint32(lanes) + m] = cost[target + m] + (best if best < penalty else penalty)
+def _advance(
+    cost: Any, at: int, n: int, old: Any, least: Any, new: Any, before: int, labels: int, offset: int, penalty: Any
+) -> Any:
+    """One step of a path: new(m) = cost(m) + min(old(m - offset) - least old, penalty); returns the least new.
 
-
-@ordered
-def _restart(new: Any, lanes: int) -> None:
-    """A path that knows nothing: all labels alike."""
-    for k in range(lanes):
-        new[np.uint32(lanes + k)] = NO_SUCH
-
-
-@ordered
-def _add(total: Any, at: int, path: Any, lanes: int) -> None:
-    for k in range(lanes):
-        total[np.uint32(at + k)] += path[np.uint32(lanes + k)]
+    Paths hold ``labels`` costs between two margins as wide; NO_SUCH beyond the labels there are, ``before`` of them in
+    ``new`` so far.
+    """
+    source = np.uint32(labels + min(max(offset, -labels), labels))
+    target, base = np.uint32(at), np.uint32(labels)
+    least_new = NO_SUCH
+    for k in range(np.uint32(n)):
+        best = old[source + k] - least
+        value = cost[target + k] + (best if best < penalty else penalty)
+        new[base + k] = value
+        least_new = value if value < least_new else least_new
+    for k in range(n, before):
+        new[np.uint32(labels + k)] = NO_SUCH
+    return least_new
 
 
 @ordered
 def along_row(
-    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, lanes: int, paths: Any, total: Any
+    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, paths: Any, total: Any
 ) -> None:
     """Both horizontal paths of a lattice row.
 
     Args:
-        costs, total: (w * lanes,), the second is written; first, count: (w,) first order, number of orders.
-        paths: (2, 3 * lanes) scratch whose margins hold NO_SUCH.
+        costs, total: (w * labels,), the second is written; first, count: (w,) first order, number of orders.
+        paths: (2, 3 * labels) scratch, all NO_SUCH.
     """
     w = first.shape[0]
     old, new = paths[0], paths[1]
+    old_n, new_n = 0, 0
     for direction in range(2):
-        _restart(old, lanes)
+        least = NO_SUCH
         for t in range(w):
             b = t if direction == 0 else w - 1 - t
-            if count[b] == 0:
-                _restart(new, lanes)
-            else:
-                q = b - 1 if direction == 0 else b + 1
-                tie = b if direction == 0 else q
-                if t == 0:
-                    offset, price = 0, penalty
-                else:
-                    change = jump[tie] if direction == 0 else -jump[tie]
-                    offset, price = first[b] - change - first[q], penalty * trust[tie]
-                _advance(costs, b * lanes, old, new, lanes, offset, price)
+            n, at = count[b], b * labels
+            offset, price = 0, penalty
+            if t > 0 and n > 0:
+                q, tie = (b - 1, b) if direction == 0 else (b + 1, b + 1)
+                change = jump[tie] if direction == 0 else -jump[tie]
+                offset, price = first[b] - change - first[q], penalty * trust[tie]
+            least = _advance(costs, at, n, old, least, new, new_n, labels, offset, price)
+            target, base = np.uint32(at), np.uint32(labels)
             if direction == 0:
-                for k in range(lanes):
-                    total[np.uint32(b * lanes + k)] = new[np.uint32(lanes + k)]
+                for k in range(np.uint32(n)):
+                    total[target + k] = new[base + k]
             else:
-                _add(total, b * lanes, new, lanes)
-            old, new = new, old
-
-
-@ordered
-def _least(total: Any, at: int, lanes: int) -> int:
-    """Label of the least value; the first one of several."""
-    least = total[np.uint32(at)]
-    for k in range(lanes):
-        least = min(least, total[np.uint32(at + k)])
-    where = lanes
-    for k in range(lanes):
-        where = min(where, k if total[np.uint32(at + k)] == least else lanes)
-    return where
+                for k in range(np.uint32(n)):
+                    total[target + k] += new[base + k]
+            old, new, old_n, new_n = new, old, n, old_n
+        old[:] = NO_SUCH
+        old_n = 0
 
 
 @parallel
 def along_columns(
-    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, lanes: int, total: Any, order: Any
+    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, total: Any, order: Any
 ) -> None:
     """Both vertical paths, and the decision: ``order`` (h, w) int16, NONE where there are no candidates.
 
     Columns go in blocks, one thread each, so that memory is walked in its own order.
 
     Args:
-        costs, total: (h, w * lanes); first, count: (h, w) int32; jump, trust: (h, w), from :func:`column_links`.
+        costs, total: (h, w * labels); first, count: (h, w) int32; jump, trust: (h, w), from :func:`column_links`.
     """
     h, w = first.shape
-    block = 16
-    for group in prange((w + block - 1) // block):
-        b0, b1 = group * block, min(w, group * block + block)
-        size = 3 * lanes
-        old, new = np.full((block, size), NO_SUCH), np.full((block, size), NO_SUCH)
+    for group in prange((w + BLOCK - 1) // BLOCK):
+        b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
+        old, new = np.full((BLOCK, 3 * labels), NO_SUCH), np.full((BLOCK, 3 * labels), NO_SUCH)
+        old_n, new_n = np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
+        least = np.full(BLOCK, NO_SUCH)
         for direction in range(2):
-            old[:] = NO_SUCH
             for t in range(h):
                 a = t if direction == 0 else h - 1 - t
-                q = a - 1 if direction == 0 else a + 1
+                q, tie = (a - 1, a) if direction == 0 else (a + 1, a + 1)
+                row_costs, row_total = costs[a], total[a]
                 for b in range(b0, b1):
-                    here, there = new[b - b0], old[b - b0]
-                    if count[a, b] == 0:
-                        _restart(here, lanes)
-                        if direction == 1:
-                            order[a, b] = NONE
-                        continue
-                    if t == 0:
-                        offset, price = 0, penalty
-                    else:
-                        tie = a if direction == 0 else q
+                    p = b - b0
+                    n, at = count[a, b], b * labels
+                    offset, price = 0, penalty
+                    if t > 0 and n > 0:
                         change = jump[tie, b] if direction == 0 else -jump[tie, b]
                         offset, price = first[a, b] - change - first[q, b], penalty * trust[tie, b]
-                    _advance(costs[a], b * lanes, there, here, lanes, offset, price)
-                    _add(total[a], b * lanes, here, lanes)
-                    if direction == 1:
-                        order[a, b] = first[a, b] + _least(total[a], b * lanes, lanes)
-                old, new = new, old
+                    here = new[p]
+                    least[p] = _advance(row_costs, at, n, old[p], least[p], here, new_n[p], labels, offset, price)
+                    new_n[p] = n
+                    target, base = np.uint32(at), np.uint32(labels)
+                    if direction == 0:
+                        for k in range(np.uint32(n)):
+                            row_total[target + k] += here[base + k]
+                        continue
+                    best, where = NO_SUCH + NO_SUCH, NONE - first[a, b]
+                    for k in range(np.uint32(n)):
+                        sum_ = row_total[target + k] + here[base + k]
+                        where = np.int32(k) if sum_ < best else where
+                        best = sum_ if sum_ < best else best
+                    order[a, b] = first[a, b] + where
+                old, new, old_n, new_n = new, old, new_n, old_n
+            old[:] = NO_SUCH
+            old_n[:] = 0
+            least[:] = NO_SUCH

@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
-from pipeline.tiles import TILE, decay, root, turns
+from pipeline.tiles import TILE, clamped, decay, root, turns
 
 UNSEEN = np.float32(0.5)
 NO_SUCH = np.float32(1000.0)
 """Price of an order that the pixel cannot have."""
 _OUTSIDE = np.float32(4.0)
 _ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(8)
-_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(1e-20), np.float32(0.4)
+_TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20), np.float32(0.4)
 
 # Slots of the scratch array; tables take three each.
-_PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _COUNT, _ROW = (k * TILE for k in range(9))
+_PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE, _ROW = (k * TILE for k in range(9))
 _ALONG, _ACROSS, _OTHER_U, _OTHER_V = (k * TILE for k in (9, 12, 15, 18))
 _U, _FRACTION, _SEEN, _T0, _T1 = (k * TILE for k in range(21, 26))
 _P0R, _P0I, _P1R, _P1I, _E0R, _E0I, _E1R, _E1I, _M0, _M1 = (k * TILE for k in range(26, 36))
@@ -45,43 +45,44 @@ def grid_cells(t: Any, k: Any, columns: Any, phase: int) -> None:
     start, per = columns[0], _ONE / columns[1]
     last = np.float32(columns.shape[0] - 3)
     for j in range(TILE):
-        where = min(max((t[phase + j] - start) * per, _ZERO), last - np.float32(1e-3))
+        where = clamped((t[phase + j] - start) * per, _ZERO, last - np.float32(1e-3))
         k[j] = np.int32(where)
         t[_FRACTION + j] = where - np.float32(k[j])
 
 
 @inline
 def load_nodes(
-    t: Any, a: int, b0: int, n: int, i: int, j0: int, step: int, tables: Any, start: Any, stop: Any, phase: Any,
-    phase_eq: Any, phasor: Any, equalized: Any, mean: Any, valid: Any, first: Any, count: Any, labels: int,
+    t: Any, nodes: Any, n: int, a: int, i: int, j0: int, step: int, tables: Any, start: Any, stop: Any, phase: Any,
+    phase_eq: Any, phasor: Any, equalized: Any, mean: Any, first: Any, count: Any, labels: int,
 ) -> int:  # fmt: skip
-    """Fill the slots of a tile of lattice pixels, first orders and counts; returns the largest count.
+    """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
-    Pixel b of lattice row a is column ``j0 + step b`` of row i.
+    The tile's lattice pixels are columns ``nodes[:n]`` of lattice row a, picture columns ``j0 + step b`` of row i.
     """
     for table in range(4):
         for c in range(3):
-            row = tables[table, c, a, b0 : b0 + n]
+            row = tables[table, c, a]
             for j in range(n):
-                t[_ALONG + (3 * table + c) * TILE + j] = row[j]
+                t[_ALONG + (3 * table + c) * TILE + j] = row[np.uint32(nodes[j])]
     for j in range(n):
-        m = np.uint32(j0 + step * (b0 + j))
+        b = np.uint32(nodes[j])
+        m = np.uint32(j0 + step * nodes[j])
         t[_PHI + j], t[_BIAS + j] = phase[i, m], phase_eq[i, m]
         t[_HR + j], t[_HI + j] = phasor[i, np.uint32(2) * m], phasor[i, np.uint32(2) * m + np.uint32(1)]
         t[_ER + j], t[_EI + j] = equalized[i, np.uint32(2) * m], equalized[i, np.uint32(2) * m + np.uint32(1)]
         t[_MEAN + j] = mean[i, m]
-        t[_COUNT + j] = _ONE if valid[i, m] else _ZERO
-    low, high = start[a, b0 : b0 + n], stop[a, b0 : b0 + n]
-    k0, number = first[b0 : b0 + n], count[b0 : b0 + n]
-    for j in range(n):
+        t[_T0 + j], t[_T1 + j] = start[a, b], stop[a, b]
+    for j in range(TILE):
         phi = t[_PHI + j]
-        t[_T0 + j] = np.float32(np.ceil((low[j] - phi) / _TURN))
-        t[_T1 + j] = np.float32(np.floor((high[j] - phi) / _TURN)) - t[_T0 + j] + _ONE
+        low = np.float32(np.ceil((t[_T0 + j] - phi) * _PER_TURN))
+        high = np.float32(np.floor((t[_T1 + j] - phi) * _PER_TURN))
+        t[_T0 + j] = low
+        t[_T1 + j] = clamped(high - low + _ONE, _ZERO, np.float32(labels))
     most = 0
     for j in range(n):
-        k0[j] = np.int32(t[_T0 + j])
-        number[j] = min(max(np.int32(t[_T1 + j] * t[_COUNT + j]), 0), labels)
-        most = max(most, number[j])
+        b = np.uint32(nodes[j])
+        first[b], count[b] = np.int32(t[_T0 + j]), np.int32(t[_T1 + j])
+        most = max(most, count[b])
     for j in range(TILE):
         bias = t[_BIAS + j] - t[_PHI + j]
         t[_BIAS + j] = bias - _TURN * turns(bias)
@@ -94,6 +95,21 @@ def load_nodes(
         t[_EI + j] *= e
         t[_ROW + j] = value(t, _ACROSS, j, _HALF)
     return most
+
+
+@inline
+def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
+    """Move a tile's first candidates to the orders nearest to the absolute phases ``expected`` of the lattice row.
+
+    Slot _MOVE gets the number of orders after the first, -1 where the expected one cannot be.
+    """
+    for j in range(n):
+        t[_T0 + j] = expected[np.uint32(nodes[j])]
+    for j in range(TILE):
+        ahead = turns(t[_T0 + j] - t[_PHI + j])
+        good = (ahead >= _ZERO) & (ahead < t[_T1 + j])
+        t[_MOVE + j] = ahead if good else -_ONE
+        t[_PHI + j] += _TURN * ahead if good else _ZERO
 
 
 @inline
@@ -131,7 +147,7 @@ def price(
         x, y = value(t, _OTHER_U, j, s), value(t, _OTHER_V, j, s)
         t[_SEEN + j] = _ONE if (x >= _ONE) & (y >= _ONE) & (x < right) & (y < bottom) else _ZERO
         # Linear along the direction in which the phase grows, the nearest pixel across it.
-        x, y = min(max(x, _ONE), right), min(max(y, _ONE), bottom)
+        x, y = clamped(x, _ONE, right), clamped(y, _ONE, bottom)
         x, y = (x, y + _HALF) if along_x else (x + _HALF, y)
         i, m = np.int32(y), np.int32(x)
         k[j] = i * np.int32(width) + m

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
-from pipeline.tiles import TILE, angle, root, turns
+from pipeline.tiles import TILE, angle, clamped, root, turns
 
 _COHERENCE_SQ = np.float32(0.16)
 _STEPS = 2
@@ -57,7 +57,7 @@ def _columns(t: Any, k: Any, columns: Any) -> None:
     start, per = columns[0], _ONE / columns[1]
     last = columns.shape[0] - 3
     for j in range(TILE):
-        where = min(max((t[_T0 + j] - start) * per, _ZERO), np.float32(last) - np.float32(1e-3))
+        where = clamped((t[_T0 + j] - start) * per, _ZERO, np.float32(last) - np.float32(1e-3))
         k[j] = np.int32(where)
         t[_FRACTION + j] = where - np.float32(k[j])
     for j in range(TILE):
@@ -97,7 +97,7 @@ def _cells(t: Any, k: Any, along: int, across: int, width: int, height: int) -> 
     """Cell of the other picture (flat index) and the place in it of the pixels in slots _X, _Y."""
     right, bottom = np.float32(width) - np.float32(2.01), np.float32(height) - np.float32(2.01)
     for j in range(TILE):
-        x, y = min(max(t[_X + j], _ONE), right), min(max(t[_Y + j], _ONE), bottom)
+        x, y = clamped(t[_X + j], _ONE, right), clamped(t[_Y + j], _ONE, bottom)
         i, m = np.int32(y), np.int32(x)
         k[j] = i * np.int32(width) + m
         fx, fy = x - np.float32(m), y - np.float32(i)
@@ -134,7 +134,7 @@ def _error(t: Any, j: int) -> tuple[Any, Any, Any, Any]:
 def refine(
     order: Any, rays_x: Any, rays_y: Any, phase: Any, phase_eq: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
-    columns: Any, phases: Any, correction: Any, floor_sq: float, correlation: float, every: int, out: Any,
+    columns: Any, phases: Any, correction: Any, floor_sq: float, correlation: float, out: Any,
 ) -> None:  # fmt: skip
     """Match and locate every pixel that has an order; all arrays float32 unless said.
 
@@ -145,7 +145,6 @@ def refine(
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate.
         correlation: of neighbouring phases' noise in the other picture (0 pointwise, more after a window fit).
-        every: only every n-th pixel of both axes.
         out: :class:`pipeline.located.Located`, written.
     """
     height, width = order.shape
@@ -168,12 +167,9 @@ def refine(
                 found += active
                 t[_OK + j] = _ONE if active else _ZERO
             known = out.known[i, j0 : j0 + n]
-            if found == 0 or i % every:
-                known[:] = False
+            if found == 0:
+                known[:] = 0
                 continue
-            if every > 1:
-                for j in range(n):
-                    t[_OK + j] = t[_OK + j] if (j0 + j) % every == 0 else _ZERO
             _load(t, n, row, phase[i, j0 : j0 + n], phase_eq[i, j0 : j0 + n], phasor[i, 2 * j0 : 2 * (j0 + n)],
                   rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
             _columns(t, k, columns)
@@ -231,7 +227,7 @@ def refine(
             for j in range(TILE):
                 u, v = (t[_U + j], t[_V + j]) if axis == 0 else (t[_V + j], t[_U + j])
                 u += correction[0] + correction[1] * u + correction[2] * v
-                m = min(max(u, _ZERO), np.float32(last_phase) - np.float32(1e-3))
+                m = clamped(u, _ZERO, np.float32(last_phase) - np.float32(1e-3))
                 k[j] = np.int32(m)
                 t[_FRACTION + j] = u - np.float32(k[j])
             for j in range(TILE):
@@ -297,7 +293,7 @@ def _store(t: Any, n: int, i: int, j0: int, variance: Any, span: float, out: Any
         depth[j] = z
         sigma[j] = root((left[j] + t[_VAR + j]) * (rx * rx + ry * ry + _ONE)) / t[_SLOPE + j] * z * z
     for j in range(n):
-        known[j] = t[_OK + j] > _ZERO
+        known[j] = np.uint8(t[_OK + j] > _ZERO)
     match_u, match_v = out.match_u[i, j0 : j0 + n], out.match_v[i, j0 : j0 + n]
     for j in range(n):
         match_u[j], match_v[j] = t[_X + j], t[_Y + j]

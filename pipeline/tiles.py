@@ -33,6 +33,13 @@ def turns(a: Any) -> Any:
 
 
 @inline
+def clamped(x: Any, low: Any, high: Any) -> Any:
+    """X between two limits; NaN gives the low one: safe as an index."""
+    x = x if x > low else low
+    return x if x < high else high
+
+
+@inline
 def angle(c: Any, s: Any) -> Any:
     """Angle of (c, s), float32, error below 2e-7 rad; an odd polynomial fitted to the arctangent."""
     x, y = abs(c), abs(s)
