@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.aggregate import along_row, row_links
+from pipeline.aggregate import NONE, along_row, row_links
 from pipeline.candidates import NO_SUCH, SLOTS, load_nodes, predict, price
 from pipeline.kernels import parallel, prange
 from pipeline.tiles import TILE
 
 REFRESH = 16
 """Every lattice row is searched without expectations once in this many pairs, so that no error outlives them."""
+_TURN, _NAN = np.float32(2 * np.pi), np.float32(np.nan)
 _COST, _MOVE = (SLOTS - 1) * TILE, 7 * TILE
 
 
@@ -94,3 +95,23 @@ def search_rows(
         row_links(phase[i], valid[i], left, step, slope, w, jump, trust)
         paths = np.full((2, 3 * labels), NO_SUCH)
         along_row(row_costs, row_first, row_count, jump, trust, penalty, labels, paths, total[a])
+
+
+@parallel
+def remember(
+    order: Any, first: Any, costs: Any, labels: int, limit: Any, top: int, down: int, left: int, step: int,
+    phase: Any, expected: Any,
+) -> None:  # fmt: skip
+    """Absolute phases of lattice pixels whose order costs at most ``limit``, NaN elsewhere; see :func:`search_rows`.
+
+    Args:
+        order: (h, w) int16, NONE = unknown, one of the candidates priced last; expected: (h, w) float32, written.
+    """
+    h, w = order.shape
+    for a in prange(h):
+        i = top + down * a
+        for b in range(w):
+            value = _NAN
+            if order[a, b] != NONE and costs[a, np.uint32(b * labels + order[a, b] - first[a, b])] <= limit:
+                value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])
+            expected[a, b] = value
