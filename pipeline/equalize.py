@@ -77,36 +77,42 @@ def advance(new: Any, old: Any, keep: int, once: Any, oldest: Any, twice: Any) -
 
 
 @serial
-def _add(a: Any, b: Any, n: int, out: Any) -> None:
+def _add_terms(row: Any, stride: int, digit: int, keep: int, out: Any) -> None:
+    """Add to ``out`` (set it, if ``keep`` is 0) one to three elements of a row, one stride apart."""
+    one, two = np.uint16(digit >= 2), np.uint16(digit >= 3)
+    old = np.uint16(keep)
+    second, third = row[one * stride :], row[2 * two * stride :]
+    for j in range(out.shape[0]):
+        out[j] = np.uint16(old * out[j] + row[j] + one * second[j] + two * third[j])
+
+
+@serial
+def _fourfold(row: Any, stride: int, n: int, out: Any) -> None:
+    second, third, fourth = row[stride:], row[2 * stride :], row[3 * stride :]
     for j in range(n):
-        out[j] = np.uint16(a[j] + b[j])
+        out[j] = np.uint16(row[j] + second[j] + third[j] + fourth[j])
 
 
 @serial
 def box_row(row: Any, length: int, work: Any, out: Any) -> None:
-    """Sums of ``length`` successive pixels of a row of three interleaved colours, by doubling.
+    """Sums of ``length`` successive pixels of a row of three interleaved colours: sums of 1, 4, 16 ... put together.
 
     Args:
-        row: (3 n,) uint16; work: (2, 3 n) uint16, scratch; out: (3 n - 3 length + 3,) uint16, sum from each pixel on.
+        row: (3 n,) uint16; work: (2, at least 3 n) uint16, scratch.
+        out: (3 n - 3 length + 3,) uint16, the sum from each pixel on.
     """
-    n = out.shape[0]
-    have, power, spare = 0, 1, 0
-    doubled = row
-    if length & 1:
-        have = 1
-        if length == 1:
-            out[:n] = row[:n]
-    while 2 * power <= length:
-        left = row.shape[0] - 3 * (2 * power - 1)
-        wider = work[spare]
-        _add(doubled, doubled[3 * power :], left, wider)
-        doubled, power, spare = wider, 2 * power, 1 - spare
-        if length & power:
-            if have == 0:
-                out[:n] = doubled[:n]
-            else:
-                _add(row if have == 1 else out, doubled[3 * have :], n, out)
-            have += power
+    power, done, spare = 1, 0, 0
+    sums = row
+    while power <= length:
+        digit = length // power % 4
+        if digit:
+            _add_terms(sums[3 * done :], 3 * power, digit, 1 if done else 0, out)
+            done += digit * power
+        if 4 * power <= length:
+            wider = work[spare]
+            _fourfold(sums, 3 * power, row.shape[0] - 3 * (4 * power - 1), wider)
+            sums, spare = wider, 1 - spare
+        power *= 4
 
 
 @serial
@@ -120,20 +126,20 @@ def means_of_row(twice: Any, along: int, first: int, second: int, padded: Any, m
     """
     n, edge = twice.shape[0], 3 * (along - 1)
     width = n // 3
-    half = np.int32((1 << first) >> 1)
+    share, half = np.float32(1.0 / (1 << first)), np.float32(0.5)
     inner = padded[edge : edge + n]
     for j in range(n):
-        inner[j] = np.uint16(np.int32(twice[j] + half) >> first)
+        inner[j] = np.uint16(np.int32(np.float32(twice[j]) * share + half))
     for j in range(-(along - 1), 0):
         for k in range(3):
             padded[edge + 3 * j + k] = inner[3 * mirrored(j, width) + k]
             padded[edge + 3 * (width - 1 - j) + k] = inner[3 * mirrored(width - 1 - j, width) + k]
     box_row(padded, along, work, middle)
     if second:
-        half = np.int32((1 << second) >> 1)
+        rounding, shift = np.uint16((1 << second) >> 1), second & 15
         for j in range(middle.shape[0]):
-            middle[j] = np.uint16(np.int32(np.int32(middle[j]) + half) >> second)
-    box_row(middle, along, work[:, : middle.shape[0]], out)
+            middle[j] = np.uint16(np.uint16(middle[j] + rounding) >> shift)
+    box_row(middle, along, work, out)
 
 
 @serial

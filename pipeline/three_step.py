@@ -15,8 +15,8 @@ from pipeline.kernels import serial
 
 @serial
 def levels_of_row(raw: Any, black: Any, levels: Any) -> None:
-    """Counts above black of one row: raw (3 W,) uint8, colours interleaved, to ``levels`` (3, W) float32."""
-    n = levels.shape[1]
+    """Counts above black of one row: raw (3 W,) uint8, colours interleaved, to the first W of the rows of ``levels`` (3, ...) float32."""
+    n = raw.shape[0] // 3
     dark0, dark1, dark2 = black[0], black[1], black[2]
     x, y, z = levels[0, :n], levels[1, :n], levels[2, :n]
     for j in range(n):
@@ -33,7 +33,7 @@ def pointwise_row(
     """Exact three-step solution of one row.
 
     Args:
-        levels: (3, W) float32 counts above black; black: (3,) float32 counts.
+        levels: (3, W or more) float32 counts above black; black: (3,) float32 counts.
         solve: (3, 3) float32, levels -> (A, C, S).
         clip: counts from which a sample is clipped.
         floor, gain: noise model, counts^2 and counts^2 per count.
@@ -44,7 +44,7 @@ def pointwise_row(
     Returns:
         Number of pixels with a clipped sample.
     """
-    n = levels.shape[1]
+    n = re.shape[0]
     zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
     a0, a1, a2 = solve[0, 0], solve[0, 1], solve[0, 2]
     c0, c1, c2 = solve[1, 0], solve[1, 1], solve[1, 2]

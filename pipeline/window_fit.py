@@ -23,10 +23,9 @@ AGREEING = 0.85  # cosine of the largest difference of the steps to both sides o
 
 
 def weights_of(radius: int, sigma: float) -> F32:
-    """(2r+1, 2r+1) Gaussian weights."""
-    d = np.arange(-radius, radius + 1)
-    g = np.exp(-(d**2) / (2 * sigma**2))
-    return np.outer(g, g).astype(np.float32)
+    """Gaussian weights of the pixels at distance 0, 1 and 2, (3,); 0 beyond the radius."""
+    d = np.arange(3)
+    return np.where(d <= radius, np.exp(-(d**2) / (2 * sigma**2)), 0).astype(np.float32)
 
 
 @inline
@@ -60,7 +59,7 @@ def fold(
     unit_re0: Any, unit_im0: Any, unit_re1: Any, unit_im1: Any, unit_re2: Any, unit_im2: Any,
     w0: Any, c0: Any, s0: Any, a0: Any, v0: Any, w1: Any, c1: Any, s1: Any, a1: Any, v1: Any,
     w2: Any, c2: Any, s2: Any, a2: Any, v2: Any,
-    nominal_c: float, nominal_s: float, middle: float, side: float,
+    nominal_c: float, nominal_s: float, weight: float,
     sum_w: Any, sum_c: Any, sum_s: Any, sum_a: Any, sum_v: Any,
 ) -> None:  # fmt: skip
     """Weighted sums over the pixels of a row (1) and their neighbours behind (0) and ahead (2) in one direction.
@@ -68,7 +67,7 @@ def fold(
     Args:
         unit_re0 ... unit_im2: (n,) float32, unit phasors.
         w0 ... v2: (n,) float32, sums so far: weight, C, S, A, and variance (by squared weights).
-        nominal_c, nominal_s: expected step, unit phasor; middle, side: weights.
+        nominal_c, nominal_s: expected step, unit phasor; weight: of the neighbours, the pixel itself having 1.
         sum_w ... sum_v: results; neighbours turned back by the step, and left out where they do not continue the plane.
     """
     for j in range(sum_w.shape[0]):
@@ -76,11 +75,39 @@ def fold(
             unit_re0[j], unit_im0[j], unit_re1[j], unit_im1[j], unit_re2[j], unit_im2[j], nominal_c, nominal_s,
             np.float32(AGREEING),
         )  # fmt: skip
-        back *= side
-        ahead *= side
+        back *= weight
+        ahead *= weight
         c, s, p, q = c0[j], s0[j], c2[j], s2[j]
-        sum_w[j] = middle * w1[j] + back * w0[j] + ahead * w2[j]
-        sum_c[j] = middle * c1[j] + back * (c * tc - s * ts) + ahead * (p * tc + q * ts)
-        sum_s[j] = middle * s1[j] + back * (s * tc + c * ts) + ahead * (q * tc - p * ts)
-        sum_a[j] = middle * a1[j] + back * a0[j] + ahead * a2[j]
-        sum_v[j] = middle * middle * v1[j] + back * back * v0[j] + ahead * ahead * v2[j]
+        sum_w[j] = w1[j] + back * w0[j] + ahead * w2[j]
+        sum_c[j] = c1[j] + back * (c * tc - s * ts) + ahead * (p * tc + q * ts)
+        sum_s[j] = s1[j] + back * (s * tc + c * ts) + ahead * (q * tc - p * ts)
+        sum_a[j] = a1[j] + back * a0[j] + ahead * a2[j]
+        sum_v[j] = v1[j] + back * back * v0[j] + ahead * ahead * v2[j]
+
+
+@serial
+def fold_far(
+    unit_re0: Any, unit_im0: Any, unit_re1: Any, unit_im1: Any, unit_re2: Any, unit_im2: Any,
+    far_re0: Any, far_im0: Any, far_re2: Any, far_im2: Any,
+    w0: Any, c0: Any, s0: Any, a0: Any, v0: Any, w2: Any, c2: Any, s2: Any, a2: Any, v2: Any,
+    nominal_c: float, nominal_s: float, weight: float,
+    sum_w: Any, sum_c: Any, sum_s: Any, sum_a: Any, sum_v: Any,
+) -> None:  # fmt: skip
+    """Add the neighbours at a distance of two (``far``, 0 behind and 2 ahead) to the sums; otherwise as :func:`fold`."""
+    zero, least = np.float32(0.0), np.float32(CONSISTENT)
+    for j in range(sum_w.shape[0]):
+        re, im = unit_re1[j], unit_im1[j]
+        c, s, _, _ = step_of(
+            unit_re0[j], unit_im0[j], re, im, unit_re2[j], unit_im2[j], nominal_c, nominal_s, np.float32(AGREEING)
+        )
+        tc, ts = c * c - s * s, s * c + c * s
+        hc, hs = re * tc + im * ts, im * tc - re * ts
+        back = weight if hc * far_re0[j] + hs * far_im0[j] >= least else zero
+        hc, hs = re * tc - im * ts, im * tc + re * ts
+        ahead = weight if hc * far_re2[j] + hs * far_im2[j] >= least else zero
+        c, s, p, q = c0[j], s0[j], c2[j], s2[j]
+        sum_w[j] += back * w0[j] + ahead * w2[j]
+        sum_c[j] += back * (c * tc - s * ts) + ahead * (p * tc + q * ts)
+        sum_s[j] += back * (s * tc + c * ts) + ahead * (q * tc - p * ts)
+        sum_a[j] += back * a0[j] + ahead * a2[j]
+        sum_v[j] += back * back * v0[j] + ahead * ahead * v2[j]
