@@ -87,7 +87,9 @@ class Decoder:
         self._nominal = np.array([f(slope) for slope in slopes for f in (np.cos, np.sin)], dtype=np.float32)
         self._settings = settings
         self._radius, sigma = settings.window(mosaic=mosaic is not None)
-        self._weights = weights_of(self._radius, sigma)
+        # By distance along a row or a column, 0 beyond the radius; their product is the window's weight.
+        self._weights = np.zeros(3, np.float32)
+        self._weights[: self._radius + 1] = weights_of(self._radius, sigma)[self._radius, self._radius :]
         self._planes: dict[str, NDArray[Any]] = {}
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:

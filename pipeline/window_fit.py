@@ -23,9 +23,10 @@ AGREEING = 0.85  # cosine of the largest difference of the steps to both sides o
 
 
 def weights_of(radius: int, sigma: float) -> F32:
-    """Gaussian weights of the pixels at distance 0, 1 and 2, (3,); 0 beyond the radius."""
-    d = np.arange(3)
-    return np.where(d <= radius, np.exp(-(d**2) / (2 * sigma**2)), 0).astype(np.float32)
+    """(2r+1, 2r+1) Gaussian weights."""
+    d = np.arange(-radius, radius + 1)
+    g = np.exp(-(d**2) / (2 * sigma**2))
+    return np.outer(g, g).astype(np.float32)
 
 
 @inline
