@@ -206,7 +206,7 @@ def refine(
                 slope = slope if slope != _ZERO else _TINY
                 x, y = t[_X + j], t[_Y + j]
                 size = re * re + im * im
-                good = (abs(f) < np.float32(0.25)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
+                good = (abs(f) < np.float32(0.4)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
                 good &= abs(t[_W + j] - t[_T0 + j]) * abs(slope) < np.float32(3.0)
                 good &= (x >= _ONE) & (y >= _ONE)
                 good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
