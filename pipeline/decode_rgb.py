@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fill_design, fit_clipped, plain_mean
 from pipeline.equalize import advance, equalized_row, means_of_row, mirrored
 from pipeline.kernels import parallel, prange, serial
+from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, pack
 from pipeline.three_step import levels_of_row, pointwise_row
 from pipeline.tiles import TILE, angle
 from pipeline.window_fit import fold, fold_far
@@ -29,12 +30,12 @@ def row_stride(width: int) -> int:
 
 
 @serial
-def angles_of_row(re: Any, im: Any, phasor: Any, phase: Any) -> None:
-    """Phasors (n,) to an interleaved row (2 n,) and their angles (n,), all float32."""
+def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None:
+    """Phasors (n,) to a packed row (n,) int32 and their angles (n,) float32."""
     for j in range(phase.shape[0]):
-        c, s = re[j], im[j]
-        phasor[2 * j], phasor[2 * j + 1] = c, s
-        phase[j] = angle(c, s)
+        phase[j] = angle(re[j], im[j])
+    for j in range(phase.shape[0]):
+        phasor[j] = pack(re[j], im[j], scale)
 
 
 @serial
@@ -75,7 +76,7 @@ def decode_rgb(
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
         clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
         along, over, first, second, scale: of :class:`pipeline.equalize.BoxMean`.
-        phasor, equalized: (H, 2 W) float32, interleaved; mean, variance, phase, phase_eq: (H, W) float32.
+        phasor, equalized: (H, W) int32, packed; mean, variance, phase, phase_eq: (H, W) float32.
         modulation: (H, W) uint8; valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
     """
     height, width = mean.shape
@@ -106,7 +107,7 @@ def decode_rgb(
                         before[(y + over - 1 - low) % over], twice)  # fmt: skip
                 means_of_row(twice, along, first, second, padded, middle, work, means)
                 equalized_row(levels, means, scale, black, unmix, ideal, w, c)
-                angles_of_row(w, c, equalized[y], phase_eq[y])
+                angles_of_row(w, c, EQUALIZED_SCALE, equalized[y], phase_eq[y])
             k = y % ring
             ur, ui = unit[k, :width], unit[ring + k, :width]
             found = pointwise_row(levels, black, solve, clip, floor, gain, ur, ui, w, c, s, a, v)
@@ -157,9 +158,9 @@ def decode_rgb(
                     for x in (j, width - 1 - j):
                         re[x], im[x], variance[i, x] = zero, zero, inf
                         mean[i, x] = plain_mean(picture[i], x, black, solve)
-                angles_of_row(re, im, phasor[i], phase[i])
+                angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, variance[i], smallest, modulation[i], valid[i])
             if low <= y < high and (y < reach or y >= height - reach):
-                phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = zero, zero, inf, 0, False
+                phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                 for x in range(width):
                     mean[y, x] = plain_mean(picture[y], x, black, solve)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import aggregate, candidates, search
+from pipeline.packed import PHASOR_SCALE
 
 if TYPE_CHECKING:
     from pipeline.phase import PhaseMap
@@ -88,10 +89,10 @@ class OrderSearch:
             self._correction = correction.copy()
         search.search_rows(
             table.top, table.down, table.left, table.step, every, table.coefficients, self._start, self._stop,
-            here.phase, here.phase_eq, here.phasor.view(np.float32), here.equalized.view(np.float32), here.mean,
-            here.valid, there.phasor.view(np.float32), there.equalized.view(np.float32), there.mean,
+            here.phase, here.phase_eq, here.phasor, here.equalized, here.mean,
+            here.valid, there.phasor, there.equalized, there.mean,
             view.columns, single, np.float32(view.extent), view.labels, view.first_axis, np.float32(view.slopes[0]),
-            np.float32(s.min_modulation**2), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
+            np.float32((s.min_modulation * PHASOR_SCALE) ** 2), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
             np.float32(s.switch_penalty), self._expected, turn, np.float32(s.follow_cost),
             self._costs, self._total, self._first, self._count,
         )  # fmt: skip

@@ -23,6 +23,7 @@ from pipeline.decode_rgb import decode_rgb
 from pipeline.equalize import BoxMean
 from pipeline.kernels import parallel, prange
 from pipeline.noise import NoiseModel, estimate
+from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, pack_plane
 from pipeline.settings import Settings
 from pipeline.window_fit import weights_of
 
@@ -36,8 +37,8 @@ class PhaseMap:
     The decoder's next picture overwrites all planes but the modulation.
 
     Args:
-        phasor: complex64, C + i S of the pointwise phase, counts; 0 where unknown.
-        equalized: complex64, the same from channels divided by their local means; about unit size.
+        phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.packed`; 0 where unknown.
+        equalized: int32, packed, the same from channels divided by their local means; about unit size.
         mean: float32, A, counts: the fringe-free texture.
         variance: float32, variance of the pointwise phase from the picture's noise, rad^2.
         clipped: share of pixels with a clipped sample.
@@ -45,8 +46,8 @@ class PhaseMap:
         modulation: uint8, B, counts; valid: bool, B is enough and the fit had enough samples.
     """
 
-    phasor: NDArray[np.complex64]
-    equalized: NDArray[np.complex64]
+    phasor: NDArray[np.int32]
+    equalized: NDArray[np.int32]
     mean: F32
     variance: F32
     clipped: float
@@ -115,7 +116,7 @@ class Decoder:
             planes["clipped"],
         )  # fmt: skip
         return PhaseMap(
-            planes["phasor"].view(np.complex64), planes["equalized"].view(np.complex64), planes["mean"],
+            planes["phasor"], planes["equalized"], planes["mean"],
             planes["variance"], float(planes["clipped"].sum()) / (height * width), planes["phase"],
             planes["phase_eq"], modulation, planes["valid"],
         )  # fmt: skip
@@ -124,7 +125,7 @@ class Decoder:
         """The planes that stay with the decoder: fresh ones cost as much as a good part of the decoding."""
         if not self._planes or self._planes["mean"].shape != (height, width):
             single = {k: np.empty((height, width), np.float32) for k in ("mean", "variance", "phase", "phase_eq")}
-            double = {k: np.empty((height, 2 * width), np.float32) for k in ("phasor", "equalized")}
+            double = {k: np.empty((height, width), np.int32) for k in ("phasor", "equalized")}
             rest = {"valid": np.empty((height, width), np.bool_), "clipped": np.empty(height, np.int32)}
             self._planes = {**single, **double, **rest}
         return self._planes
@@ -143,8 +144,11 @@ class Decoder:
         equalized = equalized_phasor(channels, means, self._ideal)
         modulation, valid = describe(fitted[0], fitted[2], np.float32(self._settings.min_modulation))
         share = float(np.count_nonzero(clipped)) / clipped.size
+        packed = [np.empty(equalized.shape, np.int32) for _ in range(2)]
+        pack_plane(fitted[0], PHASOR_SCALE, packed[0])
+        pack_plane(equalized, EQUALIZED_SCALE, packed[1])
         return PhaseMap(
-            fitted[0], equalized, fitted[1], fitted[2], share, angles(fitted[0]), angles(equalized), modulation, valid
+            packed[0], packed[1], fitted[1], fitted[2], share, angles(fitted[0]), angles(equalized), modulation, valid
         )
 
     def _noise(self, image: NDArray[np.uint8]) -> NoiseModel:
