@@ -36,19 +36,22 @@ def _tie(total: Any, before: Any, here: Any, worst: Any, whole: bool) -> tuple[A
 
 
 @inline
-def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, w: int, jump: Any, trust: Any) -> None:
+def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any, jump: Any, trust: Any) -> None:
     """How the lattice pixels of a row are tied to their left neighbours.
 
     The phase is unwrapped pixel by pixel along the way: robust for steep surfaces, and every break is seen.
 
     Args:
         phase, valid: a row of the picture; lattice pixel b is its column ``j0 + step b``.
-        slope: expected phase step per pixel, radians.
+        slope: expected phase step per pixel, radians; count: (w,) labels of each; nothing is tied between pixels
+            that have one label at most.
         jump: (w,) int32, change of order from the neighbour to here along a continuous surface.
         trust: (w,) float32, 0 (a break, or unknown) .. 1 (smooth phase).
     """
     jump[0], trust[0] = 0, _ZERO
-    for b in range(1, w):
+    for b in range(1, count.shape[0]):
+        if count[b] <= 1 and count[b - 1] <= 1:
+            continue
         m = np.uint32(j0 + step * (b - 1))
         total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
         for s in range(step):
@@ -67,7 +70,7 @@ def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, w: int, ju
 
 @parallel
 def column_links(
-    phase: Any, valid: Any, i0: int, down: int, j0: int, step: int, slope: Any, jump: Any, trust: Any
+    phase: Any, valid: Any, i0: int, down: int, j0: int, step: int, slope: Any, count: Any, jump: Any, trust: Any
 ) -> None:
     """How each lattice pixel is tied to its upper neighbour; as :func:`row_links`, for the whole lattice (h, w)."""
     h, w = jump.shape
@@ -78,6 +81,8 @@ def column_links(
             continue
         top = i0 + down * (a - 1)
         for b in range(w):
+            if count[a, b] <= 1 and count[a - 1, b] <= 1:
+                continue
             m = np.uint32(j0 + step * b)
             total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
             for s in range(down):
@@ -116,28 +121,46 @@ def _advance(
 
 
 @ordered
+def _known(path: Any, before: int, labels: int, n: int) -> Any:
+    """A path that knows nothing (n = 0), or that its pixel has one label only (n = 1); returns its least cost."""
+    for k in range(before):
+        path[np.uint32(labels + k)] = NO_SUCH
+    if n == 1:
+        path[np.uint32(labels)] = _ZERO
+        return _ZERO
+    return NO_SUCH
+
+
+@ordered
 def along_row(
     costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, paths: Any, total: Any
 ) -> None:
     """Both horizontal paths of a lattice row.
 
     Args:
-        costs, total: (w * labels,), the second is written; first, count: (w,) first order, number of orders.
-        paths: (2, 3 * labels) scratch, all NO_SUCH.
+        costs, total: (w * labels,), the second is written where there are several labels; first, count: (w,) first
+            order, number of orders.
+        paths: (2, 3 * labels) scratch, NO_SUCH in its margins.
     """
     w = first.shape[0]
     old, new = paths[0], paths[1]
-    old_n, new_n = 0, 0
+    old_n, new_n = labels, labels
     for direction in range(2):
-        least = NO_SUCH
+        last, least = 0, NO_SUCH
         for t in range(w):
             b = t if direction == 0 else w - 1 - t
-            n, at = count[b], b * labels
-            offset, price = 0, penalty
-            if t > 0 and n > 0:
+            n = count[b]
+            if n <= 1:
+                last = n
+                continue
+            at, offset, price = b * labels, 0, penalty
+            if t > 0:
                 q, tie = (b - 1, b) if direction == 0 else (b + 1, b + 1)
                 change = jump[tie] if direction == 0 else -jump[tie]
                 offset, price = first[b] - change - first[q], penalty * trust[tie]
+            if last <= 1:
+                least = _known(old, old_n, labels, last)
+                old_n = last
             least = _advance(costs, at, n, old, least, new, new_n, labels, offset, price)
             target, base = np.uint32(at), np.uint32(labels)
             if direction == 0:
@@ -146,9 +169,7 @@ def along_row(
             else:
                 for k in range(np.uint32(n)):
                     total[target + k] += new[base + k]
-            old, new, old_n, new_n = new, old, n, old_n
-        old[:] = NO_SUCH
-        old_n = 0
+            old, new, old_n, new_n, last = new, old, n, old_n, n
 
 
 @parallel
@@ -165,36 +186,43 @@ def along_columns(
     h, w = first.shape
     for group in prange((w + BLOCK - 1) // BLOCK):
         b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
-        old, new = np.full((BLOCK, 3 * labels), NO_SUCH), np.full((BLOCK, 3 * labels), NO_SUCH)
-        old_n, new_n = np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
-        least = np.full(BLOCK, NO_SUCH)
+        paths = np.full((2, BLOCK, 3 * labels), NO_SUCH)
+        lengths = np.full((2, BLOCK), labels)
+        least, last, side = np.full(BLOCK, NO_SUCH), np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
         for direction in range(2):
+            last[:] = 0
             for t in range(h):
                 a = t if direction == 0 else h - 1 - t
                 q, tie = (a - 1, a) if direction == 0 else (a + 1, a + 1)
                 row_costs, row_total = costs[a], total[a]
                 for b in range(b0, b1):
-                    p = b - b0
-                    n, at = count[a, b], b * labels
-                    offset, price = 0, penalty
-                    if t > 0 and n > 0:
+                    n, p = count[a, b], b - b0
+                    if n <= 1:
+                        last[p] = n
+                        if direction == 1:
+                            order[a, b] = first[a, b] if n == 1 else NONE
+                        continue
+                    at, offset, price = b * labels, 0, penalty
+                    if t > 0:
                         change = jump[tie, b] if direction == 0 else -jump[tie, b]
                         offset, price = first[a, b] - change - first[q, b], penalty * trust[tie, b]
-                    here = new[p]
-                    least[p] = _advance(row_costs, at, n, old[p], least[p], here, new_n[p], labels, offset, price)
-                    new_n[p] = n
+                    old = side[p]
+                    new = 1 - old
+                    if last[p] <= 1:
+                        least[p] = _known(paths[old, p], lengths[old, p], labels, last[p])
+                        lengths[old, p] = last[p]
+                    here = paths[new, p]
+                    least[p] = _advance(row_costs, at, n, paths[old, p], least[p], here, lengths[new, p], labels,
+                                        offset, price)  # fmt: skip
+                    lengths[new, p], last[p], side[p] = n, n, new
                     target, base = np.uint32(at), np.uint32(labels)
                     if direction == 0:
                         for k in range(np.uint32(n)):
                             row_total[target + k] += here[base + k]
                         continue
-                    best, where = NO_SUCH + NO_SUCH, NONE - first[a, b]
+                    best, where = NO_SUCH + NO_SUCH, 0
                     for k in range(np.uint32(n)):
                         sum_ = row_total[target + k] + here[base + k]
                         where = np.int32(k) if sum_ < best else where
                         best = sum_ if sum_ < best else best
                     order[a, b] = first[a, b] + where
-                old, new, old_n, new_n = new, old, new_n, old_n
-            old[:] = NO_SUCH
-            old_n[:] = 0
-            least[:] = NO_SUCH

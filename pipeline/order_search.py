@@ -59,7 +59,7 @@ class OrderSearch:
         self._price(here, there, correction, self._turn if follow else NO_TURN, 1)
         aggregate.column_links(
             here.phase, here.valid, table.top, table.down, table.left, table.step, np.float32(view.slopes[1]),
-            self._jump, self._trust,
+            self._count, self._jump, self._trust,
         )  # fmt: skip
         aggregate.along_columns(
             self._costs, self._first, self._count, self._jump, self._trust, np.float32(view.settings.switch_penalty),

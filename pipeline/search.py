@@ -122,7 +122,7 @@ def search_rows(
         for a in range(a0, a1):
             i = top + down * a
             if a % every == 0:
-                row_links(phase[i], valid[i], left, step, slope, w, jump, trust)
+                row_links(phase[i], valid[i], left, step, slope, count[a], jump, trust)
                 along_row(costs[a], first[a], count[a], jump, trust, penalty, labels, paths, total[a])
 
 
