@@ -93,7 +93,14 @@ class Reconstructor:
         self.reconstruct(left, right)
         self.correction, self._calibrated = kept
 
-    def reconstruct(self, left: NDArray[Any], right: NDArray[Any]) -> Cloud:
+    def reconstruct(
+        self,
+        left: NDArray[Any],
+        right: NDArray[Any],
+        *,
+        every: int = 1,  # noqa: ARG002
+        follow: bool = False,  # noqa: ARG002
+    ) -> Cloud:
         """The cloud of a pair of raw pictures.
 
         Args:
