@@ -1,6 +1,6 @@
 """Python's garbage collector, kept out of the measurements.
 
-A collection stops every thread for as long as it takes, tens of milliseconds over everything that a daemon has imported.
+A collection stops every thread for as long as it takes: tens of milliseconds over all that a daemon has imported.
 Here what is there after the start is frozen, which takes it out of every later collection, and what comes after is
 collected between two pairs: the young a little at a time, everything only when no pair waits.
 """

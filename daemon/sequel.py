@@ -25,7 +25,7 @@ class Sequel:
             return False
         last_seq, last_ns, last_every = self._last
         periods, passed_ns = (seq - last_seq) % TRIGGER_MODULUS, t_ns - last_ns
-        if every != last_every or periods >= TRIGGER_MODULUS // 2 or passed_ns <= 0:
+        if every != last_every or not 0 < periods < TRIGGER_MODULUS // 2 or passed_ns <= 0:
             return False
         return periods <= _MAX_PERIODS or passed_ns <= _MIN_NS
 

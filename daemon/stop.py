@@ -10,7 +10,7 @@ import select
 import weakref
 
 
-class StopFlag:
+class StopEvent:
     """Set once, from any thread or signal handler; never cleared."""
 
     def __init__(self) -> None:
