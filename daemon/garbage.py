@@ -8,10 +8,42 @@ collected between two pairs: the young a little at a time, everything only when 
 from __future__ import annotations
 
 import gc
+import time
+from collections.abc import Callable
+from typing import Any
 
 _YOUNG = 2000  # objects that a collection of the youngest generation waits for: 0.1 ms
 _YOUNG_PER_MIDDLE = 10
 _FULL_S, _OVERDUE_S = 60.0, 600.0
+
+
+class Pauses:
+    """How often and how long Python held all threads up, whoever asked for the collection."""
+
+    def __init__(self, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._now_ns = now_ns
+        self._began_ns = 0
+        self._count, self._total_ms, self._max_ms = 0, 0.0, 0.0
+
+    def start(self) -> None:
+        """Count from now on."""
+        gc.callbacks.append(self._note)
+
+    def stop(self) -> None:
+        """Count no more; may be called twice."""
+        if self._note in gc.callbacks:
+            gc.callbacks.remove(self._note)
+
+    def summary(self) -> dict[str, float]:
+        """Collections, and their whole and longest time."""
+        return {"count": self._count, "total_ms": round(self._total_ms, 3), "max_ms": round(self._max_ms, 3)}
+
+    def _note(self, phase: str, _: dict[str, Any]) -> None:
+        if phase == "start":
+            self._began_ns = self._now_ns()
+            return
+        ms = (self._now_ns() - self._began_ns) / 1e6
+        self._count, self._total_ms, self._max_ms = self._count + 1, self._total_ms + ms, max(self._max_ms, ms)
 
 
 class Garbage:

@@ -129,7 +129,7 @@ class Publisher:
     def status(self) -> dict[str, Any]:
         """Where it is bound, what was sent by topic, clouds that were overtaken before they were sent.
 
-        ``latency_ms``: from the start of exposure to the handing over of a whole cloud to ZeroMQ.
+        ``latency_ms``: from the arrival of the pair's second frame to the handing over of its cloud to ZeroMQ.
         """
         values: dict[str, Any] = {
             "endpoints": self.endpoints,
@@ -230,7 +230,7 @@ class Publisher:
         for topic, make in (("cloud/full", messages.full), ("cloud/depth", messages.depth)):
             if self._send_if_wanted(topic, lambda make=make: make(self._origin, item)) and not out:  # type: ignore[misc]
                 out = True
-                self._latency_ms.note((self._clock.realtime_ns() - item.t_ns) / 1e6)
+                self._latency_ms.note((self._clock.realtime_ns() - item.t_arrived_ns) / 1e6)
         now_ns = self._clock.monotonic_ns()
         if self._preview_ns is not None and now_ns >= self._preview_due_ns and self.wants("preview"):
             self._preview_due_ns = now_ns + self._preview_ns

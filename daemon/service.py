@@ -190,6 +190,7 @@ class Service:
             latency_ms=self.worker.latency_ms.summary(),
             publish_latency_ms=sinks.get("stream", {}).pop("latency_ms", {}),
             stages_ms=self.worker.stages_ms,
+            garbage=self.worker.pauses.summary(),
             drops=self.drops.snapshot(),
             cameras={side: self._camera_status(side) for side in SIDES},
             recorder=sinks.pop("recorder", {"recording": False}),

@@ -57,8 +57,10 @@ class Status:
     Args:
         reasons: why it is degraded.
         measured_every: spacing of the measured pixels; 2 while an overloaded pipeline skips every second one.
-        latency_ms: from the start of exposure to the finished cloud; publish_latency_ms: to its handing over to the
-            stream (empty while nobody reads clouds). Both over the last ten minutes or so.
+        latency_ms: from the start of exposure to the finished cloud.
+        publish_latency_ms: from the arrival of both frames to the handing over of the cloud to the stream, empty while
+            nobody reads clouds. Both over the last ten minutes or so.
+        garbage: collections of Python's garbage since the start, and how long they held everything up.
     """
 
     state: State
@@ -80,6 +82,7 @@ class Status:
     latency_ms: dict[str, float]
     publish_latency_ms: dict[str, float]
     stages_ms: dict[str, float]
+    garbage: dict[str, float]
     drops: dict[str, int]
     cameras: dict[str, CameraStatus]
     sinks: dict[str, dict[str, Any]]

@@ -14,7 +14,7 @@ from daemon import threads
 from daemon.config.models import Pipeline
 from daemon.counters import Counters, Percentiles, Rate
 from daemon.errors import DaemonError
-from daemon.garbage import Garbage
+from daemon.garbage import Garbage, Pauses
 from daemon.mailbox import Mailbox
 from daemon.overload import Overload
 from daemon.pairing import Pair
@@ -64,7 +64,7 @@ class Worker:
         self.last: CloudItem | None = None
         self._overload = Overload(enabled=config.overload == "half")
         self._sequel = Sequel()
-        self._garbage = Garbage()
+        self._garbage, self.pauses = Garbage(), Pauses()
         self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
 
@@ -143,9 +143,11 @@ class Worker:
         self._made.set_result(None)
         try:
             self._hold_garbage()
+            self.pauses.start()
             while not self._stop.is_set():
                 self._next()
         finally:
+            self.pauses.stop()
             self._garbage.release()
 
     def _next(self) -> None:
@@ -191,7 +193,7 @@ class Worker:
         cloud = self._reconstructor.reconstruct(pair.left.image, pair.right.image, every=every, follow=follow)
         # The latency is taken here, where the result is made, not where it is written or shown.
         latency_ms = (self._clock.realtime_ns() - t_ns) / 1e6
-        item = CloudItem(pair.seq, t_ns, cloud, pair.left, pair.right, latency_ms, self.dropped)
+        item = CloudItem(pair.seq, t_ns, cloud, pair.left, pair.right, latency_ms, self.dropped, every)
         now_ns = self._clock.monotonic_ns()
         self._note(item, now_ns)
         self._emit(item)

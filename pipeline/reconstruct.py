@@ -90,7 +90,8 @@ class Reconstructor:
         rng = np.random.default_rng(0)
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
-        self.reconstruct(left, right)
+        for every, follow in ((1, False), (1, True), (2, False), (2, True)):
+            self.reconstruct(left, right, every=every, follow=follow)
         self.correction, self._calibrated = kept
 
     def reconstruct(

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from daemon.garbage import Garbage
+from daemon.garbage import Garbage, Pauses
 
 
 class Ring:
@@ -74,6 +74,19 @@ def test_a_long_run_looks_at_the_middle_generation_too(garbage: Garbage, collect
         litter(3000)
         garbage.between_pairs(1.0, idle=False)
     assert collections.count(1) == 2 and collections.count(2) == 0
+
+
+def test_every_pause_is_counted_with_its_length(garbage: Garbage) -> None:
+    ms = iter((0, 3, 100, 101))
+    pauses = Pauses(lambda: next(ms) * 1_000_000)
+    gc.collect()
+    pauses.start()
+    gc.collect()
+    garbage.hold(0.0)
+    pauses.stop()
+    pauses.stop()
+    gc.collect()
+    assert pauses.summary() == {"count": 2, "total_ms": 4.0, "max_ms": 3.0}
 
 
 def test_what_was_there_is_frozen_and_may_go_after_the_next_hold(garbage: Garbage) -> None:

@@ -124,6 +124,7 @@ def test_dropped_pairs_bring_half_pictures_where_that_is_wanted(overload: str, e
     assert line.drops["pairs_pipeline_busy"] == 3
     assert [call[0] for call in line.stub.calls] == [1, every] and line.worker.every == every
     assert line.worker.stop(20)
+    assert [cloud.every for cloud in line.clouds] == [1, every]
 
 
 def test_pairs_that_come_before_the_kernels_are_ready_are_counted_and_stopping_waits_for_no_compiler() -> None:
