@@ -7,6 +7,7 @@ are made by the pipeline's thread and so follow it.
 from __future__ import annotations
 
 import os
+import re
 import threading
 from collections.abc import Iterable
 from contextlib import suppress
@@ -40,6 +41,12 @@ def available() -> frozenset[int]:
     return frozenset(os.sched_getaffinity(0))
 
 
+def _told(thread: threading.Thread) -> str:
+    """Its name, or its kind where a library gave it none."""
+    plain = re.fullmatch(r"Thread-\d+", thread.name)
+    return type(thread).__name__ if plain else thread.name
+
+
 class Namer:
     """Gives every thread of Python its own name; Python up to 3.13 keeps names to itself."""
 
@@ -50,7 +57,7 @@ class Namer:
     def update(self) -> None:
         """Name those that are new since the last call."""
         now = {
-            (thread.native_id, self._main if thread is threading.main_thread() else thread.name)
+            (thread.native_id, self._main if thread is threading.main_thread() else _told(thread))
             for thread in threading.enumerate()
             if thread.native_id is not None
         }

@@ -39,6 +39,22 @@ def test_every_thread_gets_its_name_and_those_it_makes_inherit_it() -> None:
     threads.name(thread.native_id, "nobody")
 
 
+def test_a_library_s_thread_without_a_name_is_called_by_its_kind() -> None:
+    class Sweeper(threading.Thread):
+        go = threading.Event()
+
+        def run(self) -> None:
+            self.go.wait(20)
+
+    thread = Sweeper()
+    thread.start()
+    before = comm(os.getpid())
+    threads.Namer(before).update()
+    assert thread.native_id is not None and comm(thread.native_id) == "Sweeper"
+    thread.go.set()
+    thread.join()
+
+
 def test_a_pinned_thread_hands_its_processors_down() -> None:
     cpu = min(threads.available())
     seen: list[frozenset[int]] = []
