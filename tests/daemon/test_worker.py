@@ -113,18 +113,22 @@ def test_dropped_pairs_bring_half_pictures_where_that_is_wanted(overload: str, e
     line = Line(overload=overload)
     line.stub.gate = threading.Semaphore(0)
     line.start()
-    for seq in range(5):
+    for seq in range(6):
         line.clock.now_ns += 33_000_000
         line.pair(seq, 33 * seq)
         if seq == 0:
             wait_until(lambda: len(line.worker._box) == 0)
+        if seq == 3:  # two were dropped; the next one is taken
+            line.stub.gate.release()
+            wait_until(lambda: len(line.worker._box) == 0)
+    line.pair(6, 33 * 6)
     for _ in range(2):
         line.stub.gate.release()
-    wait_until(lambda: len(line.stub.calls) == 2)
-    assert line.drops["pairs_pipeline_busy"] == 3
-    assert [call[0] for call in line.stub.calls] == [1, every] and line.worker.every == every
+    wait_until(lambda: len(line.stub.calls) == 3)
+    assert line.drops["pairs_pipeline_busy"] == 4
+    assert [call[0] for call in line.stub.calls] == [1, 1, every] and line.worker.every == every
     assert line.worker.stop(20)
-    assert [cloud.every for cloud in line.clouds] == [1, every]
+    assert [cloud.every for cloud in line.clouds] == [1, 1, every]
 
 
 def test_pairs_that_come_before_the_kernels_are_ready_are_counted_and_stopping_waits_for_no_compiler() -> None:
