@@ -238,7 +238,8 @@ class Service:
     def _warm(self) -> Reconstructor:
         """A reconstructor with all kernels compiled, which takes up to a minute after an update."""
         made = self.reconstructor(self.settings)
-        made.warm_up()
+        pipeline = self.config.pipeline
+        made.warm_up(every=(1, 2) if pipeline.overload == "half" else (1,), follow=pipeline.temporal_prior)
         return made
 
     def _keep_off(self) -> None:

@@ -115,7 +115,7 @@ class Replay:
                 clock=time.perf_counter_ns,
                 threads=self.threads,
             )
-            self._made.warm_up()
+            self._made.warm_up(follow=self.follow)
         return self._made
 
 

@@ -108,7 +108,7 @@ def test_only_when_asked_a_pair_begins_with_the_surface_before_it(
         return real(self, left, right, **options)
 
     monkeypatch.setattr(Reconstructor, "reconstruct", noted)
-    monkeypatch.setattr(Reconstructor, "warm_up", lambda _: None)
+    monkeypatch.setattr(Reconstructor, "warm_up", lambda _, **__: None)
     assert replay(take, "--out", tmp_path, "--repeat", 2, *(["--follow"] if follow else [])) == 0
     assert follows == seen
 
