@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.complete
 
-.PHONY: help env demo test bench check golden screenshot clean
+.PHONY: help env demo test bench soak check golden screenshot clean
 .DEFAULT_GOAL := help
 
 help:
@@ -34,6 +34,9 @@ check: $(STAMP)  ## style, types and layers only
 
 bench: $(STAMP)  ## accuracy by case and speed by stage, as tables
 	$(BIN)/python -m benchmarks.bench
+
+soak: $(STAMP)  ## half an hour at 30 pairs a second: losses, memory, latencies; exit code 1 if one is lost
+	$(BIN)/python -m benchmarks.soak $(SOAK)
 
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make

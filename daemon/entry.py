@@ -6,6 +6,8 @@ import importlib
 import os
 import sys
 
+from daemon.tuning import prepare
+
 _INSTALL = (
     "fringed: the commands need the packages of a rig PC; install them with: pip install 'fringed[rig]' "
     "({name} is missing). Reading a stream from Python needs none of them: from fringed import subscribe"
@@ -15,6 +17,7 @@ _OWN = ("daemon", "sim", "drivers", "pipeline", "fringed")
 
 def main() -> None:
     """Run the command line; the exit status is 0, 1 for an expected error, 2 for wrong usage."""
+    prepare()
     sys.exit(run(sys.argv[1:]))
 
 

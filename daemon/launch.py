@@ -5,11 +5,10 @@ from __future__ import annotations
 import logging
 import signal
 import sys
-import threading
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -35,12 +34,12 @@ class StopAskedError(DaemonError):
 class StopFlag:
     """Turns SIGTERM and SIGINT into one orderly stop, whenever they come."""
 
-    asked: threading.Event = field(default_factory=threading.Event)
+    asked: bool = False
     stop: Callable[[], None] | None = None
 
     def ask(self) -> None:
-        """Stop what runs, or whatever will be started."""
-        self.asked.set()
+        """Stop what runs, or whatever will be started; takes no lock, so that a signal handler may call it."""
+        self.asked = True
         if self.stop is not None:
             self.stop()
 
@@ -48,8 +47,7 @@ class StopFlag:
     def on_signals(self) -> Iterator[StopFlag]:
         """Listen to the signals inside the block; only the main thread can."""
 
-        def handle(number: int, _: FrameType | None) -> None:
-            log.info("%s: stopping", signal.Signals(number).name)
+        def handle(_: int, __: FrameType | None) -> None:
             self.ask()
 
         before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
@@ -79,7 +77,7 @@ def run_rig(
     config, base_dir = load_rig(path), path.resolve().parent
 
     def watched(done: int, of: int) -> None:
-        if flag.asked.is_set():
+        if flag.asked:
             raise StopAskedError("stopped while starting")
         if progress is not None:
             progress(done, of)
@@ -128,7 +126,7 @@ def _run(
         raise
     control.start()
     flag.stop = service.ask_stop
-    if flag.asked.is_set():
+    if flag.asked:
         service.ask_stop()
     try:
         if record is not None:

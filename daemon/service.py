@@ -7,12 +7,12 @@ import os
 import threading
 import uuid
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from typing import Any
 
+from daemon import threads
 from daemon.acquisition import CameraThread
 from daemon.clock import SystemClock
 from daemon.config.models import RigConfig
@@ -23,6 +23,7 @@ from daemon.pairing_desk import PairingDesk
 from daemon.rig import Rig
 from daemon.sinks import CloudItem, Item, LoneItem, PairItem, Sink
 from daemon.status import CameraState, CameraStatus, State, Status
+from daemon.stop import StopEvent
 from daemon.worker import Worker
 from drivers.protocols import SIDES, Clock, Frame, Side
 from pipeline.reconstruct import Reconstructor
@@ -65,8 +66,10 @@ class Service:
         self._on_status = on_status
         self._started_ns = self.clock.monotonic_ns()
         self._ready, self._paused = False, False
-        self._stop = threading.Event()
+        self._stop = StopEvent()
+        self._namer = threads.Namer("fringed")
         self._sinks_lock = threading.Lock()
+        self._cpus_before: frozenset[int] = frozenset()
         self._last_state: State | None = None
         self._status_due_ns = 0
         limits = PairingSettings(
@@ -75,7 +78,7 @@ class Service:
             resync_after=config.pairing.resync_after,
         )
         self.desk = PairingDesk(limits, paired=self._paired, lone=self._lone, clock=self.clock)
-        self.worker = Worker(config.pipeline.queue, emit=self.emit, drops=self.drops, clock=self.clock)
+        self.worker = Worker(config.pipeline, emit=self.emit, drops=self.drops, clock=self.clock)
         self.cameras: dict[Side, CameraThread] = {
             side: CameraThread(
                 side,
@@ -98,7 +101,7 @@ class Service:
             self._shut_down()
 
     def ask_stop(self) -> None:
-        """Let :meth:`run` come to its end."""
+        """Let :meth:`run` come to its end; takes no lock, so that a signal handler may call it."""
         self._stop.set()
 
     def measure(self, wanted: bool) -> None:
@@ -119,7 +122,7 @@ class Service:
             encoding=encodings.pop(),
             settings=settings,
             clock=self.clock.monotonic_ns,
-            threads=self.config.pipeline.threads,
+            threads=self.config.pipeline.threads or len(self.config.pipeline.cpus),
         )
 
     def apply(self, settings: Settings) -> None:
@@ -183,8 +186,11 @@ class Service:
             cloud_rate_hz=round(self.worker.rate.per_second(now_ns), 2),
             points=self.worker.points,
             valid=round(self.worker.valid, 4),
+            measured_every=self.worker.every,
             latency_ms=self.worker.latency_ms.summary(),
+            publish_latency_ms=sinks.get("stream", {}).pop("latency_ms", {}),
             stages_ms=self.worker.stages_ms,
+            garbage=self.worker.pauses.summary(),
             drops=self.drops.snapshot(),
             cameras={side: self._camera_status(side) for side in SIDES},
             recorder=sinks.pop("recorder", {"recording": False}),
@@ -200,6 +206,8 @@ class Service:
             for side, camera in self.cameras.items()
             if camera.status.state is CameraState.LOST
         ]
+        if self.worker.every > 1:
+            reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():
             problem = sink.status().get("problem")
             if problem:
@@ -208,6 +216,7 @@ class Service:
 
     def _start(self) -> None:
         log.info("starting: rig %s, session %s", self.config.device.name, self.session)
+        self._keep_off()
         projector = self.rig.projector.open()
         log.info("projector %s, %d x %d", projector.output, *projector.size)
         self.rig.projector.show(self.rig.pattern.picture(self.rig.calibration.response))
@@ -218,34 +227,29 @@ class Service:
             self._publish_status()
         if self._stop.is_set():
             return
-        warm = self._warm()
-        if warm is not None and not self._stop.is_set():
-            self.worker.start(warm)
-            self._ready = True
+        made = self.worker.start(self._warm)
+        while not made.done() and not self._stop.wait(_TICK_S):
+            self._publish_status()
+        if made.done():
+            made.result()
+            self._ready = not self._stop.is_set()
             self._note_state()
 
-    def _warm(self) -> Reconstructor | None:
-        """A reconstructor with all kernels compiled; None when asked to stop meanwhile.
+    def _warm(self) -> Reconstructor:
+        """A reconstructor with all kernels compiled, which takes up to a minute after an update."""
+        made = self.reconstructor(self.settings)
+        pipeline = self.config.pipeline
+        made.warm_up(every=(1, 2) if pipeline.overload == "half" else (1,), follow=pipeline.temporal_prior)
+        return made
 
-        Compiling takes up to a minute after an update. It runs in a thread that the end of the program does not wait
-        for, so that a stop is obeyed at once.
-        """
-        box: Future[Reconstructor] = Future()
-
-        def compile_all() -> None:
-            try:
-                made = self.reconstructor(self.settings)
-                made.warm_up()
-                box.set_result(made)
-            except Exception as error:
-                box.set_exception(error)
-
-        threading.Thread(target=compile_all, name="warm-up", daemon=True).start()
-        while not self._stop.wait(_TICK_S):
-            self._publish_status()
-            if box.done():
-                return box.result()
-        return None
+    def _keep_off(self) -> None:
+        """Keep everything that is not the pipeline off its processors, as far as there are others."""
+        wanted, there = frozenset(self.config.pipeline.cpus), threads.available()
+        if wanted - there:
+            raise DaemonError(f"pipeline.cpus: {sorted(wanted - there)} cannot be used, there are {sorted(there)}")
+        if wanted and there - wanted:
+            threads.pin(threads.ids(), there - wanted)
+            self._cpus_before = there
 
     def _tick(self) -> None:
         self.desk.tick()
@@ -254,9 +258,11 @@ class Service:
 
     def _publish_status(self) -> None:
         now_ns = self.clock.monotonic_ns()
-        if self._on_status is not None and now_ns >= self._status_due_ns:
+        if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + 1_000_000_000
-            self._tell(self._on_status)
+            self._namer.update()
+            if self._on_status is not None:
+                self._tell(self._on_status)
 
     def _tell(self, on_status: Callable[[dict[str, Any]], None]) -> None:
         self._guarded("telling the status", lambda: on_status(self.status().as_dict()))
@@ -278,6 +284,8 @@ class Service:
             self._guarded(f"closing {name}", sink.close)
         self._guarded("the projector", self.rig.projector.close)
         self._guarded("the rig", self.rig.release)
+        if self._cpus_before:
+            threads.pin(threads.ids(), self._cpus_before)
         log.info("stopped: %d pairs, %d clouds", self.desk.pairs, self.worker.clouds)
 
     def _guarded(self, what: str, action: Callable[[], object]) -> None:

@@ -32,6 +32,7 @@ class CloudItem:
         seq: number of the trigger; t_ns: start of exposure, CLOCK_REALTIME.
         latency_ms: from the start of exposure to the finished cloud.
         dropped: pairs that were dropped so far because the pipeline was busy or not ready.
+        every: spacing of the measured pixels of the left camera, 2 under overload.
     """
 
     seq: int
@@ -41,6 +42,12 @@ class CloudItem:
     right: Frame
     latency_ms: float
     dropped: int = 0
+    every: int = 1
+
+    @property
+    def t_arrived_ns(self) -> int:
+        """When the host had both frames, CLOCK_REALTIME."""
+        return max(self.left.t_host_ns, self.right.t_host_ns)
 
 
 Item = PairItem | LoneItem | CloudItem

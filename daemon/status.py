@@ -52,7 +52,16 @@ class CameraStatus:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The whole daemon at one moment; ``reasons`` tells why it is degraded."""
+    """The whole daemon at one moment.
+
+    Args:
+        reasons: why it is degraded.
+        measured_every: spacing of the measured pixels; 2 while an overloaded pipeline skips every second one.
+        latency_ms: from the start of exposure to the finished cloud.
+        publish_latency_ms: from the arrival of both frames to the handing over of the cloud to the stream, empty while
+            nobody reads clouds. Both over the last ten minutes or so.
+        garbage: collections of Python's garbage since the start, and how long they held everything up.
+    """
 
     state: State
     reasons: tuple[str, ...]
@@ -69,8 +78,11 @@ class Status:
     cloud_rate_hz: float
     points: int
     valid: float
+    measured_every: int
     latency_ms: dict[str, float]
+    publish_latency_ms: dict[str, float]
     stages_ms: dict[str, float]
+    garbage: dict[str, float]
     drops: dict[str, int]
     cameras: dict[str, CameraStatus]
     sinks: dict[str, dict[str, Any]]

@@ -10,10 +10,15 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from typing import Any, Protocol
 
+from daemon import threads
+from daemon.config.models import Pipeline
 from daemon.counters import Counters, Percentiles, Rate
 from daemon.errors import DaemonError
+from daemon.garbage import Garbage, Pauses
 from daemon.mailbox import Mailbox
+from daemon.overload import Overload
 from daemon.pairing import Pair
+from daemon.sequel import Sequel
 from daemon.sinks import CloudItem
 from drivers.protocols import Clock
 from pipeline.cloud import Cloud
@@ -21,26 +26,35 @@ from pipeline.errors import PipelineError
 
 log = logging.getLogger("fringed.pipeline")
 
+_IDLE_S = 0.2
+
 
 class Reconstructs(Protocol):
     """What the worker needs of a reconstructor."""
 
-    def reconstruct(self, left: Any, right: Any) -> Cloud:
-        """The cloud of two raw pictures."""
+    def reconstruct(self, left: Any, right: Any, *, every: int = 1, follow: bool = False) -> Cloud:
+        """The cloud of two raw pictures.
+
+        Args:
+            every: spacing of the pixels that are measured, 1 or 2; follow: the last pair's surface is a good guess.
+        """
+
+
+Make = Callable[[], Reconstructs]
 
 
 class Worker:
     """Reconstructs pairs, one at a time; what cannot wait is dropped and counted.
 
     Args:
-        queue: pairs that wait; a further one pushes the oldest out.
+        config: of the pipeline.
         emit: takes each cloud; must be quick.
         drops: counts by reason.
     """
 
-    def __init__(self, queue: int, *, emit: Callable[[CloudItem], None], drops: Counters, clock: Clock) -> None:
-        self._box: Mailbox[Pair] = Mailbox(queue)
-        self._emit, self._drops, self._clock = emit, drops, clock
+    def __init__(self, config: Pipeline, *, emit: Callable[[CloudItem], None], drops: Counters, clock: Clock) -> None:
+        self._box: Mailbox[Pair] = Mailbox(config.queue)
+        self._config, self._emit, self._drops, self._clock = config, emit, drops, clock
         self._reconstructor: Reconstructs | None = None
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
@@ -48,14 +62,30 @@ class Worker:
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
         self.last: CloudItem | None = None
-        self._changes: deque[tuple[Callable[[], Reconstructs], Future[None]]] = deque(maxlen=16)
+        self._overload = Overload(enabled=config.overload == "half")
+        self._sequel = Sequel()
+        self._garbage, self.pauses = Garbage(), Pauses()
+        self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
+        self._made: Future[None] = Future()
 
-    def start(self, reconstructor: Reconstructs) -> None:
-        """Begin, with a reconstructor that is warm."""
-        self._reconstructor = reconstructor
+    @property
+    def every(self) -> int:
+        """Spacing of the pixels that are measured now: 2 while the pipeline is overloaded and may skip pixels."""
+        return self._overload.every
+
+    def start(self, make: Make) -> Future[None]:
+        """Begin: make a reconstructor, every kernel compiled, and measure from then on.
+
+        All of that happens in the pipeline's thread, so that numba's workers belong to it and to nobody else.
+
+        Returns:
+            Done when it is made; holds the exception when it could not be.
+        """
+        self._make = make
         self._thread.start()
+        return self._made
 
-    def replace(self, make: Callable[[], Reconstructs], timeout_s: float) -> None:
+    def replace(self, make: Make, timeout_s: float) -> None:
         """Make another reconstructor between two pairs and use it from then on.
 
         It is made in the pipeline's thread, because not every threading layer of numba bears two callers.
@@ -73,37 +103,74 @@ class Worker:
 
     def offer(self, pair: Pair) -> None:
         """Take a pair; the freshest wins."""
-        if not self._thread.is_alive():
+        if not self._running():
             self._drop("pairs_not_ready")
-        elif self._box.put(pair) is not None:
+            return
+        now_ns = self._clock.monotonic_ns()
+        self._overload.offered(now_ns)
+        if self._box.put(pair) is not None:
+            self._overload.dropped(now_ns)
             self._drop("pairs_pipeline_busy")
+
+    def _running(self) -> bool:
+        return self._reconstructor is not None and self._thread.is_alive()
 
     def _drop(self, reason: str) -> None:
         self.dropped += 1
         self._drops.add(reason)
 
     def stop(self, timeout_s: float) -> bool:
-        """Finish the pair at hand and end; False when it does not end in time."""
+        """Finish the pair at hand and end; False when it does not end in time.
+
+        Compiling, up to a minute after an update, is not waited for: the end of the program ends it.
+        """
         self._stop.set()
         self._drops.add("pairs_stopped", len(self._box.close()))
-        if self._thread.ident is not None:
-            self._thread.join(timeout_s)
+        if not self._running():
+            return True
+        self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        while not self._stop.is_set():
-            self._change()
-            pair = self._box.get(0.2)
-            if pair is None:
-                continue
-            try:
-                self._measure(pair)
-            except PipelineError as error:
-                self._drops.add("pairs_refused_by_pipeline")
-                log.warning("pair %d cannot be measured: %s", pair.seq, error)
-            except Exception:
-                self._drops.add("pairs_failed_in_pipeline")
-                log.exception("pair %d failed", pair.seq)
+        try:
+            threads.name(threading.get_native_id(), self._thread.name)
+            if self._config.cpus:
+                threads.pin([threading.get_native_id()], self._config.cpus)
+            self._reconstructor = self._make()
+        except Exception as error:
+            self._made.set_exception(error)
+            return
+        self._made.set_result(None)
+        try:
+            self._hold_garbage()
+            self.pauses.start()
+            while not self._stop.is_set():
+                self._next()
+        finally:
+            self.pauses.stop()
+            self._garbage.release()
+
+    def _next(self) -> None:
+        self._change()
+        pair = self._box.get(_IDLE_S)
+        if pair is not None:
+            self._try(pair)
+        self._garbage.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._box)
+
+    def _hold_garbage(self) -> None:
+        self._garbage.hold(self._clock.monotonic_ns() / 1e9)
+
+    def _try(self, pair: Pair) -> None:
+        try:
+            self._measure(pair)
+        except PipelineError as error:
+            self._sequel.forget()
+            self._drops.add("pairs_refused_by_pipeline")
+            log.warning("pair %d cannot be measured: %s", pair.seq, error)
+        except Exception:
+            self._sequel.forget()
+            self._drops.add("pairs_failed_in_pipeline")
+            log.exception("pair %d failed", pair.seq)
 
     def _change(self) -> None:
         while self._changes:
@@ -112,21 +179,33 @@ class Worker:
                 continue
             try:
                 self._reconstructor = make()
+                self._sequel.forget()
+                self._hold_garbage()  # the reconstructor that was frozen before can go
                 done.set_result(None)
             except Exception as error:
                 done.set_exception(error)
 
     def _measure(self, pair: Pair) -> None:
         assert self._reconstructor is not None  # noqa: S101 - start() has set it
-        cloud = self._reconstructor.reconstruct(pair.left.image, pair.right.image)
+        every, t_ns = self._overload.every, pair.left.t_exposure_ns
+        follow = self._config.temporal_prior and self._sequel.follows(pair.seq, t_ns, every)
+        began_ns = self._clock.monotonic_ns()
+        cloud = self._reconstructor.reconstruct(pair.left.image, pair.right.image, every=every, follow=follow)
         # The latency is taken here, where the result is made, not where it is written or shown.
-        latency_ms = (self._clock.realtime_ns() - pair.left.t_exposure_ns) / 1e6
-        item = CloudItem(pair.seq, pair.left.t_exposure_ns, cloud, pair.left, pair.right, latency_ms, self.dropped)
-        self.latency_ms.note(latency_ms)
-        self.rate.note(self._clock.monotonic_ns())
-        self.clouds += 1
-        self.points = cloud.points
-        self.valid = self.points / max(1, cloud.gray.size)
-        self.stages_ms = {name: round(ms, 2) for name, ms in cloud.ms.items()}
-        self.last = item
+        latency_ms = (self._clock.realtime_ns() - t_ns) / 1e6
+        item = CloudItem(pair.seq, t_ns, cloud, pair.left, pair.right, latency_ms, self.dropped, every)
+        now_ns = self._clock.monotonic_ns()
+        self._note(item, now_ns)
         self._emit(item)
+        self._sequel.measured(pair.seq, t_ns, every)
+        if self._overload.measured((now_ns - began_ns) / 1e6, every, now_ns):
+            log.info("load: every %s pixel is measured", "second" if self._overload.every == 2 else "single")
+
+    def _note(self, item: CloudItem, now_ns: int) -> None:
+        self.latency_ms.note(item.latency_ms)
+        self.rate.note(now_ns)
+        self.clouds += 1
+        self.points = item.cloud.points
+        self.valid = self.points / max(1, item.cloud.gray.size)
+        self.stages_ms = {name: round(ms, 2) for name, ms in item.cloud.ms.items()}
+        self.last = item

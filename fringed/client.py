@@ -39,6 +39,11 @@ class ReceivedCloud:
     sigma: NDArray[np.float32] | None
 
     @property
+    def every(self) -> int:
+        """Spacing of the measured pixels: 2 = an overloaded rig gave every second row and column of its camera."""
+        return _every(self.header)
+
+    @property
     def valid(self) -> NDArray[np.bool_]:
         """Where there is a point, (H, W)."""
         return np.isfinite(self.xyz[..., 2])
@@ -120,7 +125,7 @@ class _Stream:
         """Whether the rays at hand are those of this cloud; asks for them if not."""
         rays = self._rays
         if rays is not None and rays.header.calibration == header.calibration:
-            return rays.arrays["rays"].shape[:2] == (header.height, header.width)
+            return _rays_of(rays, header).shape[:2] == (header.height, header.width)
         now_s = time.monotonic()
         if self._meta is not None and now_s - self._asked_s > _ASK_AGAIN_S:
             self._asked_s = now_s
@@ -237,6 +242,19 @@ def _check(message: wire.Message, expected: dict[str, tuple[str, tuple[int, ...]
             raise WireError(f"{message.topic}: part {name!r} {came}, expected {dtype} {list(shape)}")
 
 
+def _every(header: wire.Header) -> int:
+    every = header.stats.get("every", 1) if isinstance(header, wire.CloudHeader) else 1
+    return every if isinstance(every, int) and every > 0 else 1
+
+
+def _rays_of(rays: wire.Message, header: wire.Header) -> NDArray[np.float32]:
+    """The rays of a cloud's pixels, (height, width, 2) if they fit."""
+    known, every = rays.arrays["rays"], _every(header)
+    if isinstance(header, wire.CloudHeader) and known.shape[:2] != (header.height, header.width):
+        return known[::every, ::every]
+    return known
+
+
 def _rebuilt(message: wire.Message, rays: wire.Message | None) -> NDArray[np.float32]:
     """Points of a depth message: xyz = z * (rx, ry, 1), NaN where the stored number is 0."""
     part, stored = message.part("z"), message.arrays["z"]
@@ -245,7 +263,7 @@ def _rebuilt(message: wire.Message, rays: wire.Message | None) -> NDArray[np.flo
     z = stored * np.float32(part.scale) + np.float32(part.offset)
     z[stored == 0] = np.nan
     xyz = np.empty((*z.shape, 3), np.float32)
-    np.multiply(rays.arrays["rays"], z[..., None], out=xyz[..., :2])
+    np.multiply(_rays_of(rays, message.header), z[..., None], out=xyz[..., :2])
     xyz[..., 2] = z
     xyz.setflags(write=False)
     return xyz

@@ -85,8 +85,12 @@ class Reconstructor:
         self._order = np.empty(calibration.left.size[::-1], np.int16)
         self._stages: dict[int, SurfaceStage] = {}
 
-    def warm_up(self, *, every: tuple[int, ...] = (1,)) -> None:
-        """Compile (or load) every kernel by runs on empty pictures; leaves no trace in the results."""
+    def warm_up(self, *, every: tuple[int, ...] = (1,), follow: bool = False) -> None:
+        """Compile (or load) every kernel by runs on empty pictures; leaves no trace in the results.
+
+        Args:
+            every: spacings that will be asked for; follow: whether pairs will follow each other.
+        """
         width, height = self.calibration.left.size
         right_width, right_height = self.calibration.right.size
         deep = (3,) if self.encoding == "rgb8" else ()
@@ -95,7 +99,9 @@ class Reconstructor:
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
         for step in every:
-            self.reconstruct(left, right, every=step)
+            self.reconstruct(left, right, every=step, follow=follow)
+        for side in self._searches:
+            side.forget()
         self.correction, self._calibrated = kept
 
     def reconstruct(

@@ -37,7 +37,9 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 def main(
     take: Annotated[Path, typer.Argument(help="The take: its first file, or one of its parts.")],
     out: Annotated[Path | None, typer.Option(help="Directory for clouds and summary.json.")] = None,
-    no_output: Annotated[bool, typer.Option("--no-output", help="Write only summary.json.")] = False,
+    no_output: Annotated[
+        bool, typer.Option("--no-output", help="Write only summary.json (here, if no --out).")
+    ] = False,
     repeat: Annotated[int, typer.Option(min=1, max=10000, help="Reconstruct every pair so often.")] = 1,
     kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: npz, ply or pcd.")] = "npz",
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration instead of the attached one.")] = None,
@@ -45,6 +47,9 @@ def main(
         list[str] | None, typer.Option("--set", help="Change a setting: key=value. May be repeated.")
     ] = None,
     threads: Annotated[int, typer.Option(min=0, max=256, help="Worker threads; 0 = all.")] = 0,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Begin each pair with the surface before it, as a live run does.")
+    ] = False,
     rerun: Annotated[str | None, typer.Option(metavar="[FILE.rrd]", help="Show the clouds, or save for Rerun.")] = None,
     expect: Annotated[
         Path | None, typer.Option(help="Compare with this golden file; exit status 1 if it moved.")
@@ -54,7 +59,7 @@ def main(
     """Reconstruct a recorded take.
 
     The same take gives bit-identical clouds on the same machine, with any number of threads. A take that was cut off
-    is replayed up to the cut.
+    is replayed up to the cut. To measure how fast it goes: --no-output --repeat 100.
     """
     from daemon.commands.settings import parsed_settings
     from daemon.errors import DaemonError
@@ -65,12 +70,15 @@ def main(
 
     if kind not in KINDS:
         raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
-    if out is None and not no_output and rerun is None and expect is None and bless is None:
-        raise DaemonError("nothing to do with the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
+    if rerun is None and expect is None and bless is None and out is None:
+        if not no_output:
+            raise DaemonError("nothing to do with the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
+        out = Path()
     expected = golden.load(expect) if expect is not None else None
     cell = _cell(expected, bless)
     with TakeReader(take) as reader:
-        replay = Replay(reader, settings=parsed_settings(set_ or []), threads=threads, calibration=calibration)
+        settings = parsed_settings(set_ or [])
+        replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, follow=follow)
         runs, figures = _replay(replay, None if no_output else out, kind, repeat, rerun, cell)
         _tell(replay, runs, out)
         if bless is not None:
@@ -156,6 +164,7 @@ def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
     where = f" in {out}" if out is not None else ""
     rate = summary["pairs_per_second"]
     typer.echo(f"{summary['clouds']} clouds of {summary['pairs']} pairs{where}, {rate:.2f} pairs per second")
+    typer.echo("ms by stage: " + ", ".join(f"{name} {ms:.2f}" for name, ms in summary["ms"].items()))
 
 
 def _bless(path: Path, figures: list[PairStatistics], replay: Replay) -> None:

@@ -56,7 +56,7 @@ def table(status: dict[str, Any]) -> str:
 
 def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
     """Name and value of every line of the table."""
-    latency = status["latency_ms"]
+    latency, published = status["latency_ms"], status["publish_latency_ms"]
     out = [
         ("state", f"{status['state']}{''.join(f'; {reason}' for reason in status['reasons'])}"),
         ("device", f"{status['device']}, fringed {status['version']}, up {status['uptime_s']:.0f} s"),
@@ -64,6 +64,7 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         ("clouds", f"{status['clouds']}, {status['cloud_rate_hz']:.1f} per second"),
         ("points", f"{status['points']} ({100 * status['valid']:.0f} % of the pixels)"),
         ("latency", "  ".join(f"{name} {value:.0f} ms" for name, value in latency.items()) or "no cloud yet"),
+        ("published", "  ".join(f"{name} {value:.0f} ms" for name, value in published.items()) or "nobody reads"),
         ("pairs", f"{status['pairs']}, {status['pair_rate_hz']:.1f} per second"),
     ]
     for side, camera in status["cameras"].items():

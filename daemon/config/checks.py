@@ -22,6 +22,7 @@ def semantic_problems(data: dict[str, Any], base_dir: Path) -> Found:
     """Every mistake of meaning, with the path of the value; values of a wrong type are left to the schema."""
     yield from _drivers(data)
     yield from _settings(data)
+    yield from _cpus(data)
     yield from _addresses(data)
     yield from _files(data, base_dir)
     yield from _volume(data)
@@ -55,6 +56,14 @@ def _settings(data: dict[str, Any]) -> Found:
             Settings().with_overrides({key: value})
         except PipelineError as error:
             yield ("pipeline", "settings", key), str(error)
+
+
+def _cpus(data: dict[str, Any]) -> Found:
+    value = _section(data, "pipeline").get("cpus")
+    cpus: list[Any] = value if isinstance(value, list) else []
+    for i, cpu in enumerate(cpus):
+        if cpu in cpus[:i]:
+            yield ("pipeline", "cpus", i), f"processor {cpu} stands here twice"
 
 
 def _addresses(data: dict[str, Any]) -> Found:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
@@ -61,6 +61,21 @@ class Pipeline(Section):
 
     threads: Annotated[int, Field(ge=0, le=256, description="Worker threads; 0 = all.")] = 0
     queue: Annotated[int, Field(ge=1, le=16, description="Pairs that wait; the oldest is dropped for a new one.")] = 1
+    overload: Annotated[
+        Literal["skip", "half"],
+        Field(description="Pairs come too fast: skip some, or measure every second pixel until there is room again."),
+    ] = "skip"
+    temporal_prior: Annotated[
+        bool, Field(description="Begin a pair with the surface of the one before: faster on a live stream.")
+    ] = True
+    cpus: Annotated[
+        list[Annotated[int, Field(ge=0, le=4095)]],
+        Field(
+            max_length=256,
+            description="Processors of the pipeline alone, everything else is kept off them; empty = all share all. "
+            "For PCs with four or more.",
+        ),
+    ] = []
     settings: Annotated[dict[str, bool | int | float], Field(description="Changes to the pipeline's defaults.")] = {}
 
 
@@ -86,7 +101,7 @@ class Recording(Section):
     dir: Annotated[str, Field(min_length=1, description="Directory of the takes.")] = "takes"
     max_part_mb: Annotated[int, Field(ge=16, le=1_000_000, description="Size at which a new part begins.")] = 2048
     min_free_mb: Annotated[int, Field(ge=0, description="Free space at which recording ends.")] = 1024
-    queue: Annotated[int, Field(ge=2, le=1000, description="Pairs that wait for the disk.")] = 16
+    queue: Annotated[int, Field(ge=2, le=1000, description="Pairs that wait for the disk.")] = 60
 
 
 def _kind(value: Any) -> str:

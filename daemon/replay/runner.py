@@ -10,6 +10,7 @@ from typing import Any
 
 from daemon.calibration_file import CalibrationFile, read_calibration
 from daemon.recording.reader import TakePair, TakeReader
+from daemon.sequel import Sequel
 from pipeline.cloud import Cloud
 from pipeline.errors import PipelineError
 from pipeline.reconstruct import Reconstructor
@@ -47,18 +48,21 @@ class Failure:
 class Replay:
     """The reconstruction of a take under given settings.
 
-    The clouds depend on nothing but the take, the calibration and the settings: not on ``threads``, not on time.
+    The clouds depend on nothing but the take, the calibration and the settings: not on ``threads``, not on time, and
+    without ``follow`` not on other pairs.
 
     Args:
         take: the recording, open.
         settings: of the pipeline; threads: 0 = all.
         calibration: file to use instead of the one that is attached.
+        follow: begin a pair with the surface of the one before where that is close in time, as a live run does.
     """
 
     take: TakeReader
     settings: Settings = field(default_factory=Settings)
     threads: int = 0
     calibration: Path | None = None
+    follow: bool = False
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
     _made: Reconstructor | None = None
@@ -82,16 +86,21 @@ class Replay:
             TakeError, PipelineError: files that do not fit together.
         """
         self.failures.clear()
+        sequel = Sequel()
         for pair in self.take.pairs(progress):
             reconstructor = self._reconstructor(pair.encoding)
             runs: list[Run] = []
+            follow = self.follow and sequel.follows(pair.sequence, pair.t_ns, 1)
             try:
                 for _ in range(repeat):
-                    cloud, run = _timed(reconstructor, pair)
+                    cloud, run = _timed(reconstructor, pair, follow=follow)
                     runs.append(run)
+                    follow = self.follow  # a repeated run has the pair itself before it
             except PipelineError as error:
+                sequel.forget()
                 self.failures.append(Failure(pair.sequence, str(error)))
                 continue
+            sequel.measured(pair.sequence, pair.t_ns, 1)
             yield Result(pair, cloud, runs)
 
     def _reconstructor(self, encoding: str) -> Reconstructor:
@@ -106,13 +115,13 @@ class Replay:
                 clock=time.perf_counter_ns,
                 threads=self.threads,
             )
-            self._made.warm_up()
+            self._made.warm_up(follow=self.follow)
         return self._made
 
 
-def _timed(reconstructor: Reconstructor, pair: TakePair) -> tuple[Cloud, Run]:
+def _timed(reconstructor: Reconstructor, pair: TakePair, *, follow: bool) -> tuple[Cloud, Run]:
     start_ns = time.perf_counter_ns()
-    cloud = reconstructor.reconstruct(pair.left, pair.right)
+    cloud = reconstructor.reconstruct(pair.left, pair.right, follow=follow)
     total_ms = (time.perf_counter_ns() - start_ns) / 1e6
     stages = {name: round(ms, 3) for name, ms in cloud.ms.items()}
     return cloud, Run(pair.sequence, cloud.points, round(total_ms, 3), stages)

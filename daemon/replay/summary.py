@@ -29,15 +29,26 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "calibration": replay.calibration_file.identity,
         "settings": changed,
         "threads": replay.threads,
+        "follow": replay.follow,
         "pairs": len(runs) + len(replay.failures),
         "clouds": len(runs),
         "pairs_per_second": round(1000 / middle_ms, 3) if middle_ms > 0 else 0.0,
+        "ms": stage_medians(runs),
         "unpaired": dict(counts.unpaired),
         "duplicates": dict(counts.duplicates),
         "failed": [dataclasses.asdict(failure) for failure in replay.failures],
         "problems": replay.take.problems,
         "per_pair": [dataclasses.asdict(run) for run in runs],
     }
+
+
+def stage_medians(runs: Sequence[Run]) -> dict[str, float]:
+    """Median time of each stage, ms, in the order of the stages; a run without a stage does not count for it."""
+    stages: dict[str, list[float]] = {}
+    for run in runs:
+        for name, ms in run.ms.items():
+            stages.setdefault(name, []).append(ms)
+    return {name: round(median(values), 3) for name, values in stages.items()}
 
 
 def write_summary(directory: Path, summary: dict[str, Any]) -> None:

@@ -50,12 +50,20 @@ def depth(origin: Origin, item: CloudItem) -> Frames:
 
 def quantised(z: NDArray[np.float32]) -> tuple[NDArray[np.uint16], float, float]:
     """Depth as uint16 with scale and offset, mm: z = stored * scale + offset; 0 = unknown."""
-    known = np.isfinite(z)
-    least, most = (float(z[known].min()), float(z[known].max())) if known.any() else (0.0, 0.0)
+    depth = np.array(z, dtype=np.float32, order="C")  # a copy, worked on in place
+    least, most = float(np.fmin.reduce(depth, axis=None)), float(np.fmax.reduce(depth, axis=None))
+    if not np.isfinite(least):
+        least = most = 0.0
     scale = max(_DEPTH_STEP_MM, (most - least) / (_DEPTH_STEPS - 1))
-    offset = least - scale
-    steps = np.rint((np.where(known, z, np.float32(least)) - offset) / scale)
-    return np.where(known, np.clip(steps, 1, _DEPTH_STEPS + 1), 0).astype(np.uint16), scale, offset
+    # The offset is a float32, as the depths are, so that the smallest of them becomes exactly 1.
+    offset = float(np.float32(least - scale))
+    depth -= np.float32(offset)
+    depth *= np.float32(1 / scale)
+    depth += np.float32(0.5)
+    # fmax takes the number where the other is NaN, minimum guards the last step against rounding.
+    np.fmax(depth, np.float32(0), out=depth)
+    np.minimum(depth, np.float32(_DEPTH_STEPS + 1), out=depth)
+    return depth.astype(np.uint16), scale, offset
 
 
 def status(origin: Origin, values: dict[str, Any], *, seq: int) -> Frames:
@@ -113,6 +121,8 @@ def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
     height, width = item.cloud.gray.shape
     valid = item.cloud.points / (width * height)
     stats = {"valid": round(valid, 4), "latency_ms": round(item.latency_ms, 2), "dropped": item.dropped}
+    if item.every > 1:
+        stats["every"] = item.every  # the grid has every second row and column of the camera
     return wire.CloudHeader(
         kind="cloud", seq=item.seq, t_ns=item.t_ns, width=width, height=height, stats=stats, **origin.keys()
     )

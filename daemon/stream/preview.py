@@ -49,9 +49,11 @@ def shown(frame: Frame) -> Picture:
 
 def overlay(item: CloudItem) -> Picture:
     """Modulation of the left picture as brightness, clipped pixels red; (H, W, 3) uint8, BGR."""
-    bright = np.minimum(item.cloud.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
-    out = np.repeat(bright[..., None], 3, axis=2)
     image: NDArray[Any] = item.left.image
+    bright = np.minimum(item.cloud.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
+    if bright.shape != image.shape[:2]:  # measured with fewer pixels
+        bright = bright.repeat(item.every, axis=0).repeat(item.every, axis=1)[: image.shape[0], : image.shape[1]]
+    out = np.repeat(bright[..., None], 3, axis=2)
     clipped = image >= np.iinfo(image.dtype).max
     out[clipped.any(axis=2) if image.ndim == 3 else clipped] = _MARK_BGR
     return out

@@ -62,6 +62,10 @@ def test_all_mistakes_are_told_at_once_each_with_its_place() -> None:
         ("[" * 3000, "nested too deeply"),
         ("- 1\n", "the file"),
         (GOOD + "pattern: {kind: stripes}\n", "stripes"),
+        (GOOD + "pipeline: {overload: third}\n", "'skip' or 'half'"),
+        (GOOD + "pipeline: {temporal_prior: 1}\n", "valid boolean"),
+        (GOOD + "pipeline: {cpus: [2, 3, 2]}\n", "processor 2 stands here twice"),
+        (GOOD + "pipeline: {cpus: [-1]}\n", "greater than or equal to 0"),
     ],
 )
 def test_a_mistake_is_told_in_words(text: str, told: str) -> None:

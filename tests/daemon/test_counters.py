@@ -35,11 +35,15 @@ def test_a_rate_falls_to_nothing_when_events_end() -> None:
 
 
 def test_percentiles_are_those_of_the_last_values() -> None:
-    values = Percentiles(100)
+    values = Percentiles(2000)
     assert values.summary() == {}
-    for i in range(1000):
-        values.note(float(i))
-    assert values.summary() == {"p50": 950, "p95": 995, "p99": 999, "max": 999, "last": 999}
+    values.note(7.0)
+    assert set(values.summary().values()) == {7.0}
+    for i in range(10_000):
+        values.note(float(i * 7919 % 10_000))  # every number once, the last 2000 in no order
+    kept = sorted(float(i * 7919 % 10_000) for i in range(8000, 10_000))
+    expected = {"p50": kept[1000], "p95": kept[1900], "p99": kept[1980], "p999": kept[1998], "max": kept[-1]}
+    assert values.summary() == expected | {"last": 9999 * 7919 % 10_000}
 
 
 def test_the_freshest_wins_and_what_is_pushed_out_is_handed_back() -> None:

@@ -64,7 +64,9 @@ def test_every_pair_becomes_a_cloud_and_is_offered_raw_before(running: Running) 
     status = running.service.status()
     assert status.pairs == status.clouds == 6 and status.drops == {}
     assert status.cameras["left"].fates["paired"] == 6
-    assert set(status.latency_ms) == {"p50", "p95", "p99", "max", "last"}
+    assert set(status.latency_ms) == {"p50", "p95", "p99", "p999", "max", "last"}
+    assert status.publish_latency_ms == {} and status.measured_every == 1
+    assert set(status.garbage) == {"count", "total_ms", "max_ms"}
 
 
 def test_a_camera_that_goes_away_degrades_the_daemon_and_comes_back_by_itself(running: Running) -> None:

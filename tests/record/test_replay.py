@@ -86,6 +86,33 @@ def test_repeated_runs_all_count_and_no_output_writes_only_the_summary(take: Pat
     assert summary["pairs_per_second"] == pytest.approx(1000 / totals[4], rel=1e-3)
 
 
+def test_a_take_is_measured_by_stage(take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert replay(take, "--no-output", "--repeat", 3) == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
+    summary = summary_in(tmp_path)
+    assert {"decode", "refinement"} <= set(summary["ms"]) and summary["follow"] is False
+    for name, ms in summary["ms"].items():
+        times = [row["ms"][name] for row in summary["per_pair"] if name in row["ms"]]
+        assert ms == pytest.approx(np.median(times), abs=0.002)
+
+
+@pytest.mark.parametrize(("follow", "seen"), [(False, [False] * 6), (True, [False, True, True, True, True, True])])
+def test_only_when_asked_a_pair_begins_with_the_surface_before_it(
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, follow: bool, seen: list[bool]
+) -> None:
+    real, follows = Reconstructor.reconstruct, []
+
+    def noted(self: Reconstructor, left: Any, right: Any, **options: Any) -> Any:
+        follows.append(options.get("follow"))
+        return real(self, left, right, **options)
+
+    monkeypatch.setattr(Reconstructor, "reconstruct", noted)
+    monkeypatch.setattr(Reconstructor, "warm_up", lambda _, **__: None)
+    assert replay(take, "--out", tmp_path, "--repeat", 2, *(["--follow"] if follow else [])) == 0
+    assert follows == seen
+
+
 @pytest.mark.parametrize("kind", ["ply", "pcd"])
 def test_other_kinds_of_files(take: Path, tmp_path: Path, kind: str) -> None:
     assert replay(take, "--out", tmp_path, "--format", kind) == 0

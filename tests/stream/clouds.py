@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,14 @@ def item(seq: int, *, encoding: str = "rgb8", size: tuple[int, int] = SIZE) -> C
     )
     frames = [frame(side, seq, encoding, size) for side in ("left", "right")]
     return CloudItem(seq, 1_000_000_000 + seq, cloud, frames[0], frames[1], latency_ms=21.0, dropped=2)
+
+
+def half(seq: int) -> CloudItem:
+    """The same plane, measured at every second row and column."""
+    whole = item(seq)
+    cloud = whole.cloud
+    gray, xyz, sigma = cloud.gray[::2, ::2].copy(), cloud.xyz[::2, ::2].copy(), cloud.sigma_mm[::2, ::2].copy()
+    return replace(whole, every=2, cloud=Cloud(xyz, sigma, gray, (gray, gray), gray.astype(np.int16)))
 
 
 def frame(side: Any, seq: int, encoding: str, size: tuple[int, int]) -> Frame:

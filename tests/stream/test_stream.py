@@ -8,6 +8,7 @@ import logging
 import socket
 import stat
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ from daemon.errors import DaemonError
 from daemon.outputs import open_publisher
 from daemon.publisher import Publisher
 from daemon.sinks import LoneItem
+from daemon.stream.preview import overlay
 from fringed import FringedError, SilenceError, WireError, asubscribe, subscribe, wire
 from fringed.client import Subscription
 from fringed.losses import Losses
@@ -67,6 +69,35 @@ def test_the_depth_topic_gives_the_same_points() -> None:
         cloud = next(stream)
     np.testing.assert_allclose(cloud.xyz, item.cloud.xyz, atol=0.004)
     assert cloud.gray is None and cloud.sigma is None
+
+
+@pytest.mark.parametrize("topic", ["cloud/full", "cloud/depth"])
+def test_half_clouds_say_so_and_lie_on_every_second_ray(topic: str) -> None:
+    with clouds.publisher() as made, subscribe(made.endpoints[0], topic=topic, timeout_s=WAIT_S) as stream:
+        connected(made, topic)
+        item = clouds.half(5)
+        if topic == "cloud/depth":
+            clouds.until(lambda: clouds.sent(made, "meta/rays"))
+            clouds.until(lambda: made.offer(item) and _here(stream))
+        else:
+            made.offer(item)
+        cloud = next(stream)
+    assert (cloud.every, cloud.header.width, cloud.header.height) == (2, 16, 13)
+    np.testing.assert_allclose(cloud.xyz, item.cloud.xyz, atol=0.004)
+
+
+def test_the_latency_of_publishing_begins_when_both_frames_are_here() -> None:
+    clock = rigs.SteppedClock()
+    with clouds.publisher(clock=clock) as made, Receiver(made.endpoints[0], ["cloud/full"]) as receiver:
+        connected(made)
+        assert made.status()["latency_ms"] == {}
+        item = clouds.item(1)
+        left = replace(item.left, t_host_ns=clock.now_ns - 9_000_000)
+        right = replace(item.right, t_host_ns=clock.now_ns - 5_000_000)
+        made.offer(replace(item, left=left, right=right))
+        message(receiver)
+        clouds.until(lambda: made.status()["latency_ms"])
+        assert made.status()["latency_ms"]["max"] == made.status()["latency_ms"]["p999"] == 5.0
 
 
 def _wants(made: Publisher, stream: Subscription) -> bool:
@@ -190,6 +221,10 @@ def test_previews_are_jpegs_with_clipped_pixels_in_red(encoding: str) -> None:
     assert all(picture.shape == (26, 32, 3) for picture in pictures.values())
     blue, _, red = pictures["overlay"][12, 12].astype(int)
     assert red > blue + 60
+
+
+def test_previews_of_half_clouds_have_the_size_of_the_picture() -> None:
+    assert overlay(clouds.half(4)).shape == (26, 32, 3)
 
 
 def test_previews_are_no_more_frequent_than_asked() -> None:

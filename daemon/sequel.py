@@ -1,0 +1,38 @@
+"""Whether a pair follows the last measured one closely enough for its surface to serve as a guess."""
+
+from __future__ import annotations
+
+from drivers.protocols import TRIGGER_MODULUS
+
+_MAX_PERIODS = 4
+_MIN_NS = 200_000_000  # so much is close whatever the trigger's rate
+
+
+class Sequel:
+    """Remembers the last measured pair."""
+
+    def __init__(self) -> None:
+        self._last: tuple[int, int, int] | None = None
+
+    def follows(self, seq: int, t_ns: int, every: int) -> bool:
+        """Whether a pair comes at most four trigger periods (or 0.2 s) after the last one.
+
+        Args:
+            seq: number of the trigger; t_ns: start of exposure; every: spacing of the pixels to be measured, which
+                must be that of the last pair.
+        """
+        if self._last is None:
+            return False
+        last_seq, last_ns, last_every = self._last
+        periods, passed_ns = (seq - last_seq) % TRIGGER_MODULUS, t_ns - last_ns
+        if every != last_every or not 0 < periods < TRIGGER_MODULUS // 2 or passed_ns <= 0:
+            return False
+        return periods <= _MAX_PERIODS or passed_ns <= _MIN_NS
+
+    def measured(self, seq: int, t_ns: int, every: int) -> None:
+        """This pair has been measured."""
+        self._last = seq, t_ns, every
+
+    def forget(self) -> None:
+        """The next pair begins anew: settings changed, or a pair failed."""
+        self._last = None

@@ -1,0 +1,50 @@
+"""Which pairs may begin with the surface of the one before."""
+
+from __future__ import annotations
+
+import pytest
+
+from daemon.sequel import Sequel
+
+PERIOD_NS = 33_000_000
+
+
+@pytest.mark.parametrize(
+    ("seq", "periods", "every", "follows"),
+    [
+        (11, 1, 1, True),
+        (14, 4, 1, True),
+        (16, 6, 1, True),  # 0.2 s are close, whatever the trigger's rate
+        (18, 8, 1, False),
+        (11, 1, 2, False),
+        (9, 1, 1, False),
+        (11, -1, 1, False),
+        (10, 1, 1, False),
+    ],
+)
+def test_a_pair_follows_the_last_one_if_little_time_has_passed(
+    seq: int, periods: int, every: int, follows: bool
+) -> None:
+    sequel = Sequel()
+    sequel.measured(10, 0, 1)
+    assert sequel.follows(seq, periods * PERIOD_NS, every) is follows
+
+
+def test_a_slow_trigger_counts_in_periods() -> None:
+    sequel = Sequel()
+    sequel.measured(10, 0, 1)
+    assert sequel.follows(12, 2_000_000_000, 1) and not sequel.follows(15, 5_000_000_000, 1)
+
+
+def test_numbers_wrap() -> None:
+    sequel = Sequel()
+    sequel.measured(2**32 - 1, 0, 1)
+    assert sequel.follows(0, PERIOD_NS, 1)
+
+
+def test_nothing_follows_at_the_start_and_after_a_change() -> None:
+    sequel = Sequel()
+    assert not sequel.follows(0, 0, 1)
+    sequel.measured(0, 0, 1)
+    sequel.forget()
+    assert not sequel.follows(1, PERIOD_NS, 1)

@@ -1,0 +1,154 @@
+"""The worker: which pairs follow the one before, half pictures under overload, and errors that harm one pair only."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daemon.config.models import Pipeline
+from daemon.counters import Counters
+from daemon.pairing import Pair
+from daemon.sinks import CloudItem
+from daemon.worker import Worker
+from drivers.protocols import Frame, Side
+from pipeline.cloud import Cloud
+from pipeline.errors import PipelineError
+from tests.daemon.rigs import SteppedClock, wait_until
+
+SIZE = (4, 6)
+CLOUD = Cloud(
+    np.zeros((*SIZE, 3), np.float32),
+    np.zeros(SIZE, np.float32),
+    np.zeros(SIZE, np.uint8),
+    (np.zeros(SIZE, np.uint8),) * 2,
+    np.zeros(SIZE, np.int16),
+)
+
+
+@dataclass
+class Stub:
+    """Notes how it is called; a picture of 1 is refused; ``gate`` holds it up."""
+
+    calls: list[tuple[int, bool]] = field(default_factory=list)
+    gate: threading.Semaphore | None = None
+
+    def reconstruct(self, left: Any, right: Any, *, every: int = 1, follow: bool = False) -> Cloud:
+        if self.gate is not None:
+            assert self.gate.acquire(timeout=20)
+        self.calls.append((every, follow))
+        if (left == right).all() and left[0, 0] == 1:
+            raise PipelineError("refused")
+        return CLOUD
+
+
+class Line:
+    """A worker with a stub behind it."""
+
+    def __init__(self, **options: Any) -> None:
+        self.clock, self.drops, self.stub = SteppedClock(), Counters(), Stub()
+        self.clouds: list[CloudItem] = []
+        self.worker = Worker(Pipeline(**options), emit=self.clouds.append, drops=self.drops, clock=self.clock)
+
+    def start(self) -> None:
+        self.worker.start(lambda: self.stub).result(20)
+
+    def pair(self, seq: int, t_ms: float, value: int = 0) -> None:
+        t_ns = round(1e6 * t_ms)
+
+        def frame(side: Side) -> Frame:
+            return Frame(side, seq, t_ns, t_ns, "mono8", np.full(SIZE, value, np.uint8))
+
+        before = len(self.stub.calls)
+        self.worker.offer(Pair(frame("left"), frame("right")))
+        if self.stub.gate is None:
+            wait_until(lambda: len(self.stub.calls) > before)
+
+    @property
+    def follows(self) -> list[bool]:
+        return [follow for _, follow in self.stub.calls]
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    made = Line()
+    made.start()
+    yield made
+    assert made.worker.stop(20)
+
+
+def test_only_the_first_pair_and_those_after_a_gap_begin_anew(line: Line) -> None:
+    for seq, t_ms in ((7, 0), (8, 33), (9, 66), (40, 1089), (41, 1122), (43, 1188)):
+        line.pair(seq, t_ms)
+    assert line.follows == [False, True, True, False, True, True]
+
+
+def test_other_settings_and_a_refused_pair_begin_anew(line: Line) -> None:
+    line.pair(0, 0)
+    line.pair(1, 33)
+    line.worker.replace(lambda: line.stub, 20)
+    line.pair(2, 66)
+    line.pair(3, 99, value=1)
+    line.pair(4, 132)
+    line.pair(5, 165)
+    assert line.follows == [False, True, False, True, False, True]
+    assert line.drops.snapshot() == {"pairs_refused_by_pipeline": 1}
+
+
+def test_without_the_temporal_prior_every_pair_stands_alone() -> None:
+    line = Line(temporal_prior=False)
+    line.start()
+    for seq in range(3):
+        line.pair(seq, 33 * seq)
+    assert line.follows == [False] * 3
+    assert line.worker.stop(20)
+
+
+@pytest.mark.parametrize(("overload", "every"), [("half", 2), ("skip", 1)])
+def test_dropped_pairs_bring_half_pictures_where_that_is_wanted(overload: str, every: int) -> None:
+    line = Line(overload=overload)
+    line.stub.gate = threading.Semaphore(0)
+    line.start()
+    for seq in range(6):
+        line.clock.now_ns += 33_000_000
+        line.pair(seq, 33 * seq)
+        if seq == 0:
+            wait_until(lambda: len(line.worker._box) == 0)
+        if seq == 3:  # two were dropped; the next one is taken
+            line.stub.gate.release()
+            wait_until(lambda: len(line.worker._box) == 0)
+    line.pair(6, 33 * 6)
+    for _ in range(2):
+        line.stub.gate.release()
+    wait_until(lambda: len(line.stub.calls) == 3)
+    assert line.drops["pairs_pipeline_busy"] == 4
+    assert [call[0] for call in line.stub.calls] == [1, 1, every] and line.worker.every == every
+    assert line.worker.stop(20)
+    assert [cloud.every for cloud in line.clouds] == [1, 1, every]
+
+
+def test_pairs_that_come_before_the_kernels_are_ready_are_counted_and_stopping_waits_for_no_compiler() -> None:
+    line, ready = Line(), threading.Event()
+
+    def make() -> Stub:
+        assert ready.wait(20)
+        return line.stub
+
+    done = line.worker.start(make)
+    line.worker.offer(Pair(*(Frame(s, 0, 0, 0, "mono8", np.zeros(SIZE, np.uint8)) for s in ("left", "right"))))
+    assert line.drops.snapshot() == {"pairs_not_ready": 1}
+    assert line.worker.stop(20)
+    ready.set()
+    done.result(20)
+
+
+def test_what_goes_wrong_while_it_is_made_is_handed_on() -> None:
+    def make() -> Stub:
+        raise PipelineError("no such pattern")
+
+    with pytest.raises(PipelineError, match="no such pattern"):
+        Line().worker.start(make).result(20)
