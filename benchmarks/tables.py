@@ -14,9 +14,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
-BEGIN, END = "<!-- measured: begin (make bench writes this block) -->", "<!-- measured: end -->"
-
-
 @dataclass(slots=True)
 class Table:
     """Rows of text under headings; the first column and those named in ``words`` are words, the others figures.
@@ -94,9 +91,14 @@ def write_whole(path: Path, content: str | bytes) -> None:
         raise
 
 
-def with_block(text: str, block: str) -> str:
-    """A document in which what stands between the two marks is replaced."""
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
-        raise ValueError(f"the document needs one line {BEGIN!r} and after it one line {END!r}")
-    head, rest = text.split(BEGIN)
-    return f"{head}{BEGIN}\n\n{block.strip()}\n\n{END}{rest.split(END)[1]}"
+def with_block(text: str, name: str, block: str) -> str:
+    """A document in which what stands between the two marks of a name is replaced."""
+    begin, end = marks(name)
+    if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
+        raise ValueError(f"the document needs one line {begin!r} and after it one line {end!r}")
+    return f"{text.split(begin)[0]}{begin}\n\n{block.strip()}\n\n{end}{text.split(end)[1]}"
+
+
+def marks(name: str) -> tuple[str, str]:
+    """The lines between which a measured block stands."""
+    return f"<!-- measured: {name} (make bench writes this block) -->", f"<!-- end of {name} -->"

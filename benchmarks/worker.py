@@ -5,12 +5,11 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 import json
 import os
 import pickle
-import resource
+import re
 import subprocess
 import sys
 import time
@@ -26,7 +25,6 @@ from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
 from pipeline.reconstruct import Reconstructor
 
-FOLLOWS = "follow" in inspect.signature(Reconstructor.reconstruct).parameters
 _LIMIT_S = 600
 
 
@@ -38,7 +36,8 @@ class Job:
         calibration, pattern, volume, encoding: of the rig.
         files: of :mod:`benchmarks.rendered`, shown in turn, forth and back.
         threads: of the process; repeats: pairs to time, after two that are not.
-        follow: with the temporal prior; cloud: file for the points of the last pair.
+        every: spacing of the measured pixels; follow: with the temporal prior.
+        clouds: folder for the points of every file, ``0.npy`` and so on, made after the timing.
     """
 
     calibration: Calibration
@@ -48,8 +47,9 @@ class Job:
     files: tuple[Path, ...]
     threads: int
     repeats: int
+    every: int = 1
     follow: bool = False
-    cloud: Path | None = None
+    clouds: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,6 @@ class Timing:
         total_ms: of each pair; stage_ms: by stage, of each pair.
         ready_s: to build the tables and load (or compile) the kernels.
         peak_mib: largest resident memory; pictures_mib: the share of it that the job's own pictures take.
-        last: which of the files was shown last; points: of its cloud.
     """
 
     total_ms: list[float]
@@ -68,23 +67,25 @@ class Timing:
     ready_s: float
     peak_mib: float
     pictures_mib: float
-    last: int
-    points: int
 
 
 def run(job: Job) -> Timing:
     """The job in a process of its own."""
-    count = str(job.threads)
-    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     result = subprocess.run(
         [sys.executable, "-m", "benchmarks.worker"],
         input=pickle.dumps(job),
         stdout=subprocess.PIPE,
-        env=os.environ | dict.fromkeys(names, count),
+        env=environment(job.threads),
         timeout=_LIMIT_S,
         check=True,
     )
     return Timing(**json.loads(result.stdout))
+
+
+def environment(threads: int) -> dict[str, str]:
+    """Of a process whose libraries use so many threads."""
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    return os.environ | dict.fromkeys(names, str(threads))
 
 
 def work(job: Job) -> Timing:
@@ -99,26 +100,39 @@ def work(job: Job) -> Timing:
     )
     reconstructor.warm_up()
     ready_s = time.perf_counter() - start
-    options: dict[str, Any] = {"follow": True} if job.follow else {}
+    options: dict[str, Any] = {"every": job.every, "follow": job.follow}
     shown = _there_and_back(len(pairs))
-    last = next(shown)
     for _ in range(2):
         # The first pair sets the projector's correction, and the prior of those that follow.
-        cloud = reconstructor.reconstruct(*pairs[last], **options)
+        reconstructor.reconstruct(*pairs[next(shown)], **options)
     total_ms: list[float] = []
     stage_ms: dict[str, list[float]] = {}
     for _ in range(job.repeats):
-        last = next(shown)
+        left, right = pairs[next(shown)]
         start = time.perf_counter()
-        cloud = reconstructor.reconstruct(*pairs[last], **options)
+        cloud = reconstructor.reconstruct(left, right, **options)
         total_ms.append(1e3 * (time.perf_counter() - start))
         for name, ms in cloud.ms.items():
             stage_ms.setdefault(name, []).append(ms)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = peak_memory_mib()
     pictures = sum(left.nbytes + right.nbytes for left, right in pairs) / 2**20
-    if job.cloud is not None:
-        np.save(job.cloud, cloud.xyz)
-    return Timing(total_ms, stage_ms, ready_s, peak, pictures, last, cloud.points)
+    if job.clouds is not None:
+        for _ in range(max(1, 2 * len(pairs) - 2)):
+            # In the same order as before, so that the prior stays that of the neighbouring picture.
+            i = next(shown)
+            np.save(job.clouds / f"{i}.npy", reconstructor.reconstruct(*pairs[i], **options).xyz)
+    return Timing(total_ms, stage_ms, ready_s, peak, pictures)
+
+
+def peak_memory_mib() -> float:
+    """Largest resident memory of this process so far.
+
+    Not ``ru_maxrss``: that of a child process begins with its parent's.
+    """
+    found = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    if found is None:
+        raise OSError("/proc/self/status does not tell VmHWM")
+    return int(found[1]) / 1024
 
 
 def _there_and_back(count: int) -> Iterator[int]:
