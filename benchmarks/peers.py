@@ -1,7 +1,7 @@
-"""What others offer, on the same pair of pictures; runs in the peers' own environment (peers.txt), imports nothing of ours.
+"""What others offer, on the same pair of pictures; runs in the peers' own environment, imports nothing of ours.
 
-``python benchmarks/peers.py PAIR.npz RESULT.npz``: reads pictures and rig, writes what each peer found and a JSON text of
-what was called and how long it took. See :mod:`benchmarks.compare` for the judgement.
+``python benchmarks/peers.py PAIR.npz RESULT.npz REPEATS THREADS [quick]``: reads pictures and rig, writes what each
+peer found and a JSON text of what was called and how long it took. See :mod:`benchmarks.compare` for the judgement.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ class Pair:
         self.near, self.far = (float(v) for v in self.values["volume"])
 
 
-def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, list[float]]:
-    """The call's result, and milliseconds of each of some runs after one that is not counted."""
-    result = call()
-    begin, ms = time.perf_counter(), []
+def timed(call: Callable[[], Any], repeats: int, *, warm: bool = True) -> tuple[Any, list[float]]:
+    """The call's result, and milliseconds of each of some runs, after one that is not counted if ``warm``."""
+    result = call() if warm else None
+    begin = time.perf_counter()
+    ms: list[float] = []
     while len(ms) < repeats and (len(ms) < 3 or time.perf_counter() - begin < _SECONDS):
         start = time.perf_counter()
         result = call()
@@ -46,34 +47,56 @@ def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, list[float]]:
     return result, ms
 
 
-def fringes(pair: Pair, repeats: int) -> list[dict[str, Any]]:
+def fringes(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
     """Wavelength-division multiplexing: three shifts in one colour picture; one frequency, so unwrapped spatially."""
     logging.disable(logging.ERROR)  # it says at every call, rightly, that the phase is only relative
-    from fringes import Fringes
+    import fringes.fringes as module
 
     width, height = pair.projector
-    f = Fringes(X=width, Y=height, axes=1, K=1, N=3, v=pair.periods, WDM=True, reverse=True)
+    f = module.Fringes(X=width, Y=height, axes=1, K=1, N=3, v=pair.periods, WDM=True, reverse=True)
     if f.T != 1 or f.uwr != "spatial":
         raise RuntimeError(f"fringes took other options: {f.T} pictures, unwrapping {f.uwr}")
-    found, ms = timed(lambda: [f.decode(picture) for picture in (pair.left, pair.right)], repeats)
-    phase = found[0].x[0, ..., 0] * (2 * np.pi / float(f.l.ravel()[0]))
-    return [
-        {
-            "name": f"fringes {version('fringes')}",
-            "called": "Fringes(K=1, N=3, WDM=True).decode(picture): numba decoding, scikit-image unwrapping",
-            "key": "fringes",
-            "gives": "relative phase",
-            "ms": ms,
-            "absolute": phase,
-        }
-    ]
+    spent_ms = [0.0]
+    plain = module.spu
+
+    def unwrap(*args: Any, **options: Any) -> Array:
+        start = time.perf_counter()
+        result: Array = plain(*args, **options)
+        spent_ms[0] += 1e3 * (time.perf_counter() - start)
+        return result
+
+    module.spu = unwrap
+    rows = []
+    # Its other unwrapping takes a quarter of a minute on such pictures: once is enough.
+    for name, option, runs in (("scikit-image", "ski", repeats), ("OpenCV", "cv2", 1))[: 1 if quick else 2]:
+        unwrapping: list[float] = []
+
+        def both(option: str = option, unwrapping: list[float] = unwrapping) -> list[Any]:
+            spent_ms[0] = 0.0
+            found = [f.decode(picture, spu_func=option) for picture in (pair.left, pair.right)]
+            unwrapping.append(spent_ms[0])
+            return found
+
+        found, ms = timed(both, runs, warm=runs > 1)
+        rows.append(
+            {
+                "name": f"fringes {version('fringes')}, {name}",
+                "called": f"Fringes(K=1, N=3, WDM=True).decode(picture, spu_func='{option}')",
+                "key": f"fringes_{option}",
+                "gives": "relative phase",
+                "ms": ms,
+                "unwrapping_ms": unwrapping[-len(ms) :],
+                "absolute": found[0].x[0, ..., 0] * (2 * np.pi / float(f.l.ravel()[0])),
+            }
+        )
+    return rows
 
 
-def opencv_phase(pair: Pair, repeats: int) -> list[dict[str, Any]]:
+def opencv_phase(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
     """``structured_light.SinusoidalPattern`` with the three channels as its three pictures.
 
-    Its Fourier step pads to a size that suits it but masks and shifts the unpadded one, reading past the end of the mask
-    (and PSP then fails an assertion): so the pictures are padded here, beforehand.
+    Its Fourier step pads to a size that suits it but masks and shifts the unpadded one, reading past the end of the
+    mask (and PSP then fails an assertion): so the pictures are padded here, beforehand.
     """
     height, width = pair.left.shape[:2]
     down, across = (cv2.getOptimalDFTSize(n) - n for n in (height, width))
@@ -83,7 +106,7 @@ def opencv_phase(pair: Pair, repeats: int) -> list[dict[str, Any]]:
     ]
     size = channels[0][0].shape[::-1]
     rows = []
-    for method in ("FTP", "PSP", "FAPS"):
+    for method in ("FTP", "PSP", "FAPS")[: 2 if quick else 3]:
         options = cv2.structured_light_SinusoidalPattern_Params()
         options.width, options.height = pair.projector
         options.nbrOfPeriods, options.shiftValue = pair.periods, 2 * np.pi / 3
@@ -112,7 +135,7 @@ def opencv_phase(pair: Pair, repeats: int) -> list[dict[str, Any]]:
     return rows
 
 
-def stereo(pair: Pair, repeats: int) -> list[dict[str, Any]]:
+def stereo(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
     """Semi-global block matching of the rectified colour pictures: what one would take without knowing of fringes."""
     v = pair.values
     left, right = (v["left_matrix"], v["left_distortion"]), (v["right_matrix"], v["right_distortion"])
@@ -126,7 +149,8 @@ def stereo(pair: Pair, repeats: int) -> list[dict[str, Any]]:
     ]
     first, count = disparities(pair, r1, p1, p2)
     rows = []
-    for name, mode in (("3WAY", cv2.STEREO_SGBM_MODE_SGBM_3WAY), ("HH", cv2.STEREO_SGBM_MODE_HH)):
+    modes = (("3WAY", cv2.STEREO_SGBM_MODE_SGBM_3WAY), ("HH", cv2.STEREO_SGBM_MODE_HH))
+    for name, mode in modes[: 1 if quick else 2]:
         block, channels = 5, 3
         matcher = cv2.StereoSGBM_create(
             minDisparity=first, numDisparities=count, blockSize=block,
@@ -192,12 +216,14 @@ def on_raw_grid(pair: Pair, disparity: Array, first: int, r1: Array, p1: Array, 
 
 def main() -> None:
     """Run every peer."""
-    source, target, repeats = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    source, target, repeats, threads = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+    quick = "quick" in sys.argv[5:]
+    cv2.setNumThreads(threads)
     pair = Pair(source)
     rows: list[dict[str, Any]] = []
     arrays: dict[str, Array] = {}
     for peer in (fringes, opencv_phase, stereo):
-        for row in peer(pair, repeats):
+        for row in peer(pair, repeats, quick=quick):
             for kind in ("absolute", "cloud"):
                 if kind in row:
                     arrays[f"{kind}_{row['key']}"] = row.pop(kind)

@@ -14,6 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
+
 @dataclass(slots=True)
 class Table:
     """Rows of text under headings; the first column and those named in ``words`` are words, the others figures.
