@@ -1,8 +1,8 @@
-"""``make bench``: our speed, memory, scaling and accuracy, and other people's programs on the same pictures, in one run.
+"""``make bench``: speed, memory, scale and accuracy, and other people's programs on the same pictures, in one run.
 
-Everything is timed one after the other, each of our jobs in a process of its own; medians, other programs on the machine
-show in the spread. Results go to ``out/bench/results.json``, figures beside them; ``--markdown`` writes tables and
-figures into the documents. The exit code is 1 if a promise is not kept.
+Everything is timed one after the other, each of our jobs in a process of its own; medians, other programs on the
+machine show in the spread. Results go to ``out/bench/results.json``, figures beside them; ``--markdown`` writes tables
+and figures into the documents. The exit code is 1 if a promise is not kept.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def main() -> int:
     console = Console(width=None if sys.stdout.isatty() else 160)
     begin = time.monotonic()
     about = machine.describe()
-    tables, figures, promises = [machine.table(about)], {}, []
+    tables: list[Table] = []
+    figures: dict[str, Any] = {}
+    promises: list[tuple[str, bool]] = []
     for name, section in SECTIONS.items():
         if name not in options.only:
             continue
@@ -92,9 +94,11 @@ def main() -> int:
     for what, kept in promises:
         console.print(f"{'kept  ' if kept else 'MISSED'} {what}", highlight=False)
     about["took"] = f"{(time.monotonic() - begin) / 60:.1f} min"
+    tables.insert(0, machine.table(about))
+    tables[0].print(console)
     results = OUT / "results.json"
     write_whole(results, as_json(tables, about, figures))
-    console.print(f"{results}; {about['took']}")
+    console.print(f"{results}")
     plot(results, PICTURES if options.markdown else OUT)
     if options.markdown:
         write_document(DOCUMENT, tables)

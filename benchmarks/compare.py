@@ -130,7 +130,7 @@ def peers(
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "pair.npz", Path(folder) / "found.npz"
         written(shot, case, source)
-        words = [source, target, str(repeats), str(threads), *(["quick"] if quick else [])]
+        words = [str(source), str(target), str(repeats), str(threads), *(["quick"] if quick else [])]
         subprocess.run(
             [PYTHON, ROOT / "benchmarks/peers.py", *words], env=environment(threads), timeout=900, check=True
         )
