@@ -75,6 +75,7 @@ def run(job: Job) -> Timing:
         [sys.executable, "-m", "benchmarks.worker"],
         input=pickle.dumps(job),
         stdout=subprocess.PIPE,
+        cwd=Path(__file__).resolve().parents[1],
         env=environment(job.threads),
         timeout=_LIMIT_S,
         check=True,
@@ -101,7 +102,7 @@ def work(job: Job) -> Timing:
     reconstructor.warm_up()
     ready_s = time.perf_counter() - start
     options: dict[str, Any] = {"every": job.every, "follow": job.follow}
-    shown = _there_and_back(len(pairs))
+    shown = there_and_back(len(pairs))
     for _ in range(2):
         # The first pair sets the projector's correction, and the prior of those that follow.
         reconstructor.reconstruct(*pairs[next(shown)], **options)
@@ -135,7 +136,7 @@ def peak_memory_mib() -> float:
     return int(found[1]) / 1024
 
 
-def _there_and_back(count: int) -> Iterator[int]:
+def there_and_back(count: int) -> Iterator[int]:
     """0, 1 .. count - 1 .. 1, 0, 1 ..: no jump from the last picture to the first."""
     return itertools.cycle([*range(count), *range(count - 2, 0, -1)])
 
