@@ -3,170 +3,207 @@
 A wrapped phase phi leaves the absolute phases phi + 2 pi k. Each is a projector column, which meets the pixel's viewing
 ray at one point; the other camera must see the same phase at that point's image. On a plane, a candidate wrong by m
 periods leaves a residual of 2 pi frac(m rho), rho = baseline left-right over baseline left-projector.
+
+The k-th candidates of a tile of lattice pixels are priced together (see :mod:`pipeline.tiles`).
 """
 
 from __future__ import annotations
 
-from math import exp, floor, pi, sqrt
+from math import pi
 from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import parallel, prange, serial
+from pipeline.kernels import inline, parallel, prange
+from pipeline.tiles import TILE, clamped, decay, root, turns
 
-UNSEEN = 0.5
-_TWO_PI = 2 * pi
+UNSEEN = np.float32(0.5)
+NO_SUCH = np.float32(1000.0)
+"""Price of an order that the pixel cannot have."""
+_OUTSIDE = np.float32(4.0)
+_ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(8)
+_TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20), np.float32(0.4)
 
-
-@serial
-def column_at(table: Any, phase: float) -> float:
-    """Projector coordinate of an absolute phase; ``table`` holds (first phase, step, columns ...) on an even grid."""
-    where = (phase - table[0]) / table[1]
-    last = table.shape[0] - 3
-    if where < 0.0 or where > last:
-        return np.nan
-    i = min(int(where), last - 1)
-    return table[2 + i] + (where - i) * (table[3 + i] - table[2 + i])
-
-
-@serial
-def phase_at(phases: Any, column: float) -> float:
-    """Absolute phase of a projector coordinate by the pattern's own table (value at each column's centre)."""
-    last = phases.shape[0] - 1
-    i = min(max(floor(column), 0), last - 1)
-    return phases[i] + (column - i) * (phases[i + 1] - phases[i])
+# Slots of the scratch array; tables take three each.
+_PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE, _ROW = (k * TILE for k in range(9))
+_ALONG, _ACROSS, _OTHER_U, _OTHER_V = (k * TILE for k in (9, 12, 15, 18))
+_U, _FRACTION, _SEEN, _T0, _T1 = (k * TILE for k in range(21, 26))
+_P0R, _P0I, _P1R, _P1I, _E0R, _E0I, _E1R, _E1I, _M0, _M1 = (k * TILE for k in range(26, 36))
+_COST = 36 * TILE
+SLOTS = 37
 
 
-@serial
-def ratio(c: Any, s: float) -> float:
+@inline
+def value(t: Any, table: int, j: int, s: Any) -> Any:
     """Value of a ray table's entry at s."""
-    return (c[0] + c[1] * s) / (1.0 + c[2] * s)
+    return (t[table + j] + t[table + TILE + j] * s) / (_ONE + t[table + 2 * TILE + j] * s)
 
 
-@serial
-def parameter(c: Any, value: float) -> float:
-    """S at which a ray table's entry takes the value."""
-    return (value - c[0]) / (c[1] - c[2] * value)
+@inline
+def grid_cells(t: Any, k: Any, columns: Any, phase: int) -> None:
+    """Cell (k) and place in it (slot _FRACTION) of phases on the even grid of ``columns``; clamped at the ends."""
+    start, per = columns[0], _ONE / columns[1]
+    last = np.float32(columns.shape[0] - 3)
+    for j in range(TILE):
+        where = clamped((t[phase + j] - start) * per, _ZERO, last - np.float32(1e-3))
+        k[j] = np.int32(where)
+        t[_FRACTION + j] = where - np.float32(k[j])
 
 
-@serial
-def shift_of(correction: Any, along: float, across: float) -> float:
-    """Observed minus calibrated projector coordinate (affine, from self-calibration), projector pixels."""
-    return correction[0] + correction[1] * along + correction[2] * across
+@inline
+def load_nodes(
+    t: Any, nodes: Any, n: int, a: int, i: int, j0: int, step: int, tables: Any, start: Any, stop: Any, phase: Any,
+    phase_eq: Any, phasor: Any, equalized: Any, mean: Any, first: Any, count: Any, labels: int,
+) -> int:  # fmt: skip
+    """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
+
+    The tile's lattice pixels are columns ``nodes[:n]`` of lattice row a, picture columns ``j0 + step b`` of row i.
+    """
+    for table in range(4):
+        for c in range(3):
+            row = tables[table, c, a]
+            for j in range(n):
+                t[_ALONG + (3 * table + c) * TILE + j] = row[np.uint32(nodes[j])]
+    for j in range(n):
+        b = np.uint32(nodes[j])
+        m = np.uint32(j0 + step * nodes[j])
+        t[_PHI + j], t[_BIAS + j] = phase[i, m], phase_eq[i, m]
+        t[_HR + j], t[_HI + j] = phasor[i, np.uint32(2) * m], phasor[i, np.uint32(2) * m + np.uint32(1)]
+        t[_ER + j], t[_EI + j] = equalized[i, np.uint32(2) * m], equalized[i, np.uint32(2) * m + np.uint32(1)]
+        t[_MEAN + j] = mean[i, m]
+        t[_T0 + j], t[_T1 + j] = start[a, b], stop[a, b]
+    for j in range(TILE):
+        phi = t[_PHI + j]
+        low = np.float32(np.ceil((t[_T0 + j] - phi) * _PER_TURN))
+        high = np.float32(np.floor((t[_T1 + j] - phi) * _PER_TURN))
+        t[_T0 + j] = low
+        t[_T1 + j] = clamped(high - low + _ONE, _ZERO, np.float32(labels))
+    most = 0
+    for j in range(n):
+        b = np.uint32(nodes[j])
+        first[b], count[b] = np.int32(t[_T0 + j]), np.int32(t[_T1 + j])
+        most = max(most, count[b])
+    for j in range(TILE):
+        bias = t[_BIAS + j] - t[_PHI + j]
+        t[_BIAS + j] = bias - _TURN * turns(bias)
+        t[_PHI + j] += _TURN * t[_T0 + j]
+        p = _ONE / root(t[_HR + j] * t[_HR + j] + t[_HI + j] * t[_HI + j] + _TINY)
+        e = _ONE / root(t[_ER + j] * t[_ER + j] + t[_EI + j] * t[_EI + j] + _TINY)
+        t[_HR + j] *= p
+        t[_HI + j] *= p
+        t[_ER + j] *= e
+        t[_EI + j] *= e
+        t[_ROW + j] = value(t, _ACROSS, j, _HALF)
+    return most
 
 
-@serial
-def first_order(along: Any, limits: Any, phi: float, phases: Any, correction: Any, across: float) -> tuple[int, int]:
-    """First order and number of orders whose projector coordinate lies in the volume."""
-    u0, u1 = ratio(along, limits[0]), ratio(along, limits[1])
-    low, high = min(u0, u1), max(u0, u1)
-    low += shift_of(correction, low, across)
-    high += shift_of(correction, high, across)
-    last = phases.shape[0] - 1
-    if high < -0.5 or low > last + 0.5:
-        return 0, 0
-    start = phase_at(phases, max(low, -0.5))
-    stop = phase_at(phases, min(high, last + 0.5))
-    k0 = int(np.ceil((start - phi) / _TWO_PI))
-    k1 = int(np.floor((stop - phi) / _TWO_PI))
-    return k0, max(0, k1 - k0 + 1)
+@inline
+def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
+    """Move a tile's first candidates to the orders nearest to the absolute phases ``expected`` of the lattice row.
+
+    Slot _MOVE gets the number of orders after the first, -1 where the expected one cannot be.
+    """
+    for j in range(n):
+        t[_T0 + j] = expected[np.uint32(nodes[j])]
+    for j in range(TILE):
+        ahead = turns(t[_T0 + j] - t[_PHI + j])
+        good = (ahead >= _ZERO) & (ahead < t[_T1 + j])
+        t[_MOVE + j] = ahead if good else -_ONE
+        t[_PHI + j] += _TURN * ahead if good else _ZERO
 
 
-@serial
-def cost_at(
-    x: float, y: float, phasor: Any, equalized: Any, mean: Any, here: Any, here_eq: Any, here_mean: float,
-    floor_sq: float, inv_two_var: float, texture: float, slope_x: float, slope_y: float,
-) -> float:  # fmt: skip
-    """Cost 0 .. about 1.6 of seeing this pixel at (x, y) of the other picture; UNSEEN outside or without fringes."""
-    height, width = mean.shape
-    if not (x >= 1.0 and y >= 1.0 and x < width - 2.0 and y < height - 2.0):
-        return UNSEEN
-    # Linear along the direction in which the phase grows, the nearest pixel across it.
-    if abs(slope_x) >= abs(slope_y):
-        i, j, di, dj = int(y + 0.5), int(x), 0, 1
-        a = x - j
-    else:
-        i, j, di, dj = int(y), int(x + 0.5), 1, 0
-        a = y - i
-    p = (1 - a) * phasor[i, j] + a * phasor[i + di, j + dj]
-    if not p.real * p.real + p.imag * p.imag >= floor_sq:
-        return UNSEEN
-    e = (1 - a) * equalized[i, j] + a * equalized[i + di, j + dj]
-    m = (1 - a) * mean[i, j] + a * mean[i + di, j + dj]
-    # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
-    size = sqrt((p.real * p.real + p.imag * p.imag) * (here.real * here.real + here.imag * here.imag)) + 1e-12
-    plain = 2.0 - 2.0 * (here.real * p.real + here.imag * p.imag) / size
-    size = sqrt((e.real * e.real + e.imag * e.imag) * (here_eq.real * here_eq.real + here_eq.imag * here_eq.imag))
-    equal = 2.0 - 2.0 * (here_eq.real * e.real + here_eq.imag * e.imag) / (size + 1e-12)
-    phase = 1.0 - 0.5 * (exp(-plain * inv_two_var) + exp(-equal * inv_two_var))
-    return phase + texture * min(abs(here_mean - m) / (here_mean + m + 8.0), 0.4)
+@inline
+def price(
+    t: Any, k: Any, order: int, columns: Any, correction: Any, extent: Any, phasor: Any, equalized: Any, mean: Any,
+    width: int, height: int, axis: int, floor_sq: Any, inv: Any, texture: Any,
+) -> None:  # fmt: skip
+    """Cost 0 .. about 1.6 (slot _COST) of the candidates ``order`` after the first of a tile of lattice pixels.
+
+    The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
+    phases and the texture are compared there; UNSEEN outside the other picture or where that has no fringes.
+    ``phasor``, ``equalized`` (flat pairs) and ``mean`` (flat) are the other picture's.
+    """
+    start, stop = columns[0], columns[0] + columns[1] * np.float32(columns.shape[0] - 3)
+    more = _TURN * np.float32(order)
+    for j in range(TILE):
+        absolute = t[_PHI + j] + more
+        with_bias = absolute + t[_BIAS + j]
+        inside = (with_bias >= start) & (with_bias <= stop)
+        t[_T0 + j] = with_bias if inside else absolute
+    grid_cells(t, k, columns, _T0)
+    for j in range(TILE):
+        i = np.uint32(k[j] + 2)
+        t[_T1 + j], t[_U + j] = columns[i], columns[i + np.uint32(1)]
+    c0, c1, c2 = correction[0], correction[1], correction[2]
+    right, bottom = np.float32(width - 2), np.float32(height - 2)
+    along_x = axis == 0
+    for j in range(TILE):
+        u = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
+        u -= c0 + c1 * u + c2 * t[_ROW + j]
+        s = (u - t[_ALONG + j]) / (t[_ALONG + TILE + j] - t[_ALONG + 2 * TILE + j] * u)
+        v = value(t, _ACROSS, j, s)
+        good = (t[_T0 + j] >= start) & (t[_T0 + j] <= stop) & (v >= -_HALF) & (v <= extent - _HALF)
+        t[_COST + j] = _ZERO if good else _OUTSIDE
+        x, y = value(t, _OTHER_U, j, s), value(t, _OTHER_V, j, s)
+        t[_SEEN + j] = _ONE if (x >= _ONE) & (y >= _ONE) & (x < right) & (y < bottom) else _ZERO
+        # Linear along the direction in which the phase grows, the nearest pixel across it.
+        x, y = clamped(x, _ONE, right), clamped(y, _ONE, bottom)
+        x, y = (x, y + _HALF) if along_x else (x + _HALF, y)
+        i, m = np.int32(y), np.int32(x)
+        k[j] = i * np.int32(width) + m
+        t[_FRACTION + j] = x - np.float32(m) if along_x else y - np.float32(i)
+    step = np.uint32(1) if along_x else np.uint32(width)
+    one, two = np.uint32(1), np.uint32(2)
+    for j in range(TILE):
+        i = two * np.uint32(k[j])
+        n = i + two * step
+        t[_P0R + j], t[_P0I + j], t[_P1R + j], t[_P1I + j] = phasor[i], phasor[i + one], phasor[n], phasor[n + one]
+    for j in range(TILE):
+        i = two * np.uint32(k[j])
+        n = i + two * step
+        t[_E0R + j], t[_E0I + j] = equalized[i], equalized[i + one]
+        t[_E1R + j], t[_E1I + j] = equalized[n], equalized[n + one]
+        i = np.uint32(k[j])
+        t[_M0 + j], t[_M1 + j] = mean[i], mean[i + step]
+    for j in range(TILE):
+        f = t[_FRACTION + j]
+        re, im = t[_P0R + j] + f * (t[_P1R + j] - t[_P0R + j]), t[_P0I + j] + f * (t[_P1I + j] - t[_P0I + j])
+        size = re * re + im * im
+        plain = (t[_HR + j] * re + t[_HI + j] * im) / root(size + _TINY)
+        er, ei = t[_E0R + j] + f * (t[_E1R + j] - t[_E0R + j]), t[_E0I + j] + f * (t[_E1I + j] - t[_E0I + j])
+        equal = (t[_ER + j] * er + t[_EI + j] * ei) / root(er * er + ei * ei + _TINY)
+        there, here = t[_M0 + j] + f * (t[_M1 + j] - t[_M0 + j]), t[_MEAN + j]
+        # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
+        cost = _ONE - _HALF * (decay((_TWO - _TWO * plain) * inv) + decay((_TWO - _TWO * equal) * inv))
+        cost += texture * min(abs(here - there) / (here + there + _EIGHT), _MOST)
+        seen = (t[_SEEN + j] > _ZERO) & (size >= floor_sq) & (cost == cost)
+        cost = cost if seen else UNSEEN
+        t[_COST + j] = cost if t[_COST + j] == _ZERO else _OUTSIDE
 
 
 @parallel
-def candidate_costs(
-    rows: Any, columns: Any, along: Any, across: Any, other_u: Any, other_v: Any, limits: Any,
-    phasor: Any, equalized: Any, mean: Any, valid: Any, phase: Any, phase_eq: Any,
-    other_phasor: Any, other_equalized: Any, other_mean: Any,
-    table: Any, phases: Any, correction: Any, extent: float, labels: int,
-    floor_sq: float, cost_sigma: float, texture: float, slope_x: float, slope_y: float,
-) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Costs of all candidates of all lattice pixels.
+def order_limits(along: Any, across: Any, limits: Any, phases: Any, correction: Any, start: Any, stop: Any) -> None:
+    """Absolute phases (h, w) float32 between which a lattice pixel's lie, from its range of s; stop < start: none.
 
-    Two positions are tried for a candidate, that of the pointwise and that of the equalised phase, because either may
-    be biased (see :mod:`pipeline.equalize`): each is compared with the same kind in the other picture.
-
-    Returns:
-        costs (h, w, labels) float32, large where there is no such candidate; first order (h, w) int16;
-        number of candidates (h, w) int16, 0 where the pixel is unknown.
+    Args:
+        along, across: (3, h, w) ray tables; limits: (2, h, w) range of s.
+        phases: absolute phase at each projector coordinate; correction: see :mod:`pipeline.self_calibration`.
     """
-    h, w = rows.shape[0], columns.shape[0]
-    costs = np.full((h, w, labels), np.float32(4.0))
-    first = np.zeros((h, w), np.int16)
-    count = np.zeros((h, w), np.int16)
-    inv = 1.0 / (2.0 * cost_sigma * cost_sigma)
-    for a in prange(h):
-        i = rows[a]
-        for b in range(w):
-            j = columns[b]
-            if not valid[i, j]:
+    last = phases.shape[0] - 1
+    for a in prange(start.shape[0]):
+        for b in range(start.shape[1]):
+            row = (across[0, a, b] + across[1, a, b] * 0.5) / (1.0 + across[2, a, b] * 0.5)
+            ends = np.empty(2)
+            for e in range(2):
+                s = limits[e, a, b]
+                u = (along[0, a, b] + along[1, a, b] * s) / (1.0 + along[2, a, b] * s)
+                ends[e] = u + correction[0] + correction[1] * u + correction[2] * row
+            low, high = min(ends[0], ends[1]), max(ends[0], ends[1])
+            if high < -0.5 or low > last + 0.5:
+                start[a, b], stop[a, b] = np.float32(0.0), np.float32(-100.0)
                 continue
-            p, e = phasor[i, j], equalized[i, j]
-            phi, phi_e = phase[i, j], phase_eq[i, j]
-            bias = phi_e - phi
-            bias -= _TWO_PI * np.rint(bias / _TWO_PI)
-            row = ratio(across[a, b], 0.5)
-            k0, n = first_order(along[a, b], limits[a, b], phi, phases, correction, row)
-            n = min(n, labels)
-            first[a, b], count[a, b] = k0, n
-            for k in range(n):
-                absolute = phi + _TWO_PI * (k0 + k)
-                costs[a, b, k] = candidate_cost(
-                    absolute, absolute + bias, along[a, b], across[a, b], other_u[a, b], other_v[a, b], p, e,
-                    mean[i, j], other_phasor, other_equalized, other_mean, table, correction, extent, row,
-                    floor_sq, inv, texture, slope_x, slope_y,
-                )  # fmt: skip
-    return costs, first, count
-
-
-@serial
-def candidate_cost(
-    absolute: float, absolute_eq: float, along: Any, across: Any, other_u: Any, other_v: Any, here: Any, here_eq: Any,
-    here_mean: float, other_phasor: Any, other_equalized: Any, other_mean: Any, table: Any, correction: Any,
-    extent: float, row: float, floor_sq: float, inv: float, texture: float,
-    slope_x: float, slope_y: float,
-) -> float:  # fmt: skip
-    """Cost of one absolute phase of one pixel."""
-    # The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces.
-    u = column_at(table, absolute_eq)
-    if u != u:
-        u = column_at(table, absolute)
-    if u != u:
-        return 4.0
-    s = parameter(along, u - shift_of(correction, u, row))
-    v = ratio(across, s)
-    if v < -0.5 or v > extent - 0.5:
-        return 4.0
-    return cost_at(
-        ratio(other_u, s), ratio(other_v, s), other_phasor, other_equalized, other_mean, here, here_eq, here_mean,
-        floor_sq, inv, texture, slope_x, slope_y,
-    )  # fmt: skip
+            ends[0], ends[1] = max(low, -0.5), min(high, last + 0.5)
+            for e in range(2):
+                i = min(max(int(np.floor(ends[e])), 0), last - 1)
+                ends[e] = phases[i] + (ends[e] - i) * (phases[i + 1] - phases[i])
+            start[a, b], stop[a, b] = ends[0], ends[1]

@@ -10,7 +10,7 @@ A phasor ``C + i S`` is kept rather than its angle: it can be interpolated, the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from math import sqrt
 from typing import Any
 
@@ -51,6 +51,11 @@ class PhaseMap:
     phase_eq: F32
     modulation: NDArray[np.uint8]
     valid: NDArray[np.bool_]
+
+    def every(self, step: int) -> PhaseMap:
+        """Every n-th pixel of every n-th row, copied."""
+        planes = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "clipped"}
+        return replace(self, **{name: np.ascontiguousarray(p[::step, ::step]) for name, p in planes.items()})
 
 
 class Decoder:

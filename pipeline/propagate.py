@@ -7,89 +7,215 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.candidates import column_at, parameter, ratio, shift_of
-from pipeline.kernels import parallel, prange
+from pipeline.kernels import parallel, prange, serial
 
-NONE = -32768
-_TWO_PI = 2 * pi
+NONE = np.int16(-32768)
+_TWO_PI = np.float32(2 * pi)
+_PER_TURN = np.float32(1 / (2 * pi))
+_NAN, _ZERO, _HALF, _ONE = np.float32(np.nan), np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_FARTHEST = np.float32(2.2)
+"""Deviation, radians, from which no lattice pixel is followed."""
+_PER_PIXEL = np.float32(0.15)
+"""What a pixel of distance counts beside that deviation, radians."""
+_STRIPS = 8
+
+
+@serial
+def _flattened(order: Any, i: int, left: int, step: int, phase: Any, slope_x: Any, slope_y: Any, out: Any) -> None:
+    """Absolute phase of a lattice row's pixels less the expected slope, NaN where undecided."""
+    down = slope_y * np.float32(i)
+    for b in range(out.shape[0]):
+        j = np.uint32(left + step * b)
+        value = phase[i, j] + _TWO_PI * np.float32(order[b]) - slope_x * np.float32(j) - down
+        out[b] = value if order[b] != NONE else _NAN
+
+
+@serial
+def _projector_places(
+    order: Any, phase: Any, phase_eq: Any, first: Any, per_step: Any, last: Any, absolute: Any, index: Any, part: Any
+) -> None:  # fmt: skip
+    """Absolute phases, and where in the table of projector coordinates they lie (integer and rest; NaN outside).
+
+    The equalised phase places a pixel; the pointwise one does where that falls off the table.
+    """
+    for b in range(absolute.shape[0]):
+        plain = phase[b] + _TWO_PI * np.float32(order[b])
+        bias = phase_eq[b] - phase[b]
+        bias -= _TWO_PI * np.rint(bias * _PER_TURN)
+        x, spare = (plain + bias - first) * per_step, (plain - first) * per_step
+        x = x if (x >= _ZERO) & (x <= last) else spare
+        inside = (x >= _ZERO) & (x <= last)
+        safe = x if inside else _ZERO
+        whole = np.int32(safe)
+        whole = whole if whole < np.int32(last) else np.int32(last) - np.int32(1)
+        absolute[b], index[b] = plain, whole
+        part[b] = x - np.float32(whole) if inside else _NAN
+
+
+@serial
+def _parameters(low: Any, high: Any, part: Any, along: Any, across: Any, shift: Any, out: Any) -> None:
+    """Parameter s on each ray at which it meets its projector coordinate, low + part (high - low)."""
+    for b in range(out.shape[0]):
+        u = low[b] + part[b] * (high[b] - low[b])
+        v = (across[0, b] + across[1, b] * _HALF) / (_ONE + across[2, b] * _HALF)
+        u -= shift[0] + shift[1] * u + shift[2] * v
+        out[b] = (u - along[0, b]) / (along[1, b] - along[2, b] * u)
+
+
+@serial
+def _ratios(c: Any, s: Any, out: Any) -> None:
+    for b in range(out.shape[0]):
+        out[b] = (c[0, b] + c[1, b] * s[b]) / (_ONE + c[2, b] * s[b])
+
+
+@serial
+def _nearest(place: Any, first: Any, per_step: Any, count: int, out: Any) -> None:
+    """Number of the lattice pixel nearest to a place, -1 more than one step outside."""
+    most = np.float32(count)
+    for b in range(out.shape[0]):
+        x = np.rint((place[b] - first) * per_step)
+        inside = (x >= -_ONE) & (x <= most)
+        out[b] = np.int32(x if inside else _ZERO) if inside else np.int32(-9)
 
 
 @parallel
 def cross_check(
-    order: Any, rows: Any, columns: Any, along: Any, across: Any, other_u: Any, other_v: Any,
-    phase: Any, phase_eq: Any, other_order: Any, other_rows: Any, other_columns: Any, other_phase: Any,
-    table: Any, correction: Any, slope_x: float, slope_y: float, limit: float,
-) -> Any:  # fmt: skip
+    order: Any, top: int, down: int, left: int, step: int, tables: Any, phase: Any, phase_eq: Any,
+    other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int, other_phase: Any,
+    table: Any, shift: Any, slope_x: Any, slope_y: Any, limit: Any, kept: Any,
+) -> None:  # fmt: skip
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
 
-    ``slope_x`` and ``slope_y`` are the other picture's expected phase steps per pixel.
+    Args:
+        order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the picture.
+        tables: (4, 3, h, w), see :class:`pipeline.tables.RayTable`; phase, phase_eq: of this picture.
+        other_order .. other_phase: the same of the other camera.
+        table: even-grid table phase -> projector coordinate; shift: the column correction; all float32.
+        slope_x, slope_y: the other picture's expected phase steps per pixel.
     """
     h, w = order.shape
-    kept = np.full((h, w), np.int16(NONE))
-    r0, c0 = other_rows[0], other_columns[0]
-    dr, dc = other_rows[1] - other_rows[0], other_columns[1] - other_columns[0]
+    n, m = other_order.shape
+    # A border of two undecided pixels all around spares the tests for the lattice's end.
+    seen = np.empty((n + 4, m + 4), np.float32)
+    for p in prange(n + 4):
+        seen[p, :] = _NAN
+        if 2 <= p < n + 2:
+            _flattened(other_order[p - 2], other_top + other_down * (p - 2), other_left, other_step, other_phase,
+                       slope_x, slope_y, seen[p, 2 : m + 2])  # fmt: skip
+    first, per_step = table[0], _ONE / table[1]
+    last = np.float32(table.shape[0] - 3)
+    r0, c0 = np.float32(other_top), np.float32(other_left)
+    per_row, per_column = _ONE / np.float32(other_down), _ONE / np.float32(other_step)
     for a in prange(h):
+        floats = np.empty((9, w), np.float32)
+        here, here_eq, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
+        s, x, y = floats[6], floats[7], floats[8]
+        index, p, q = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.int32)
+        i = top + down * a
         for b in range(w):
-            if order[a, b] == NONE:
+            j = np.uint32(left + step * b)
+            here[b], here_eq[b] = phase[i, j], phase_eq[i, j]
+        _projector_places(order[a], here, here_eq, first, per_step, last, absolute, index, part)
+        for b in range(w):
+            k = np.uint32(index[b] + 2)
+            low[b], high[b] = table[k], table[k + np.uint32(1)]
+        _parameters(low, high, part, tables[0, :, a], tables[1, :, a], shift, s)
+        _ratios(tables[2, :, a], s, x)
+        _ratios(tables[3, :, a], s, y)
+        _nearest(y, r0, per_row, n, p)
+        _nearest(x, c0, per_column, m, q)
+        for b in range(w):
+            absolute[b] -= slope_x * x[b] + slope_y * y[b]
+        for b in range(w):
+            kept[a, b] = NONE
+            if order[a, b] == NONE or p[b] < -1 or q[b] < -1:
                 continue
-            i, j = rows[a], columns[b]
-            absolute = phase[i, j] + _TWO_PI * order[a, b]
-            bias = phase_eq[i, j] - phase[i, j]
-            bias -= _TWO_PI * np.rint(bias / _TWO_PI)
-            u = column_at(table, absolute + bias)
-            if u != u:
-                u = column_at(table, absolute)
-            s = parameter(along[a, b], u - shift_of(correction, u, ratio(across[a, b], 0.5)))
-            x, y = ratio(other_u[a, b], s), ratio(other_v[a, b], s)
-            if not (x == x and y == y):
-                continue
-            p, q = int(np.rint((y - r0) / dr)), int(np.rint((x - c0) / dc))
-            good = False
-            for dp in range(-1, 2):
-                for dq in range(-1, 2):
-                    pp, qq = p + dp, q + dq
-                    if pp < 0 or qq < 0 or pp >= other_order.shape[0] or qq >= other_order.shape[1]:
-                        continue
-                    if other_order[pp, qq] == NONE:
-                        continue
-                    oi, oj = other_rows[pp], other_columns[qq]
-                    seen = other_phase[oi, oj] + _TWO_PI * other_order[pp, qq]
-                    if abs(seen - absolute - slope_x * (oj - x) - slope_y * (oi - y)) < limit:
-                        good = True
+            # The middle first: it nearly always decides.
+            row, column, value = np.uint32(p[b] + 1), np.uint32(q[b] + 1), absolute[b]
+            good = abs(seen[row + np.uint32(1), column + np.uint32(1)] - value) < limit
+            for t in range(9):
+                if good:
+                    break
+                good = abs(seen[row + np.uint32(t // 3), column + np.uint32(t % 3)] - value) < limit
             if good:
                 kept[a, b] = order[a, b]
-    return kept
+
+
+@serial
+def _widened(node: Any, step: int, before: int, out: Any) -> None:
+    """Each lattice pixel's value at the columns up to the next one, from ``before`` on; NaN elsewhere."""
+    out[:] = _NAN
+    for b in range(node.shape[0]):
+        for t in range(step):
+            out[before + b * step + t] = node[b]
+
+
+@serial
+def _least_deviating(
+    here: Any, valid: Any, upper: Any, upper_next: Any, lower: Any, lower_next: Any, away: Any, away_next: Any,
+    down: Any, up: Any, out: Any,
+) -> None:  # fmt: skip
+    """Orders of a row from its four lattice neighbours; ``here`` is the expected slope less the phase."""
+    for j in range(out.shape[0]):
+        turn, least = np.float32(-32768.0), _FARTHEST
+        x = upper[j] + here[j]
+        m = np.rint(x * _PER_TURN)
+        deviation = abs(x - _TWO_PI * m) + (away[j] + down)
+        turn, least = (m if deviation < least else turn), (deviation if deviation < least else least)
+        x = upper_next[j] + here[j]
+        m = np.rint(x * _PER_TURN)
+        deviation = abs(x - _TWO_PI * m) + (away_next[j] + down)
+        turn, least = (m if deviation < least else turn), (deviation if deviation < least else least)
+        x = lower[j] + here[j]
+        m = np.rint(x * _PER_TURN)
+        deviation = abs(x - _TWO_PI * m) + (away[j] + up)
+        turn, least = (m if deviation < least else turn), (deviation if deviation < least else least)
+        x = lower_next[j] + here[j]
+        m = np.rint(x * _PER_TURN)
+        deviation = abs(x - _TWO_PI * m) + (away_next[j] + up)
+        turn = m if deviation < least else turn
+        out[j] = np.int16(np.int32(turn)) if valid[j] else NONE
 
 
 @parallel
-def spread(order: Any, rows: Any, columns: Any, phase: Any, valid: Any, slope_x: float, slope_y: float) -> Any:
-    """Order of every pixel (H, W) int16 from the lattice pixels around it.
+def spread(
+    order: Any, top: int, down: int, left: int, step: int, phase: Any, valid: Any, slope_x: Any, slope_y: Any, out: Any
+) -> None:
+    """Order of every pixel, ``out`` (H, W) int16, from the lattice pixels around it.
 
     Among the (up to four) decided neighbours the one whose phase continues to this pixel with the least deviation is
-    followed; a pixel without any stays unknown.
+    followed; a pixel without any stays unknown. Arguments as in :func:`cross_check`.
     """
     height, width = phase.shape
     h, w = order.shape
-    out = np.full((height, width), np.int16(NONE))
-    dr, dc = rows[1] - rows[0], columns[1] - columns[0]
-    for i in prange(height):
-        a0 = (i - rows[0]) // dr
+    lowest = (0 - top) // down
+    strips = (height - 1 - top) // down - lowest + 1
+    before = step * ((left + step - 1) // step)
+    offset = before - left
+    for block in prange((strips + _STRIPS - 1) // _STRIPS):
+        node = np.empty(w, np.float32)
+        wide = np.empty((2, max(width + offset, before + w * step) + step), np.float32)
+        here = np.empty(width, np.float32)
+        away, away_next = np.empty(width, np.float32), np.empty(width, np.float32)
         for j in range(width):
-            if not valid[i, j]:
+            past = (j - left) % step
+            away[j], away_next[j] = _PER_PIXEL * np.float32(past), _PER_PIXEL * np.float32(step - past)
+        start = lowest + block * _STRIPS
+        for a in range(start, min(start + _STRIPS, lowest + strips) + 1):
+            # Lattice row a closes the strip that row a - 1 opens.
+            if 0 <= a < h:
+                _flattened(order[a], top + down * a, left, step, phase, slope_x, slope_y, node)
+                _widened(node, step, before, wide[a % 2])
+            else:
+                wide[a % 2, :] = _NAN
+            if a == start:
                 continue
-            b0 = (j - columns[0]) // dc
-            least = 2.2
-            for a in range(a0, a0 + 2):
-                if a < 0 or a >= h:
-                    continue
-                for b in range(b0, b0 + 2):
-                    if b < 0 or b >= w or order[a, b] == NONE:
-                        continue
-                    di, dj = i - rows[a], j - columns[b]
-                    expected = phase[rows[a], columns[b]] + _TWO_PI * order[a, b] + slope_x * dj + slope_y * di
-                    m = np.rint((expected - phase[i, j]) / _TWO_PI)
-                    away = abs(phase[i, j] + _TWO_PI * m - expected) + 0.15 * (abs(di) + abs(dj))
-                    if away < least:
-                        least = away
-                        out[i, j] = np.int16(m)
-    return out
+            upper, lower = wide[(a + 1) % 2, offset:], wide[a % 2, offset:]
+            above = top + (a - 1) * down
+            for i in range(max(above, 0), min(above + down, height)):
+                for j in range(width):
+                    here[j] = slope_x * np.float32(j) + slope_y * np.float32(i) - phase[i, j]
+                _least_deviating(
+                    here, valid[i], upper, upper[step:], lower, lower[step:], away, away_next,
+                    _PER_PIXEL * np.float32(i - above), _PER_PIXEL * np.float32(above + down - i), out[i],
+                )  # fmt: skip

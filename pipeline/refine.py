@@ -1,197 +1,305 @@
 """Sub-pixel match along the epipolar curve, and the point.
 
 For a left pixel with a known order the right camera must see the same pointwise phase at the image of the point. The
-unknown is one number, s, the place on the pixel's viewing ray; a quasi-Newton iteration on the phases finds it.
-Because the match is sought along the ray's own epipolar curve, by both full camera models, the four linear
+unknown is one number, the inverse depth w = 1/z on the pixel's viewing ray; a quasi-Newton iteration on the phases
+finds it. Because the match is sought along the ray's own epipolar curve, by both full camera models, the four linear
 equations of the two views (see :mod:`pipeline.triangulate`) agree there: the point on the ray is their solution.
+
+Everything is done for tiles of one picture row (see :mod:`pipeline.tiles`).
 """
 
 from __future__ import annotations
 
-from math import atan2, pi, sqrt
 from typing import Any
 
 import numpy as np
 
-from pipeline.candidates import column_at, parameter, phase_at, shift_of
-from pipeline.kernels import parallel, prange, project, serial
+from pipeline.kernels import inline, parallel, prange
+from pipeline.tiles import TILE, angle, clamped, root, turns
 
-_TWO_PI = 2 * pi
-_STEPS = 6
-_COHERENCE = 0.4
+_COHERENCE_SQ = np.float32(0.16)
+_STEPS = 2
+_ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
+_TURN, _TINY = np.float32(2 * np.pi), np.float32(1e-20)
 
-
-@serial
-def _inside(phasor: Any, x: float, y: float) -> bool:
-    height, width = phasor.shape
-    return x >= 1.0 and y >= 1.0 and x < width - 2.0 and y < height - 2.0
-
-
-@serial
-def _sample(phasor: Any, x: float, y: float) -> tuple[float, float]:
-    """Real and imaginary part of the phasor, bilinear; 0 outside."""
-    if not _inside(phasor, x, y):
-        return 0.0, 0.0
-    i, j = np.uint32(y), np.uint32(x)
-    b, a = y - i, x - j
-    w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    p00, p01 = phasor[i, j], phasor[i, j + np.uint32(1)]
-    p10, p11 = phasor[i + np.uint32(1), j], phasor[i + np.uint32(1), j + np.uint32(1)]
-    re = w00 * p00.real + w01 * p01.real + w10 * p10.real + w11 * p11.real
-    im = w00 * p00.imag + w01 * p01.imag + w10 * p10.imag + w11 * p11.imag
-    return re, im
+# Slots of the scratch array.
+_RE, _IM, _PHI, _BIAS, _RX, _RY = (k * TILE for k in range(6))
+_W, _X, _Y, _EX, _EY = (k * TILE for k in range(6, 11))
+_FRACTION, _ACROSS = (k * TILE for k in range(11, 13))
+_AR, _AI, _BR, _BI, _SQ, _VAR = (k * TILE for k in range(13, 19))
+_OK, _SLOPE, _T0, _T1, _U, _V = (k * TILE for k in range(19, 25))
+_SLOTS = 25
 
 
-@serial
-def _coherent(phasor: Any, x: float, y: float, re: float, im: float) -> bool:
-    """Whether the four neighbours agree in phase with their mean (re, im): else (x, y) lies on a break."""
-    i, j = np.uint32(y), np.uint32(x)
-    b, a = y - i, x - j
-    one = np.uint32(1)
-    p00, p01, p10, p11 = phasor[i, j], phasor[i, j + one], phasor[i + one, j], phasor[i + one, j + one]
-    # The mean square is at least the square of the mean modulus: a slightly stricter test without four roots.
-    square = (
-        (1 - a) * (1 - b) * (p00.real * p00.real + p00.imag * p00.imag)
-        + a * (1 - b) * (p01.real * p01.real + p01.imag * p01.imag)
-        + (1 - a) * b * (p10.real * p10.real + p10.imag * p10.imag)
-        + a * b * (p11.real * p11.real + p11.imag * p11.imag)
-    )
-    return re * re + im * im > _COHERENCE * _COHERENCE * square
+@inline
+def _ray(t: Any, d: Any, j: int) -> tuple[Any, Any, Any]:
+    """Direction of the pixel's ray in a device's frame."""
+    rx, ry = t[_RX + j], t[_RY + j]
+    return d[0] * rx + d[1] * ry + d[2], d[4] * rx + d[5] * ry + d[6], d[8] * rx + d[9] * ry + d[10]
 
 
-@serial
-def _angle(c: float, s: float) -> float:
-    """Angle of (c, s); a polynomial (Abramowitz and Stegun 4.4.49, error below 2e-8) up to 45 degrees."""
-    if not abs(s) < c:
-        return atan2(s, c)
-    t = s / c
-    q = t * t
-    p = 0.0429096138 + q * (-0.0161657367 + q * 0.0028662257)
-    p = -0.1420889944 + q * (0.1065626393 + q * (-0.0752896400 + q * p))
-    return t * (1.0 + q * (-0.3333314528 + q * (0.1999355085 + q * p)))
+@inline
+def _pixel(d: Any, ax: Any, ay: Any, az: Any, w: Any) -> tuple[Any, Any]:
+    """Pixel of the point at inverse depth w of a ray; ``d`` as :func:`pipeline.tables.packed`, float32."""
+    inv = _ONE / (az + d[11] * w)
+    a, b = (ax + d[3] * w) * inv, (ay + d[7] * w) * inv
+    aa, bb, ab = a * a, b * b, a * b
+    r2 = aa + bb
+    radial = _ONE + r2 * (d[17] + r2 * (d[18] + r2 * d[21]))
+    xd = a * radial + _TWO * d[19] * ab + d[20] * (r2 + _TWO * aa)
+    yd = b * radial + d[19] * (r2 + _TWO * bb) + _TWO * d[20] * ab
+    return d[12] * xd + d[13] * yd + d[14], d[15] * yd + d[16]
 
 
-@serial
-def _slope(phasor: Any, x: float, y: float, hx: float, hy: float) -> float:
-    """Change of the phase from (x, y) - (hx, hy) to (x, y) + (hx, hy), radians."""
-    ar, ai = _sample(phasor, x - hx, y - hy)
-    br, bi = _sample(phasor, x + hx, y + hy)
-    return _angle(ar * br + ai * bi, ar * bi - ai * br)
+@inline
+def _columns(t: Any, k: Any, columns: Any) -> None:
+    """Projector coordinate (slot _U) of the absolute phase in slot _T0; ``columns`` is an even grid."""
+    start, per = columns[0], _ONE / columns[1]
+    last = columns.shape[0] - 3
+    for j in range(TILE):
+        where = clamped((t[_T0 + j] - start) * per, _ZERO, np.float32(last) - np.float32(1e-3))
+        k[j] = np.int32(where)
+        t[_FRACTION + j] = where - np.float32(k[j])
+    for j in range(TILE):
+        i = np.uint32(k[j] + 2)
+        t[_T1 + j] = columns[i]
+        t[_U + j] = columns[i + np.uint32(1)]
+    for j in range(TILE):
+        t[_U + j] = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
 
 
-@serial
-def _coefficients(table: Any, rows: Any, columns: Any, i: int, j: int, out: Any) -> None:
-    """Ray table's entry at any pixel, bilinear between lattice pixels (the entries vary smoothly)."""
-    dr, dc = rows[1] - rows[0], columns[1] - columns[0]
-    y = min(max((i - rows[0]) / dr, 0.0), rows.shape[0] - 1.001)
-    x = min(max((j - columns[0]) / dc, 0.0), columns.shape[0] - 1.001)
-    a, b = int(y), int(x)
-    fy, fx = y - a, x - b
-    for k in range(3):
-        top = (1 - fx) * table[a, b, k] + fx * table[a, b + 1, k]
-        out[k] = (1 - fy) * top + fy * ((1 - fx) * table[a + 1, b, k] + fx * table[a + 1, b + 1, k])
+@inline
+def _meet(t: Any, d: Any, axis: int, correction: Any) -> None:
+    """Inverse depth (slot _W) at which the ray meets the projector coordinate of slot _U.
+
+    The pinhole solution, then one step that takes the lens in.
+    """
+    o = 4 * axis
+    f, skew, c = (d[12], d[13], d[14]) if axis == 0 else (d[15], _ZERO, d[16])
+    c1, c2 = correction[1], correction[2]
+    for j in range(TILE):
+        ax, ay, az = _ray(t, d, j)
+        along, across = (ax, ay) if axis == 0 else (ay, ax)
+        u = t[_U + j] - (correction[0] + c1 * t[_U + j])
+        top = f * along + skew * across + c * az
+        move = f * d[3 + o] + skew * d[7] + c * d[11]
+        w = (top - u * az) / (u * d[11] - move)
+        pu, pv = _pixel(d, ax, ay, az, w)
+        inv = _ONE / (az + d[11] * w)
+        pinhole = (top + move * w) * inv
+        seen, other = (pu, pv) if axis == 0 else (pv, pu)
+        u = u - c2 * other + pinhole - seen
+        t[_W + j] = (top - u * az) / (u * d[11] - move)
+
+
+@inline
+def _cells(t: Any, k: Any, along: int, across: int, width: int, height: int) -> None:
+    """Cell of the other picture (flat index) and the place in it of the pixels in slots _X, _Y."""
+    right, bottom = np.float32(width) - np.float32(2.01), np.float32(height) - np.float32(2.01)
+    for j in range(TILE):
+        x, y = clamped(t[_X + j], _ONE, right), clamped(t[_Y + j], _ONE, bottom)
+        i, m = np.int32(y), np.int32(x)
+        k[j] = i * np.int32(width) + m
+        fx, fy = x - np.float32(m), y - np.float32(i)
+        t[_FRACTION + j] = fx if along == 1 else fy
+        t[_ACROSS + j] = fy if along == 1 else fx
+
+
+@inline
+def _fetch(t: Any, k: Any, other: Any, along: int, across: int) -> None:
+    """Phasors at both ends of the cells along the growth of the phase, linear across; ``other`` flat (re, im) pairs."""
+    one, step, beside = np.uint32(1), np.uint32(2 * along), np.uint32(2 * across)
+    for j in range(TILE):
+        i = np.uint32(2 * k[j])
+        f = t[_ACROSS + j]
+        a, b, c, d = other[i], other[i + one], other[i + step], other[i + step + one]
+        n = i + beside
+        t[_AR + j] = a + f * (other[n] - a)
+        t[_AI + j] = b + f * (other[n + one] - b)
+        t[_BR + j] = c + f * (other[n + step] - c)
+        t[_BI + j] = d + f * (other[n + step + one] - d)
+
+
+@inline
+def _error(t: Any, j: int) -> tuple[Any, Any, Any, Any]:
+    """Phase of the other picture minus this one's; the interpolated phasor; the phase's step across the cell."""
+    ar, ai, br, bi = t[_AR + j], t[_AI + j], t[_BR + j], t[_BI + j]
+    f = t[_FRACTION + j]
+    re, im = ar + f * (br - ar), ai + f * (bi - ai)
+    hr, hi = t[_RE + j], t[_IM + j]
+    return angle(re * hr + im * hi, im * hr - re * hi), re, im, angle(ar * br + ai * bi, ar * bi - ai * br)
 
 
 @parallel
 def refine(
-    order: Any, rows: Any, columns: Any, along: Any, rays: Any, phase: Any, phase_eq: Any, phasor: Any, variance: Any,
-    other_phasor: Any, other_variance: Any, device: Any, projector: Any, first_axis: int, base: float, span: float,
-    table: Any, phases: Any, correction: Any, floor_sq: float, correlation: float,
-) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
-    """Match and locate every pixel that has an order.
+    order: Any, rays_x: Any, rays_y: Any, phase: Any, phase_eq: Any, phasor: Any, variance: Any,
+    other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
+    columns: Any, phases: Any, correction: Any, floor_sq: float, correlation: float, out: Any,
+) -> None:  # fmt: skip
+    """Match and locate every pixel that has an order; all arrays float32 unless said.
 
     Args:
-        order: (H, W) int16; rays: (H, W, 2) float32 ideal normalised points of the pixels.
-        device, projector: packed models of the other camera and the projector.
-        base, span: 1/z = base + span s.
+        order: (H, W) int16; rays_x, rays_y: (H, W) ideal normalised points of the pixels.
+        phasor, other: (H, W) complex64 seen as (H, 2 W) float32: real, imaginary.
+        device, projector: packed models of the other camera and the projector; axis: 0 = phase grows along u.
+        base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
+        columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate.
         correlation: of neighbouring phases' noise in the other picture (0 pointwise, more after a window fit).
-
-    Returns:
-        depth (H, W) float32 mm, NaN where there is no match; sigma (H, W) float32 mm along the ray;
-        match (H, W, 2) float32 pixel in the other picture; projector coordinate (H, W, 2) float32 (u, v);
-        residual (H, W, 2) float32: absolute phase minus the projector's phase at the point, equalised and pointwise.
+        out: :class:`pipeline.located.Located`, written.
     """
     height, width = order.shape
-    depth = np.full((height, width), np.float32(np.nan))
-    sigma = np.full((height, width), np.float32(np.nan))
-    match = np.full((height, width, 2), np.float32(np.nan))
-    source = np.full((height, width, 2), np.float32(np.nan))
-    residual = np.full((height, width, 2), np.float32(np.nan))
+    other_height, other_width = other_variance.shape
+    flat, flat_variance = other.reshape(-1), other_variance.reshape(-1)
+    along, across = (1, other_width) if axis == 0 else (other_width, 1)
+    tiles = (width + TILE - 1) // TILE
+    last_phase = phases.shape[0] - 1
+    delta = np.float32(0.01 * span)
+    loss = _TWO * (_ONE - correlation)
     for i in prange(height):
-        c = np.empty(3)
-        for j in range(width):
-            if order[i, j] == -32768:
+        t, k = np.zeros(_SLOTS * TILE, np.float32), np.zeros(TILE, np.int32)
+        for tile in range(tiles):
+            j0 = tile * TILE
+            n = min(TILE, width - j0)
+            found = 0
+            row = order[i, j0 : j0 + n]
+            for j in range(n):
+                active = row[j] != -32768
+                found += active
+                t[_OK + j] = _ONE if active else _ZERO
+            known = out.known[i, j0 : j0 + n]
+            if found == 0:
+                known[:] = 0
                 continue
-            absolute = phase[i, j] + _TWO_PI * order[i, j]
-            bias = phase_eq[i, j] - phase[i, j]
-            bias -= _TWO_PI * np.rint(bias / _TWO_PI)
-            u = column_at(table, absolute + bias)
-            if u != u:
-                u = column_at(table, absolute)
-            if u != u:
-                continue
-            _coefficients(along, rows, columns, i, j, c)
-            # The term across is small and only the start: the iteration forgets it.
-            s = parameter(c, u - shift_of(correction, u, 0.0))
-            rx, ry = np.float64(rays[i, j, 0]), np.float64(rays[i, j, 1])
-            here = phasor[i, j]
-            # Direction of the epipolar curve and the phase's slope along it, once.
-            z = 1.0 / (base + span * s)
-            x, y = project(device, rx * z, ry * z, z)
-            z = 1.0 / (base + span * (s + 0.002))
-            x1, y1 = project(device, rx * z, ry * z, z)
-            ex, ey = (x1 - x) / 0.002, (y1 - y) / 0.002
-            speed = sqrt(ex * ex + ey * ey)
-            if not (speed > 1e-6 and speed < 1e7):
-                continue
-            hx, hy = 0.6 * ex / speed, 0.6 * ey / speed
-            slope = _slope(other_phasor, x, y, hx, hy) / 1.2 * speed
-            if not abs(slope) > 1e-9:
-                continue
-            # Iterate on the curve's tangent, then correct once on the curve itself.
-            start, x0, y0 = s, x, y
-            f = 0.0
-            for step in range(_STEPS):
-                pr, pi_ = _sample(other_phasor, x, y)
-                f = _angle(pr * here.real + pi_ * here.imag, pi_ * here.real - pr * here.imag)
-                s -= f / slope
-                x, y = x0 + ex * (s - start), y0 + ey * (s - start)
-                if abs(f) < 0.01:
-                    break
-                # Slow convergence means the slope is not that of the surface here: measure it again.
-                if step > 0 or abs(f) > 0.5:
-                    slope = _slope(other_phasor, x, y, hx, hy) / 1.2 * speed
-                    if not abs(slope) > 1e-9:
-                        break
-            if not abs(f) < 0.1 or not (s > -0.02 and s < 1.02) or abs(s - start) * abs(slope) > 3.0:
-                continue
-            z = 1.0 / (base + span * s)
-            x, y = project(device, rx * z, ry * z, z)
-            pr, pi_ = _sample(other_phasor, x, y)
-            if pr * pr + pi_ * pi_ < floor_sq or not _coherent(other_phasor, x, y, pr, pi_):
-                continue
-            f = _angle(pr * here.real + pi_ * here.imag, pi_ * here.real - pr * here.imag)
-            s -= f / slope
-            z = 1.0 / (base + span * s)
-            x, y = x - ex * f / slope, y - ey * f / slope
-            if not _inside(other_phasor, x, y):
-                continue
-            jj, ii = int(x), int(y)
-            a, b = x - jj, y - ii
-            v = (1 - b) * ((1 - a) * other_variance[ii, jj] + a * other_variance[ii, jj + 1]) + b * (
-                (1 - a) * other_variance[ii + 1, jj] + a * other_variance[ii + 1, jj + 1]
-            )
-            v *= (1 - 2 * a * (1 - a) * (1 - correlation)) * (1 - 2 * b * (1 - b) * (1 - correlation))
-            if not v < 1.0:
-                continue
-            depth[i, j] = z
-            match[i, j, 0], match[i, j, 1] = x, y
-            pu, pv = project(projector, rx * z, ry * z, z)
-            source[i, j, 0], source[i, j, 1] = pu, pv
-            p_along, p_across = (pu, pv) if first_axis == 0 else (pv, pu)
-            seen = phase_at(phases, p_along + shift_of(correction, p_along, p_across))
-            residual[i, j, 0] = absolute + bias - seen
-            residual[i, j, 1] = absolute - seen
-            ray = sqrt(rx * rx + ry * ry + 1.0)
-            sigma[i, j] = sqrt(variance[i, j] + v) / abs(slope) * span * z * z * ray
-    return depth, sigma, match, source, residual
+            _load(t, n, row, phase[i, j0 : j0 + n], phase_eq[i, j0 : j0 + n], phasor[i, 2 * j0 : 2 * (j0 + n)],
+                  rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
+            _columns(t, k, columns)
+            _meet(t, projector, axis, correction)
+            for j in range(TILE):
+                ax, ay, az = _ray(t, device, j)
+                w = t[_W + j]
+                x, y = _pixel(device, ax, ay, az, w)
+                x1, y1 = _pixel(device, ax, ay, az, w + delta)
+                t[_X + j], t[_Y + j] = x, y
+                t[_EX + j], t[_EY + j] = (x1 - x) / delta, (y1 - y) / delta
+                t[_T0 + j] = w
+            for _ in range(_STEPS):
+                _cells(t, k, along, across, other_width, other_height)
+                _fetch(t, k, flat, along, across)
+                for j in range(TILE):
+                    f, re, im, step = _error(t, j)
+                    ex, ey = t[_EX + j], t[_EY + j]
+                    slope = step * (ex if axis == 0 else ey)
+                    move = -f / (slope if slope != _ZERO else _TINY)
+                    t[_W + j] += move
+                    t[_X + j] += ex * move
+                    t[_Y + j] += ey * move
+            # Back onto the exact curve, and the last step.
+            for j in range(TILE):
+                ax, ay, az = _ray(t, device, j)
+                t[_X + j], t[_Y + j] = _pixel(device, ax, ay, az, t[_W + j])
+            _cells(t, k, along, across, other_width, other_height)
+            _evidence(t, k, flat, flat_variance, along, across)
+            for j in range(TILE):
+                f, re, im, step = _error(t, j)
+                ex, ey = t[_EX + j], t[_EY + j]
+                slope = step * (ex if axis == 0 else ey)
+                slope = slope if slope != _ZERO else _TINY
+                x, y = t[_X + j], t[_Y + j]
+                size = re * re + im * im
+                good = (abs(f) < np.float32(0.1)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
+                good &= abs(t[_W + j] - t[_T0 + j]) * abs(slope) < np.float32(3.0)
+                good &= (x >= _ONE) & (y >= _ONE)
+                good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
+                w = t[_W + j] - f / slope
+                s = (w - base) / span
+                good &= (s > np.float32(-0.02)) & (s < np.float32(1.02))
+                a, b = t[_FRACTION + j], t[_ACROSS + j]
+                v = t[_VAR + j] * (_ONE - loss * a * (_ONE - a)) * (_ONE - loss * b * (_ONE - b))
+                good &= v < _ONE
+                t[_OK + j] = t[_OK + j] if good else _ZERO
+                t[_W + j] = w
+                t[_X + j], t[_Y + j] = x - ex * f / slope, y - ey * f / slope
+                t[_VAR + j] = v
+                t[_SLOPE + j] = abs(slope)
+            for j in range(TILE):
+                ax, ay, az = _ray(t, projector, j)
+                t[_U + j], t[_V + j] = _pixel(projector, ax, ay, az, t[_W + j])
+            for j in range(TILE):
+                u, v = (t[_U + j], t[_V + j]) if axis == 0 else (t[_V + j], t[_U + j])
+                u += correction[0] + correction[1] * u + correction[2] * v
+                m = clamped(u, _ZERO, np.float32(last_phase) - np.float32(1e-3))
+                k[j] = np.int32(m)
+                t[_FRACTION + j] = u - np.float32(k[j])
+            for j in range(TILE):
+                m = np.uint32(k[j])
+                t[_T0 + j], t[_T1 + j] = phases[m], phases[m + np.uint32(1)]
+            for j in range(TILE):
+                seen = t[_T0 + j] + t[_FRACTION + j] * (t[_T1 + j] - t[_T0 + j])
+                t[_T1 + j] = t[_PHI + j] - seen
+                t[_T0 + j] = t[_T1 + j] + t[_BIAS + j]
+            _store(t, n, i, j0, variance, span, out)
+
+
+@inline
+def _load(t: Any, n: int, order: Any, phase: Any, phase_eq: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
+    """The left picture's side of a tile; slots _PHI, _BIAS and _T0 get the absolute phase, bias, equalised phase."""
+    for j in range(n):
+        bias = phase_eq[j] - phase[j]
+        t[_BIAS + j] = bias - _TURN * turns(bias)
+        t[_PHI + j] = phase[j] + _TURN * np.float32(order[j])
+    for j in range(n):
+        t[_RX + j], t[_RY + j] = rays_x[j], rays_y[j]
+    for j in range(n):
+        t[_RE + j], t[_IM + j] = phasor[2 * j], phasor[2 * j + 1]
+    for j in range(TILE):
+        t[_T0 + j] = t[_PHI + j] + t[_BIAS + j]
+
+
+@inline
+def _evidence(t: Any, k: Any, other: Any, variance: Any, along: int, across: int) -> None:
+    """As :func:`_fetch`, and the phasors' mean square (slot _SQ) and variance (slot _VAR) in each cell."""
+    one, step, beside = np.uint32(1), np.uint32(along), np.uint32(across)
+    for j in range(TILE):
+        i = np.uint32(k[j])
+        f = t[_ACROSS + j]
+        t[_VAR + j] = variance[i] + f * (variance[i + beside] - variance[i])
+        i += step
+        t[_V + j] = variance[i] + f * (variance[i + beside] - variance[i])
+    step, beside = np.uint32(2 * along), np.uint32(2 * across)
+    for j in range(TILE):
+        i = np.uint32(2 * k[j])
+        f = t[_ACROSS + j]
+        n = i + beside
+        a, b, c, d = other[i], other[i + one], other[i + step], other[i + step + one]
+        e, g, h, q = other[n], other[n + one], other[n + step], other[n + step + one]
+        t[_AR + j], t[_AI + j] = a + f * (e - a), b + f * (g - b)
+        t[_BR + j], t[_BI + j] = c + f * (h - c), d + f * (q - d)
+        near, far = a * a + b * b, c * c + d * d
+        t[_SQ + j] = near + f * (e * e + g * g - near)
+        t[_U + j] = far + f * (h * h + q * q - far)
+    for j in range(TILE):
+        f = t[_FRACTION + j]
+        t[_VAR + j] += f * (t[_V + j] - t[_VAR + j])
+        t[_SQ + j] += f * (t[_U + j] - t[_SQ + j])
+
+
+@inline
+def _store(t: Any, n: int, i: int, j0: int, variance: Any, span: float, out: Any) -> None:
+    known, depth, sigma = out.known[i, j0 : j0 + n], out.depth_mm[i, j0 : j0 + n], out.sigma_mm[i, j0 : j0 + n]
+    left = variance[i, j0 : j0 + n]
+    for j in range(n):
+        z = _ONE / t[_W + j]
+        rx, ry = t[_RX + j], t[_RY + j]
+        depth[j] = z
+        sigma[j] = root((left[j] + t[_VAR + j]) * (rx * rx + ry * ry + _ONE)) / t[_SLOPE + j] * z * z
+    for j in range(n):
+        known[j] = np.uint8(t[_OK + j] > _ZERO)
+    match_u, match_v = out.match_u[i, j0 : j0 + n], out.match_v[i, j0 : j0 + n]
+    for j in range(n):
+        match_u[j], match_v[j] = t[_X + j], t[_Y + j]
+    source_u, source_v = out.source_u[i, j0 : j0 + n], out.source_v[i, j0 : j0 + n]
+    for j in range(n):
+        source_u[j], source_v[j] = t[_U + j], t[_V + j]
+    residual_eq, residual = out.residual_eq[i, j0 : j0 + n], out.residual[i, j0 : j0 + n]
+    for j in range(n):
+        residual_eq[j], residual[j] = t[_T0 + j], t[_T1 + j]

@@ -25,14 +25,6 @@ def offsets_to_try(largest: float, step: float = 0.25) -> F64:
     return np.asarray(steps[np.argsort(np.abs(steps), kind="stable")], dtype=np.float64)
 
 
-def mean_best_cost(costs: NDArray[np.float32], count: NDArray[np.int16]) -> float:
-    """Mean over the pixels with at least two candidates of the least cost."""
-    several = count >= 2
-    if not several.any():
-        return 0.0
-    return float(costs.min(axis=2)[several].mean(dtype=np.float64))
-
-
 def affine_fit(along: F64, across: F64, difference: F64, *, limit: float) -> Correction:
     """Robust affine fit (three re-weighted passes) of column differences on accepted points.
 

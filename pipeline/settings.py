@@ -33,6 +33,8 @@ class Settings:
     """Weight of the texture difference in the cost."""
     switch_penalty: float = 1.2
     """Price of a jump of the absolute order between neighbours."""
+    follow_cost: float = 0.3
+    """Cost up to which the order that the last pair lets expect is taken without a search (live streams only)."""
     max_check: float = 1.5
     """Largest difference of left and right absolute phase."""
     max_residual: float = 0.5
@@ -89,6 +91,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "cost_sigma": (0.05, 3),
     "texture_weight": (0, 10),
     "switch_penalty": (0, 20),
+    "follow_cost": (0, 2),
     "max_check": (0.1, 3.1),
     "max_residual": (0.05, 3.1),
     "max_surface_error": (0.02, 3.1),

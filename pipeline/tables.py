@@ -9,6 +9,7 @@ the fringe order uses them: the final point is computed with the full models.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,23 +32,30 @@ def packed(device: CameraModel) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayTable:
-    """What one camera's lattice pixels see in the other devices; each table (h, w, 3) float32 as in the module's text.
+    """What one camera's lattice pixels see in the other devices.
 
     Args:
-        rows, columns: picture coordinates of the lattice, (h,) and (w,) int32.
-        along: projector coordinate along which the phase grows.
-        across: the other projector coordinate.
-        other_u, other_v: pixel in the other camera.
-        limits: (h, w, 2) float32, the least and the largest s of the ray inside the measuring volume.
+        top, down: lattice row a is picture row ``top + down a``; left, step: column b is column ``left + step b``.
+        coefficients: (4, 3, h, w) float32, c0, c1, c2 of the module's text for four coordinates: the projector's
+            along which the phase grows, its other one, the pixel (u, v) in the other camera.
+        limits: (2, h, w) float32, the least and the largest s of the ray inside the measuring volume.
     """
 
-    rows: NDArray[np.int32]
-    columns: NDArray[np.int32]
-    along: F32
-    across: F32
-    other_u: F32
-    other_v: F32
+    top: int
+    down: int
+    left: int
+    step: int
+    coefficients: F32
     limits: F32
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the lattice."""
+        return self.limits.shape[1], self.limits.shape[2]
+
+    def sampled(self, plane: NDArray[Any]) -> NDArray[Any]:
+        """A picture's values at the lattice pixels, a view (h, w)."""
+        return plane[self.top :: self.down, self.left :: self.step][: self.shape[0], : self.shape[1]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,33 +102,35 @@ def ray_table(
     other = [calibration.right.project(p) for p in points]
     first = 0 if axis == "x" else 1
     along = _homography([p[..., first] for p in projector], "projector")
+    across = _homography([p[..., 1 - first] for p in projector], "projector", along[2])
     other_u = _homography([p[..., 0] for p in other], "other camera")
+    other_v = _homography([p[..., 1] for p in other], "other camera", other_u[2])
     return RayTable(
-        rows,
-        columns,
-        along=along.astype(np.float32),
-        across=_homography([p[..., 1 - first] for p in projector], "projector", along[..., 2]).astype(np.float32),
-        other_u=other_u.astype(np.float32),
-        other_v=_homography([p[..., 1] for p in other], "other camera", other_u[..., 2]).astype(np.float32),
+        top=margin,
+        down=step[1],
+        left=margin,
+        step=step[0],
+        coefficients=np.stack([along, across, other_u, other_v]).astype(np.float32),
         limits=_limits(direction, depth, inside),
     )
 
 
 def _limits(direction: F64, depth: DepthScale, inside: tuple[CameraModel, Volume] | None) -> F32:
-    """(h, w, 2) range of s in which a ray's points lie in the volume."""
-    whole = np.broadcast_to(np.array([0.0, 1.0]), (*direction.shape[:2], 2))
+    """(2, h, w) range of s in which a ray's points lie in the volume."""
     if inside is None:
-        return whole.astype(np.float32)
+        whole = np.zeros((2, *direction.shape[:2]), np.float32)
+        whole[1] = 1.0
+        return whole
     camera, volume = inside
     # A point of the ray is direction / w; along the other camera's axis z = (r3 . direction) / w + t3.
     slope = direction @ camera.rotation[2]
     w = [slope / (z - camera.translation[2]) for z in (volume.far_mm, volume.near_mm)]
-    s = np.sort((np.stack(w, axis=-1) - depth.base) / depth.span, axis=-1)
+    s = np.sort((np.stack(w) - depth.base) / depth.span, axis=0)
     return np.clip(s, 0.0, 1.0).astype(np.float32)
 
 
 def _homography(values: list[F64], name: str, denominator: F64 | float = 0.0) -> F64:
-    """c0, c1, c2 through the values at s = 0, 1/2, 1.
+    """c0, c1, c2, (3, h, w), through the values at s = 0, 1/2, 1.
 
     A coordinate that hardly changes along the ray does not tell the denominator; it then takes the given one, which
     the two coordinates of a device share.
@@ -134,7 +144,7 @@ def _homography(values: list[F64], name: str, denominator: F64 | float = 0.0) ->
     told = (np.abs(u1 - uh) > 2.0) & (np.abs(c2 - denominator) < 0.2)
     c2 = np.where(told if np.ndim(denominator) else np.abs(u1 - uh) > 0.5, c2, denominator)
     c1 = u1 * (1 + c2) - u0
-    return np.stack([u0, c1, c2], axis=-1)
+    return np.stack([u0, c1, c2])
 
 
 def period_in_picture(calibration: Calibration, depth: DepthScale, *, axis: str, period: float) -> float:

@@ -1,4 +1,4 @@
-"""One camera as the reference: its tables, and the steps of the order search seen from it."""
+"""One camera as the reference: its tables, and the steps that are taken from its side."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import aggregate, candidates, propagate
+from pipeline import propagate
 from pipeline.calibration import Calibration, ColorModel
 from pipeline.camera_model import CameraModel
 from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
+from pipeline.located import Located
 from pipeline.phase import Decoder, PhaseMap
 from pipeline.settings import Settings
 from pipeline.tables import DepthScale, RayTable, packed, period_in_picture, ray_table
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
@@ -26,7 +28,8 @@ class View:
 
     Args:
         table: what lattice pixels see; depth: scale of the parameter s.
-        other, projector: packed models; columns: even-grid table phase -> projector coordinate; phases: its inverse.
+        other, projector: packed models; columns: even-grid table phase -> projector coordinate; phases: its inverse;
+            all float32, for kernels.
         slopes: expected phase step per pixel (x, y); labels: most orders a pixel can have.
         order_step: change of s from one order to the next, mid-volume.
         first_axis: 0 when the phase grows along u; extent: projector pixels across.
@@ -35,10 +38,10 @@ class View:
     decoder: Decoder
     table: RayTable
     depth: DepthScale
-    other: F64
-    projector: F64
-    columns: F64
-    phases: F64
+    other: F32
+    projector: F32
+    columns: F32
+    phases: F32
     slopes: tuple[float, float]
     labels: int
     order_step: float
@@ -61,16 +64,16 @@ class View:
         slope = sign * 2 * np.pi / period
         slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
         decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings)
-        along = table.along.astype(np.float64)
-        limits = table.limits.astype(np.float64)
-        far, near = ((along[..., 0] + along[..., 1] * s) / (1 + along[..., 2] * s) for s in np.moveaxis(limits, -1, 0))
+        along = table.coefficients[0].astype(np.float64)
+        far, near = ((along[0] + along[1] * s) / (1 + along[2] * s) for s in table.limits.astype(np.float64))
         phases = pattern.phase
         across_volume = np.abs(np.interp(near, np.arange(len(phases)), phases)
                                - np.interp(far, np.arange(len(phases)), phases))  # fmt: skip
         widest = float(across_volume.max()) / (2 * np.pi)
         return View(
-            decoder, table, depth, packed(calibration.right), packed(calibration.projector), _even_table(pattern),
-            np.ascontiguousarray(phases), slopes, int(widest) + 2,
+            decoder, table, depth, packed(calibration.right).astype(np.float32),
+            packed(calibration.projector).astype(np.float32), _even_table(pattern).astype(np.float32),
+            phases.astype(np.float32), slopes, int(widest) + 2,
             1 / max(widest, 1e-3), 0 if axis == "x" else 1, float(pattern.size[1] if axis == "x" else pattern.size[0]),
             settings,
         )  # fmt: skip
@@ -79,63 +82,32 @@ class View:
         """Phase of this camera's picture."""
         return self.decoder.decode(image)
 
-    def costs(
-        self,
-        here: PhaseMap,
-        there: PhaseMap,
-        correction: F64,
-        labels: int,
-        slopes: tuple[float, float],
-        every: int = 1,
-    ) -> tuple[Any, Any, Any]:
-        """Costs, first orders and counts of the lattice's candidates (of every n-th row); slopes of the other view."""
-        t, rows = self.table, slice(None, None, every)
-        return candidates.candidate_costs(
-            t.rows[rows], t.columns, t.along[rows], t.across[rows], t.other_u[rows], t.other_v[rows], t.limits[rows],
-            here.phasor, here.equalized, here.mean, here.valid, here.phase, here.phase_eq,
-            there.phasor, there.equalized, there.mean,
-            self.columns, self.phases, correction, self.extent, labels,
-            self.settings.min_modulation**2, self.settings.cost_sigma, self.settings.texture_weight, *slopes,
-        )  # fmt: skip
-
-    def decide(self, here: PhaseMap, costs: Any, first: Any, count: Any) -> NDArray[np.int16]:
-        """Aggregate over the four paths and take the best order of each lattice pixel."""
-        t, penalty = self.table, np.float32(self.settings.switch_penalty)
-        total = np.zeros_like(costs)
-        for vertical in (False, True):
-            slope = self.slopes[1] if vertical else self.slopes[0]
-            jump, trust = aggregate.links(here.phase, here.valid, t.rows, t.columns, slope, vertical)
-            run = aggregate.along_columns if vertical else aggregate.along_rows
-            run(costs, first, count, jump, trust, penalty, total)
-        return np.asarray(aggregate.decide(total, first, count)[0])
-
     def cross_check(
-        self, here: PhaseMap, order: Any, other: View, there: PhaseMap, other_order: Any, correction: F64
-    ) -> Any:
-        """Orders that the other view confirms."""
+        self, here: PhaseMap, order: Any, other: View, there: PhaseMap, other_order: Any, correction: F64, kept: Any
+    ) -> None:
+        """Orders that the other view confirms, into ``kept``."""
         t, o = self.table, other.table
-        return propagate.cross_check(
-            order, t.rows, t.columns, t.along, t.across, t.other_u, t.other_v, here.phase, here.phase_eq,
-            other_order, o.rows, o.columns, there.phase, self.columns, correction, *other.slopes,
-            self.settings.max_check,
+        propagate.cross_check(
+            order, t.top, t.down, t.left, t.step, t.coefficients, here.phase, here.phase_eq,
+            other_order, o.top, o.down, o.left, o.step, there.phase, self.columns, correction.astype(np.float32),
+            np.float32(other.slopes[0]), np.float32(other.slopes[1]), np.float32(self.settings.max_check), kept,
         )  # fmt: skip
 
-    def spread(self, here: PhaseMap, order: Any) -> NDArray[np.int16]:
-        """Order of every pixel."""
+    def spread(self, here: PhaseMap, order: Any, out: Any) -> None:
+        """Order of every pixel, into ``out``."""
         t = self.table
-        return np.asarray(propagate.spread(order, t.rows, t.columns, here.phase, here.valid, *self.slopes))
+        slope_x, slope_y = np.float32(self.slopes[0]), np.float32(self.slopes[1])
+        propagate.spread(order, t.top, t.down, t.left, t.step, here.phase, here.valid, slope_x, slope_y, out)
 
-    def column_differences(self, located: tuple[Any, ...], correction: F64) -> tuple[F64, F64, F64]:
+    def column_differences(self, located: Located, correction: F64) -> tuple[F64, F64, F64]:
         """Observed minus calibrated projector coordinate of located points (a subset), and where they are."""
-        depth, _, _, source, residual = located
-        some = np.zeros(depth.shape, bool)
-        some[::3, ::2] = True
-        some &= np.isfinite(depth) & (np.abs(residual[..., 0]) < 1.5)
-        along = source[some][:, self.first_axis].astype(np.float64)
-        across = source[some][:, 1 - self.first_axis].astype(np.float64)
+        part = np.s_[::3, ::2]
+        some = located.known[part].astype(bool) & (np.abs(located.residual_eq[part]) < 1.5)
+        source = [plane[part][some].astype(np.float64) for plane in (located.source_u, located.source_v)]
+        along, across = source[self.first_axis], source[1 - self.first_axis]
         absolute = along + correction[0] + correction[1] * along + correction[2] * across
-        rate = np.gradient(self.phases)
-        difference = residual[some][:, 0] / np.interp(absolute, np.arange(len(rate)), rate)
+        rate = np.gradient(self.phases.astype(np.float64))
+        difference = located.residual_eq[part][some] / np.interp(absolute, np.arange(len(rate)), rate)
         return absolute - along + difference, along, across
 
 

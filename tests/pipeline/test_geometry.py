@@ -78,20 +78,16 @@ def test_swapping_the_cameras_moves_the_world_not_the_pictures():
 def test_ray_tables_follow_the_full_models_within_a_tenth_of_a_pixel(axis):
     calibration, depth = rig(), DepthScale.of(Volume(1285, 1515))
     table = ray_table(calibration, depth, axis=axis, step=(8, 8))
-    v, u = np.meshgrid(table.rows, table.columns, indexing="ij")
+    v, u = (table.sampled(plane) for plane in np.mgrid[: calibration.left.size[1], : calibration.left.size[0]])
     rays = calibration.left.normalise(np.stack([u, v], axis=-1).astype(float))
     direction = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
     for s in np.linspace(0, 1, 7):
         world = direction * depth.depth(s)
         projector, right = calibration.projector.project(world), calibration.right.project(world)
         first = 0 if axis == "x" else 1
-        for entry, truth in (
-            (table.along, projector[..., first]),
-            (table.across, projector[..., 1 - first]),
-            (table.other_u, right[..., 0]),
-            (table.other_v, right[..., 1]),
-        ):
-            value = (entry[..., 0] + entry[..., 1] * s) / (1 + entry[..., 2] * s)
+        truths = projector[..., first], projector[..., 1 - first], right[..., 0], right[..., 1]
+        for entry, truth in zip(table.coefficients, truths, strict=True):
+            value = (entry[0] + entry[1] * s) / (1 + entry[2] * s)
             near = np.abs(truth - 140) < 150  # far outside the picture no one asks
             assert np.abs(np.where(near, value - truth, 0)).max() < 0.1
 

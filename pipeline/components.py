@@ -1,0 +1,251 @@
+"""Connected surfaces: neighbours whose absolute phase and match continue.
+
+A row's pixels that hang together are one run; runs of adjacent rows are united where at least one pixel of the one is
+linked with the pixel above it. There are some thousand runs where there are a million pixels: everything that looks
+at every pixel is vector code over rows, and what remains is a union-find over runs.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.kernels import parallel, prange, serial
+
+LEFT, UP = np.uint8(1), np.uint8(2)
+"""Bits of a link: the pixel continues its left neighbour, the one above it."""
+
+_START, _CONTACT, _STOP = np.uint8(1), np.uint8(2), np.uint8(4)
+_NO = np.uint8(0)
+_ROWS = 32
+_TWO_PI = np.float32(2 * pi)
+_PHASE_STEP = np.float32(1.2)
+_MATCH_STEP = np.float32(1.5)
+
+
+@serial
+def _absolute(phase: Any, order: Any, out: Any) -> None:
+    for j in range(out.shape[0]):
+        out[j] = phase[j] + _TWO_PI * np.float32(order[j])
+
+
+@serial
+def _continues(
+    a: Any, b: Any, a_u: Any, b_u: Any, a_v: Any, b_v: Any, step: Any, du: Any, dv: Any, bit: Any, out: Any
+) -> None:  # fmt: skip
+    """Add a bit to ``out`` where row ``a`` goes on from ``b`` by about the expected steps."""
+    for j in range(out.shape[0]):
+        near = (
+            (abs(a[j] - b[j] - step) < _PHASE_STEP)
+            & (abs(a_u[j] - b_u[j] - du) < _MATCH_STEP)
+            & (abs(a_v[j] - b_v[j] - dv) < _MATCH_STEP)
+        )
+        out[j] |= bit if near else _NO
+
+
+@parallel
+def links(phase: Any, order: Any, match_u: Any, match_v: Any, slope_x: Any, slope_y: Any, out: Any) -> None:
+    """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning where a pixel or that neighbour is unknown.
+
+    Args:
+        phase: (H, W) wrapped; order: (H, W) int16; match_u, match_v: (H, W) pixel in the right picture.
+        slope_x, slope_y: float32, expected phase steps, radians per pixel.
+    """
+    height, width = phase.shape
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for block in prange((height + _ROWS - 1) // _ROWS):
+        absolute = np.empty((2, width), np.float32)
+        top = block * _ROWS
+        above = max(top - 1, 0)
+        _absolute(phase[above], order[above], absolute[(top + 1) % 2])
+        for i in range(top, min(top + _ROWS, height)):
+            here, before = absolute[i % 2], absolute[(i + 1) % 2]
+            _absolute(phase[i], order[i], here)
+            out[i, :] = _NO
+            u, v, w = match_u[i], match_v[i], width - 1
+            _continues(here[1:], here[:w], u[1:], u[:w], v[1:], v[:w], slope_x, one, zero, LEFT, out[i, 1:])
+            if i > 0:
+                _continues(here, before, u, match_u[i - 1], v, match_v[i - 1], slope_y, zero, one, UP, out[i])
+
+
+@serial
+def _joined(known: Any, link: Any, out: Any) -> None:
+    """1 where a pixel hangs together with its left neighbour; ``out`` is one longer than the row, its ends are 0."""
+    n = known.shape[0] - 1
+    here, left, bits, into = known[1:], known[:n], link[1:], out[1:]
+    for j in range(n):
+        into[j] = here[j] & left[j] & bits[j]
+
+
+@serial
+def _touching(known: Any, above: Any, link: Any, out: Any) -> None:
+    """1 where a pixel hangs together with the one above it; ``out`` starts one pixel left of the row, with 0."""
+    into = out[1:]
+    for j in range(known.shape[0]):
+        into[j] = known[j] & above[j] & (link[j] >> 1)
+
+
+@serial
+def _events(known: Any, joined: Any, joined_above: Any, touching: Any, out: Any) -> None:
+    """Where runs start and stop, and where two runs of adjacent rows begin to touch."""
+    nxt, touch, touched = joined[1:], touching[1:], touching
+    for j in range(known.shape[0]):
+        begins = known[j] & ~joined[j]
+        ends = known[j] & ~nxt[j]
+        # Where both runs go on from pixels that touched already, nothing is new.
+        fresh = touch[j] & ~(touched[j] & joined[j] & joined_above[j])
+        out[j] = begins | (fresh << 1) | (ends << 2)
+
+
+@parallel
+def find_runs(known: Any, link: Any, start: Any, stop: Any, contact: Any, count: Any) -> None:
+    """Runs of every row, and the columns in which they begin to touch runs of the row above.
+
+    Args:
+        known: (H, W) uint8, 0 or 1; link: of :func:`links`.
+        start, stop, contact: (H, W) int32, filled from the left of each row.
+        count: (2, H) int32, number of runs and of contacts of each row.
+    """
+    height, width = known.shape
+    words = (width + 7) // 8
+    for block in prange((height + _ROWS - 1) // _ROWS):
+        event = np.zeros(8 * words, np.uint8)
+        # Most pixels are the inside of a run: eight of them are passed at once.
+        event_words = event.view(np.uint64)
+        joined = np.zeros((2, width + 1), np.uint8)
+        touching = np.zeros(width + 1, np.uint8)
+        top = block * _ROWS
+        if top > 0:
+            _joined(known[top - 1], link[top - 1], joined[(top + 1) % 2])
+        for i in range(top, min(top + _ROWS, height)):
+            here, above = joined[i % 2], joined[(i + 1) % 2]
+            _joined(known[i], link[i], here)
+            if i > 0:
+                _touching(known[i], known[i - 1], link[i], touching)
+            _events(known[i], here, above, touching, event)
+            runs, contacts = 0, 0
+            for word in range(words):
+                if event_words[word] == 0:
+                    continue
+                for j in range(8 * word, 8 * word + 8):
+                    if event[j] & _START:
+                        start[i, runs] = j
+                    if event[j] & _CONTACT:
+                        contact[i, contacts] = j
+                        contacts += 1
+                    if event[j] & _STOP:
+                        stop[i, runs] = j + 1
+                        runs += 1
+            count[0, i], count[1, i] = runs, contacts
+
+
+@serial
+def _root(parent: Any, k: int) -> int:
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
+
+
+@serial
+def unite(
+    start: Any, stop: Any, contact: Any, count: Any, smallest: int, first: Any, parent: Any, surface: Any, size: Any
+) -> int:  # fmt: skip
+    """Number of connected surfaces of at least ``smallest`` pixels.
+
+    Args:
+        start, stop, contact, count: of :func:`find_runs`.
+        first: (H + 1) int32, becomes the number of each row's first run in scanning order.
+        parent: (runs) int32, scratch.
+        surface: (runs) int32, becomes the run's surface (numbered in scanning order), -1 for those too small.
+        size: (runs) int32, becomes each surface's pixels.
+    """
+    height = count.shape[1]
+    first[0] = 0
+    for i in range(height):
+        first[i + 1] = first[i] + count[0, i]
+    runs = first[height]
+    for k in range(runs):
+        parent[k], size[k] = k, 0
+    for i in range(1, height):
+        a, b = 0, 0
+        for t in range(count[1, i]):
+            j = contact[i, t]
+            while stop[i - 1, a] <= j:
+                a += 1
+            while stop[i, b] <= j:
+                b += 1
+            p, q = _root(parent, first[i - 1] + a), _root(parent, first[i] + b)
+            # The run that comes first in scanning order stays the root.
+            parent[max(p, q)] = min(p, q)
+    for i in range(height):
+        for t in range(count[0, i]):
+            k = first[i] + t
+            root = _root(parent, k)
+            surface[k] = root
+            size[root] += stop[i, t] - start[i, t]
+    surfaces = 0
+    for k in range(runs):
+        root = surface[k]
+        if root == k:
+            if size[k] >= smallest:
+                size[surfaces] = size[k]
+                parent[k], surfaces = surfaces, surfaces + 1
+            else:
+                parent[k] = -1
+        surface[k] = parent[root]
+    return surfaces
+
+
+@parallel
+def paint(start: Any, stop: Any, count: Any, first: Any, surface: Any, out: Any) -> None:
+    """Each pixel's surface into ``out`` (H, W) int32, -1 where there is none."""
+    height, width = out.shape
+    for i in prange(height):
+        j = 0
+        for t in range(count[0, i]):
+            out[i, j : start[i, t]] = -1
+            j = stop[i, t]
+            out[i, start[i, t] : j] = surface[first[i] + t]
+        out[i, j:width] = -1
+
+
+class Surfaces:
+    """Connected surfaces of one picture size, in arrays that every call uses again.
+
+    After :meth:`find`: runs by rows in ``start``, ``stop`` (H, W) and ``count`` (2, H); number of each row's first run
+    in ``first`` (H + 1); surface of each run in ``surface``, -1 for too small ones; pixels of each in ``sizes``.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        height, width = shape
+        # Only what a picture has runs for is ever touched of these.
+        self.start, self.stop, self.contact = (np.empty(shape, np.int32) for _ in range(3))
+        self.count = np.empty((2, height), np.int32)
+        self.first = np.empty(height + 1, np.int32)
+        self._parent, self.surface, self._size = (np.empty(height * width, np.int32) for _ in range(3))
+        self.sizes = self._size[:0]
+
+    def find(self, known: NDArray[np.uint8], link: NDArray[np.uint8], smallest: int) -> int:
+        """Find the surfaces of at least ``smallest`` pixels; their number."""
+        find_runs(known, link, self.start, self.stop, self.contact, self.count)
+        number = unite(
+            self.start,
+            self.stop,
+            self.contact,
+            self.count,
+            smallest,
+            self.first,
+            self._parent,
+            self.surface,
+            self._size,
+        )
+        self.sizes = self._size[:number]
+        return int(number)
+
+    def paint(self, out: NDArray[np.int32]) -> None:
+        """Each pixel's surface, -1 where there is none."""
+        paint(self.start, self.stop, self.count, self.first, self.surface, out)
