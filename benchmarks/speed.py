@@ -23,10 +23,8 @@ from sim.truth import Truth
 
 ALONE_PER_S = 30.0
 """Promised pairs a second by themselves, two threads, three-chip pictures of 1024 x 820."""
-BUDGET_MS = {"decode": 10.0, "search": 12.0, "propagation": 2.0, "refinement": 10.0}
+BUDGET_MS = {"decode": 10.0, "orders": 12.0, "propagation": 2.0, "refinement": 10.0}
 """What each stage may take of the 33.3 ms of such a pair; upper limits that add up to a little more than the whole."""
-SEARCH = ("candidates", "aggregation")
-"""Stages that share the budget of the search for the orders."""
 THREADS = tuple(n for n in (1, 2) if n <= (os.cpu_count() or 1))
 FRAMES, RATE_HZ = 12, 30.0
 KINDS = {"three-chip": CASES[0], "Bayer": next(case for case in CASES if case.encoding != "rgb8")}
@@ -150,8 +148,6 @@ def _spread(values: Sequence[float]) -> str:
 
 
 def _budget(stage: str) -> str:
-    if stage in SEARCH:
-        return f"together {BUDGET_MS['search']:.0f}"
     return f"{BUDGET_MS[stage]:.0f}" if stage in BUDGET_MS else ""
 
 

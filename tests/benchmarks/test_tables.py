@@ -25,7 +25,7 @@ def table() -> Table:
 
 
 def timing(scale: float) -> Timing:
-    stages = {"decode": [scale, 3 * scale, 2 * scale], "search": [4 * scale] * 3}
+    stages = {"decode": [scale, 3 * scale, 2 * scale], "orders": [4 * scale] * 3}
     return Timing([6 * scale, 5 * scale, 70 * scale], stages, ready_s=1.0, peak_mib=300.0, pictures_mib=5.0)
 
 
