@@ -44,9 +44,11 @@ def stages(figures: dict[str, Any], folder: Path) -> None:
 def peers(figures: dict[str, Any], folder: Path) -> None:
     """Ours beside others, logarithmic."""
     figure, axes = plt.subplots(figsize=(7.5, 0.8 + 0.4 * len(figures)), layout="constrained")
-    values = [row["ms"] for row in figures.values()]
-    bars = axes.barh(list(figures), values, color=[_COLORS[1 if n == "fringed" else 0] for n in figures], height=0.6)
-    axes.bar_label(bars, [f" {v:,.0f}" for v in values], fontsize=8)
+    names, values = list(figures), [row["ms"] for row in figures.values()]
+    # Points: on a logarithmic axis the length of a bar says nothing.
+    axes.scatter(values, names, color=[_COLORS[1 if name == "fringed" else 0] for name in names], zorder=3)
+    for name, value in zip(names, values, strict=True):
+        axes.annotate(f"  {value:,.0f}", (value, name), va="center", fontsize=8)
     axes.set_xscale("log")
     axes.set_xlim(min(values) / 2, max(values) * 3)
     axes.invert_yaxis()
