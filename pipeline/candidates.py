@@ -15,22 +15,27 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
+from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, clamped, decay, root, turns
 
 UNSEEN = np.float32(0.5)
 NO_SUCH = np.float32(1000.0)
 """Price of an order that the pixel cannot have."""
 _OUTSIDE = np.float32(4.0)
+_FASTEST = np.float32(2.0)
+"""Largest change of a pixel's absolute phase from one pair to the next that is followed, radians."""
 _ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(8)
 _TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20), np.float32(0.4)
 
-# Slots of the scratch array; tables take three each.
+# Slots of the scratch array of floats (tables take three each), and of the one of integers.
 _PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE, _ROW = (k * TILE for k in range(9))
 _ALONG, _ACROSS, _OTHER_U, _OTHER_V = (k * TILE for k in (9, 12, 15, 18))
-_U, _FRACTION, _SEEN, _T0, _T1 = (k * TILE for k in range(21, 26))
-_P0R, _P0I, _P1R, _P1I, _E0R, _E0I, _E1R, _E1I, _M0, _M1 = (k * TILE for k in range(26, 36))
-_COST = 36 * TILE
-SLOTS = 37
+_U, _FRACTION, _SEEN, _T0, _T1, _THERE, _COST = (k * TILE for k in range(21, 28))
+SLOTS = 28
+_CELL, _NEAREST, _P0, _P1, _E0, _E1 = (k * TILE for k in range(6))
+INTEGER_SLOTS = 6
+MOVE, COST = _MOVE, _COST
+"""Slots that :mod:`pipeline.search` reads."""
 
 
 @inline
@@ -40,38 +45,30 @@ def value(t: Any, table: int, j: int, s: Any) -> Any:
 
 
 @inline
-def grid_cells(t: Any, k: Any, columns: Any, phase: int) -> None:
-    """Cell (k) and place in it (slot _FRACTION) of phases on the even grid of ``columns``; clamped at the ends."""
-    start, per = columns[0], _ONE / columns[1]
-    last = np.float32(columns.shape[0] - 3)
-    for j in range(TILE):
-        where = clamped((t[phase + j] - start) * per, _ZERO, last - np.float32(1e-3))
-        k[j] = np.int32(where)
-        t[_FRACTION + j] = where - np.float32(k[j])
-
-
-@inline
 def load_nodes(
-    t: Any, nodes: Any, n: int, a: int, i: int, j0: int, step: int, tables: Any, start: Any, stop: Any, phase: Any,
-    phase_eq: Any, phasor: Any, equalized: Any, mean: Any, first: Any, count: Any, labels: int,
+    t: Any, k: Any, nodes: Any, pixels: Any, n: int, tables: Any, start: Any, stop: Any, phase: Any, phase_eq: Any,
+    phasor: Any, equalized: Any, mean: Any, first: Any, count: Any, labels: int,
 ) -> int:  # fmt: skip
     """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
-    The tile's lattice pixels are columns ``nodes[:n]`` of lattice row a, picture columns ``j0 + step b`` of row i.
+    Args:
+        nodes, pixels: numbers of the n lattice pixels in the lattice and in the picture.
+        tables: (12, h w); start, stop, first, count: (h w); phase .. mean: (H W).
     """
-    for table in range(4):
-        for c in range(3):
-            row = tables[table, c, a]
-            for j in range(n):
-                t[_ALONG + (3 * table + c) * TILE + j] = row[np.uint32(nodes[j])]
+    for c in range(12):
+        table = tables[c]
+        for j in range(n):
+            t[_ALONG + c * TILE + j] = table[np.uint32(nodes[j])]
+    for j in range(n):
+        m = np.uint32(pixels[j])
+        t[_PHI + j], t[_BIAS + j], t[_MEAN + j] = phase[m], phase_eq[m], mean[m]
+        k[_P0 + j], k[_E0 + j] = phasor[m], equalized[m]
     for j in range(n):
         b = np.uint32(nodes[j])
-        m = np.uint32(j0 + step * nodes[j])
-        t[_PHI + j], t[_BIAS + j] = phase[i, m], phase_eq[i, m]
-        t[_HR + j], t[_HI + j] = phasor[i, np.uint32(2) * m], phasor[i, np.uint32(2) * m + np.uint32(1)]
-        t[_ER + j], t[_EI + j] = equalized[i, np.uint32(2) * m], equalized[i, np.uint32(2) * m + np.uint32(1)]
-        t[_MEAN + j] = mean[i, m]
-        t[_T0 + j], t[_T1 + j] = start[a, b], stop[a, b]
+        t[_T0 + j], t[_T1 + j] = start[b], stop[b]
+    for j in range(TILE):
+        t[_HR + j], t[_HI + j] = real(k[_P0 + j]), imaginary(k[_P0 + j])
+        t[_ER + j], t[_EI + j] = real(k[_E0 + j]), imaginary(k[_E0 + j])
     for j in range(TILE):
         phi = t[_PHI + j]
         low = np.float32(np.ceil((t[_T0 + j] - phi) * _PER_TURN))
@@ -99,15 +96,16 @@ def load_nodes(
 
 @inline
 def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
-    """Move a tile's first candidates to the orders nearest to the absolute phases ``expected`` of the lattice row.
+    """Move a tile's first candidates to the orders nearest to the absolute phases ``expected`` (h w).
 
-    Slot _MOVE gets the number of orders after the first, -1 where the expected one cannot be.
+    Slot _MOVE gets the number of orders after the first, -1 where the nearest one cannot be or is too far off.
     """
     for j in range(n):
         t[_T0 + j] = expected[np.uint32(nodes[j])]
     for j in range(TILE):
-        ahead = turns(t[_T0 + j] - t[_PHI + j])
-        good = (ahead >= _ZERO) & (ahead < t[_T1 + j])
+        change = t[_T0 + j] - t[_PHI + j]
+        ahead = turns(change)
+        good = (ahead >= _ZERO) & (ahead < t[_T1 + j]) & (abs(change - _TURN * ahead) < _FASTEST)
         t[_MOVE + j] = ahead if good else -_ONE
         t[_PHI + j] += _TURN * ahead if good else _ZERO
 
@@ -130,13 +128,18 @@ def price(
         with_bias = absolute + t[_BIAS + j]
         inside = (with_bias >= start) & (with_bias <= stop)
         t[_T0 + j] = with_bias if inside else absolute
-    grid_cells(t, k, columns, _T0)
+    per, last = _ONE / columns[1], np.float32(columns.shape[0] - 3) - np.float32(1e-3)
     for j in range(TILE):
-        i = np.uint32(k[j] + 2)
+        where = clamped((t[_T0 + j] - start) * per, _ZERO, last)
+        k[_CELL + j] = np.int32(where)
+        t[_FRACTION + j] = where - np.float32(k[_CELL + j])
+    for j in range(TILE):
+        i = np.uint32(k[_CELL + j] + 2)
         t[_T1 + j], t[_U + j] = columns[i], columns[i + np.uint32(1)]
     c0, c1, c2 = correction[0], correction[1], correction[2]
     right, bottom = np.float32(width - 2), np.float32(height - 2)
     along_x = axis == 0
+    step = np.int32(1) if along_x else np.int32(width)
     for j in range(TILE):
         u = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
         u -= c0 + c1 * u + c2 * t[_ROW + j]
@@ -150,29 +153,30 @@ def price(
         x, y = clamped(x, _ONE, right), clamped(y, _ONE, bottom)
         x, y = (x, y + _HALF) if along_x else (x + _HALF, y)
         i, m = np.int32(y), np.int32(x)
-        k[j] = i * np.int32(width) + m
-        t[_FRACTION + j] = x - np.float32(m) if along_x else y - np.float32(i)
-    step = np.uint32(1) if along_x else np.uint32(width)
-    one, two = np.uint32(1), np.uint32(2)
+        f = x - np.float32(m) if along_x else y - np.float32(i)
+        cell = np.int32(i * np.int32(width) + m)
+        k[_CELL + j] = cell
+        k[_NEAREST + j] = np.int32(cell + (step if f > _HALF else np.int32(0)))
+        t[_FRACTION + j] = f
+    step = np.uint32(step)
     for j in range(TILE):
-        i = two * np.uint32(k[j])
-        n = i + two * step
-        t[_P0R + j], t[_P0I + j], t[_P1R + j], t[_P1I + j] = phasor[i], phasor[i + one], phasor[n], phasor[n + one]
-    for j in range(TILE):
-        i = two * np.uint32(k[j])
-        n = i + two * step
-        t[_E0R + j], t[_E0I + j] = equalized[i], equalized[i + one]
-        t[_E1R + j], t[_E1I + j] = equalized[n], equalized[n + one]
-        i = np.uint32(k[j])
-        t[_M0 + j], t[_M1 + j] = mean[i], mean[i + step]
+        i = np.uint32(k[_CELL + j])
+        k[_P0 + j], k[_P1 + j] = phasor[i], phasor[i + step]
+        k[_E0 + j], k[_E1 + j] = equalized[i], equalized[i + step]
+        t[_THERE + j] = mean[np.uint32(k[_NEAREST + j])]
     for j in range(TILE):
         f = t[_FRACTION + j]
-        re, im = t[_P0R + j] + f * (t[_P1R + j] - t[_P0R + j]), t[_P0I + j] + f * (t[_P1I + j] - t[_P0I + j])
+        r0, i0, r1, i1 = real(k[_P0 + j]), imaginary(k[_P0 + j]), real(k[_P1 + j]), imaginary(k[_P1 + j])
+        re, im = r0 + f * (r1 - r0), i0 + f * (i1 - i0)
         size = re * re + im * im
-        plain = (t[_HR + j] * re + t[_HI + j] * im) / root(size + _TINY)
-        er, ei = t[_E0R + j] + f * (t[_E1R + j] - t[_E0R + j]), t[_E0I + j] + f * (t[_E1I + j] - t[_E0I + j])
-        equal = (t[_ER + j] * er + t[_EI + j] * ei) / root(er * er + ei * ei + _TINY)
-        there, here = t[_M0 + j] + f * (t[_M1 + j] - t[_M0 + j]), t[_MEAN + j]
+        t[_T0 + j] = size
+        t[_U + j] = (t[_HR + j] * re + t[_HI + j] * im) / root(size + _TINY)
+        r0, i0, r1, i1 = real(k[_E0 + j]), imaginary(k[_E0 + j]), real(k[_E1 + j]), imaginary(k[_E1 + j])
+        er, ei = r0 + f * (r1 - r0), i0 + f * (i1 - i0)
+        t[_T1 + j] = (t[_ER + j] * er + t[_EI + j] * ei) / root(er * er + ei * ei + _TINY)
+    for j in range(TILE):
+        size, plain, equal = t[_T0 + j], t[_U + j], t[_T1 + j]
+        there, here = t[_THERE + j], t[_MEAN + j]
         # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
         cost = _ONE - _HALF * (decay((_TWO - _TWO * plain) * inv) + decay((_TWO - _TWO * equal) * inv))
         cost += texture * min(abs(here - there) / (here + there + _EIGHT), _MOST)

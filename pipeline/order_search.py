@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import aggregate, candidates, search
+from pipeline.packed import PHASOR_SCALE
 
 if TYPE_CHECKING:
     from pipeline.phase import PhaseMap
@@ -21,7 +22,7 @@ NO_TURN = -1
 
 
 class OrderSearch:
-    """Search from the side of one view; ``expected`` is what :meth:`search` may expect in its next call."""
+    """Search from the side of one view."""
 
     def __init__(self, view: View) -> None:
         h, w = view.table.shape
@@ -32,8 +33,8 @@ class OrderSearch:
         self._jump, self._trust = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
         self._correction: F64 | None = None
         self._turn = 0
-        self.order = np.empty((h, w), np.int16)
-        self.expected = np.full((h, w), np.nan, np.float32)
+        self._order = np.empty((h, w), np.int16)
+        self._expected = np.full((h, w), np.nan, np.float32)
 
     def mean_best_cost(self, here: PhaseMap, there: PhaseMap, correction: F64, *, every: int) -> float:
         """Mean least cost of the pixels with two candidates at least, on every n-th lattice row."""
@@ -62,9 +63,21 @@ class OrderSearch:
         )  # fmt: skip
         aggregate.along_columns(
             self._costs, self._first, self._count, self._jump, self._trust, np.float32(view.settings.switch_penalty),
-            view.labels, self._total, self.order,
+            view.labels, self._total, self._order,
         )  # fmt: skip
-        return self.order
+        return self._order
+
+    def expect(self, here: PhaseMap, order: NDArray[np.int16]) -> None:
+        """Expect these orders (h, w) of the last search, where they were cheap, in the next one."""
+        t, v = self._view.table, self._view
+        search.remember(
+            order, self._first, self._costs, v.labels, np.float32(v.settings.follow_cost), t.top, t.down, t.left,
+            t.step, here.phase, self._expected,
+        )  # fmt: skip
+
+    def forget(self) -> None:
+        """Expect nothing in the next search."""
+        self._expected[:] = np.nan
 
     def _price(self, here: PhaseMap, there: PhaseMap, correction: F64, turn: int, every: int) -> None:
         view, table, s = self._view, self._view.table, self._view.settings
@@ -76,10 +89,10 @@ class OrderSearch:
             self._correction = correction.copy()
         search.search_rows(
             table.top, table.down, table.left, table.step, every, table.coefficients, self._start, self._stop,
-            here.phase, here.phase_eq, here.phasor.view(np.float32), here.equalized.view(np.float32), here.mean,
-            here.valid, there.phasor.view(np.float32), there.equalized.view(np.float32), there.mean,
+            here.phase, here.phase_eq, here.phasor, here.equalized, here.mean,
+            here.valid, there.phasor, there.equalized, there.mean,
             view.columns, single, np.float32(view.extent), view.labels, view.first_axis, np.float32(view.slopes[0]),
-            np.float32(s.min_modulation**2), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
-            np.float32(s.switch_penalty), self.expected, turn, np.float32(s.follow_cost),
+            np.float32((s.min_modulation * PHASOR_SCALE) ** 2), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
+            np.float32(s.switch_penalty), self._expected, turn, np.float32(s.follow_cost),
             self._costs, self._total, self._first, self._count,
         )  # fmt: skip

@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibration import ColorModel
-from pipeline.equalize import equalized_phasor, local_means
+from pipeline.decode_bayer import equalized_phasor, fit_bayer, local_means, rough_channels
+from pipeline.decode_rgb import decode_rgb
+from pipeline.equalize import BoxMean
 from pipeline.kernels import parallel, prange
 from pipeline.noise import NoiseModel, estimate
+from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, pack_plane
 from pipeline.settings import Settings
-from pipeline.three_step import three_chip_pointwise
-from pipeline.window_fit import fit_bayer, fit_three_chip, rough_channels, weights_of
+from pipeline.window_fit import weights_of
 
 F32 = NDArray[np.float32]
 
@@ -32,9 +34,11 @@ F32 = NDArray[np.float32]
 class PhaseMap:
     """Phase of one picture, all (H, W).
 
+    The decoder's next picture overwrites all planes but the modulation.
+
     Args:
-        phasor: complex64, C + i S of the pointwise phase, counts; 0 where unknown.
-        equalized: complex64, the same from channels divided by their local means; about unit size.
+        phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.packed`; 0 where unknown.
+        equalized: int32, packed, the same from channels divided by their local means; about unit size.
         mean: float32, A, counts: the fringe-free texture.
         variance: float32, variance of the pointwise phase from the picture's noise, rad^2.
         clipped: share of pixels with a clipped sample.
@@ -42,8 +46,8 @@ class PhaseMap:
         modulation: uint8, B, counts; valid: bool, B is enough and the fit had enough samples.
     """
 
-    phasor: NDArray[np.complex64]
-    equalized: NDArray[np.complex64]
+    phasor: NDArray[np.int32]
+    equalized: NDArray[np.int32]
     mean: F32
     variance: F32
     clipped: float
@@ -77,8 +81,9 @@ class Decoder:
         slopes: tuple[float, float],
         settings: Settings,
     ) -> None:
-        self._rows = design(color, shifts)
-        self._solve = np.linalg.inv(self._rows).astype(np.float32)
+        rows = design(color, shifts)
+        self._rows = rows.astype(np.float32)
+        self._solve = np.linalg.inv(rows).astype(np.float32)
         self._ideal = np.linalg.inv(design(ColorModel(), shifts)).astype(np.float32)
         self._black = color.black.astype(np.float32)
         self._unmix = color.unmix.astype(np.float32)
@@ -87,33 +92,63 @@ class Decoder:
         self._period_px = 2 * np.pi / max(abs(slopes[0]), abs(slopes[1]))
         self._nominal = np.array([f(slope) for slope in slopes for f in (np.cos, np.sin)], dtype=np.float32)
         self._settings = settings
-        self._weights = weights_of(*settings.window(mosaic=mosaic is not None))
+        self._radius, sigma = settings.window(mosaic=mosaic is not None)
+        # By distance along a row or a column, 0 beyond the radius; their product is the window's weight.
+        self._weights = np.zeros(3, np.float32)
+        self._weights[: self._radius + 1] = weights_of(self._radius, sigma)[self._radius, self._radius :]
+        self._planes: dict[str, NDArray[Any]] = {}
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
-        """Phase of a raw picture, (H, W, 3) three-chip or (H, W) mosaic."""
+        """Phase of a raw picture, (H, W, 3) three-chip or (H, W) mosaic; overwrites the planes of the last one."""
         noise = self._noise(image)
+        if self._mosaic is not None:
+            return self._decode_bayer(image, noise)
+        height, width = image.shape[:2]
+        box = BoxMean.of(self._period_px, (width, height), axis=self._axis, largest=255)
+        planes = self._scratch(height, width)
+        modulation = np.empty((height, width), np.uint8)
+        decode_rgb(
+            image.reshape(height, 3 * width), self._black, self._rows, self._solve, self._unmix, self._ideal,
+            self._weights, self._radius, self._nominal, np.float32(self._settings.saturation),
+            np.float32(noise.floor), np.float32(noise.gain), np.float32(self._settings.min_modulation),
+            box.along, box.over, *box.drops, np.float32(box.scale), planes["phasor"], planes["equalized"],
+            planes["mean"], planes["variance"], planes["phase"], planes["phase_eq"], modulation, planes["valid"],
+            planes["clipped"],
+        )  # fmt: skip
+        return PhaseMap(
+            planes["phasor"], planes["equalized"], planes["mean"],
+            planes["variance"], float(planes["clipped"].sum()) / (height * width), planes["phase"],
+            planes["phase_eq"], modulation, planes["valid"],
+        )  # fmt: skip
+
+    def _scratch(self, height: int, width: int) -> dict[str, NDArray[Any]]:
+        """The planes that stay with the decoder: fresh ones cost as much as a good part of the decoding."""
+        if not self._planes or self._planes["mean"].shape != (height, width):
+            single = {k: np.empty((height, width), np.float32) for k in ("mean", "variance", "phase", "phase_eq")}
+            double = {k: np.empty((height, width), np.int32) for k in ("phasor", "equalized")}
+            rest = {"valid": np.empty((height, width), np.bool_), "clipped": np.empty(height, np.int32)}
+            self._planes = {**single, **double, **rest}
+        return self._planes
+
+    def _decode_bayer(self, image: NDArray[np.uint8], noise: NoiseModel) -> PhaseMap:
+        d = np.arange(-self._radius, self._radius + 1)
+        weights = np.outer(self._weights[abs(d)], self._weights[abs(d)])
         clip = np.float32(self._settings.saturation)
-        if self._mosaic is None:
-            phasor, mean, channels, tangential, clipped = three_chip_pointwise(
-                image, self._solve, self._black, self._unmix, clip, np.float32(noise.floor), np.float32(noise.gain)
-            )
-            fitted = fit_three_chip(
-                image, phasor, mean, tangential, clipped, self._rows, self._black, self._weights,
-                self._nominal, clip, noise.floor, noise.gain,
-            )  # fmt: skip
-        else:
-            channels, clipped = rough_channels(image, self._mosaic, self._black, self._unmix, clip)
-            rough = _phasor_of(channels, self._ideal)
-            fitted = fit_bayer(
-                image, self._mosaic, rough, channels.mean(axis=2), self._rows, self._black, self._weights,
-                self._nominal, clip, noise.floor, noise.gain,
-            )  # fmt: skip
+        channels, clipped = rough_channels(image, self._mosaic, self._black, self._unmix, clip)
+        rough = _phasor_of(channels, self._ideal)
+        fitted = fit_bayer(
+            image, self._mosaic, rough, channels.mean(axis=2), self._rows, self._black, weights,
+            self._nominal, clip, noise.floor, noise.gain,
+        )  # fmt: skip
         means = local_means(channels, self._period_px, axis=self._axis)
         equalized = equalized_phasor(channels, means, self._ideal)
         modulation, valid = describe(fitted[0], fitted[2], np.float32(self._settings.min_modulation))
         share = float(np.count_nonzero(clipped)) / clipped.size
+        packed = [np.empty(equalized.shape, np.int32) for _ in range(2)]
+        pack_plane(fitted[0], PHASOR_SCALE, packed[0])
+        pack_plane(equalized, EQUALIZED_SCALE, packed[1])
         return PhaseMap(
-            fitted[0], equalized, fitted[1], fitted[2], share, angles(fitted[0]), angles(equalized), modulation, valid
+            packed[0], packed[1], fitted[1], fitted[2], share, angles(fitted[0]), angles(equalized), modulation, valid
         )
 
     def _noise(self, image: NDArray[np.uint8]) -> NoiseModel:

@@ -13,7 +13,7 @@ from pipeline import self_calibration
 from pipeline.calibration import Calibration
 from pipeline.cloud import Cloud, Volume
 from pipeline.errors import CalibrationError
-from pipeline.order_search import NO_TURN, OrderSearch
+from pipeline.order_search import OrderSearch
 from pipeline.pattern import ColorFringe
 from pipeline.phase import PhaseMap
 from pipeline.raw import checked, mosaic_of
@@ -134,6 +134,8 @@ class Reconstructor:
                 best, least = float(offset), cost
         self.correction = np.array([best, 0.0, 0.0])
         self._calibrated = True
+        for side in self._searches:
+            side.forget()
         orders = self._orders(left, right, Stopwatch(None), follow=False)
         located = self._stage(1).locate(left, right, orders, self.correction)
         difference, along, across = self._left.column_differences(located, self.correction)
@@ -152,6 +154,9 @@ class Reconstructor:
         watch.lap("orders")
         self._left.cross_check(left, decided[0], self._right, right, decided[1], self.correction, self._kept)
         self._left.spread(left, self._kept, self._order)
+        if follow:
+            self._searches[0].expect(left, self._kept)
+            self._searches[1].expect(right, decided[1])
         watch.lap("propagation")
         return self._order
 

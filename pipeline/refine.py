@@ -15,20 +15,23 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
+from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, angle, clamped, root, turns
 
 _COHERENCE_SQ = np.float32(0.16)
-_STEPS = 2
+_STEPS = 1
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _TURN, _TINY = np.float32(2 * np.pi), np.float32(1e-20)
 
-# Slots of the scratch array.
+# Slots of the scratch array of floats, and of the one of integers.
 _RE, _IM, _PHI, _BIAS, _RX, _RY = (k * TILE for k in range(6))
 _W, _X, _Y, _EX, _EY = (k * TILE for k in range(6, 11))
 _FRACTION, _ACROSS = (k * TILE for k in range(11, 13))
 _AR, _AI, _BR, _BI, _SQ, _VAR = (k * TILE for k in range(13, 19))
 _OK, _SLOPE, _T0, _T1, _U, _V = (k * TILE for k in range(19, 25))
 _SLOTS = 25
+_CELL, _P00, _P10, _P01, _P11 = (k * TILE for k in range(5))
+_INTEGER_SLOTS = 5
 
 
 @inline
@@ -107,17 +110,19 @@ def _cells(t: Any, k: Any, along: int, across: int, width: int, height: int) -> 
 
 @inline
 def _fetch(t: Any, k: Any, other: Any, along: int, across: int) -> None:
-    """Phasors at both ends of the cells along the growth of the phase, linear across; ``other`` flat (re, im) pairs."""
-    one, step, beside = np.uint32(1), np.uint32(2 * along), np.uint32(2 * across)
+    """Phasors at both ends of the cells along the growth of the phase, linear across; ``other`` flat, packed."""
+    step, beside = np.uint32(along), np.uint32(across)
     for j in range(TILE):
-        i = np.uint32(2 * k[j])
+        i = np.uint32(k[_CELL + j])
+        k[_P00 + j], k[_P10 + j] = other[i], other[i + step]
+        i += beside
+        k[_P01 + j], k[_P11 + j] = other[i], other[i + step]
+    for j in range(TILE):
         f = t[_ACROSS + j]
-        a, b, c, d = other[i], other[i + one], other[i + step], other[i + step + one]
-        n = i + beside
-        t[_AR + j] = a + f * (other[n] - a)
-        t[_AI + j] = b + f * (other[n + one] - b)
-        t[_BR + j] = c + f * (other[n + step] - c)
-        t[_BI + j] = d + f * (other[n + step + one] - d)
+        a, b, c, d = real(k[_P00 + j]), imaginary(k[_P00 + j]), real(k[_P10 + j]), imaginary(k[_P10 + j])
+        e, g, h, q = real(k[_P01 + j]), imaginary(k[_P01 + j]), real(k[_P11 + j]), imaginary(k[_P11 + j])
+        t[_AR + j], t[_AI + j] = a + f * (e - a), b + f * (g - b)
+        t[_BR + j], t[_BI + j] = c + f * (h - c), d + f * (q - d)
 
 
 @inline
@@ -140,7 +145,7 @@ def refine(
 
     Args:
         order: (H, W) int16; rays_x, rays_y: (H, W) ideal normalised points of the pixels.
-        phasor, other: (H, W) complex64 seen as (H, 2 W) float32: real, imaginary.
+        phasor, other: (H, W) int32, packed; floor_sq: least squared size of a packed phasor.
         device, projector: packed models of the other camera and the projector; axis: 0 = phase grows along u.
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate.
@@ -156,7 +161,7 @@ def refine(
     delta = np.float32(0.01 * span)
     loss = _TWO * (_ONE - correlation)
     for i in prange(height):
-        t, k = np.zeros(_SLOTS * TILE, np.float32), np.zeros(TILE, np.int32)
+        t, k = np.zeros(_SLOTS * TILE, np.float32), np.zeros(_INTEGER_SLOTS * TILE, np.int32)
         for tile in range(tiles):
             j0 = tile * TILE
             n = min(TILE, width - j0)
@@ -170,7 +175,7 @@ def refine(
             if found == 0:
                 known[:] = 0
                 continue
-            _load(t, n, row, phase[i, j0 : j0 + n], phase_eq[i, j0 : j0 + n], phasor[i, 2 * j0 : 2 * (j0 + n)],
+            _load(t, n, row, phase[i, j0 : j0 + n], phase_eq[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
                   rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
             _columns(t, k, columns)
             _meet(t, projector, axis, correction)
@@ -198,7 +203,8 @@ def refine(
                 ax, ay, az = _ray(t, device, j)
                 t[_X + j], t[_Y + j] = _pixel(device, ax, ay, az, t[_W + j])
             _cells(t, k, along, across, other_width, other_height)
-            _evidence(t, k, flat, flat_variance, along, across)
+            _fetch(t, k, flat, along, across)
+            _evidence(t, k, flat_variance, along, across)
             for j in range(TILE):
                 f, re, im, step = _error(t, j)
                 ex, ey = t[_EX + j], t[_EY + j]
@@ -206,7 +212,7 @@ def refine(
                 slope = slope if slope != _ZERO else _TINY
                 x, y = t[_X + j], t[_Y + j]
                 size = re * re + im * im
-                good = (abs(f) < np.float32(0.1)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
+                good = (abs(f) < np.float32(0.4)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
                 good &= abs(t[_W + j] - t[_T0 + j]) * abs(slope) < np.float32(3.0)
                 good &= (x >= _ONE) & (y >= _ONE)
                 good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
@@ -250,37 +256,29 @@ def _load(t: Any, n: int, order: Any, phase: Any, phase_eq: Any, phasor: Any, ra
     for j in range(n):
         t[_RX + j], t[_RY + j] = rays_x[j], rays_y[j]
     for j in range(n):
-        t[_RE + j], t[_IM + j] = phasor[2 * j], phasor[2 * j + 1]
+        t[_RE + j], t[_IM + j] = real(phasor[j]), imaginary(phasor[j])
     for j in range(TILE):
         t[_T0 + j] = t[_PHI + j] + t[_BIAS + j]
 
 
 @inline
-def _evidence(t: Any, k: Any, other: Any, variance: Any, along: int, across: int) -> None:
-    """As :func:`_fetch`, and the phasors' mean square (slot _SQ) and variance (slot _VAR) in each cell."""
-    one, step, beside = np.uint32(1), np.uint32(along), np.uint32(across)
+def _evidence(t: Any, k: Any, variance: Any, along: int, across: int) -> None:
+    """The phasors' mean square (slot _SQ) in each cell, and the variance (slot _VAR) of the pixel nearest to it.
+
+    After :func:`_fetch`.
+    """
+    step, beside = np.int32(along), np.int32(across)
     for j in range(TILE):
-        i = np.uint32(k[j])
-        f = t[_ACROSS + j]
-        t[_VAR + j] = variance[i] + f * (variance[i + beside] - variance[i])
-        i += step
-        t[_V + j] = variance[i] + f * (variance[i + beside] - variance[i])
-    step, beside = np.uint32(2 * along), np.uint32(2 * across)
-    for j in range(TILE):
-        i = np.uint32(2 * k[j])
-        f = t[_ACROSS + j]
-        n = i + beside
-        a, b, c, d = other[i], other[i + one], other[i + step], other[i + step + one]
-        e, g, h, q = other[n], other[n + one], other[n + step], other[n + step + one]
-        t[_AR + j], t[_AI + j] = a + f * (e - a), b + f * (g - b)
-        t[_BR + j], t[_BI + j] = c + f * (h - c), d + f * (q - d)
+        f, g = t[_FRACTION + j], t[_ACROSS + j]
+        a, b, c, d = real(k[_P00 + j]), imaginary(k[_P00 + j]), real(k[_P10 + j]), imaginary(k[_P10 + j])
+        e, o, h, q = real(k[_P01 + j]), imaginary(k[_P01 + j]), real(k[_P11 + j]), imaginary(k[_P11 + j])
         near, far = a * a + b * b, c * c + d * d
-        t[_SQ + j] = near + f * (e * e + g * g - near)
-        t[_U + j] = far + f * (h * h + q * q - far)
+        near += g * (e * e + o * o - near)
+        far += g * (h * h + q * q - far)
+        t[_SQ + j] = near + f * (far - near)
+        k[_CELL + j] += (step if f > _HALF else np.int32(0)) + (beside if g > _HALF else np.int32(0))
     for j in range(TILE):
-        f = t[_FRACTION + j]
-        t[_VAR + j] += f * (t[_V + j] - t[_VAR + j])
-        t[_SQ + j] += f * (t[_U + j] - t[_SQ + j])
+        t[_VAR + j] = variance[np.uint32(k[_CELL + j])]
 
 
 @inline

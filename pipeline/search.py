@@ -1,4 +1,4 @@
-"""The order search along one lattice row: candidates, their prices, and the horizontal paths, while they are in cache."""
+"""The order search in strips of lattice rows: candidates, their prices, and the horizontal paths, while in cache."""
 
 from __future__ import annotations
 
@@ -6,14 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.aggregate import along_row, row_links
-from pipeline.candidates import NO_SUCH, SLOTS, load_nodes, predict, price
+from pipeline.aggregate import NONE, along_row, row_links
+from pipeline.candidates import COST, INTEGER_SLOTS, MOVE, NO_SUCH, SLOTS, load_nodes, predict, price
 from pipeline.kernels import parallel, prange
 from pipeline.tiles import TILE
 
 REFRESH = 16
 """Every lattice row is searched without expectations once in this many pairs, so that no error outlives them."""
-_COST, _MOVE = (SLOTS - 1) * TILE, 7 * TILE
+STRIP = 4
+"""Lattice rows that are searched together."""
+_CELL = 16
+"""Columns of a strip that are searched together once enough of them contradict the expectation."""
+_FEW = 8
+"""One contradiction in this many expectations is enough."""
+_TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 
 
 @parallel
@@ -30,67 +36,111 @@ def search_rows(
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         tables: (4, 3, h, w) along, across, other_u, other_v; start, stop: see :func:`candidates.order_limits`.
-        phasor, equalized: (H, 2 W) float32 pairs; phase, phase_eq, mean: (H, W) float32; valid: (H, W) bool.
+        phasor, equalized: (H, W) int32 packed; phase, phase_eq, mean: (H, W) float32; valid: (H, W) bool.
         other_phasor, other_equalized, other_mean: the other picture's.
         columns: even-grid table phase -> projector coordinate; extent: projector pixels across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.
-        inv: 1 / (2 cost_sigma^2).
+        floor_sq: least squared size of a packed phasor; inv: 1 / (2 cost_sigma^2).
         expected: (h, w) float32, absolute phase to be expected, NaN = unknown; a pixel whose expected order costs at
-            most ``limit`` has no other candidate. Not used in lattice rows a with ``a % REFRESH == turn``; turn < 0:
-            nowhere.
+            most ``limit``, amid others for which that holds, has no other candidate. Not used in lattice rows a with
+            ``a % REFRESH == turn``; turn < 0: nowhere.
         costs, total: (h, w * labels) float32, written for the candidates there are; first, count: (h, w) int32, written.
     """
     h, w = start.shape
     height, width = other_mean.shape
-    flat_phasor, flat_equalized, flat_mean = other_phasor.reshape(-1), other_equalized.reshape(-1), other_mean.reshape(-1)
-    for part in prange((h + every - 1) // every):
-        a = part * every
-        i = top + down * a
-        t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(TILE, np.int32)
-        row_costs, row_first, row_count = costs[a], first[a], count[a]
-        known, open_ = np.empty(w, np.int32), np.empty(w, np.int32)
-        follow = turn >= 0 and a % REFRESH != turn
-        n_known, n_open = 0, 0
-        for b in range(w):
-            row_first[b], row_count[b] = 0, 0
-            if not valid[i, np.uint32(left + step * b)]:
-                continue
-            if follow and expected[a, b] == expected[a, b]:
-                known[n_known] = b
-                n_known += 1
-            else:
-                open_[n_open] = b
-                n_open += 1
-        for b0 in range(0, n_known, TILE):
-            n = min(TILE, n_known - b0)
-            nodes = known[b0 : b0 + n]
-            load_nodes(t, nodes, n, a, i, left, step, tables, start, stop, phase, phase_eq, phasor, equalized, mean,
-                       row_first, row_count, labels)  # fmt: skip
-            predict(t, nodes, n, expected[a])
-            price(t, k, 0, columns, correction, extent, flat_phasor, flat_equalized, flat_mean, width, height,
+    pixels_across = mean.shape[1]
+    flat_tables, flat_start, flat_stop = tables.reshape(12, h * w), start.reshape(-1), stop.reshape(-1)
+    flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
+    flat_phase, flat_eq, flat_mean, flat_costs = phase.reshape(-1), phase_eq.reshape(-1), mean.reshape(-1), costs.reshape(-1)
+    flat_phasor, flat_equalized = phasor.reshape(-1), equalized.reshape(-1)
+    there_phasor, there_equalized = other_phasor.reshape(-1), other_equalized.reshape(-1)
+    there_mean = other_mean.reshape(-1)
+    for strip in prange((h + STRIP - 1) // STRIP):
+        a0, a1 = strip * STRIP, min(strip * STRIP + STRIP, h)
+        t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
+        # 0: to be searched, 1: left out, 2: as expected, 3: not yet known to be, or contradicting.
+        state = np.zeros((STRIP, w), np.int8)
+        nodes, pixels = np.empty(STRIP * w, np.int32), np.empty(STRIP * w, np.int32)
+        n = 0
+        for a in range(a0, a1):
+            follow = turn >= 0 and a % REFRESH != turn
+            here = state[a - a0]
+            for b in range(w):
+                pixel = (top + down * a, left + step * b)
+                flat_first[a * w + b], flat_count[a * w + b] = 0, 0
+                if a % every or not valid[pixel]:
+                    here[b] = 1
+                elif follow and expected[a, b] == expected[a, b]:
+                    here[b] = 3
+                    nodes[n], pixels[n] = a * w + b, pixel[0] * pixels_across + pixel[1]
+                    n += 1
+        for o in range(0, n, TILE):
+            m = min(TILE, n - o)
+            part = nodes[o : o + m]
+            load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase, flat_eq,
+                       flat_phasor, flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
+            predict(t, part, m, flat_expected)
+            price(t, k, 0, columns, correction, extent, there_phasor, there_equalized, there_mean, width, height,
                   axis, floor_sq, inv, texture)  # fmt: skip
-            for j in range(n):
-                b = np.uint32(nodes[j])
-                if t[_COST + j] <= limit and t[_MOVE + j] >= np.float32(0.0):
-                    row_first[b] += np.int32(t[_MOVE + j])
-                    row_count[b] = 1
-                    row_costs[b * np.uint32(labels)] = t[_COST + j]
-                else:
-                    open_[n_open] = nodes[j]
-                    n_open += 1
-        for b0 in range(0, n_open, TILE):
-            n = min(TILE, n_open - b0)
-            nodes = open_[b0 : b0 + n]
-            most = load_nodes(t, nodes, n, a, i, left, step, tables, start, stop, phase, phase_eq, phasor, equalized,
-                              mean, row_first, row_count, labels)  # fmt: skip
+            for j in range(m):
+                node = np.uint32(part[j])
+                if t[COST + j] <= limit and t[MOVE + j] >= _ZERO:
+                    state[part[j] // w - a0, part[j] % w] = 2
+                    flat_first[node] += np.int32(t[MOVE + j])
+                    flat_count[node] = 1
+                    flat_costs[node * np.uint32(labels)] = t[COST + j]
+        n = 0
+        for b0 in range(0, w, _CELL):
+            b1 = min(b0 + _CELL, w)
+            agree, contradict = 0, 0
+            for a in range(a1 - a0):
+                for b in range(b0, b1):
+                    agree += state[a, b] == 2
+                    contradict += state[a, b] == 3
+            doubtful = contradict * _FEW > agree + contradict
+            for a in range(a1 - a0):
+                for b in range(b0, b1):
+                    if state[a, b] != 1 and (state[a, b] != 2 or doubtful):
+                        nodes[n] = (a0 + a) * w + b
+                        pixels[n] = (top + down * (a0 + a)) * pixels_across + left + step * b
+                        n += 1
+        for o in range(0, n, TILE):
+            m = min(TILE, n - o)
+            part = nodes[o : o + m]
+            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase,
+                              flat_eq, flat_phasor, flat_equalized, flat_mean, flat_first, flat_count,
+                              labels)  # fmt: skip
             for order in range(most):
-                price(t, k, order, columns, correction, extent, flat_phasor, flat_equalized, flat_mean, width, height,
-                      axis, floor_sq, inv, texture)  # fmt: skip
-                for j in range(n):
-                    b = np.uint32(nodes[j])
-                    if order < row_count[b]:
-                        row_costs[b * np.uint32(labels) + np.uint32(order)] = t[_COST + j]
+                price(t, k, order, columns, correction, extent, there_phasor, there_equalized, there_mean, width,
+                      height, axis, floor_sq, inv, texture)  # fmt: skip
+                for j in range(m):
+                    node = np.uint32(part[j])
+                    if order < flat_count[node]:
+                        flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
         jump, trust = np.empty(w, np.int32), np.empty(w, np.float32)
-        row_links(phase[i], valid[i], left, step, slope, w, jump, trust)
         paths = np.full((2, 3 * labels), NO_SUCH)
-        along_row(row_costs, row_first, row_count, jump, trust, penalty, labels, paths, total[a])
+        for a in range(a0, a1):
+            i = top + down * a
+            if a % every == 0:
+                row_links(phase[i], valid[i], left, step, slope, w, jump, trust)
+                along_row(costs[a], first[a], count[a], jump, trust, penalty, labels, paths, total[a])
+
+
+@parallel
+def remember(
+    order: Any, first: Any, costs: Any, labels: int, limit: Any, top: int, down: int, left: int, step: int,
+    phase: Any, expected: Any,
+) -> None:  # fmt: skip
+    """Absolute phases of lattice pixels whose order costs at most ``limit``, NaN elsewhere; see :func:`search_rows`.
+
+    Args:
+        order: (h, w) int16, NONE = unknown, one of the candidates priced last; expected: (h, w) float32, written.
+    """
+    h, w = order.shape
+    for a in prange(h):
+        i = top + down * a
+        for b in range(w):
+            value = _NAN
+            if order[a, b] != NONE and costs[a, np.uint32(b * labels + order[a, b] - first[a, b])] <= limit:
+                value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])
+            expected[a, b] = value

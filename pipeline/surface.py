@@ -12,6 +12,7 @@ from pipeline.calibration import Calibration
 from pipeline.cloud import Cloud
 from pipeline.gates import Gates
 from pipeline.located import Located
+from pipeline.packed import PHASOR_SCALE
 from pipeline.phase import PhaseMap
 from pipeline.refine import refine
 from pipeline.settings import Settings
@@ -35,7 +36,7 @@ class SurfaceStage:
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         shape = self._rays_x.shape
         self._located = Located.empty(shape)
-        self._floor_sq, self._correlation = np.float32(settings.min_modulation**2), np.float32(correlation)
+        self._floor_sq, self._correlation = np.float32((settings.min_modulation * PHASOR_SCALE) ** 2), np.float32(correlation)
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size, (every * left.slopes[0], every * left.slopes[1]),
             left.depth, left.order_step, settings, smallest=max(settings.min_component // every**2, 1),
@@ -45,8 +46,8 @@ class SurfaceStage:
         """Points of the pixels of this resolution; ``left`` and ``order`` hold only those. Valid until the next call."""
         v = self._view
         refine(
-            order, self._rays_x, self._rays_y, left.phase, left.phase_eq, left.phasor.view(np.float32), left.variance,
-            right.phasor.view(np.float32), right.variance, v.other, v.projector, v.first_axis,
+            order, self._rays_x, self._rays_y, left.phase, left.phase_eq, left.phasor, left.variance,
+            right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, correction.astype(np.float32),
             self._floor_sq, self._correlation, self._located,
         )  # fmt: skip

@@ -1,54 +1,69 @@
-"""The exact three-step solution of every pixel of a three-chip picture, before any window."""
+"""The exact three-step solution of every pixel of a row of a three-chip picture, before any window.
+
+Row kernels: straight loops over contiguous float32 rows without branches, which become vector instructions.
+"""
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import parallel, prange
+from pipeline.kernels import serial
 
 
-@parallel
-def three_chip_pointwise(
-    image: Any, solve: Any, black: Any, unmix: Any, clip: float, floor: float, gain: float
-) -> tuple[Any, Any, Any, Any, Any]:
-    """Exact three-step solution of every pixel.
+@serial
+def levels_of_row(raw: Any, black: Any, levels: Any) -> None:
+    """Counts above black of one row: raw (3 W,) uint8, colours interleaved, to the first W of the rows of ``levels`` (3, ...) float32."""
+    n = raw.shape[0] // 3
+    dark0, dark1, dark2 = black[0], black[1], black[2]
+    x, y, z = levels[0, :n], levels[1, :n], levels[2, :n]
+    for j in range(n):
+        x[j] = np.float32(raw[3 * j]) - dark0
+        y[j] = np.float32(raw[3 * j + 1]) - dark1
+        z[j] = np.float32(raw[3 * j + 2]) - dark2
+
+
+@serial
+def pointwise_row(
+    levels: Any, black: Any, solve: Any, clip: float, floor: float, gain: float,
+    unit_re: Any, unit_im: Any, usable: Any, re: Any, im: Any, mean: Any, tangential: Any,
+) -> int:  # fmt: skip
+    """Exact three-step solution of one row.
 
     Args:
-        image: (H, W, 3) uint8.
-        solve: (3, 3) float32, counts minus black -> (A, C, S).
-        black: (3,) float32 counts.
-        unmix: (3, 3) float32, inverse crosstalk.
+        levels: (3, W or more) float32 counts above black; black: (3,) float32 counts.
+        solve: (3, 3) float32, levels -> (A, C, S).
         clip: counts from which a sample is clipped.
         floor, gain: noise model, counts^2 and counts^2 per count.
+        unit_re, unit_im: result, (W,) float32, the phasor of size 1.
+        usable: result, 1 where no sample is clipped, else 0; where 0, so are the following:
+        re, im, mean, tangential: results, C, S, A and the variance of the tangential part of the phasor, counts^2.
 
     Returns:
-        phasor (H, W) complex64; mean (H, W); corrected channels (H, W, 3); variance of the tangential part of the
-        phasor (H, W), counts^2; number of clipped samples (H, W) uint8.
+        Number of pixels with a clipped sample.
     """
-    height, width = image.shape[:2]
-    phasor = np.empty((height, width), np.complex64)
-    mean = np.empty((height, width), np.float32)
-    channels = np.empty((height, width, 3), np.float32)
-    tangential = np.empty((height, width), np.float32)
-    clipped = np.empty((height, width), np.uint8)
-    for i in prange(height):
-        for j in range(width):
-            r, g, b = np.float32(image[i, j, 0]), np.float32(image[i, j, 1]), np.float32(image[i, j, 2])
-            clipped[i, j] = (r >= clip) + (g >= clip) + (b >= clip)
-            x, y, z = r - black[0], g - black[1], b - black[2]
-            for k in range(3):
-                channels[i, j, k] = unmix[k, 0] * x + unmix[k, 1] * y + unmix[k, 2] * z
-            mean[i, j] = max(solve[0, 0] * x + solve[0, 1] * y + solve[0, 2] * z, np.float32(0.0))
-            c = solve[1, 0] * x + solve[1, 1] * y + solve[1, 2] * z
-            s = solve[2, 0] * x + solve[2, 1] * y + solve[2, 2] * z
-            phasor[i, j] = complex(c, s)
-            norm = c * c + s * s + np.float32(1e-6)
-            total = np.float32(0.0)
-            for k in range(3):
-                t = solve[2, k] * c - solve[1, k] * s
-                level = x if k == 0 else (y if k == 1 else z)
-                total += t * t * (floor + gain * max(level, np.float32(0.0)))
-            tangential[i, j] = total / norm
-    return phasor, mean, channels, tangential, clipped
+    n = re.shape[0]
+    zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
+    a0, a1, a2 = solve[0, 0], solve[0, 1], solve[0, 2]
+    c0, c1, c2 = solve[1, 0], solve[1, 1], solve[1, 2]
+    s0, s1, s2 = solve[2, 0], solve[2, 1], solve[2, 2]
+    top0, top1, top2 = clip - black[0], clip - black[1], clip - black[2]
+    row_x, row_y, row_z = levels[0, :n], levels[1, :n], levels[2, :n]
+    clipped = zero
+    for j in range(n):
+        x, y, z = row_x[j], row_y[j], row_z[j]
+        c, s = c0 * x + c1 * y + c2 * z, s0 * x + s1 * y + s2 * z
+        inverse = one / np.float32(sqrt(c * c + s * s + tiny))
+        u, v = c * inverse, s * inverse
+        t0, t1, t2 = s0 * u - c0 * v, s1 * u - c1 * v, s2 * u - c2 * v
+        square0, square1, square2 = t0 * t0, t1 * t1, t2 * t2
+        shot = square0 * max(x, zero) + square1 * max(y, zero) + square2 * max(z, zero)
+        fine = one if (x < top0) & (y < top1) & (z < top2) else zero
+        unit_re[j], unit_im[j], usable[j] = u, v, fine
+        re[j], im[j] = fine * c, fine * s
+        mean[j] = fine * max(a0 * x + a1 * y + a2 * z, zero)
+        tangential[j] = fine * (floor * (square0 + square1 + square2) + gain * shot)
+        clipped += one - fine
+    return int(clipped)

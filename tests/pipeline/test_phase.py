@@ -105,13 +105,14 @@ def test_the_predicted_variance_is_the_scatter(radius, encoding):
         radius = 2
     phase = smooth_phase()
     dec = decoder(encoding, window_radius=radius, read_noise=2.0)
-    found = []
+    errors, variances = [], []
     for seed in range(30):
         rgb = picture(phase, noise=1.98, seed=seed)
-        found.append(dec.decode(rgb if encoding == "rgb8" else mosaic(rgb, encoding)))
-    error = np.stack([wrapped(f.phase - phase)[INNER] for f in found])
-    scatter = np.sqrt(error.var(axis=0).mean())
-    predicted = np.sqrt(np.mean([f.variance[INNER].mean() for f in found]))
+        found = dec.decode(rgb if encoding == "rgb8" else mosaic(rgb, encoding))
+        errors.append(wrapped(found.phase - phase)[INNER])
+        variances.append(found.variance[INNER].mean())
+    scatter = np.sqrt(np.stack(errors).var(axis=0).mean())
+    predicted = np.sqrt(np.mean(variances))
     assert 0.9 < predicted / scatter < 1.12
 
 

@@ -1,0 +1,133 @@
+"""Pixels of a three-chip picture with a clipped sample: the window fit from the samples that are left.
+
+The clipped pixels of a row are gathered into tiles, fitted by the full normal equations and put back.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import serial
+from pipeline.normal_equations import IM, MEAN, RE, SLOTS, VARIANCE, add_sample, clear, solve
+from pipeline.tiles import TILE
+from pipeline.window_fit import AGREEING, step_of
+
+_UNITS = SLOTS  # unit phasors of the pixel and its neighbours left, right, above, below: 5 x (re, im)
+_STEP_X, _STEP_Y = _UNITS + 10, _UNITS + 12  # phasors of the phase's steps
+_TURN = _UNITS + 14
+_RAW, _LEVEL, _WEIGHT = _UNITS + 16, _UNITS + 17, _UNITS + 18
+_DESIGN = _UNITS + 19
+CLIPPED_SLOTS = _UNITS + 28
+
+
+@serial
+def clipped_of_row(raw: Any, clip: float, low: int, high: int, found: Any) -> int:
+    """Columns of [low, high) with a clipped sample into ``found``, and their number; raw (3 W,) colours interleaved."""
+    n = 0
+    for j in range(low, high):
+        found[n] = j
+        n += (raw[3 * j] >= clip) | (raw[3 * j + 1] >= clip) | (raw[3 * j + 2] >= clip)
+    return n
+
+
+@serial
+def plain_mean(raw: Any, j: int, black: Any, solution: Any) -> float:
+    """Mean A of a single pixel of a row, counts."""
+    a = np.float32(0.0)
+    for k in range(3):
+        a += solution[0, k] * (np.float32(raw[3 * j + k]) - black[k])
+    return max(a, np.float32(0.0))
+
+
+@serial
+def _turn(tile: Any, row: int, column: int) -> None:
+    """Phasor of the phase's change from the pixel to its neighbour some rows and columns (at most two) away."""
+    fx, fy = np.float32(1.0 if column >= 0 else -1.0), np.float32(1.0 if row >= 0 else -1.0)
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for j in range(TILE):
+        c, s = tile[_STEP_X * TILE + j], fx * tile[(_STEP_X + 1) * TILE + j]
+        c2, s2 = c * c - s * s, s * c + c * s
+        cx, sx = c2 if abs(column) == 2 else (c if column != 0 else one), s2 if abs(column) == 2 else (s if column != 0 else zero)
+        c, s = tile[_STEP_Y * TILE + j], fy * tile[(_STEP_Y + 1) * TILE + j]
+        c2, s2 = c * c - s * s, s * c + c * s
+        cy, sy = c2 if abs(row) == 2 else (c if row != 0 else one), s2 if abs(row) == 2 else (s if row != 0 else zero)
+        tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j] = cx * cy - sx * sy, sx * cy + cx * sy
+
+
+@serial
+def _steps(tile: Any, nominal: Any) -> None:
+    xc, xs, yc, ys, agreeing = nominal[0], nominal[1], nominal[2], nominal[3], np.float32(AGREEING)
+    for j in range(TILE):
+        re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
+        c, s, _, _ = step_of(tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j], re, im,
+                             tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j], xc, xs, agreeing)  # fmt: skip
+        tile[_STEP_X * TILE + j], tile[(_STEP_X + 1) * TILE + j] = c, s
+    for j in range(TILE):
+        re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
+        c, s, _, _ = step_of(tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j], re, im,
+                             tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j], yc, ys, agreeing)  # fmt: skip
+        tile[_STEP_Y * TILE + j], tile[(_STEP_Y + 1) * TILE + j] = c, s
+
+
+@serial
+def _weigh(tile: Any, dark: float, clip: float, weight: float) -> None:
+    for j in range(TILE):
+        x = tile[_RAW * TILE + j]
+        tile[_LEVEL * TILE + j] = x - dark
+        tile[_WEIGHT * TILE + j] = weight if x < clip else np.float32(0.0)
+
+
+@serial
+def fill_design(tile: Any, rows: Any) -> None:
+    """Write the channels' design, rows (3, 3) float32, into a tile, once."""
+    for k in range(9):
+        for j in range(TILE):
+            tile[(_DESIGN + k) * TILE + j] = rows[k // 3, k % 3]
+
+
+@serial
+def _slot(tile: Any, k: int) -> Any:
+    return tile[k * TILE : (k + 1) * TILE]
+
+
+@serial
+def fit_clipped(
+    picture: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, black: Any, clip: float,
+    floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any, variance: Any,
+) -> None:  # fmt: skip
+    """Fit up to TILE pixels of row ``i``; results into those elements of re, im, mean, variance (W,).
+
+    Args:
+        picture: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
+        nominal: (4,) expected steps; weights: (3,) by distance; units: re, im of the rows above, here, below.
+    """
+    above_re, above_im, here_re, here_im, below_re, below_im = units
+    n = columns.shape[0]
+    for j in range(n):
+        x = columns[j]
+        tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j] = here_re[x], here_im[x]
+        tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j] = here_re[x - 1], here_im[x - 1]
+        tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j] = here_re[x + 1], here_im[x + 1]
+        tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j] = above_re[x], above_im[x]
+        tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j] = below_re[x], below_im[x]
+    _steps(tile, nominal)
+    clear(tile)
+    for a in range(-radius, radius + 1):
+        raw = picture[i + a]
+        for b in range(-radius, radius + 1):
+            _turn(tile, a, b)
+            for k in range(3):
+                for j in range(n):
+                    tile[_RAW * TILE + j] = np.float32(raw[3 * (columns[j] + b) + k])
+                _weigh(tile, black[k], clip, weights[abs(a)] * weights[abs(b)])
+                add_sample(tile, _slot(tile, _TURN), _slot(tile, _TURN + 1), _slot(tile, _LEVEL), _slot(tile, _WEIGHT),
+                           _slot(tile, _DESIGN + 3 * k), _slot(tile, _DESIGN + 3 * k + 1),
+                           _slot(tile, _DESIGN + 3 * k + 2), floor, gain)  # fmt: skip
+    solve(tile)
+    for j in range(n):
+        x = columns[j]
+        if tile[VARIANCE * TILE + j] < np.float32(np.inf):
+            mean[x] = min(max(tile[MEAN * TILE + j], np.float32(0.0)), np.float32(1024.0))
+        re[x], im[x], variance[x] = tile[RE * TILE + j], tile[IM * TILE + j], tile[VARIANCE * TILE + j]

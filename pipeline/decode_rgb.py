@@ -1,0 +1,166 @@
+"""Decoding of a three-chip picture in one pass over bands of rows.
+
+Every row goes through all steps while it is in the processor's first caches; between the raw picture and the results
+no plane is stored. The bands overlap, so each of them starts on its own: results do not depend on the threads.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fill_design, fit_clipped, plain_mean
+from pipeline.equalize import advance, equalized_row, means_of_row, mirrored
+from pipeline.kernels import parallel, prange, serial
+from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, pack
+from pipeline.three_step import levels_of_row, pointwise_row
+from pipeline.tiles import TILE, angle
+from pipeline.window_fit import fold, fold_far
+
+BANDS = 12
+_LINE = 16  # float32 in a cache line
+
+
+@serial
+def row_stride(width: int) -> int:
+    """Elements from one scratch row to the next, an odd number of cache lines: else all rows compete for few of them."""
+    return _LINE * (width // _LINE + 1 + (width // _LINE) % 2)
+
+
+@serial
+def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None:
+    """Phasors (n,) to a packed row (n,) int32 and their angles (n,) float32."""
+    for j in range(phase.shape[0]):
+        phase[j] = angle(re[j], im[j])
+    for j in range(phase.shape[0]):
+        phasor[j] = pack(re[j], im[j], scale)
+
+
+@serial
+def describe_row(re: Any, im: Any, variance: Any, smallest: float, modulation: Any, valid: Any) -> None:
+    """Modulation (n,) uint8 counts and validity (n,) bool of a row."""
+    full, one = np.float32(255.0), np.float32(1.0)
+    for j in range(modulation.shape[0]):
+        size = np.float32(sqrt(re[j] * re[j] + im[j] * im[j]))
+        modulation[j] = np.uint8(np.int32(min(size, full)))
+        valid[j] = (size >= smallest) & (variance[j] < one)
+
+
+@serial
+def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, mean: Any, variance: Any) -> None:
+    """Means of weighted sums, and the variance of the angle, rad^2; 0, 0, 0 and inf where the weight is 0."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    inf = np.float32(np.inf)
+    for j in range(mean.shape[0]):
+        found = w[j] > zero
+        inverse = one / (w[j] if found else one)
+        re[j], im[j], mean[j] = c[j] * inverse, s[j] * inverse, a[j] * inverse
+        variance[j] = v[j] / (c[j] * c[j] + s[j] * s[j] + np.float32(1e-9)) if found else inf
+
+
+@parallel
+def decode_rgb(
+    picture: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
+    clip: float, floor: float, gain: float, smallest: float, along: int, over: int, first: int, second: int,
+    scale: float, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any, phase_eq: Any, modulation: Any,
+    valid: Any, clipped: Any,
+) -> None:  # fmt: skip
+    """Fill the planes of a :class:`pipeline.phase.PhaseMap`.
+
+    Args:
+        picture: (H, 3 W) uint8; black: (3,) counts.
+        rows: (3, 3) design of the channels; solve: its inverse; unmix: (3, 3) inverse crosstalk; ideal: (3, 3) inverse
+            of the design without crosstalk; all float32.
+        weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
+        clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
+        along, over, first, second, scale: of :class:`pipeline.equalize.BoxMean`.
+        phasor, equalized: (H, W) int32, packed; mean, variance, phase, phase_eq: (H, W) float32.
+        modulation: (H, W) uint8; valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
+    """
+    height, width = mean.shape
+    reach = max(radius, 1)
+    ring, n = 2 * reach + 1, width - 2 * reach
+    inf, zero = np.float32(np.inf), np.float32(0.0)
+    wide = row_stride(3 * width + 6 * along)
+    for band in prange(BANDS):
+        low, high = band * height // BANDS, (band + 1) * height // BANDS
+        slab = np.zeros((7 * ring + 10, row_stride(width)), np.float32)
+        levels, w, c, s = slab[0:3], slab[3, :width], slab[4, :width], slab[5, :width]
+        a, v, re, im = slab[6, :width], slab[7, :width], slab[8, :width], slab[9, :width]
+        unit, sums = slab[10 : 10 + 2 * ring], slab[10 + 2 * ring :]
+        integers = np.zeros((2 + over, wide), np.int32)
+        once, twice, before = integers[0, : 3 * width], integers[1, : 3 * width], integers[2:]
+        shorts = np.zeros((5, 2 * wide), np.uint16)
+        padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
+        work, means = shorts[2:4], shorts[4, : 3 * width]
+        tile, columns = np.zeros(CLIPPED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
+        fill_design(tile, rows)
+        for y in range(low - over + 1, low + over - 1):
+            advance(picture[mirrored(y, height)], picture[mirrored(y - over, height)], 1 if y > low else 0, once,
+                    before[(y - low) % over], twice)  # fmt: skip
+        for y in range(max(low - reach, 0), min(high + reach, height)):
+            levels_of_row(picture[y], black, levels)
+            if low <= y < high:
+                advance(picture[mirrored(y + over - 1, height)], picture[mirrored(y - 1, height)], 1, once,
+                        before[(y + over - 1 - low) % over], twice)  # fmt: skip
+                means_of_row(twice, along, first, second, padded, middle, work, means)
+                equalized_row(levels, means, scale, black, unmix, ideal, w, c)
+                angles_of_row(w, c, EQUALIZED_SCALE, equalized[y], phase_eq[y])
+            k = y % ring
+            ur, ui = unit[k, :width], unit[ring + k, :width]
+            found = pointwise_row(levels, black, solve, clip, floor, gain, ur, ui, w, c, s, a, v)
+            if low <= y < high:
+                clipped[y] = found
+            o = reach
+            fold(ur[o - 1 : o - 1 + n], ui[o - 1 : o - 1 + n], ur[o : o + n], ui[o : o + n],
+                 ur[o + 1 : o + 1 + n], ui[o + 1 : o + 1 + n],
+                 w[o - 1 : o - 1 + n], c[o - 1 : o - 1 + n], s[o - 1 : o - 1 + n], a[o - 1 : o - 1 + n],
+                 v[o - 1 : o - 1 + n], w[o : o + n], c[o : o + n], s[o : o + n], a[o : o + n], v[o : o + n],
+                 w[o + 1 : o + 1 + n], c[o + 1 : o + 1 + n], s[o + 1 : o + 1 + n], a[o + 1 : o + 1 + n],
+                 v[o + 1 : o + 1 + n], nominal[0], nominal[1], weights[1],
+                 sums[k, o : o + n], sums[ring + k, o : o + n], sums[2 * ring + k, o : o + n],
+                 sums[3 * ring + k, o : o + n], sums[4 * ring + k, o : o + n])  # fmt: skip
+            if radius == 2:
+                fold_far(ur[1 : 1 + n], ui[1 : 1 + n], ur[2 : 2 + n], ui[2 : 2 + n], ur[3 : 3 + n], ui[3 : 3 + n],
+                         ur[0:n], ui[0:n], ur[4 : 4 + n], ui[4 : 4 + n],
+                         w[0:n], c[0:n], s[0:n], a[0:n], v[0:n],
+                         w[4 : 4 + n], c[4 : 4 + n], s[4 : 4 + n], a[4 : 4 + n], v[4 : 4 + n],
+                         nominal[0], nominal[1], weights[2],
+                         sums[k, o : o + n], sums[ring + k, o : o + n], sums[2 * ring + k, o : o + n],
+                         sums[3 * ring + k, o : o + n], sums[4 * ring + k, o : o + n])  # fmt: skip
+            i = y - reach
+            if low <= i and i >= reach:
+                p, q, r = (i - 1) % ring, i % ring, (i + 1) % ring
+                fold(unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r],
+                     sums[p], sums[ring + p], sums[2 * ring + p], sums[3 * ring + p], sums[4 * ring + p],
+                     sums[q], sums[ring + q], sums[2 * ring + q], sums[3 * ring + q], sums[4 * ring + q],
+                     sums[r], sums[ring + r], sums[2 * ring + r], sums[3 * ring + r], sums[4 * ring + r],
+                     nominal[2], nominal[3], weights[1], w, c, s, a, v)  # fmt: skip
+                if radius == 2:
+                    f, g = (i - 2) % ring, (i + 2) % ring
+                    fold_far(unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r],
+                             unit[f], unit[ring + f], unit[g], unit[ring + g],
+                             sums[f], sums[ring + f], sums[2 * ring + f], sums[3 * ring + f], sums[4 * ring + f],
+                             sums[g], sums[ring + g], sums[2 * ring + g], sums[3 * ring + g], sums[4 * ring + g],
+                             nominal[2], nominal[3], weights[2], w, c, s, a, v)  # fmt: skip
+                quotients_of_row(w, c, s, a, v, re, im, mean[i], variance[i])
+                if clipped[i] > 0:
+                    found = clipped_of_row(picture[i], clip, reach, width - reach, columns)
+                    for j in columns[:found]:
+                        mean[i, j] = plain_mean(picture[i], j, black, solve)
+                    units = (unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r])
+                    for j in range(0, found, TILE):
+                        fit_clipped(picture, i, columns[j : min(j + TILE, found)], radius, nominal, weights, black,
+                                    clip, floor, gain, units, tile, re, im, mean[i], variance[i])  # fmt: skip
+                for j in range(reach):
+                    for x in (j, width - 1 - j):
+                        re[x], im[x], variance[i, x] = zero, zero, inf
+                        mean[i, x] = plain_mean(picture[i], x, black, solve)
+                angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
+                describe_row(re, im, variance[i], smallest, modulation[i], valid[i])
+            if low <= y < high and (y < reach or y >= height - reach):
+                phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
+                for x in range(width):
+                    mean[y, x] = plain_mean(picture[y], x, black, solve)
