@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.complete
+# What `make bench` compares with stands in an environment of its own.
+PEERS  := .bench-venv
 
 .PHONY: help env demo test bench soak check golden screenshot clean
 .DEFAULT_GOAL := help
@@ -32,8 +34,13 @@ check: $(STAMP)  ## style, types and layers only
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(STAMP)  ## accuracy by case and speed by stage, as tables
-	$(BIN)/python -m benchmarks.bench
+bench: $(STAMP) $(PEERS)/.complete  ## speed, scale, accuracy, and other programs beside ours; options in BENCH="--quick"
+	$(BIN)/python -m benchmarks.bench $(BENCH)
+
+$(PEERS)/.complete: benchmarks/peers.txt
+	test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement benchmarks/peers.txt
+	@touch $@
 
 soak: $(STAMP)  ## half an hour at 30 pairs a second: losses, memory, latencies; exit code 1 if one is lost
 	$(BIN)/python -m benchmarks.soak $(SOAK)
@@ -46,4 +53,4 @@ screenshot: $(STAMP)  ## the picture in this README, of a running `make demo`
 	$(BIN)/fringed view --screenshot docs/pictures/demo.png
 
 clean:  ## remove the environment and everything made
-	rm -rf $(VENV) dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,97 +1,143 @@
-"""Accuracy of every case and speed by stage, as tables: ``make bench``.
+"""``make bench``: speed, memory, scale and accuracy, and other people's programs on the same pictures, in one run.
 
-Medians; other programs on the machine show in the spread. Rows that carry a promise say whether it is kept, and the
-exit code is 1 if one is not.
+Everything is timed one after the other, each of our jobs in a process of its own; medians, other programs on the
+machine show in the spread. Results go to ``out/bench/results.json``, figures beside them; ``--markdown`` writes tables
+and figures into the documents. The exit code is 1 if a promise is not kept.
 """
 
 from __future__ import annotations
 
 import argparse
-import resource
-import statistics
+import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
-import numpy as np
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks.cases import CASES, Case, measure
+from benchmarks import accuracy, compare, machine, scale, speed
+from benchmarks.cases import CASES
+from benchmarks.rendered import OUT
+from benchmarks.tables import Table, as_json, with_block, write_whole
 
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENT = ROOT / "docs" / "performance.md"
+PICTURES = ROOT / "docs" / "pictures"
+QUICK_CASES = 3
 
-def accuracy(cases: Sequence[Case], console: Console, seeds: int) -> bool:
-    """Print the accuracy table; True when every promise is kept."""
-    table = Table(title="Accuracy (truth of the simulator; default settings)")
-    for heading in ("case", "within 1 mm %", "wrong %", "rms um", "5x5 rms um", "bias um", "points", "promise"):
-        table.add_column(heading, justify="left" if heading in ("case", "promise") else "right")
-    kept = True
-    for case in cases:
-        scores = []
-        for seed in range(seeds):
-            reconstructor = case.reconstructor()
-            scores.append(measure(case.render(seed), reconstructor)[1])
-        mean = {name: float(np.mean([getattr(s, name) for s in scores])) for name in type(scores[0]).__slots__}
-        word = ""
-        if case.promise is not None:
-            good = (
-                mean["reconstructed"] >= case.promise[0]
-                and mean["wrong"] <= case.promise[1]
-                and mean["rms_mm"] <= case.promise[2]
-            )
-            kept &= good
-            limits = f"{100 * case.promise[0]:.1f} / {100 * case.promise[1]:.2f} / {1e3 * case.promise[2]:.0f}"
-            word = ("kept " if good else "MISSED ") + limits
-        table.add_row(
-            case.name, f"{100 * mean['reconstructed']:.2f}",
-            f"{100 * mean['wrong']:.3f}", f"{1e3 * mean['rms_mm']:.0f}",
-            f"{1e3 * mean['smooth_rms_mm']:.0f}", f"{1e3 * mean['bias_mm']:+.1f}", f"{mean['points']:.0f}", word,
-        )  # fmt: skip
-    console.print(table)
-    return kept
+Found = tuple[list[Table], Any, list[tuple[str, bool]]]
 
 
-def speed(case: Case, console: Console, repeats: int) -> bool:
-    """Print milliseconds by stage of one pair; True when at least four pairs a second are reached."""
-    pair = case.render()
-    reconstructor = case.reconstructor(clock=time.perf_counter_ns)
-    reconstructor.warm_up()
-    reconstructor.reconstruct(pair.left, pair.right)
-    stages: dict[str, list[float]] = {}
-    totals = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        cloud = reconstructor.reconstruct(pair.left, pair.right)
-        totals.append(1e3 * (time.perf_counter() - start))
-        for name, ms in cloud.ms.items():
-            stages.setdefault(name, []).append(ms)
-    table = Table(title=f"Speed: {case.name}, {pair.left.shape[1]} x {pair.left.shape[0]}, {repeats} pairs")
-    for heading in ("stage", "median ms", "worst ms"):
-        table.add_column(heading, justify="left" if heading == "stage" else "right")
-    for name, values in stages.items():
-        table.add_row(name, f"{statistics.median(values):.1f}", f"{max(values):.1f}")
-    table.add_row("all", f"{statistics.median(totals):.1f}", f"{max(totals):.1f}", style="bold")
-    console.print(table)
-    rate = 1e3 / statistics.median(totals)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    console.print(f"{rate:.2f} pairs a second (promise: 4); peak memory {peak:.0f} MiB, renderer included")
-    return rate >= 4
+def stages(options: argparse.Namespace) -> Found:
+    """Time by stage, and memory."""
+    table, memory, timings = speed.by_stage(options.repeats)
+    figures = {name: asdict(timing) for name, timing in timings.items()}
+    return [table, memory], figures, speed.promises(timings[f"three-chip/{speed.THREADS[-1]}"])
+
+
+def live(options: argparse.Namespace) -> Found:
+    """The moving scene."""
+    table, ways, timings = speed.live(options.repeats, 4 if options.quick else speed.FRAMES)
+    return [table, ways], {name: asdict(timing) for name, timing in timings.items()}, []
+
+
+def peers(options: argparse.Namespace) -> Found:
+    """Other people's programs."""
+    table, figures, promises = compare.compare(options.repeats, quick=options.quick)
+    return [table], figures, promises
+
+
+def scaling(options: argparse.Namespace) -> Found:
+    """More pixels, more fringes, a deeper volume."""
+    table, figures = scale.by_series(options.repeats, quick=options.quick)
+    return [table], figures, []
+
+
+def cases(options: argparse.Namespace) -> Found:
+    """Accuracy by case."""
+    chosen = [case for case in CASES if options.case in case.name]
+    # The first cases are those that carry promises or a table of their own in the README.
+    table, figures, promises = accuracy.by_case(chosen[: QUICK_CASES if options.quick else None], options.seeds)
+    return [table], figures, promises
+
+
+SECTIONS: dict[str, Callable[[argparse.Namespace], Found]] = {
+    "stages": stages,
+    "live": live,
+    "peers": peers,
+    "scale": scaling,
+    "accuracy": cases,
+}
 
 
 def main() -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    options = arguments(sys.argv[1:])
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    begin = time.monotonic()
+    about = machine.describe()
+    tables: list[Table] = []
+    figures: dict[str, Any] = {}
+    promises: list[tuple[str, bool]] = []
+    for name, section in SECTIONS.items():
+        if name not in options.only:
+            continue
+        console.print(f"[dim]{name} ({time.monotonic() - begin:.0f} s)[/dim]")
+        found, figures[name], promised = section(options)
+        tables += found
+        promises += promised
+        for table in found:
+            table.print(console)
+    for what, kept in promises:
+        console.print(f"{'kept  ' if kept else 'MISSED'} {what}", highlight=False)
+    about["took"] = f"{(time.monotonic() - begin) / 60:.1f} min"
+    tables.insert(0, machine.table(about))
+    tables[0].print(console)
+    results = OUT / "results.json"
+    write_whole(results, as_json(tables, about, figures))
+    console.print(f"{results}")
+    plot(results, PICTURES if options.markdown else OUT)
+    if options.markdown:
+        write_document(DOCUMENT, tables)
+    return 0 if all(kept for _, kept in promises) else 1
+
+
+def arguments(words: list[str]) -> argparse.Namespace:
+    """What the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="fewer pairs, cases and peers: within three minutes")
+    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="these sections alone")
+    parser.add_argument("--no-peers", action="store_true", help="leave other people's programs out")
+    parser.add_argument("--case", default="", help="of the accuracy cases those whose name contains this")
     parser.add_argument("--seeds", type=int, default=1, help="noise and texture seeds to average over")
-    parser.add_argument("--repeats", type=int, default=15, help="pairs to time")
-    parser.add_argument("--only", help="run the cases whose name contains this")
-    options = parser.parse_args()
-    console = Console(width=None if sys.stdout.isatty() else 140)
-    cases = [c for c in CASES if not options.only or options.only in c.name]
-    kept = accuracy(cases, console, options.seeds)
-    fast = speed(CASES[0], console, options.repeats)
-    mosaic = next(c for c in CASES if c.encoding != "rgb8")
-    speed(mosaic, console, options.repeats)
-    return 0 if kept and fast else 1
+    parser.add_argument("--repeats", type=int, help="pairs to time (15, with --quick 5)")
+    parser.add_argument("--markdown", action="store_true", help="write docs/performance.md and its figures")
+    options = parser.parse_args(words)
+    options.repeats = options.repeats or (5 if options.quick else 15)
+    if options.no_peers:
+        options.only = [name for name in options.only if name != "peers"]
+    if options.markdown and (options.quick or options.case or set(options.only) != set(SECTIONS)):
+        parser.error("--markdown wants the whole benchmark: a document does not mix measurements of different runs")
+    return options
+
+
+def write_document(file: Path, tables: list[Table]) -> None:
+    """Put every table into its block."""
+    text = file.read_text()
+    for table in tables:
+        text = with_block(text, table.name, table.markdown())
+    write_whole(file, text)
+
+
+def plot(results: Path, folder: Path) -> None:
+    """Draw the figures, in the environment that has matplotlib."""
+    if not compare.PYTHON.exists():
+        print("no figures: .bench-venv is not there (`make bench` makes it)")
+        return
+    subprocess.run([compare.PYTHON, ROOT / "benchmarks" / "plots.py", results, folder], timeout=120, check=True)
 
 
 if __name__ == "__main__":

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from pipeline.cloud import Cloud
-from pipeline.pattern import modulated_profile
+from pipeline.pattern import ColorFringe, modulated_profile
 from pipeline.reconstruct import Reconstructor
 from pipeline.settings import Settings
 from sim.optics import Optics
 from sim.render import RenderedPair, render_pair
 from sim.rig import RigLayout
 from sim.scenes import build
-from sim.score import Score, score
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +41,14 @@ class Case:
         )
 
     @property
-    def pattern(self):
+    def pattern(self) -> ColorFringe:
         """What the projector shows."""
         plain = self.layout.pattern(self.periods)
         if not self.modulated:
             return plain
         return replace(plain, profile=modulated_profile(plain.length, plain.periods))
 
-    def reconstructor(self, settings: Settings | None = None, clock=None) -> Reconstructor:
+    def reconstructor(self, settings: Settings | None = None, clock: Callable[[], int] | None = None) -> Reconstructor:
         """A reconstructor that knows of the rig what its calibration would."""
         calibration = self.layout.calibration_for(self.optics)
         return Reconstructor(
@@ -81,9 +78,3 @@ CASES = (
     Case("noise x 4", "mixed", Optics(noise=4.0)),
     Case("gamma 2.2 unknown", "mixed", Optics(gamma=2.2, precorrected=False)),
 )
-
-
-def measure(pair: RenderedPair, reconstructor: Reconstructor) -> tuple[Cloud, Score]:
-    """Reconstruct a rendered pair and score it."""
-    cloud = reconstructor.reconstruct(np.asarray(pair.left), np.asarray(pair.right))
-    return cloud, score(cloud.xyz, pair.truth_left)

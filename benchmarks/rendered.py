@@ -1,0 +1,94 @@
+"""Rendered pictures on disk: a benchmark is run many times, its pictures change only with the simulator.
+
+They stand in ``out/bench/pictures``, in a folder named by a digest of the simulator's own source; folders of other
+digests are removed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import tempfile
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pipeline
+import sim
+from benchmarks.cases import Case
+from sim.render import render_pair
+from sim.scenes import build
+from sim.truth import Truth
+
+OUT = Path(__file__).resolve().parents[1] / "out" / "bench"
+# Of the pipeline only what the renderer uses.
+_SHARED = ("calibration.py", "camera_model.py", "pattern.py")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A pair of pictures with the left camera's truth, and the file that they stand in."""
+
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    truth_left: Truth
+    file: Path
+
+
+def shot(case: Case, seed: int = 0, t_s: float = 0.0, noise: int | None = None, folder: Path | None = None) -> Shot:
+    """The pictures of a case, from disk if they are there; textures of ``seed``, and its noise unless one is given."""
+    folder = folder or _folder()
+    noise = seed if noise is None else noise
+    file = folder / f"{_key(case, seed, t_s, noise)}.npz"
+    if not file.exists():
+        scene = build(case.scene, seed=seed)
+        pair = render_pair(case.layout, scene, case.pattern, case.optics, t_s, noise, case.encoding)
+        _keep(file, {"left": pair.left, "right": pair.right} | pair.truth_left.arrays())
+    with np.load(file) as arrays:
+        truth = Truth(**{item.name: arrays[item.name] for item in fields(Truth)})
+        return Shot(arrays["left"], arrays["right"], truth, file)
+
+
+def _keep(file: Path, arrays: dict[str, Any]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=file.parent, prefix=".", delete=False) as fresh:
+        try:
+            np.savez(fresh, **arrays)
+        except BaseException:
+            Path(fresh.name).unlink(missing_ok=True)
+            raise
+    Path(fresh.name).replace(file)
+
+
+def _key(case: Case, seed: int, t_s: float, noise: int) -> str:
+    # The depth of the volume is the reconstruction's affair: the same pictures serve every depth.
+    layout = astuple(replace(case.layout, depth_mm=1.0))
+    parts = (case.scene, layout, astuple(case.optics), case.encoding, case.modulated, case.periods, seed, t_s, noise)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+def _folder() -> Path:
+    folder = OUT / "pictures" / source_digest()
+    for other in folder.parent.glob("*"):
+        if other != folder:
+            shutil.rmtree(other, ignore_errors=True)
+    return folder
+
+
+def source_digest() -> str:
+    """Digest of every source file that the pictures depend on."""
+    files = sorted(Path(sim.__file__).parent.glob("*.py"))
+    files += [Path(pipeline.__file__).parent / name for name in _SHARED]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def moving(frames: int, rate_hz: float) -> tuple[Case, list[Shot]]:
+    """Successive pictures of the moving scene, as cameras at this rate take them."""
+    case = Case("moving", "moving")
+    return case, [shot(case, t_s=0.4 + i / rate_hz, noise=i) for i in range(frames)]

@@ -1,0 +1,145 @@
+"""A process that only reconstructs: times and memory are its own, no renderer and no benchmark beside it.
+
+``python -m benchmarks.worker`` reads a pickled :class:`Job` from standard input and prints a :class:`Timing` as JSON.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import pickle
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.calibration import Calibration
+from pipeline.cloud import Volume
+from pipeline.pattern import ColorFringe
+from pipeline.reconstruct import Reconstructor
+
+_LIMIT_S = 600
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What to reconstruct, and how often.
+
+    Args:
+        calibration, pattern, volume, encoding: of the rig.
+        files: of :mod:`benchmarks.rendered`, shown in turn, forth and back.
+        threads: of the process; repeats: pairs to time, after two that are not.
+        every: spacing of the measured pixels; follow: with the temporal prior.
+        clouds: folder for the points of every file, ``0.npy`` and so on, made after the timing.
+    """
+
+    calibration: Calibration
+    pattern: ColorFringe
+    volume: Volume
+    encoding: str
+    files: tuple[Path, ...]
+    threads: int
+    repeats: int
+    every: int = 1
+    follow: bool = False
+    clouds: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What a job took.
+
+    Args:
+        total_ms: of each pair; stage_ms: by stage, of each pair.
+        ready_s: to build the tables and load (or compile) the kernels.
+        peak_mib: largest resident memory; pictures_mib: the share of it that the job's own pictures take.
+    """
+
+    total_ms: list[float]
+    stage_ms: dict[str, list[float]]
+    ready_s: float
+    peak_mib: float
+    pictures_mib: float
+
+
+def run(job: Job) -> Timing:
+    """The job in a process of its own."""
+    result = subprocess.run(
+        [sys.executable, "-m", "benchmarks.worker"],
+        input=pickle.dumps(job),
+        stdout=subprocess.PIPE,
+        cwd=Path(__file__).resolve().parents[1],
+        env=environment(job.threads),
+        timeout=_LIMIT_S,
+        check=True,
+    )
+    return Timing(**json.loads(result.stdout))
+
+
+def environment(threads: int) -> dict[str, str]:
+    """Of a process whose libraries use so many threads."""
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    return os.environ | dict.fromkeys(names, str(threads))
+
+
+def work(job: Job) -> Timing:
+    """The job in this process."""
+    pairs = []
+    for file in job.files:
+        with np.load(file) as arrays:
+            pairs.append((arrays["left"], arrays["right"]))
+    start = time.perf_counter()
+    reconstructor = Reconstructor(
+        job.calibration, job.pattern, job.volume, encoding=job.encoding, clock=time.perf_counter_ns, threads=job.threads
+    )
+    reconstructor.warm_up()
+    ready_s = time.perf_counter() - start
+    options: dict[str, Any] = {"every": job.every, "follow": job.follow}
+    shown = there_and_back(len(pairs))
+    for _ in range(2):
+        # The first pair sets the projector's correction, and the prior of those that follow.
+        reconstructor.reconstruct(*pairs[next(shown)], **options)
+    total_ms: list[float] = []
+    stage_ms: dict[str, list[float]] = {}
+    for _ in range(job.repeats):
+        left, right = pairs[next(shown)]
+        start = time.perf_counter()
+        cloud = reconstructor.reconstruct(left, right, **options)
+        total_ms.append(1e3 * (time.perf_counter() - start))
+        for name, ms in cloud.ms.items():
+            stage_ms.setdefault(name, []).append(ms)
+    peak = peak_memory_mib()
+    pictures = sum(left.nbytes + right.nbytes for left, right in pairs) / 2**20
+    if job.clouds is not None:
+        for _ in range(max(1, 2 * len(pairs) - 2)):
+            # In the same order as before, so that the prior stays that of the neighbouring picture.
+            i = next(shown)
+            np.save(job.clouds / f"{i}.npy", reconstructor.reconstruct(*pairs[i], **options).xyz)
+    return Timing(total_ms, stage_ms, ready_s, peak, pictures)
+
+
+def peak_memory_mib() -> float:
+    """Largest resident memory of this process so far.
+
+    Not ``ru_maxrss``: that of a child process begins with its parent's.
+    """
+    found = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    if found is None:
+        raise OSError("/proc/self/status does not tell VmHWM")
+    return int(found[1]) / 1024
+
+
+def there_and_back(count: int) -> Iterator[int]:
+    """0, 1 .. count - 1 .. 1, 0, 1 ..: no jump from the last picture to the first."""
+    return itertools.cycle([*range(count), *range(count - 2, 0, -1)])
+
+
+if __name__ == "__main__":
+    print(json.dumps(asdict(work(pickle.load(sys.stdin.buffer)))))
