@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.kernels import half_turn, parallel, prange, serial
-from pipeline.window_fit import CONSISTENT
+
 
 F32 = NDArray[np.float32]
-AGREEING_ROUGH = 0.2  # the same for the first guess of a mosaic, whose error changes from pixel to pixel
+CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
+AGREEING_ROUGH = 0.2  # see AGREEING of the window fit; the error of a first guess changes from pixel to pixel
 _ACROSS = 5
 
 

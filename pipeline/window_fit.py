@@ -18,7 +18,7 @@ from pipeline.kernels import inline, serial
 
 F32 = NDArray[np.float32]
 
-CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
+CONSISTENT = 0.1  # cosine of the largest phase deviation from one pixel of the window to the next
 AGREEING = 0.85  # cosine of the largest difference of the steps to both sides on one surface
 
 
