@@ -50,7 +50,10 @@ def step_of(
     smooth = dot > agreeing
     # The sum of two unit phasors bisects the angle between them, and that angle tells its length.
     norm = one / np.float32(sqrt(max(dot + dot + np.float32(2.0), tiny)))
-    c, s = (fc + bc) * norm if smooth else (fc if forward else bc), (fs + bs) * norm if smooth else (fs if forward else bs)
+    c, s = (
+        (fc + bc) * norm if smooth else (fc if forward else bc),
+        (fs + bs) * norm if smooth else (fs if forward else bs),
+    )
     both = dot >= np.float32(CONSISTENT)
     return c, s, one if both | (not forward) else zero, one if both | forward else zero
 
