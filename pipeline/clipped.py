@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
-from pipeline.normal_equations import IM, MEAN, RE, SLOTS, VARIANCE, add_sample, clear, solve
+from pipeline.kernels import inline, serial
+from pipeline.normal_equations import IM, MEAN, RE, SLOTS, VARIANCE, accumulate, clear, solve
 from pipeline.tiles import TILE
 from pipeline.window_fit import AGREEING, step_of
 
 _UNITS = SLOTS  # unit phasors of the pixel and its neighbours left, right, above, below: 5 x (re, im)
 _STEP_X, _STEP_Y = _UNITS + 10, _UNITS + 12  # phasors of the phase's steps
 _TURN = _UNITS + 14
-_RAW, _LEVEL, _WEIGHT = _UNITS + 16, _UNITS + 17, _UNITS + 18
-_DESIGN = _UNITS + 19
-CLIPPED_SLOTS = _UNITS + 28
+_RAW = _UNITS + 16
+CLIPPED_SLOTS = _UNITS + 17
 
 
 @serial
@@ -41,19 +40,22 @@ def plain_mean(raw: Any, j: int, black: Any, solution: Any) -> float:
     return max(a, np.float32(0.0))
 
 
+@inline
+def _power(c: float, s: float, n: int) -> tuple[float, float]:
+    """Power -2 ... 2 of a unit phasor."""
+    two, none = (n == 2) | (n == -2), n == 0
+    a, b = (c * c - s * s if two else c), (s * c + c * s if two else s)
+    a, b = (np.float32(1.0) if none else a), (np.float32(0.0) if none else b)
+    return a, (-b if n < 0 else b)
+
+
 @serial
 def _turn(tile: Any, row: int, column: int) -> None:
     """Phasor of the phase's change from the pixel to its neighbour some rows and columns (at most two) away."""
-    fx, fy = np.float32(1.0 if column >= 0 else -1.0), np.float32(1.0 if row >= 0 else -1.0)
-    one, zero = np.float32(1.0), np.float32(0.0)
     for j in range(TILE):
-        c, s = tile[_STEP_X * TILE + j], fx * tile[(_STEP_X + 1) * TILE + j]
-        c2, s2 = c * c - s * s, s * c + c * s
-        cx, sx = c2 if abs(column) == 2 else (c if column != 0 else one), s2 if abs(column) == 2 else (s if column != 0 else zero)
-        c, s = tile[_STEP_Y * TILE + j], fy * tile[(_STEP_Y + 1) * TILE + j]
-        c2, s2 = c * c - s * s, s * c + c * s
-        cy, sy = c2 if abs(row) == 2 else (c if row != 0 else one), s2 if abs(row) == 2 else (s if row != 0 else zero)
-        tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j] = cx * cy - sx * sy, sx * cy + cx * sy
+        a, b = _power(tile[_STEP_X * TILE + j], tile[(_STEP_X + 1) * TILE + j], column)
+        c, s = _power(tile[_STEP_Y * TILE + j], tile[(_STEP_Y + 1) * TILE + j], row)
+        tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j] = a * c - b * s, b * c + a * s
 
 
 @serial
@@ -72,36 +74,28 @@ def _steps(tile: Any, nominal: Any) -> None:
 
 
 @serial
-def _weigh(tile: Any, dark: float, clip: float, weight: float) -> None:
+def _add_channel(
+    tile: Any, design: Any, channel: int, dark: float, clip: float, weight: float, floor: float, gain: float
+) -> None:
+    """Add one sample of every pixel, design (3, 3); a clipped one weighs nothing."""
+    a, p, q, zero = design[channel, 0], design[channel, 1], design[channel, 2], np.float32(0.0)
     for j in range(TILE):
-        x = tile[_RAW * TILE + j]
-        tile[_LEVEL * TILE + j] = x - dark
-        tile[_WEIGHT * TILE + j] = weight if x < clip else np.float32(0.0)
-
-
-@serial
-def fill_design(tile: Any, rows: Any) -> None:
-    """Write the channels' design, rows (3, 3) float32, into a tile, once."""
-    for k in range(9):
-        for j in range(TILE):
-            tile[(_DESIGN + k) * TILE + j] = rows[k // 3, k % 3]
-
-
-@serial
-def _slot(tile: Any, k: int) -> Any:
-    return tile[k * TILE : (k + 1) * TILE]
+        raw, c, s = tile[_RAW * TILE + j], tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j]
+        level = raw - dark
+        accumulate(tile, j, a, p * c + q * s, q * c - p * s, level, weight if raw < clip else zero,
+                   floor + gain * max(level, zero))  # fmt: skip
 
 
 @serial
 def fit_clipped(
-    picture: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, black: Any, clip: float,
+    picture: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, design: Any, black: Any, clip: float,
     floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any, variance: Any,
 ) -> None:  # fmt: skip
     """Fit up to TILE pixels of row ``i``; results into those elements of re, im, mean, variance (W,).
 
     Args:
         picture: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
-        nominal: (4,) expected steps; weights: (3,) by distance; units: re, im of the rows above, here, below.
+        nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3); units: re, im of the rows above, here, below.
     """
     above_re, above_im, here_re, here_im, below_re, below_im = units
     n = columns.shape[0]
@@ -121,10 +115,7 @@ def fit_clipped(
             for k in range(3):
                 for j in range(n):
                     tile[_RAW * TILE + j] = np.float32(raw[3 * (columns[j] + b) + k])
-                _weigh(tile, black[k], clip, weights[abs(a)] * weights[abs(b)])
-                add_sample(tile, _slot(tile, _TURN), _slot(tile, _TURN + 1), _slot(tile, _LEVEL), _slot(tile, _WEIGHT),
-                           _slot(tile, _DESIGN + 3 * k), _slot(tile, _DESIGN + 3 * k + 1),
-                           _slot(tile, _DESIGN + 3 * k + 2), floor, gain)  # fmt: skip
+                _add_channel(tile, design, k, black[k], clip, weights[abs(a)] * weights[abs(b)], floor, gain)
     solve(tile)
     for j in range(n):
         x = columns[j]

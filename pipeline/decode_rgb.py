@@ -6,46 +6,20 @@ no plane is stored. The bands overlap, so each of them starts on its own: result
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Any
 
 import numpy as np
 
-from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fill_design, fit_clipped, plain_mean
+from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_mean
 from pipeline.equalize import advance, equalized_row, means_of_row, mirrored
 from pipeline.kernels import parallel, prange, serial
-from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, pack
+from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
+from pipeline.row_results import angles_of_row, describe_row, row_stride
 from pipeline.three_step import levels_of_row, pointwise_row
-from pipeline.tiles import TILE, angle
+from pipeline.tiles import TILE
 from pipeline.window_fit import fold, fold_far
 
 BANDS = 12
-_LINE = 16  # float32 in a cache line
-
-
-@serial
-def row_stride(width: int) -> int:
-    """Elements from one scratch row to the next, an odd number of cache lines: else all rows compete for few of them."""
-    return _LINE * (width // _LINE + 1 + (width // _LINE) % 2)
-
-
-@serial
-def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None:
-    """Phasors (n,) to a packed row (n,) int32 and their angles (n,) float32."""
-    for j in range(phase.shape[0]):
-        phase[j] = angle(re[j], im[j])
-    for j in range(phase.shape[0]):
-        phasor[j] = pack(re[j], im[j], scale)
-
-
-@serial
-def describe_row(re: Any, im: Any, variance: Any, smallest: float, modulation: Any, valid: Any) -> None:
-    """Modulation (n,) uint8 counts and validity (n,) bool of a row."""
-    full, one = np.float32(255.0), np.float32(1.0)
-    for j in range(modulation.shape[0]):
-        size = np.float32(sqrt(re[j] * re[j] + im[j] * im[j]))
-        modulation[j] = np.uint8(np.int32(min(size, full)))
-        valid[j] = (size >= smallest) & (variance[j] < one)
 
 
 @serial
@@ -96,12 +70,11 @@ def decode_rgb(
         padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
         work, means = shorts[2:4], shorts[4, : 3 * width]
         tile, columns = np.zeros(CLIPPED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
-        fill_design(tile, rows)
         for y in range(low - over + 1, low + over - 1):
             advance(picture[mirrored(y, height)], picture[mirrored(y - over, height)], 1 if y > low else 0, once,
                     before[(y - low) % over], twice)  # fmt: skip
         for y in range(max(low - reach, 0), min(high + reach, height)):
-            levels_of_row(picture[y], black, levels)
+            levels_of_row(picture[y], np.float32(1.0), black, levels)
             if low <= y < high:
                 advance(picture[mirrored(y + over - 1, height)], picture[mirrored(y - 1, height)], 1, once,
                         before[(y + over - 1 - low) % over], twice)  # fmt: skip
@@ -152,8 +125,8 @@ def decode_rgb(
                         mean[i, j] = plain_mean(picture[i], j, black, solve)
                     units = (unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r])
                     for j in range(0, found, TILE):
-                        fit_clipped(picture, i, columns[j : min(j + TILE, found)], radius, nominal, weights, black,
-                                    clip, floor, gain, units, tile, re, im, mean[i], variance[i])  # fmt: skip
+                        fit_clipped(picture, i, columns[j : min(j + TILE, found)], radius, nominal, weights, rows,
+                                    black, clip, floor, gain, units, tile, re, im, mean[i], variance[i])  # fmt: skip
                 for j in range(reach):
                     for x in (j, width - 1 - j):
                         re[x], im[x], variance[i, x] = zero, zero, inf

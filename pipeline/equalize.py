@@ -116,7 +116,9 @@ def box_row(row: Any, length: int, work: Any, out: Any) -> None:
 
 
 @serial
-def means_of_row(twice: Any, along: int, first: int, second: int, padded: Any, middle: Any, work: Any, out: Any) -> None:
+def means_of_row(
+    twice: Any, along: int, first: int, second: int, padded: Any, middle: Any, work: Any, out: Any
+) -> None:
     """Double box along a row of the double box over the rows; mirrored at both ends.
 
     Args:

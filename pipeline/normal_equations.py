@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
+from pipeline.kernels import inline, serial
 from pipeline.tiles import TILE
 
 _N, _Q, _RHS = 0, 6, 12  # sums: normal matrix and its covariance (00 01 02 11 12 22), right side
@@ -29,41 +29,26 @@ def clear(tile: Any) -> None:
         tile[j] = np.float32(0.0)
 
 
-@serial
-def add_sample(
-    tile: Any, cosine: Any, sine: Any, level: Any, weight: Any, a: Any, p: Any, q: Any, floor: float, gain: float
-) -> None:
-    """Add one sample of every pixel to its sums.
-
-    Args:
-        cosine, sine: (TILE,) of D; level: counts above black; weight: 0 leaves the sample out.
-        a, p, q: (TILE,) design of the samples' channels.
-        floor, gain: noise model, counts^2 and counts^2 per count.
-    """
-    zero = np.float32(0.0)
-    for j in range(TILE):
-        c, s, x, w = cosine[j], sine[j], level[j], weight[j]
-        r0 = a[j]
-        r1 = p[j] * c + q[j] * s
-        r2 = q[j] * c - p[j] * s
-        w0, w1, w2 = w * r0, w * r1, w * r2
-        v = w * (floor + gain * max(x, zero))
-        tile[_RHS * TILE + j] += w0 * x
-        tile[(_RHS + 1) * TILE + j] += w1 * x
-        tile[(_RHS + 2) * TILE + j] += w2 * x
-        tile[_N * TILE + j] += w0 * r0
-        tile[(_N + 1) * TILE + j] += w0 * r1
-        tile[(_N + 2) * TILE + j] += w0 * r2
-        tile[(_N + 3) * TILE + j] += w1 * r1
-        tile[(_N + 4) * TILE + j] += w1 * r2
-        tile[(_N + 5) * TILE + j] += w2 * r2
-        v0, v1, v2 = v * w0, v * w1, v * w2
-        tile[_Q * TILE + j] += v0 * r0
-        tile[(_Q + 1) * TILE + j] += v0 * r1
-        tile[(_Q + 2) * TILE + j] += v0 * r2
-        tile[(_Q + 3) * TILE + j] += v1 * r1
-        tile[(_Q + 4) * TILE + j] += v1 * r2
-        tile[(_Q + 5) * TILE + j] += v2 * r2
+@inline
+def accumulate(tile: Any, j: int, r0: float, r1: float, r2: float, level: float, weight: float, noise: float) -> None:
+    """Add a sample ``level`` with design (r0, r1, r2) and variance ``noise`` to the sums of pixel j."""
+    w0, w1, w2 = weight * r0, weight * r1, weight * r2
+    tile[_RHS * TILE + j] += w0 * level
+    tile[(_RHS + 1) * TILE + j] += w1 * level
+    tile[(_RHS + 2) * TILE + j] += w2 * level
+    tile[_N * TILE + j] += w0 * r0
+    tile[(_N + 1) * TILE + j] += w0 * r1
+    tile[(_N + 2) * TILE + j] += w0 * r2
+    tile[(_N + 3) * TILE + j] += w1 * r1
+    tile[(_N + 4) * TILE + j] += w1 * r2
+    tile[(_N + 5) * TILE + j] += w2 * r2
+    v0, v1, v2 = noise * weight * w0, noise * weight * w1, noise * weight * w2
+    tile[_Q * TILE + j] += v0 * r0
+    tile[(_Q + 1) * TILE + j] += v0 * r1
+    tile[(_Q + 2) * TILE + j] += v0 * r2
+    tile[(_Q + 3) * TILE + j] += v1 * r1
+    tile[(_Q + 4) * TILE + j] += v1 * r2
+    tile[(_Q + 5) * TILE + j] += v2 * r2
 
 
 @serial

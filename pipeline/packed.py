@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels import inline, parallel, prange
+from pipeline.kernels import inline
 
 PHASOR_SCALE = np.float32(128.0)
 """Units in a count: phasors of the pointwise phase, up to 255 counts."""
@@ -39,14 +39,6 @@ def real(x: Any) -> Any:
 def imaginary(x: Any) -> Any:
     """Imaginary part of a packed phasor, in units."""
     return np.float32(np.int32(np.int32(x) >> _SHIFT))
-
-
-@parallel
-def pack_plane(phasor: Any, scale: Any, out: Any) -> None:
-    """Complex phasors (H, W) to packed ones, int32."""
-    for i in prange(phasor.shape[0]):
-        for j in range(phasor.shape[1]):
-            out[i, j] = pack(phasor[i, j].real, phasor[i, j].imag, scale)
 
 
 def unpacked(plane: NDArray[np.int32], scale: Any) -> NDArray[np.complex64]:

@@ -11,19 +11,17 @@ A phasor ``C + i S`` is kept rather than its angle: it can be interpolated, the 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibration import ColorModel
-from pipeline.decode_bayer import equalized_phasor, fit_bayer, local_means, rough_channels
+from pipeline.decode_bayer import decode_bayer
 from pipeline.decode_rgb import decode_rgb
 from pipeline.equalize import BoxMean
-from pipeline.kernels import parallel, prange
+from pipeline.mosaic_fit import EIGHTHS
 from pipeline.noise import NoiseModel, estimate
-from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, pack_plane
 from pipeline.settings import Settings
 from pipeline.window_fit import weights_of
 
@@ -101,20 +99,22 @@ class Decoder:
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
         """Phase of a raw picture, (H, W, 3) three-chip or (H, W) mosaic; overwrites the planes of the last one."""
         noise = self._noise(image)
-        if self._mosaic is not None:
-            return self._decode_bayer(image, noise)
         height, width = image.shape[:2]
-        box = BoxMean.of(self._period_px, (width, height), axis=self._axis, largest=255)
+        largest, unit = (255, 1.0) if self._mosaic is None else (255 * EIGHTHS, 1 / EIGHTHS)
+        box = BoxMean.of(self._period_px, (width, height), axis=self._axis, largest=largest, unit=unit)
         planes = self._scratch(height, width)
         modulation = np.empty((height, width), np.uint8)
-        decode_rgb(
-            image.reshape(height, 3 * width), self._black, self._rows, self._solve, self._unmix, self._ideal,
-            self._weights, self._radius, self._nominal, np.float32(self._settings.saturation),
-            np.float32(noise.floor), np.float32(noise.gain), np.float32(self._settings.min_modulation),
-            box.along, box.over, *box.drops, np.float32(box.scale), planes["phasor"], planes["equalized"],
-            planes["mean"], planes["variance"], planes["phase"], planes["phase_eq"], modulation, planes["valid"],
-            planes["clipped"],
+        common = (
+            self._black, self._rows, self._solve, self._unmix, self._ideal, self._weights, self._radius, self._nominal,
+            np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
+            np.float32(self._settings.min_modulation), box.along, box.over, *box.drops, np.float32(box.scale),
+            planes["phasor"], planes["equalized"], planes["mean"], planes["variance"], planes["phase"],
+            planes["phase_eq"], modulation, planes["valid"], planes["clipped"],
         )  # fmt: skip
+        if self._mosaic is None:
+            decode_rgb(image.reshape(height, 3 * width), *common)
+        else:
+            decode_bayer(image, self._mosaic, *common)
         return PhaseMap(
             planes["phasor"], planes["equalized"], planes["mean"],
             planes["variance"], float(planes["clipped"].sum()) / (height * width), planes["phase"],
@@ -130,55 +130,10 @@ class Decoder:
             self._planes = {**single, **double, **rest}
         return self._planes
 
-    def _decode_bayer(self, image: NDArray[np.uint8], noise: NoiseModel) -> PhaseMap:
-        d = np.arange(-self._radius, self._radius + 1)
-        weights = np.outer(self._weights[abs(d)], self._weights[abs(d)])
-        clip = np.float32(self._settings.saturation)
-        channels, clipped = rough_channels(image, self._mosaic, self._black, self._unmix, clip)
-        rough = _phasor_of(channels, self._ideal)
-        fitted = fit_bayer(
-            image, self._mosaic, rough, channels.mean(axis=2), self._rows, self._black, weights,
-            self._nominal, clip, noise.floor, noise.gain,
-        )  # fmt: skip
-        means = local_means(channels, self._period_px, axis=self._axis)
-        equalized = equalized_phasor(channels, means, self._ideal)
-        modulation, valid = describe(fitted[0], fitted[2], np.float32(self._settings.min_modulation))
-        share = float(np.count_nonzero(clipped)) / clipped.size
-        packed = [np.empty(equalized.shape, np.int32) for _ in range(2)]
-        pack_plane(fitted[0], PHASOR_SCALE, packed[0])
-        pack_plane(equalized, EQUALIZED_SCALE, packed[1])
-        return PhaseMap(
-            packed[0], packed[1], fitted[1], fitted[2], share, angles(fitted[0]), angles(equalized), modulation, valid
-        )
-
     def _noise(self, image: NDArray[np.uint8]) -> NoiseModel:
         if self._settings.read_noise > 0:
             return NoiseModel(self._settings.read_noise**2, self._settings.noise_gain)
         return estimate(image, along=0 if self._axis == "x" else 1, step=1 if self._mosaic is None else 2)
-
-
-@parallel
-def describe(phasor: Any, variance: Any, smallest: float) -> tuple[Any, Any]:
-    """Modulation (H, W) uint8 and validity (H, W) bool."""
-    height, width = phasor.shape
-    modulation = np.empty((height, width), np.uint8)
-    valid = np.empty((height, width), np.bool_)
-    for i in prange(height):
-        for j in range(width):
-            p = phasor[i, j]
-            size = sqrt(p.real * p.real + p.imag * p.imag)
-            modulation[i, j] = np.uint8(size if size < 255.0 else 255.0)
-            valid[i, j] = size >= smallest and variance[i, j] < np.float32(1.0)
-    return modulation, valid
-
-
-def angles(phasor: NDArray[np.complex64]) -> F32:
-    """Wrapped phase of phasors; numpy's arctan2 uses vector instructions, a kernel's does not."""
-    return np.asarray(np.arctan2(phasor.imag, phasor.real))
-
-
-def _phasor_of(channels: F32, solve: F32) -> NDArray[np.complex64]:
-    return np.asarray(channels @ (solve[1] + 1j * solve[2]).astype(np.complex64))
 
 
 def design(color: ColorModel, shifts: tuple[float, float, float]) -> NDArray[np.float64]:

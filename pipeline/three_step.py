@@ -14,15 +14,15 @@ from pipeline.kernels import serial
 
 
 @serial
-def levels_of_row(raw: Any, black: Any, levels: Any) -> None:
-    """Counts above black of one row: raw (3 W,) uint8, colours interleaved, to the first W of the rows of ``levels`` (3, ...) float32."""
+def levels_of_row(raw: Any, scale: float, black: Any, levels: Any) -> None:
+    """Counts above black: raw (3 W,), colours interleaved, times scale, to the first W of each row of levels (3, ...)."""
     n = raw.shape[0] // 3
     dark0, dark1, dark2 = black[0], black[1], black[2]
     x, y, z = levels[0, :n], levels[1, :n], levels[2, :n]
     for j in range(n):
-        x[j] = np.float32(raw[3 * j]) - dark0
-        y[j] = np.float32(raw[3 * j + 1]) - dark1
-        z[j] = np.float32(raw[3 * j + 2]) - dark2
+        x[j] = np.float32(raw[3 * j]) * scale - dark0
+        y[j] = np.float32(raw[3 * j + 1]) * scale - dark1
+        z[j] = np.float32(raw[3 * j + 2]) * scale - dark2
 
 
 @serial

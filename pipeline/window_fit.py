@@ -18,7 +18,7 @@ from pipeline.kernels import inline, serial
 
 F32 = NDArray[np.float32]
 
-CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
+CONSISTENT = 0.1  # cosine of the largest phase deviation from one pixel of the window to the next
 AGREEING = 0.85  # cosine of the largest difference of the steps to both sides on one surface
 
 
@@ -50,7 +50,10 @@ def step_of(
     smooth = dot > agreeing
     # The sum of two unit phasors bisects the angle between them, and that angle tells its length.
     norm = one / np.float32(sqrt(max(dot + dot + np.float32(2.0), tiny)))
-    c, s = (fc + bc) * norm if smooth else (fc if forward else bc), (fs + bs) * norm if smooth else (fs if forward else bs)
+    c, s = (
+        (fc + bc) * norm if smooth else (fc if forward else bc),
+        (fs + bs) * norm if smooth else (fs if forward else bs),
+    )
     both = dot >= np.float32(CONSISTENT)
     return c, s, one if both | (not forward) else zero, one if both | forward else zero
 

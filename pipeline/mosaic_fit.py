@@ -1,0 +1,142 @@
+"""Mosaics: a first guess of all three colours, and the window fit on the raw samples, no demosaicing.
+
+Every sample of the window obeys the equation of :mod:`pipeline.normal_equations` with the design of its own colour.
+Clipped samples are left out, and samples whose first guess does not continue the phase's plane (another surface).
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import serial
+from pipeline.normal_equations import SLOTS, accumulate, clear
+from pipeline.tiles import TILE
+from pipeline.window_fit import step_of
+
+CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
+AGREEING = 0.2  # cosine of the largest difference of the steps to both sides; the first guess errs pixel by pixel
+EIGHTHS = 8  # the first guess is counted in eighths of a count, exactly
+_X, _Y = SLOTS, SLOTS + 2  # phasors of the phase's steps
+_ROW, _HERE = SLOTS + 4, SLOTS + 6  # predicted phasors at the first pixel of a window row, at the pixel in turn
+MOSAIC_SLOTS = SLOTS + 8
+
+
+@serial
+def padded_row(raw: Any, out: Any) -> None:
+    """Copy raw (W,) uint8 to out (W + 2,) uint16, mirrored at the border pixels, which keeps the parity."""
+    n = raw.shape[0]
+    inner = out[1:]
+    for j in range(n):
+        inner[j] = np.uint16(raw[j])
+    out[0], out[n + 1] = out[2], out[n - 1]
+
+
+@serial
+def rough_row(above: Any, here: Any, below: Any, even: int, odd: int, out: Any) -> None:
+    """First guess: each colour's weighted mean over 3 x 3 pixels (weights 1 2 1 both ways), in eighths of a count.
+
+    Args:
+        above, here, below: (W + 2,) uint16, see :func:`padded_row`; even, odd: colours at this row's columns.
+        out: (3 W,) uint16, colours interleaved.
+    """
+    own = odd if even == 1 else even  # the colour in this row that is not green
+    other = 2 - own
+    green = 0 if even == 1 else 1  # parity of the columns with green
+    n = out.shape[0] // 3
+    first, last, above_last, below_last = here[1:], here[2:], above[2:], below[2:]
+    up, down = above[1:], below[1:]
+    for j in range(n):
+        is_green = (j & 1) == green
+        beside, over = here[j] + last[j], up[j] + down[j]
+        corners = above[j] + above_last[j] + below[j] + below_last[j]
+        out[3 * j + 1] = np.uint16(4 * first[j] + corners if is_green else 2 * (beside + over))
+        out[3 * j + own] = np.uint16(4 * beside if is_green else 8 * first[j])
+        out[3 * j + other] = np.uint16(4 * over if is_green else 2 * corners)
+
+
+@serial
+def rough_units(levels: Any, solution: Any, re: Any, im: Any, mean: Any) -> None:
+    """Unit phasors and mean (W,) of the first guess, levels (3, W or more) counts above black."""
+    zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
+    a0, a1, a2 = solution[0, 0], solution[0, 1], solution[0, 2]
+    c0, c1, c2 = solution[1, 0], solution[1, 1], solution[1, 2]
+    s0, s1, s2 = solution[2, 0], solution[2, 1], solution[2, 2]
+    n = re.shape[0]
+    row_x, row_y, row_z = levels[0, :n], levels[1, :n], levels[2, :n]
+    for j in range(n):
+        x, y, z = row_x[j], row_y[j], row_z[j]
+        c, s = c0 * x + c1 * y + c2 * z, s0 * x + s1 * y + s2 * z
+        inverse = one / np.float32(sqrt(c * c + s * s + tiny))
+        re[j], im[j] = c * inverse, s * inverse
+        mean[j] = max(a0 * x + a1 * y + a2 * z, zero)
+
+
+@serial
+def samples_of_row(raw: Any, even: float, odd: float, clip: float, level: Any, usable: Any) -> int:
+    """Counts above black of raw (W,) uint8, and 1 where not clipped, else 0; even, odd: black. Returns the clipped."""
+    one, zero = np.float32(1.0), np.float32(0.0)
+    clipped = zero
+    for j in range(raw.shape[0]):
+        x = np.float32(raw[j])
+        fine = one if x < clip else zero
+        level[j], usable[j] = x - (odd if j & 1 else even), fine
+        clipped += one - fine
+    return int(clipped)
+
+
+@serial
+def start_tile(
+    tile: Any, above_re: Any, above_im: Any, before_re: Any, before_im: Any, re: Any, im: Any, after_re: Any,
+    after_im: Any, below_re: Any, below_im: Any, nominal: Any, radius: int,
+) -> None:  # fmt: skip
+    """Steps of the phase at (TILE,) pixels and the phasor predicted at the window's first corner, from unit phasors."""
+    xc, xs, yc, ys, agreeing = nominal[0], nominal[1], nominal[2], nominal[3], np.float32(AGREEING)
+    for j in range(TILE):
+        c, s, _, _ = step_of(before_re[j], before_im[j], re[j], im[j], after_re[j], after_im[j], xc, xs, agreeing)
+        tile[_X * TILE + j], tile[(_X + 1) * TILE + j] = c, s
+    for j in range(TILE):
+        c, s, _, _ = step_of(above_re[j], above_im[j], re[j], im[j], below_re[j], below_im[j], yc, ys, agreeing)
+        tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j] = c, s
+    for j in range(TILE):
+        tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j] = re[j], im[j]
+    for _ in range(radius):
+        for j in range(TILE):
+            c, s = tile[_X * TILE + j], tile[(_X + 1) * TILE + j]
+            p, q = tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j]
+            c, s = c * p - s * q, s * p + c * q
+            p, q = tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j]
+            tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j] = p * c + q * s, q * c - p * s
+    clear(tile)
+
+
+@serial
+def next_row(tile: Any) -> None:
+    """Start a row of the window at its first pixel, and predict the first pixel of the row after it."""
+    for j in range(TILE):
+        p, q = tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j]
+        c, s = tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j]
+        tile[_HERE * TILE + j], tile[(_HERE + 1) * TILE + j] = p, q
+        tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j] = p * c - q * s, q * c + p * s
+
+
+@serial
+def add_neighbours(
+    tile: Any, re: Any, im: Any, level: Any, usable: Any, a: Any, p: Any, q: Any, weight: float, floor: float,
+    gain: float,
+) -> None:  # fmt: skip
+    """Add to every pixel the sample of its neighbour in turn, and go on to the next one in the row.
+
+    Args:
+        re, im: (TILE,) unit phasors of the neighbours; level, usable: see :func:`samples_of_row`; a, p, q: design.
+    """
+    zero, least = np.float32(0.0), np.float32(CONSISTENT)
+    for j in range(TILE):
+        c, s = tile[_HERE * TILE + j], tile[(_HERE + 1) * TILE + j]
+        x, y = tile[_X * TILE + j], tile[(_X + 1) * TILE + j]
+        tile[_HERE * TILE + j], tile[(_HERE + 1) * TILE + j] = c * x - s * y, s * x + c * y
+        w = weight * usable[j] if c * re[j] + s * im[j] >= least else zero
+        accumulate(tile, j, a[j], p[j] * c + q[j] * s, q[j] * c - p[j] * s, level[j], w,
+                   floor + gain * max(level[j], zero))  # fmt: skip

@@ -1,0 +1,42 @@
+"""What the decoders write of every row, and how their scratch rows lie in memory."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import serial
+from pipeline.packed import pack
+from pipeline.tiles import angle
+
+_LINE = 16  # float32 in a cache line
+
+
+@serial
+def row_stride(width: int) -> int:
+    """Elements from one scratch row to the next.
+
+    An odd number of cache lines: with a power of two all rows would compete for a few places of the first cache.
+    """
+    return _LINE * (width // _LINE + 1 + (width // _LINE) % 2)
+
+
+@serial
+def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None:
+    """Phasors (n,) to a packed row (n,) int32 and their angles (n,) float32."""
+    for j in range(phase.shape[0]):
+        phase[j] = angle(re[j], im[j])
+    for j in range(phase.shape[0]):
+        phasor[j] = pack(re[j], im[j], scale)
+
+
+@serial
+def describe_row(re: Any, im: Any, variance: Any, smallest: float, modulation: Any, valid: Any) -> None:
+    """Modulation (n,) uint8 counts and validity (n,) bool of a row."""
+    full, one = np.float32(255.0), np.float32(1.0)
+    for j in range(modulation.shape[0]):
+        size = np.float32(sqrt(re[j] * re[j] + im[j] * im[j]))
+        modulation[j] = np.uint8(np.int32(min(size, full)))
+        valid[j] = (size >= smallest) & (variance[j] < one)
