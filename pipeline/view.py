@@ -29,7 +29,7 @@ class View:
     Args:
         table: what lattice pixels see; depth: scale of the parameter s.
         other, projector: packed models; columns: even-grid table phase -> projector coordinate; phases: its inverse;
-            all float32, for kernels.
+            all float32, for kernels; linear: both are straight lines.
         slopes: expected phase step per pixel (x, y); labels: most orders a pixel can have.
         order_step: change of s from one order to the next, mid-volume.
         first_axis: 0 when the phase grows along u; extent: projector pixels across.
@@ -42,6 +42,7 @@ class View:
     projector: F32
     columns: F32
     phases: F32
+    linear: bool
     slopes: tuple[float, float]
     labels: int
     order_step: float
@@ -73,7 +74,7 @@ class View:
         return View(
             decoder, table, depth, packed(calibration.right).astype(np.float32),
             packed(calibration.projector).astype(np.float32), _even_table(pattern).astype(np.float32),
-            phases.astype(np.float32), slopes, int(widest) + 2,
+            phases.astype(np.float32), pattern.profile is None, slopes, int(widest) + 2,
             1 / max(widest, 1e-3), 0 if axis == "x" else 1, float(pattern.size[1] if axis == "x" else pattern.size[0]),
             settings,
         )  # fmt: skip
