@@ -19,6 +19,9 @@ from pipeline.located import PIXEL_STEPS, TURN_STEPS
 LEFT, UP = np.uint8(1), np.uint8(2)
 """Bits of a link: the pixel continues its left neighbour, the one above it."""
 
+MOST_SURFACES = 65534
+"""Surfaces beyond these, in scanning order, are taken as too small: a picture that has them shows noise."""
+
 _START, _CONTACT, _STOP = np.uint8(1), np.uint8(2), np.uint8(4)
 _NO = np.uint8(0)
 _ROWS = 32
@@ -145,7 +148,7 @@ def _root(parent: Any, k: int) -> int:
 def unite(
     start: Any, stop: Any, contact: Any, count: Any, smallest: int, first: Any, parent: Any, surface: Any, size: Any
 ) -> int:  # fmt: skip
-    """Number of connected surfaces of at least ``smallest`` pixels.
+    """Number of connected surfaces of at least ``smallest`` pixels, up to :data:`MOST_SURFACES`.
 
     Args:
         start, stop, contact, count: of :func:`find_runs`.
@@ -182,7 +185,7 @@ def unite(
     for k in range(runs):
         root = surface[k]
         if root == k:
-            if size[k] >= smallest:
+            if size[k] >= smallest and surfaces < MOST_SURFACES:
                 size[surfaces] = size[k]
                 parent[k], surfaces = surfaces, surfaces + 1
             else:
@@ -192,16 +195,14 @@ def unite(
 
 
 @parallel
-def paint(start: Any, stop: Any, count: Any, first: Any, surface: Any, label: Any, mark: Any) -> None:
-    """See :meth:`Surfaces.paint`."""
+def paint(start: Any, stop: Any, count: Any, first: Any, surface: Any, label: Any) -> None:
+    """One more than each pixel's surface into ``label`` (H, W) uint16, 0 where there is none."""
     for i in prange(label.shape[0]):
-        label[i, :] = -1
-        mark[i, :] = _NO
+        label[i, :] = 0
         for t in range(count[0, i]):
             k = surface[first[i] + t]
             if k >= 0:
-                label[i, start[i, t] : stop[i, t]] = k
-                mark[i, start[i, t] : stop[i, t]] = np.uint8(1 + k % 255)
+                label[i, start[i, t] : stop[i, t]] = k + 1
 
 
 class Surfaces:
@@ -238,6 +239,6 @@ class Surfaces:
         self.sizes = self._size[:number]
         return int(number)
 
-    def paint(self, label: NDArray[np.int32], mark: NDArray[np.uint8]) -> None:
-        """Each pixel's surface, -1 where there is none, and its mark: 0 where there is none, else 1 to 255 in turns."""
-        paint(self.start, self.stop, self.count, self.first, self.surface, label, mark)
+    def paint(self, label: NDArray[np.uint16]) -> None:
+        """One more than each pixel's surface, 0 where there is none."""
+        paint(self.start, self.stop, self.count, self.first, self.surface, label)

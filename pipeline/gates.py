@@ -67,8 +67,8 @@ class Gates:
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
-        self._known, self._link, self._mark = (np.empty(shape, np.uint8) for _ in range(3))
-        self._label = np.empty(shape, np.int32)
+        self._known, self._link = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+        self._label = np.empty(shape, np.uint16)
         self._surfaces = Surfaces(shape)
         self._unique = Uniqueness(shape, (right, projector))
 
@@ -85,8 +85,8 @@ class Gates:
         u, v = located.match_u.view(np.int16), located.match_v.view(np.int16)
         components.links(located.absolute, u, v, *self._slopes, self._link)
         surfaces.find(known, self._link, self._smallest)
-        surfaces.paint(label, self._mark)
-        drop_mixed_edges(label, self._mark, modulation, np.float32(s.edge_modulation), known)
+        surfaces.paint(label)
+        drop_mixed_edges(label, modulation, np.float32(s.edge_modulation), known)
         self._drop_doubtful(located)
         by_phase = Values(located.absolute, False, self._base, self._span)
         for u, v, device, values, tolerance in (

@@ -99,10 +99,13 @@ def local_outliers(known: Any, first: Any, second: Any, limit: int, largest: int
 
 
 @serial
-def _modulation_where(known: Any, modulation: Any, out: Any) -> None:
-    into = out[1:]
-    for j in range(known.shape[0]):
-        into[j] = modulation[j] if known[j] != 0 else _NO
+def _pad(label: Any, modulation: Any, labels: Any, strengths: Any, out: Any) -> None:
+    """Label and modulation (0 where there is no surface) one further along, and whether there is a surface."""
+    a, b = labels[1:], strengths[1:]
+    for j in range(label.shape[0]):
+        a[j] = label[j]
+        b[j] = modulation[j] if label[j] != 0 else _NO
+        out[j] = _YES if label[j] != 0 else _NO
 
 
 @serial
@@ -121,7 +124,7 @@ def _least_of_three(a: Any, b: Any, c: Any, out: Any) -> None:
 
 @serial
 def _perhaps_mixed(here: Any, best: Any, share: int, first: Any, last: Any, out: Any) -> None:
-    """1 where several marks are near and a strength may fall below so many 256ths of the best."""
+    """1 where several surfaces, or none, are near and a strength may fall below so many 256ths of the best."""
     for j in range(out.shape[0]):
         weak = np.uint16(here[j] << 8) < np.uint16(best[j] * share)
         out[j] = _YES if weak & (first[j] != last[j]) else _NO
@@ -143,13 +146,13 @@ def _mixed(label: Any, modulation: Any, i: int, j: int, share: Any) -> bool:
 
 
 @parallel
-def drop_mixed_edges(label: Any, mark: Any, modulation: Any, share: Any, out: Any) -> None:
+def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
     """Surfaces without the pixels at their border whose modulation falls below a share of that next to them.
 
     At the border of a surface a pixel that sees only half of it, or half in shadow, mixes two phases.
 
     Args:
-        label, mark: (H, W) of :meth:`pipeline.components.Surfaces.paint`.
+        label: (H, W) uint16, of :meth:`pipeline.components.Surfaces.paint`.
         modulation: (H, W) uint8; share: float32, up to 1.
         out: (H, W) uint8, becomes 1 where a pixel of a surface stays, else 0.
     """
@@ -159,24 +162,23 @@ def drop_mixed_edges(label: Any, mark: Any, modulation: Any, share: Any, out: An
     for block in prange((height + _ROWS - 1) // _ROWS):
         top = block * _ROWS
         bottom = min(top + _ROWS, height)
-        # Beyond the picture nothing is known. Rows are kept in turns of three.
-        strength, marks = np.zeros((3, width + 2), np.uint8), np.zeros((3, width + 2), np.uint8)
-        best_of_row, least_of_row, most_of_row = (np.zeros((3, width), np.uint8), np.zeros((3, width), np.uint8),
-                                                  np.zeros((3, width), np.uint8))  # fmt: skip
-        best, least, most = np.empty(width, np.uint8), np.empty(width, np.uint8), np.empty(width, np.uint8)
-        doubt = np.zeros(8 * words, np.uint8)
+        # Beyond the picture there is no surface. Rows are kept in turns of three.
+        strength, labels = np.zeros((3, width + 2), np.uint8), np.zeros((3, width + 2), np.uint16)
+        best_of_row = np.zeros((3, width), np.uint8)
+        least_of_row, most_of_row = np.zeros((3, width), np.uint16), np.zeros((3, width), np.uint16)
+        best, least, most = np.empty(width, np.uint8), np.empty(width, np.uint16), np.empty(width, np.uint16)
+        doubt, ignored = np.zeros(8 * words, np.uint8), np.empty(width, np.uint8)
         doubt_words = doubt.view(np.uint64)
         for i in range(max(0, top - 1), bottom + 1):
             now = i % 3
-            row, its_marks = strength[now], marks[now]
+            s, k = strength[now], labels[now]
             if i < height:
-                _modulation_where(mark[i], modulation[i], row)
-                its_marks[1 : width + 1] = mark[i]
+                _pad(label[i], modulation[i], k, s, out[i] if top <= i < bottom else ignored)
             else:
-                row[:], its_marks[:] = _NO, _NO
-            _largest_of_three(row, row[1:], row[2:], best_of_row[now])
-            _least_of_three(its_marks, its_marks[1:], its_marks[2:], least_of_row[now])
-            _largest_of_three(its_marks, its_marks[1:], its_marks[2:], most_of_row[now])
+                s[:], k[:] = _NO, 0
+            _largest_of_three(s, s[1:], s[2:], best_of_row[now])
+            _least_of_three(k, k[1:], k[2:], least_of_row[now])
+            _largest_of_three(k, k[1:], k[2:], most_of_row[now])
             here = i - 1
             if here < top:
                 continue
@@ -184,12 +186,10 @@ def drop_mixed_edges(label: Any, mark: Any, modulation: Any, share: Any, out: An
             _least_of_three(least_of_row[0], least_of_row[1], least_of_row[2], least)
             _largest_of_three(most_of_row[0], most_of_row[1], most_of_row[2], most)
             _perhaps_mixed(strength[here % 3, 1:], best, share_256, least, most, doubt[:width])
-            for j in range(width):
-                out[here, j] = _YES if mark[here, j] != 0 else _NO
             # Few pixels are in doubt: only those are looked at closely.
             for word in range(words):
                 if doubt_words[word] == 0:
                     continue
                 for j in range(8 * word, 8 * word + 8):
-                    if doubt[j] != 0 and label[here, j] >= 0 and _mixed(label, modulation, here, j, share):
+                    if doubt[j] != 0 and label[here, j] != 0 and _mixed(label, modulation, here, j, share):
                         out[here, j] = _NO

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from pipeline.kernels import parallel, prange, serial
 from pipeline.located import PIXEL_STEPS
 
+TILE_ROWS, TILE_COLUMNS = 8, 16
+"""Pixels of the left picture's tiles."""
 PARAMETER_STEPS = 16384
 """Steps of the parameter s from 0 to 1."""
-
-_BLOCK_STEPS = 8 * PIXEL_STEPS
 
 
 class Values(NamedTuple):
@@ -65,48 +65,49 @@ def _any_shared(number: Any, box: Any, across: int) -> bool:
 
 @parallel
 def list_claims(
-    known: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, tile_surface: Any,
-    box: Any, number: Any,
+    known: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, box: Any, number: Any,
     entries: Any, pixels: Any, places: Any, surfaces: Any, depths: Any, all_values: Any,
 ) -> None:  # fmt: skip
-    """List the pixels that claim shared blocks, tile by tile, by bands of rows.
+    """List the pixels that claim shared blocks, by bands of rows.
 
     Args:
-        known: (H, W) uint8; label: (H, W) int32; depth: (H, W) mm.
+        known: (H, W) uint8; label: (H, W) uint16, one more than the surface; depth: (H, W) mm.
         u, v: (H, W) uint16, pixel in the other device of this width and height; values: :class:`Values`.
-        tile_surface, box, number: of :mod:`pipeline.uniqueness`.
+        box, number: of :mod:`pipeline.uniqueness`.
         entries, pixels, places, surfaces, depths, all_values: the arrays of :class:`Claims`, written.
     """
     rows, columns = known.shape
-    down, tiles = tile_surface.shape
+    down, tiles = box.shape[:2]
     parts = entries.shape[0]
     across = (width + 7) // 8
     last_x, last_y = (width - 1) // 8, (height - 1) // 8
     for part in prange(parts):
-        pixel, place, surface, far_off, value = (pixels[part], places[part], surfaces[part], depths[part],
-                                                 all_values[part])  # fmt: skip
+        contested = np.empty(tiles, np.int32)
         n = 0
         for band in range(part * down // parts, (part + 1) * down // parts):
+            found = 0
             for tile in range(tiles):
-                if tile_surface[band, tile] == -1 or not _any_shared(number, box[band, tile], across):
-                    continue
-                for i in range(8 * band, min(8 * band + 8, rows)):
-                    for j in range(16 * tile, min(16 * tile + 16, columns)):
-                        if known[i, j] == 0:
-                            continue
-                        a, b = u[i, j] // PIXEL_STEPS, v[i, j] // PIXEL_STEPS
+                if _any_shared(number, box[band, tile], across):
+                    contested[found], found = tile, found + 1
+            # Row by row: memory is read ahead along rows.
+            for i in range(TILE_ROWS * band, min(TILE_ROWS * (band + 1), rows)):
+                for m in range(found):
+                    first = TILE_COLUMNS * contested[m]
+                    for j in range(first, min(first + TILE_COLUMNS, columns)):
+                        a, b = np.int32(u[i, j]) // PIXEL_STEPS, np.int32(v[i, j]) // PIXEL_STEPS
                         x, y = a // 8, b // 8
-                        if x > last_x or y > last_y or number[y * across + x] < 0:
+                        inside = (known[i, j] != 0) & (x <= last_x) & (y <= last_y)
+                        k = number[y * across + x if inside else 0]
+                        if k < 0 or not inside:
                             continue
-                        z = depth[i, j]
-                        pixel[n] = i * columns + j
-                        place[n] = number[y * across + x] * 64 + (b & 7) * 8 + (a & 7)
-                        surface[n], far_off[n] = label[i, j], z
+                        pixels[part, n] = i * columns + j
+                        places[part, n] = k * 64 + (b & 7) * 8 + (a & 7)
+                        surfaces[part, n], depths[part, n] = np.int32(label[i, j]) - 1, depth[i, j]
                         if values.by_depth:
-                            s = (np.float32(1.0) / z - values.base) / values.span
-                            value[n] = np.int16(np.int32(s * np.float32(PARAMETER_STEPS)))
+                            s = (np.float32(1.0) / depth[i, j] - values.base) / values.span
+                            all_values[part, n] = np.int16(np.int32(s * np.float32(PARAMETER_STEPS)))
                         else:
-                            value[n] = values.phase[i, j]
+                            all_values[part, n] = values.phase[i, j]
                         n += 1
         entries[part] = n
 

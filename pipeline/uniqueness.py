@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from pipeline import rivals
 from pipeline.kernels import parallel, prange, serial
 from pipeline.located import OUTSIDE, PIXEL_STEPS
+from pipeline.rivals import TILE_COLUMNS, TILE_ROWS
 
 PARTS = 8
 """Bands of rows that are worked on independently: fixed, so that nothing depends on the number of threads."""
-TILE_ROWS, TILE_COLUMNS = 8, 16
 
 NOBODY, SEVERAL = np.int32(-1), np.int32(-2)
 
 _NOWHERE, _ZERO = OUTSIDE, np.uint16(0)
-_LARGEST = np.int32(2**31 - 1)
 BLOCK_STEPS = 8 * PIXEL_STEPS
 
 
@@ -49,12 +48,11 @@ def _most_known(x: Any, high: Any) -> None:
 
 
 @serial
-def _stretch_surface(known: Any, label: Any, low: Any, high: Any) -> None:
-    for j in range(known.shape[0]):
-        a = label[j] if known[j] != 0 else _LARGEST
+def _least_label(label: Any, low: Any) -> None:
+    """``low`` is one less than the label, modulo 16 bits: none is the largest, without a test."""
+    for j in range(label.shape[0]):
+        a = np.uint16(label[j] - 1)
         low[j] = a if a < low[j] else low[j]
-        b = label[j] if known[j] != 0 else NOBODY
-        high[j] = b if b > high[j] else high[j]
 
 
 @serial
@@ -94,19 +92,19 @@ def _claim(owner: Any, block: int, surface: Any) -> None:
 
 @parallel
 def claim_blocks(
-    known: Any, label: Any, u: Any, v: Any, width: int, height: int, surface: Any, box: Any, owner: Any
+    known: Any, label: Any, u: Any, v: Any, width: int, height: int, box: Any, owner: Any
 ) -> None:  # fmt: skip
     """Note which surface claims which block of the other device.
 
     Args:
-        known: (H, W) uint8; label: (H, W) int32.
+        known: (H, W) uint8; label: (H, W) uint16, one more than the surface.
         u, v: (H, W) uint16, pixel in the other device of this width and height, see :mod:`pipeline.located`.
-        surface: (tiles down, tiles across) int32, becomes the tile's surface, NOBODY or SEVERAL.
-        box: (tiles down, tiles across, 4) int32, becomes first and last column, first and last row of claimed blocks.
+        box: (tiles down, tiles across, 4) int32, becomes first and last column, first and last row of the blocks that
+            a tile's known pixels lie in.
         owner: (PARTS, blocks) int32, becomes the claiming surface, NOBODY or SEVERAL, by bands of rows.
     """
     rows, columns = known.shape
-    down, tiles = surface.shape
+    down, tiles = box.shape[:2]
     across = (width + 7) // 8
     last_x, last_y = (width - 1) // 8, (height - 1) // 8
     n = tiles * TILE_COLUMNS
@@ -116,10 +114,10 @@ def claim_blocks(
         low_u, high_u, low_v, high_v, spare = (np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16),
             np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16))  # fmt: skip
         row = np.empty(columns, np.uint16)
-        low, high, spare_surface = np.empty(n + 16, np.int32), np.empty(n + 16, np.int32), np.empty(n + 16, np.int32)
+        low, high = np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16)
         for band in range(part * down // owner.shape[0], (part + 1) * down // owner.shape[0]):
             low_u[:], high_u[:], low_v[:], high_v[:] = _NOWHERE, _ZERO, _NOWHERE, _ZERO
-            low[:], high[:] = _LARGEST, NOBODY
+            low[:], high[:] = _NOWHERE, _ZERO
             top, bottom = band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)
             for i in range(top, bottom):
                 _masked(known[i], u[i], row)
@@ -128,29 +126,31 @@ def claim_blocks(
                 _masked(known[i], v[i], row)
                 _least_known(row, low_v)
                 _most_known(row, high_v)
-                _stretch_surface(known[i], label[i], low, high)
+                _least_label(label[i], low)
+                _most(label[i], high[:columns], high[:columns])
             _least_of_16(low_u, spare, n)
             _most_of_16(high_u, spare, n)
             _least_of_16(low_v, spare, n)
             _most_of_16(high_v, spare, n)
-            _least_of_16(low, spare_surface, n)
-            _most_of_16(high, spare_surface, n)
+            _least_of_16(low, spare, n)
+            _most_of_16(high, spare, n)
             for tile in range(tiles):
                 j = tile * TILE_COLUMNS
                 x0, x1 = low_u[j] // BLOCK_STEPS, min((high_u[j] - 1) // BLOCK_STEPS, last_x)
                 y0, y1 = low_v[j] // BLOCK_STEPS, min((high_v[j] - 1) // BLOCK_STEPS, last_y)
                 box[band, tile, 0], box[band, tile, 1], box[band, tile, 2], box[band, tile, 3] = x0, x1, y0, y1
-                surface[band, tile] = NOBODY if high[j] < 0 else (high[j] if high[j] == low[j] else SEVERAL)
-                if surface[band, tile] >= 0:
+                if high[j] == 0:
+                    box[band, tile, 1] = -1
+                elif high[j] == low[j] + 1:
                     for y in range(y0, y1 + 1):
                         for x in range(x0, x1 + 1):
-                            _claim(mine, y * across + x, high[j])
-                elif surface[band, tile] == SEVERAL:
+                            _claim(mine, y * across + x, np.int32(low[j]))
+                else:
                     for i in range(top, bottom):
                         for m in range(j, min(j + TILE_COLUMNS, columns)):
                             x, y = u[i, m] // BLOCK_STEPS, v[i, m] // BLOCK_STEPS
                             if known[i, m] and x <= last_x and y <= last_y:
-                                _claim(mine, y * across + x, label[i, m])
+                                _claim(mine, y * across + x, np.int32(label[i, m]) - 1)
 
 
 @serial
@@ -181,7 +181,7 @@ class Uniqueness:
         height, width = shape
         blocks = max(((w + 7) // 8) * ((h + 7) // 8) for w, h in devices)
         tiles = (height + TILE_ROWS - 1) // TILE_ROWS, (width + TILE_COLUMNS - 1) // TILE_COLUMNS
-        self._surface, self._box = np.empty(tiles, np.int32), np.empty((*tiles, 4), np.int32)
+        self._box = np.empty((*tiles, 4), np.int32)
         self._owner, self._number = np.empty((PARTS, blocks), np.int32), np.empty(blocks, np.int32)
         # Only as much as there are rival claims is ever touched of these.
         rows = -(-tiles[0] // PARTS) * TILE_ROWS
@@ -189,13 +189,13 @@ class Uniqueness:
         self._near, self._far = (np.empty(64 * blocks, np.int32) for _ in range(2))
 
     def apply(
-        self, known: NDArray[np.uint8], label: NDArray[np.int32], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
+        self, known: NDArray[np.uint8], label: NDArray[np.uint16], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
         device: tuple[int, int], values: rivals.Values, tolerance: int, sure: int,
     ) -> None:  # fmt: skip
         """Forget what does not prevail in one device.
 
         Args:
-            known: (H, W) 0 or 1, changed in place; label: (H, W) surface of each known pixel.
+            known: (H, W) 0 or 1, changed in place; label: (H, W) one more than the surface of each known pixel.
             size: pixels of each surface.
             u, v: (H, W) uint16, pixel in the device; depth: (H, W) mm.
             device: (width, height) of the device.
@@ -205,12 +205,12 @@ class Uniqueness:
         width, height = device
         blocks = ((width + 7) // 8) * ((height + 7) // 8)
         owner, number, c = self._owner[:, :blocks], self._number[:blocks], self._claims
-        claim_blocks(known, label, u, v, width, height, self._surface, self._box, owner)
+        claim_blocks(known, label, u, v, width, height, self._box, owner)
         shared = number_shared(owner, number)
         if not shared:
             return
         rivals.list_claims(
-            known, label, u, v, depth, values, width, height, self._surface, self._box, number,
+            known, label, u, v, depth, values, width, height, self._box, number,
             c.entries, c.pixel, c.place, c.surface, c.depth, c.value,
         )  # fmt: skip
         near, far = self._near[: 64 * shared], self._far[: 64 * shared]
