@@ -46,7 +46,7 @@ def _continues(
 
 @parallel
 def links(absolute: Any, match_u: Any, match_v: Any, slope_x: int, slope_y: int, out: Any) -> None:
-    """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning where a pixel or that neighbour is unknown.
+    """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning beside unknown pixels.
 
     Args:
         absolute: (H, W) int16, absolute phase; match_u, match_v: (H, W) int16, pixel in the right picture, all in the
@@ -60,9 +60,7 @@ def links(absolute: Any, match_u: Any, match_v: Any, slope_x: int, slope_y: int,
         out[i, :] = _NO
         _continues(a[1:], a[:last], u[1:], u[:last], v[1:], v[:last], slope_x, PIXEL_STEPS, 0, LEFT, out[i, 1:])
         if i > 0:
-            _continues(
-                a, absolute[i - 1], u, match_u[i - 1], v, match_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i]
-            )
+            _continues(a, absolute[i - 1], u, match_u[i - 1], v, match_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i])
 
 
 @serial

@@ -79,11 +79,11 @@ class Gates:
             located: of the left picture; modulation: (H, W) uint8, counts.
         """
         s, known, label, surfaces = self._settings, self._known, self._label, self._surfaces
-        local_outliers(
-            located.known, located.residual_eq, located.residual, _steps(s.max_residual), _steps(s.max_phase_error), known
+        limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)
+        local_outliers(located.known, located.residual_eq, located.residual, limit, largest, known)
+        components.links(
+            located.absolute, located.match_u.view(np.int16), located.match_v.view(np.int16), *self._slopes, self._link
         )
-        u, v = located.match_u.view(np.int16), located.match_v.view(np.int16)
-        components.links(located.absolute, u, v, *self._slopes, self._link)
         surfaces.find(known, self._link, self._smallest)
         surfaces.paint(label)
         drop_mixed_edges(label, modulation, np.float32(s.edge_modulation), known)

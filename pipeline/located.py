@@ -56,9 +56,8 @@ class Located(NamedTuple):
     @staticmethod
     def empty(shape: tuple[int, int]) -> Located:
         """Planes to be written."""
-        return Located(
-            np.zeros(shape, np.uint8),
-            *(np.empty(shape, np.float32) for _ in range(2)),
-            *(np.empty(shape, np.uint16) for _ in range(4)),
-            *(np.empty(shape, np.int16) for _ in range(3)),
-        )
+        depth, sigma = (np.empty(shape, np.float32) for _ in range(2))
+        match_u, match_v, source_u, source_v = (np.empty(shape, np.uint16) for _ in range(4))
+        absolute, residual_eq, residual = (np.empty(shape, np.int16) for _ in range(3))
+        known = np.zeros(shape, np.uint8)
+        return Located(known, depth, sigma, match_u, match_v, source_u, source_v, absolute, residual_eq, residual)

@@ -36,7 +36,7 @@ class Claims(NamedTuple):
     Args:
         entries: (PARTS) int32, number of claims of each band.
         pixel: flat index; place: claimed pixel, 64 to a shared block; surface of the pixel.
-        depth: mm; value: of :class:`Values`; rival: bits, 1 the nearest at this place is another surface, 2 the farthest.
+        depth: mm; value: of :class:`Values`; rival: bits, 1 the nearest at this place is a rival, 2 the farthest.
     """
 
     entries: NDArray[np.int32]
@@ -80,7 +80,6 @@ def list_claims(
     down, tiles = box.shape[:2]
     parts = entries.shape[0]
     across = (width + 7) // 8
-    last_x, last_y = (width - 1) // 8, (height - 1) // 8
     for part in prange(parts):
         contested = np.empty(tiles, np.int32)
         n = 0
@@ -96,7 +95,7 @@ def list_claims(
                     for j in range(first, min(first + TILE_COLUMNS, columns)):
                         a, b = np.int32(u[i, j]) // PIXEL_STEPS, np.int32(v[i, j]) // PIXEL_STEPS
                         x, y = a // 8, b // 8
-                        inside = (known[i, j] != 0) & (x <= last_x) & (y <= last_y)
+                        inside = (known[i, j] != 0) & (a < width) & (b < height)
                         k = number[y * across + x if inside else 0]
                         if k < 0 or not inside:
                             continue
@@ -131,7 +130,7 @@ def nearest_and_farthest(entries: Any, places: Any, depth: Any, near: Any, far: 
 
 @serial
 def _differ(surface: Any, value: Any, e: int, rival: int, tolerance: int) -> bool:
-    return surface[e] != surface[rival] and abs(np.int64(np.int16(value[e] - value[rival]))) > tolerance
+    return bool(surface[e] != surface[rival] and abs(np.int64(np.int16(value[e] - value[rival]))) > tolerance)
 
 
 @parallel

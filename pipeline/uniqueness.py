@@ -162,7 +162,7 @@ def _join(a: Any, b: Any) -> None:
 
 @serial
 def number_shared(owner: Any, number: Any) -> int:
-    """Number the blocks that several surfaces claim; others get -1. ``owner`` (PARTS, blocks) is joined into its first."""
+    """Number the blocks that several surfaces claim; others get -1. ``owner`` is joined into its first part."""
     joined = owner[0]
     for part in range(1, owner.shape[0]):
         _join(joined, owner[part])
