@@ -15,12 +15,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
+from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS
 from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, angle, clamped, root, turns
 
 _COHERENCE_SQ = np.float32(0.16)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _TURN, _TINY = np.float32(2 * np.pi), np.float32(1e-20)
+_PER_PIXEL, _FARTHEST = np.float32(PIXEL_STEPS), np.float32(OUTSIDE)
+_PER_RADIAN, _LARGEST = np.float32(1 / RESIDUAL_STEP), np.float32(LARGEST_RESIDUAL)
+_PER_TURN = np.float32(TURN_STEPS / (2 * np.pi))
 
 # Slots of the scratch array of floats, and of the one of integers.
 _RE, _IM, _PHI, _BIAS, _RX, _RY = (k * TILE for k in range(6))
@@ -305,10 +309,25 @@ def _store(t: Any, n: int, i: int, j0: int, variance: Any, span: float, out: Any
         known[j] = np.uint8(t[_OK + j] > _ZERO)
     match_u, match_v = out.match_u[i, j0 : j0 + n], out.match_v[i, j0 : j0 + n]
     for j in range(n):
-        match_u[j], match_v[j] = t[_X + j], t[_Y + j]
+        match_u[j], match_v[j] = _steps_of_pixel(t[_X + j]), _steps_of_pixel(t[_Y + j])
     source_u, source_v = out.source_u[i, j0 : j0 + n], out.source_v[i, j0 : j0 + n]
     for j in range(n):
-        source_u[j], source_v[j] = t[_U + j], t[_V + j]
+        source_u[j], source_v[j] = _steps_of_pixel(t[_U + j]), _steps_of_pixel(t[_V + j])
     residual_eq, residual = out.residual_eq[i, j0 : j0 + n], out.residual[i, j0 : j0 + n]
     for j in range(n):
-        residual_eq[j], residual[j] = t[_T0 + j], t[_T1 + j]
+        residual_eq[j], residual[j] = _steps_of_residual(t[_T0 + j]), _steps_of_residual(t[_T1 + j])
+    absolute = out.absolute[i, j0 : j0 + n]
+    for j in range(n):
+        absolute[j] = np.int16(np.int32(np.rint(t[_PHI + j] * _PER_TURN)))
+
+
+@inline
+def _steps_of_pixel(x: Any) -> Any:
+    """A coordinate in steps from the picture's edge, see :mod:`pipeline.located`."""
+    x = (x + _HALF) * _PER_PIXEL
+    return np.uint16(np.int32(x if (x >= _ZERO) & (x < _FARTHEST) else _FARTHEST))
+
+
+@inline
+def _steps_of_residual(x: Any) -> Any:
+    return np.int16(np.int32(np.rint(clamped(x * _PER_RADIAN, -_LARGEST, _LARGEST))))

@@ -12,8 +12,8 @@ from pipeline import propagate
 from pipeline.calibration import Calibration, ColorModel
 from pipeline.camera_model import CameraModel
 from pipeline.cloud import Volume
+from pipeline.located import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, Located
 from pipeline.pattern import ColorFringe
-from pipeline.located import Located
 from pipeline.phase import Decoder, PhaseMap
 from pipeline.settings import Settings
 from pipeline.tables import DepthScale, RayTable, packed, period_in_picture, ray_table
@@ -103,12 +103,13 @@ class View:
     def column_differences(self, located: Located, correction: F64) -> tuple[F64, F64, F64]:
         """Observed minus calibrated projector coordinate of located points (a subset), and where they are."""
         part = np.s_[::3, ::2]
-        some = located.known[part].astype(bool) & (np.abs(located.residual_eq[part]) < 1.5)
-        source = [plane[part][some].astype(np.float64) for plane in (located.source_u, located.source_v)]
+        some = located.known[part].astype(bool) & (np.abs(located.residual_eq[part]) < 1.5 / RESIDUAL_STEP)
+        some &= (located.source_u[part] != OUTSIDE) & (located.source_v[part] != OUTSIDE)
+        source = [(plane[part][some] + 0.5) / PIXEL_STEPS - 0.5 for plane in (located.source_u, located.source_v)]
         along, across = source[self.first_axis], source[1 - self.first_axis]
         absolute = along + correction[0] + correction[1] * along + correction[2] * across
         rate = np.gradient(self.phases.astype(np.float64))
-        difference = located.residual_eq[part][some] / np.interp(absolute, np.arange(len(rate)), rate)
+        difference = RESIDUAL_STEP * located.residual_eq[part][some] / np.interp(absolute, np.arange(len(rate)), rate)
         return absolute - along + difference, along, across
 
 
