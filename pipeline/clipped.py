@@ -32,7 +32,7 @@ def clipped_of_row(raw: Any, clip: float, low: int, high: int, found: Any) -> in
 
 
 @serial
-def plain_mean(raw: Any, j: int, black: Any, solution: Any) -> float:
+def plain_mean(raw: Any, j: int, black: Any, solution: Any) -> Any:
     """Mean A of a single pixel of a row, counts."""
     a = np.float32(0.0)
     for k in range(3):
@@ -41,7 +41,7 @@ def plain_mean(raw: Any, j: int, black: Any, solution: Any) -> float:
 
 
 @inline
-def _power(c: float, s: float, n: int) -> tuple[float, float]:
+def _power(c: Any, s: Any, n: int) -> tuple[Any, Any]:
     """Power -2 ... 2 of a unit phasor."""
     two, none = (n == 2) | (n == -2), n == 0
     a, b = (c * c - s * s if two else c), (s * c + c * s if two else s)
@@ -63,13 +63,17 @@ def _steps(tile: Any, nominal: Any) -> None:
     xc, xs, yc, ys, agreeing = nominal[0], nominal[1], nominal[2], nominal[3], np.float32(AGREEING)
     for j in range(TILE):
         re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
-        c, s, _, _ = step_of(tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j], re, im,
-                             tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j], xc, xs, agreeing)  # fmt: skip
+        c, s, _, _ = step_of(
+            tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j], re, im,
+            tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j], xc, xs, agreeing,
+        )  # fmt: skip
         tile[_STEP_X * TILE + j], tile[(_STEP_X + 1) * TILE + j] = c, s
     for j in range(TILE):
         re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
-        c, s, _, _ = step_of(tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j], re, im,
-                             tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j], yc, ys, agreeing)  # fmt: skip
+        c, s, _, _ = step_of(
+            tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j], re, im,
+            tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j], yc, ys, agreeing,
+        )  # fmt: skip
         tile[_STEP_Y * TILE + j], tile[(_STEP_Y + 1) * TILE + j] = c, s
 
 
@@ -95,7 +99,8 @@ def fit_clipped(
 
     Args:
         picture: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
-        nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3); units: re, im of the rows above, here, below.
+        nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3).
+        units: re, im of the rows above, here, below.
     """
     above_re, above_im, here_re, here_im, below_re, below_im = units
     n = columns.shape[0]

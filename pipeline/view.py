@@ -12,8 +12,8 @@ from pipeline import propagate
 from pipeline.calibration import Calibration, ColorModel
 from pipeline.camera_model import CameraModel
 from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
 from pipeline.located import Located
+from pipeline.pattern import ColorFringe
 from pipeline.phase import Decoder, PhaseMap
 from pipeline.settings import Settings
 from pipeline.tables import DepthScale, RayTable, packed, period_in_picture, ray_table

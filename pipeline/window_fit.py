@@ -1,8 +1,8 @@
 """Phase from a small window: the mean of its phasors, turned back to the centre.
 
-Within the window the phase is a plane. A neighbour one pixel to the right is one step of the phase ahead: turned back by
-the phasor of that step it says the same as the centre, and the weighted mean of all has less noise without blurring the
-fringes. Gaussian weights and the turning separate: first along the rows, then across them, centre by centre.
+Within the window the phase is a plane. A neighbour one pixel to the right is one step of the phase ahead: turned back
+by the phasor of that step it says the same as the centre, and the weighted mean of all has less noise without blurring
+the fringes. Gaussian weights and the turning separate: first along the rows, then across them, centre by centre.
 Neighbours whose phase does not continue the plane (another surface), and clipped ones, weigh nothing.
 """
 
@@ -31,9 +31,9 @@ def weights_of(radius: int, sigma: float) -> F32:
 
 @inline
 def step_of(
-    back_re: float, back_im: float, re: float, im: float, ahead_re: float, ahead_im: float,
-    nominal_c: float, nominal_s: float, agreeing: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+    back_re: Any, back_im: Any, re: Any, im: Any, ahead_re: Any, ahead_im: Any,
+    nominal_c: Any, nominal_s: Any, agreeing: Any,
+) -> tuple[Any, Any, Any, Any]:  # fmt: skip
     """Phasor of the phase's step by one pixel, from the unit phasors of a pixel and of its neighbours on both sides.
 
     The central difference where both sides agree; at the border of a surface the side whose step is nearer to the
@@ -97,7 +97,7 @@ def fold_far(
     nominal_c: float, nominal_s: float, weight: float,
     sum_w: Any, sum_c: Any, sum_s: Any, sum_a: Any, sum_v: Any,
 ) -> None:  # fmt: skip
-    """Add the neighbours at a distance of two (``far``, 0 behind and 2 ahead) to the sums; otherwise as :func:`fold`."""
+    """Add the neighbours at a distance of two (``far``, 0 behind, 2 ahead) to the sums; otherwise as :func:`fold`."""
     zero, least = np.float32(0.0), np.float32(CONSISTENT)
     for j in range(sum_w.shape[0]):
         re, im = unit_re1[j], unit_im1[j]
