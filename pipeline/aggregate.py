@@ -25,7 +25,7 @@ NONE = -32768
 """Order of a pixel that has none."""
 _TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
 _BROKEN = np.float32(0.15)
-_ZERO, _HALF = np.float32(0), np.float32(0.5)
+_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 
 
 @inline
@@ -100,33 +100,34 @@ def column_links(
 
 @ordered
 def _advance(
-    cost: Any, at: int, n: int, old: Any, least: Any, new: Any, before: int, labels: int, offset: int, penalty: Any
-) -> Any:
+    costs: Any, at: int, paths: Any, old: int, new: int, least: Any, labels: int, offset: int, penalty: Any, keep: Any,
+    total: Any,
+) -> Any:  # fmt: skip
     """One step of a path: new(m) = cost(m) + min(old(m - offset) - least old, penalty); returns the least new.
 
-    Paths hold ``labels`` costs between two margins as wide; NO_SUCH beyond the labels there are, ``before`` of them in
-    ``new`` so far.
+    ``total`` becomes keep * total + new. All arrays are flat (slices cost more than the step itself); old and new are
+    places in ``paths``, where ``labels`` costs lie between two margins as wide. All labels are treated alike, whether
+    the pixel has them (else the cost is NO_SUCH) or not.
     """
-    source = np.uint32(labels + min(max(offset, -labels), labels))
-    target, base = np.uint32(at), np.uint32(labels)
+    source = np.uint32(old + labels + min(max(offset, -labels), labels))
+    target, base = np.uint32(at), np.uint32(new + labels)
     least_new = NO_SUCH
-    for k in range(np.uint32(n)):
-        best = old[source + k] - least
-        value = cost[target + k] + (best if best < penalty else penalty)
-        new[base + k] = value
+    for k in range(np.uint32(labels)):
+        best = paths[source + k] - least
+        value = costs[target + k] + (best if best < penalty else penalty)
+        paths[base + k] = value
+        total[target + k] = keep * total[target + k] + value
         least_new = value if value < least_new else least_new
-    for k in range(n, before):
-        new[np.uint32(labels + k)] = NO_SUCH
     return least_new
 
 
 @ordered
-def _known(path: Any, before: int, labels: int, n: int) -> Any:
+def _known(paths: Any, old: int, labels: int, n: int) -> Any:
     """A path that knows nothing (n = 0), or that its pixel has one label only (n = 1); returns its least cost."""
-    for k in range(before):
-        path[np.uint32(labels + k)] = NO_SUCH
+    for k in range(labels):
+        paths[np.uint32(old + labels + k)] = NO_SUCH
     if n == 1:
-        path[np.uint32(labels)] = _ZERO
+        paths[np.uint32(old + labels)] = _ZERO
         return _ZERO
     return NO_SUCH
 
@@ -138,38 +139,28 @@ def along_row(
     """Both horizontal paths of a lattice row.
 
     Args:
-        costs, total: (w * labels,), the second is written where there are several labels; first, count: (w,) first
-            order, number of orders.
-        paths: (2, 3 * labels) scratch, NO_SUCH in its margins.
+        costs, total: (w * labels,), NO_SUCH for labels that a pixel does not have; the second is written where there
+            are several labels; first, count: (w,) first order, number of orders.
+        paths: (6 * labels,) scratch, NO_SUCH.
     """
     w = first.shape[0]
-    old, new = paths[0], paths[1]
-    old_n, new_n = labels, labels
+    old, new = 0, 3 * labels
     for direction in range(2):
-        last, least = 0, NO_SUCH
+        last, least, keep = 0, NO_SUCH, np.float32(direction)
         for t in range(w):
             b = t if direction == 0 else w - 1 - t
-            n = count[b]
-            if n <= 1:
-                last = n
+            if count[b] <= 1:
+                last = count[b]
                 continue
-            at, offset, price = b * labels, 0, penalty
+            offset, price = 0, penalty
             if t > 0:
                 q, tie = (b - 1, b) if direction == 0 else (b + 1, b + 1)
                 change = jump[tie] if direction == 0 else -jump[tie]
                 offset, price = first[b] - change - first[q], penalty * trust[tie]
             if last <= 1:
-                least = _known(old, old_n, labels, last)
-                old_n = last
-            least = _advance(costs, at, n, old, least, new, new_n, labels, offset, price)
-            target, base = np.uint32(at), np.uint32(labels)
-            if direction == 0:
-                for k in range(np.uint32(n)):
-                    total[target + k] = new[base + k]
-            else:
-                for k in range(np.uint32(n)):
-                    total[target + k] += new[base + k]
-            old, new, old_n, new_n, last = new, old, n, old_n, n
+                least = _known(paths, old, labels, last)
+            least = _advance(costs, b * labels, paths, old, new, least, labels, offset, price, keep, total)
+            old, new, last = new, old, count[b]
 
 
 @parallel
@@ -184,17 +175,17 @@ def along_columns(
         costs, total: (h, w * labels); first, count: (h, w) int32; jump, trust: (h, w), from :func:`column_links`.
     """
     h, w = first.shape
+    flat_costs, flat_total = costs.reshape(-1), total.reshape(-1)
     for group in prange((w + BLOCK - 1) // BLOCK):
         b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
-        paths = np.full((2, BLOCK, 3 * labels), NO_SUCH)
-        lengths = np.full((2, BLOCK), labels)
+        size = 3 * labels
+        paths = np.full(2 * BLOCK * size, NO_SUCH)
         least, last, side = np.full(BLOCK, NO_SUCH), np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
         for direction in range(2):
             last[:] = 0
             for t in range(h):
                 a = t if direction == 0 else h - 1 - t
                 q, tie = (a - 1, a) if direction == 0 else (a + 1, a + 1)
-                row_costs, row_total = costs[a], total[a]
                 for b in range(b0, b1):
                     n, p = count[a, b], b - b0
                     if n <= 1:
@@ -202,27 +193,27 @@ def along_columns(
                         if direction == 1:
                             order[a, b] = first[a, b] if n == 1 else NONE
                         continue
-                    at, offset, price = b * labels, 0, penalty
+                    at, offset, price = (a * w + b) * labels, 0, penalty
                     if t > 0:
                         change = jump[tie, b] if direction == 0 else -jump[tie, b]
                         offset, price = first[a, b] - change - first[q, b], penalty * trust[tie, b]
-                    old = side[p]
-                    new = 1 - old
+                    old = (2 * p + side[p]) * size
+                    new = (2 * p + 1 - side[p]) * size
                     if last[p] <= 1:
-                        least[p] = _known(paths[old, p], lengths[old, p], labels, last[p])
-                        lengths[old, p] = last[p]
-                    here = paths[new, p]
-                    least[p] = _advance(row_costs, at, n, paths[old, p], least[p], here, lengths[new, p], labels,
-                                        offset, price)  # fmt: skip
-                    lengths[new, p], last[p], side[p] = n, n, new
-                    target, base = np.uint32(at), np.uint32(labels)
-                    if direction == 0:
-                        for k in range(np.uint32(n)):
-                            row_total[target + k] += here[base + k]
-                        continue
-                    best, where = NO_SUCH + NO_SUCH, 0
-                    for k in range(np.uint32(n)):
-                        sum_ = row_total[target + k] + here[base + k]
-                        where = np.int32(k) if sum_ < best else where
-                        best = sum_ if sum_ < best else best
-                    order[a, b] = first[a, b] + where
+                        least[p] = _known(paths, old, labels, last[p])
+                    least[p] = _advance(flat_costs, at, paths, old, new, least[p], labels, offset, price, _ONE,
+                                        flat_total)  # fmt: skip
+                    last[p], side[p] = n, 1 - side[p]
+                    if direction == 1:
+                        order[a, b] = first[a, b] + _least(flat_total, at, labels)
+
+
+@ordered
+def _least(total: Any, at: int, labels: int) -> int:
+    """Label of the least value; the first one of several."""
+    base, where, best = np.uint32(at), 0, total[np.uint32(at)]
+    for k in range(np.uint32(labels)):
+        value = total[base + k]
+        where = np.int64(k) if value < best else where
+        best = value if value < best else best
+    return where

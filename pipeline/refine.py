@@ -198,10 +198,6 @@ def refine(
                     t[_W + j] += move
                     t[_X + j] += ex * move
                     t[_Y + j] += ey * move
-            # Back onto the exact curve, and the last step.
-            for j in range(TILE):
-                ax, ay, az = _ray(t, device, j)
-                t[_X + j], t[_Y + j] = _pixel(device, ax, ay, az, t[_W + j])
             _cells(t, k, along, across, other_width, other_height)
             _fetch(t, k, flat, along, across)
             _evidence(t, k, flat_variance, along, across)

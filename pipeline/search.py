@@ -110,6 +110,10 @@ def search_rows(
             most = load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase,
                               flat_eq, flat_phasor, flat_equalized, flat_mean, flat_first, flat_count,
                               labels)  # fmt: skip
+            for j in range(m):
+                base = np.uint32(part[j] * labels)
+                for order in range(np.uint32(labels)):
+                    flat_costs[base + order] = NO_SUCH
             for order in range(most):
                 price(t, k, order, columns, correction, extent, there_phasor, there_equalized, there_mean, width,
                       height, axis, floor_sq, inv, texture)  # fmt: skip
@@ -118,7 +122,7 @@ def search_rows(
                     if order < flat_count[node]:
                         flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
         jump, trust = np.empty(w, np.int32), np.empty(w, np.float32)
-        paths = np.full((2, 3 * labels), NO_SUCH)
+        paths = np.full(6 * labels, NO_SUCH)
         for a in range(a0, a1):
             i = top + down * a
             if a % every == 0:
