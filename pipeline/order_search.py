@@ -32,7 +32,7 @@ class OrderSearch:
         self._first, self._count = np.zeros((h, w), np.int32), np.zeros((h, w), np.int32)
         self._jump, self._trust = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
         self._correction: F64 | None = None
-        self._turn = 0
+        self._turn, self._expects = 0, False
         self._order = np.empty((h, w), np.int16)
         self._expected = np.full((h, w), np.nan, np.float32)
 
@@ -55,8 +55,11 @@ class OrderSearch:
             follow: look only near what :meth:`expect` was told last, but for a few rows in turn.
         """
         view, table = self._view, self._view.table
-        self._turn = (self._turn + 1) % search.REFRESH
-        self._price(here, there, correction, self._turn if follow else NO_TURN, 1)
+        if follow and self._expects:
+            self._turn = (self._turn + 1) % search.REFRESH
+            self._price(here, there, correction, self._turn, 1)
+        else:
+            self._price(here, there, correction, NO_TURN, 1)
         aggregate.column_links(
             here.phase, here.valid, table.top, table.down, table.left, table.step, np.float32(view.slopes[1]),
             self._count, self._jump, self._trust,
@@ -74,10 +77,11 @@ class OrderSearch:
             order, self._first, self._costs, v.labels, np.float32(v.settings.follow_cost), t.top, t.down, t.left,
             t.step, here.phase, self._expected,
         )  # fmt: skip
+        self._expects = True
 
     def forget(self) -> None:
         """Expect nothing in the next search."""
-        self._expected[:] = np.nan
+        self._turn, self._expects = 0, False
 
     def _price(self, here: PhaseMap, there: PhaseMap, correction: F64, turn: int, every: int) -> None:
         view, table, s = self._view, self._view.table, self._view.settings
@@ -91,8 +95,9 @@ class OrderSearch:
             table.top, table.down, table.left, table.step, every, table.coefficients, self._start, self._stop,
             here.phase, here.phase_eq, here.phasor, here.equalized, here.mean,
             here.valid, there.phasor, there.equalized, there.mean,
-            view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis, np.float32(view.slopes[0]),
-            np.float32((s.min_modulation * PHASOR_SCALE) ** 2), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
-            np.float32(s.switch_penalty), self._expected, turn, np.float32(s.follow_cost),
+            view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
+            np.float32(view.slopes[0]), np.float32((s.min_modulation * PHASOR_SCALE) ** 2),
+            np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), np.float32(s.switch_penalty),
+            self._expected, turn, np.float32(s.follow_cost),
             self._costs, self._total, self._first, self._count,
         )  # fmt: skip

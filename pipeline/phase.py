@@ -56,8 +56,10 @@ class PhaseMap:
 
     def every(self, step: int) -> PhaseMap:
         """Every n-th pixel of every n-th row, copied."""
-        planes = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "clipped"}
-        return replace(self, **{name: np.ascontiguousarray(p[::step, ::step]) for name, p in planes.items()})
+        planes: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "clipped"}
+        for name, plane in planes.items():
+            planes[name] = np.ascontiguousarray(plane[::step, ::step])
+        return replace(self, **planes)
 
 
 class Decoder:

@@ -30,7 +30,8 @@ class Reconstructor:
     """Built once for a calibration, a pattern and a volume; then :meth:`reconstruct` for every pair.
 
     The result of a pair does not depend on earlier pairs but for the projector's column correction, which the first
-    pair sets (see :meth:`calibrate_columns`), nor on the number of threads. Not for use from two threads at once.
+    pair sets (see :meth:`calibrate_columns`), and for the orders that a pair with ``follow`` expects; nor on the number
+    of threads. Not for use from two threads at once.
 
     Args:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
@@ -100,20 +101,17 @@ class Reconstructor:
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
         for step in every:
             self.reconstruct(left, right, every=step, follow=follow)
-        for side in self._searches:
-            side.forget()
+        self.forget()
         self.correction, self._calibrated = kept
 
-    def reconstruct(
-        self, left: NDArray[Any], right: NDArray[Any], *, every: int = 1, follow: bool = False
-    ) -> Cloud:
+    def reconstruct(self, left: NDArray[Any], right: NDArray[Any], *, every: int = 1, follow: bool = False) -> Cloud:
         """The cloud of a pair of raw pictures.
 
         Args:
             left, right: uint8, (H, W, 3) for rgb8, (H, W) for a mosaic, of the calibrated sizes.
             every: points only on every n-th pixel of every n-th row; the others are unknown.
-            follow: expect the orders of the last pair that was reconstructed with ``follow``, and search only where
-                this pair contradicts them.
+            follow: expect the orders of the pair before, if that was reconstructed with ``follow`` too, and search
+                only where this pair contradicts them.
 
         Raises:
             PictureError: a picture of another size or type.
@@ -123,6 +121,8 @@ class Reconstructor:
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
+        if not follow:
+            self.forget()
         maps = self._left.decode(left), self._right.decode(right)
         watch.lap("decode")
         if not self._calibrated:
@@ -130,6 +130,11 @@ class Reconstructor:
             watch.lap("self_calibration")
         orders = self._orders(*maps, watch, follow=follow)
         return self._stage(every).cloud(*maps, orders, self.correction, watch)
+
+    def forget(self) -> None:
+        """The next pair follows none: it is searched in full."""
+        for side in self._searches:
+            side.forget()
 
     def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> None:
         """Find the projector's column correction from a pair and keep it."""
@@ -140,8 +145,7 @@ class Reconstructor:
                 best, least = float(offset), cost
         self.correction = np.array([best, 0.0, 0.0])
         self._calibrated = True
-        for side in self._searches:
-            side.forget()
+        self.forget()
         orders = self._orders(left, right, Stopwatch(None), follow=False)
         located = self._stage(1).locate(left, right, orders, self.correction)
         difference, along, across = self._left.column_differences(located, self.correction)
@@ -149,9 +153,7 @@ class Reconstructor:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = self_calibration.affine_fit(along, across, difference, limit=limit)
 
-    def _orders(
-        self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, follow: bool
-    ) -> NDArray[np.int16]:
+    def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, follow: bool) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""
         decided = [
             side.search(here, there, self.correction, follow=follow)

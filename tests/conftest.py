@@ -1,4 +1,4 @@
-"""What all tests share: the public data sets, where they are there."""
+"""What all tests share: compiled kernels, and the public data sets, where they are there."""
 
 from __future__ import annotations
 
@@ -9,6 +9,25 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests import kernels
+
+WITHOUT_KERNELS = "stream", "drivers"
+"""Directories of tests that neither measure nor render."""
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile all kernels before the first test; the time-outs of the tests do not count it."""
+    here = Path(__file__).parent
+    places = {item.path.relative_to(here).parts[0] for item in session.items}
+    if session.config.option.collectonly or places.issubset(WITHOUT_KERNELS):
+        return
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is not None and reporter.verbosity >= 0:
+        reporter.write_line("loading the kernels; after a change they are compiled, which takes minutes")
+    problem = kernels.compile_elsewhere()
+    if problem:
+        pytest.exit(f"the kernels do not compile:\n{problem}", returncode=pytest.ExitCode.INTERNAL_ERROR)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,69 @@
+"""Laws of the cloud on every second pixel of every second row."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from sim.score import RIGHT_MM, score
+from tests.pipeline.small import pair, pictures, reconstructor, same, upright
+
+AXES = pytest.mark.parametrize("axis", ["x", "y"])
+SCENES = pytest.mark.parametrize("scene", ["mixed", "moving"])
+
+
+@functools.cache
+def clouds(axis, scene):
+    """The cloud of all pixels and that of every second one."""
+    rendered, found = pair(scene), reconstructor(axis)
+    full = found.reconstruct(*pictures(rendered, axis))
+    return full, found.reconstruct(*pictures(rendered, axis), every=2)
+
+
+@AXES
+@SCENES
+def test_points_stand_only_on_even_rows_and_columns(axis, scene):
+    full, half = clouds(axis, scene)
+    odd = np.ones(half.order.shape, bool)
+    odd[::2, ::2] = False
+    assert half.xyz.shape == full.xyz.shape
+    assert np.isnan(half.xyz[odd]).all()
+    assert np.isnan(half.sigma_mm[odd]).all()
+    assert (half.order[odd] < 0).all()
+
+
+@AXES
+@SCENES
+def test_they_are_the_full_clouds_points_within_the_noise(axis, scene):
+    full, half = clouds(axis, scene)
+    both = (full.order >= 0) & (half.order >= 0)
+    assert (full.order == half.order)[both].mean() > 0.999
+    away = np.linalg.norm(full.xyz[both] - half.xyz[both], axis=-1) / full.sigma_mm[both]
+    assert np.median(away) < 0.1
+    assert (away < 1).mean() > 0.99
+    assert np.median(np.abs(half.sigma_mm[both] / full.sigma_mm[both] - 1)) < 0.01
+
+
+@AXES
+@SCENES
+def test_they_cover_about_as_much_and_err_as_seldom(axis, scene):
+    rendered = pair(scene)
+    full, half = (upright(cloud, axis)[0] for cloud in clouds(axis, scene))
+    truth, part = rendered.truth_left, np.s_[::2, ::2]
+    scorable = truth.scorable[part]
+
+    def covered(xyz):
+        error = np.linalg.norm(xyz[part] - truth.xyz[part], axis=-1)
+        return (error < RIGHT_MM)[scorable].mean()
+
+    assert abs(covered(half) - covered(full)) < 0.01
+    assert score(half, truth).wrong < score(full, truth).wrong + 0.002
+
+
+@AXES
+def test_resolutions_may_alternate(axis):
+    full, half = clouds(axis, "mixed")
+    found, shown = reconstructor(axis), pictures(pair("mixed"), axis)
+    for _ in range(2):
+        assert same(found.reconstruct(*shown, every=2), half)
+        assert same(found.reconstruct(*shown), full)

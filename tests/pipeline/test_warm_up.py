@@ -1,0 +1,35 @@
+"""What warming up promises: after it nothing is compiled while pairs come in."""
+
+import subprocess
+import sys
+
+import pytest
+
+_PROGRAM = """
+import sys
+from numba.core.registry import CPUDispatcher
+from tests.pipeline.small import pair, pictures, reconstructor
+
+def compiled():
+    ours = [module for name, module in list(sys.modules.items()) if name.partition(".")[0] == "pipeline"]
+    kernels = {id(v): v for module in ours for v in vars(module).values() if isinstance(v, CPUDispatcher)}
+    return sum(len(kernel.signatures) for kernel in kernels.values())
+
+encoding = sys.argv[1]
+made = reconstructor(encoding=encoding)
+made.warm_up(every=(1, 2), follow=True)
+before = compiled()
+for number, every, follow in ((0, 1, False), (1, 1, True), (2, 2, True), (3, 1, True)):
+    made.reconstruct(*pictures(pair("moving", number, encoding)), every=every, follow=follow)
+print(before > 20, compiled() - before)
+"""
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_grbg8"])
+def test_nothing_is_compiled_after_warming_up(encoding):
+    # In a process of its own: in this one other tests have compiled everything.
+    done = subprocess.run(
+        [sys.executable, "-c", _PROGRAM, encoding], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "True 0\n"
