@@ -209,9 +209,9 @@ def along_columns(
 
 
 @ordered
-def _least(total: Any, at: int, labels: int) -> int:
+def _least(total: Any, at: int, labels: int) -> Any:
     """Label of the least value; the first one of several."""
-    base, where, best = np.uint32(at), 0, total[np.uint32(at)]
+    base, where, best = np.uint32(at), np.int64(0), total[np.uint32(at)]
     for k in range(np.uint32(labels)):
         value = total[base + k]
         where = np.int64(k) if value < best else where

@@ -112,15 +112,15 @@ def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
 
 @inline
 def price(
-    t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, phasor: Any, equalized: Any, mean: Any,
-    width: int, height: int, axis: int, floor_sq: Any, inv: Any, texture: Any,
+    t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, phasor: Any, equalized: Any,
+    mean: Any, width: int, height: int, axis: int, floor_sq: Any, inv: Any, texture: Any,
 ) -> None:  # fmt: skip
     """Cost 0 .. about 1.6 (slot _COST) of the candidates ``order`` after the first of a tile of lattice pixels.
 
     The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
     phases and the texture are compared there; UNSEEN outside the other picture or where that has no fringes.
-    ``phasor``, ``equalized`` (packed) and ``mean``, all flat, are the other picture's; ``linear``: the table ``columns`` is
-    a straight line, and need not be looked up.
+    ``phasor``, ``equalized`` (packed) and ``mean``, all flat, are the other picture's; ``linear``: the table
+    ``columns`` is a straight line, and need not be looked up.
     """
     start, stop = columns[0], columns[0] + columns[1] * np.float32(columns.shape[0] - 3)
     more = _TURN * np.float32(order)
@@ -141,8 +141,8 @@ def price(
             k[_CELL + j] = np.int32(where)
             t[_FRACTION + j] = where - np.float32(k[_CELL + j])
         for j in range(TILE):
-            i = np.uint32(k[_CELL + j] + 2)
-            t[_T1 + j], t[_U + j] = columns[i], columns[i + np.uint32(1)]
+            entry = np.uint32(k[_CELL + j] + 2)
+            t[_T1 + j], t[_U + j] = columns[entry], columns[entry + np.uint32(1)]
         for j in range(TILE):
             t[_U + j] = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
     c0, c1, c2 = correction[0], correction[1], correction[2]
@@ -168,9 +168,9 @@ def price(
         t[_FRACTION + j] = f
     ahead = np.uint32(step)
     for j in range(TILE):
-        cell = np.uint32(k[_CELL + j])
-        k[_P0 + j], k[_P1 + j] = phasor[cell], phasor[cell + ahead]
-        k[_E0 + j], k[_E1 + j] = equalized[cell], equalized[cell + ahead]
+        place = np.uint32(k[_CELL + j])
+        k[_P0 + j], k[_P1 + j] = phasor[place], phasor[place + ahead]
+        k[_E0 + j], k[_E1 + j] = equalized[place], equalized[place + ahead]
         t[_THERE + j] = mean[np.uint32(k[_NEAREST + j])]
     for j in range(TILE):
         f = t[_FRACTION + j]

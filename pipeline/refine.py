@@ -2,8 +2,9 @@
 
 For a left pixel with a known order the right camera must see the same pointwise phase at the image of the point. The
 unknown is one number, the inverse depth w = 1/z on the pixel's viewing ray; two Newton steps on the phases, from where
-the projector's column lies, find it. Because the match is sought along the ray's own epipolar curve, by both full camera models, the four linear
-equations of the two views (see :mod:`pipeline.triangulate`) agree there: the point on the ray is their solution.
+the projector's column lies, find it. Because the match is sought along the ray's own epipolar curve, by both full
+camera models, the four linear equations of the two views (see :mod:`pipeline.triangulate`) agree there: the point on
+the ray is their solution.
 
 Everything is done for tiles of one picture row (see :mod:`pipeline.tiles`).
 """
@@ -125,7 +126,7 @@ def _meet(t: Any, d: Any, axis: int, correction: Any) -> None:
 
 
 @inline
-def _cells(t: Any, k: Any, along: int, across: int, width: int, height: int) -> None:
+def _cells(t: Any, k: Any, along: int, width: int, height: int) -> None:
     """Cell of the other picture (flat index) and the place in it of the pixels in slots _X, _Y."""
     right, bottom = np.float32(width) - np.float32(2.01), np.float32(height) - np.float32(2.01)
     for j in range(TILE):
@@ -216,7 +217,7 @@ def refine(
                 t[_X + j], t[_Y + j] = x, y
                 t[_EX + j], t[_EY + j] = (x1 - x) / delta, (y1 - y) / delta
                 t[_T0 + j] = w
-            _cells(t, k, along, across, other_width, other_height)
+            _cells(t, k, along, other_width, other_height)
             _fetch(t, k, flat, along, across)
             for j in range(TILE):
                 f, re, im, step = _error(t, j)
@@ -226,7 +227,7 @@ def refine(
                 t[_W + j] += move
                 t[_X + j] += ex * move
                 t[_Y + j] += ey * move
-            _cells(t, k, along, across, other_width, other_height)
+            _cells(t, k, along, other_width, other_height)
             _fetch(t, k, flat, along, across)
             _evidence(t, k, flat_variance, along, across)
             for j in range(TILE):
@@ -258,7 +259,7 @@ def refine(
             for j in range(TILE):
                 t[_T1 + j] = t[_PHI + j] - t[_T0 + j]
                 t[_T0 + j] = t[_T1 + j] + t[_BIAS + j]
-            _store(t, n, i, j0, variance, span, out)
+            _store(t, n, i, j0, variance, out)
 
 
 @inline
@@ -297,7 +298,7 @@ def _evidence(t: Any, k: Any, variance: Any, along: int, across: int) -> None:
 
 
 @inline
-def _store(t: Any, n: int, i: int, j0: int, variance: Any, span: float, out: Any) -> None:
+def _store(t: Any, n: int, i: int, j0: int, variance: Any, out: Any) -> None:
     known, depth, sigma = out.known[i, j0 : j0 + n], out.depth_mm[i, j0 : j0 + n], out.sigma_mm[i, j0 : j0 + n]
     left = variance[i, j0 : j0 + n]
     for j in range(n):

@@ -38,20 +38,27 @@ def search_rows(
         tables: (4, 3, h, w) along, across, other_u, other_v; start, stop: see :func:`candidates.order_limits`.
         phasor, equalized: (H, W) int32 packed; phase, phase_eq, mean: (H, W) float32; valid: (H, W) bool.
         other_phasor, other_equalized, other_mean: the other picture's.
-        columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels across.
+        columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
+            across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.
         floor_sq: least squared size of a packed phasor; inv: 1 / (2 cost_sigma^2).
         expected: (h, w) float32, absolute phase to be expected, NaN = unknown; a pixel whose expected order costs at
             most ``limit``, amid others for which that holds, has no other candidate. Not used in lattice rows a with
             ``a % REFRESH == turn``; turn < 0: nowhere.
-        costs, total: (h, w * labels) float32, written for the candidates there are; first, count: (h, w) int32, written.
+        costs, total: (h, w * labels) float32, written where there are several candidates; first, count: (h, w) int32,
+            written.
     """
     h, w = start.shape
     height, width = other_mean.shape
     pixels_across = mean.shape[1]
     flat_tables, flat_start, flat_stop = tables.reshape(12, h * w), start.reshape(-1), stop.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
-    flat_phase, flat_eq, flat_mean, flat_costs = phase.reshape(-1), phase_eq.reshape(-1), mean.reshape(-1), costs.reshape(-1)
+    flat_phase, flat_eq, flat_mean, flat_costs = (
+        phase.reshape(-1),
+        phase_eq.reshape(-1),
+        mean.reshape(-1),
+        costs.reshape(-1),
+    )
     flat_phasor, flat_equalized = phasor.reshape(-1), equalized.reshape(-1)
     there_phasor, there_equalized = other_phasor.reshape(-1), other_equalized.reshape(-1)
     there_mean = other_mean.reshape(-1)
@@ -80,8 +87,8 @@ def search_rows(
             load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase, flat_eq,
                        flat_phasor, flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
             predict(t, part, m, flat_expected)
-            price(t, k, 0, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width, height,
-                  axis, floor_sq, inv, texture)  # fmt: skip
+            price(t, k, 0, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width,
+                  height, axis, floor_sq, inv, texture)  # fmt: skip
             for j in range(m):
                 node = np.uint32(part[j])
                 if t[COST + j] <= limit and t[MOVE + j] >= _ZERO:
@@ -115,8 +122,8 @@ def search_rows(
                 for order in range(np.uint32(labels)):
                     flat_costs[base + order] = NO_SUCH
             for order in range(most):
-                price(t, k, order, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width,
-                      height, axis, floor_sq, inv, texture)  # fmt: skip
+                price(t, k, order, columns, linear, correction, extent, there_phasor, there_equalized, there_mean,
+                      width, height, axis, floor_sq, inv, texture)  # fmt: skip
                 for j in range(m):
                     node = np.uint32(part[j])
                     if order < flat_count[node]:

@@ -36,20 +36,23 @@ class SurfaceStage:
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         shape = self._rays_x.shape
         self._located = Located.empty(shape)
-        self._floor_sq, self._correlation = np.float32((settings.min_modulation * PHASOR_SCALE) ** 2), np.float32(correlation)
+        self._floor_sq, self._correlation = (
+            np.float32((settings.min_modulation * PHASOR_SCALE) ** 2),
+            np.float32(correlation),
+        )
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size, (every * left.slopes[0], every * left.slopes[1]),
             left.depth, left.order_step, settings, smallest=max(settings.min_component // every**2, 1),
         )  # fmt: skip
 
     def locate(self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64]) -> Located:
-        """Points of the pixels of this resolution; ``left`` and ``order`` hold only those. Valid until the next call."""
+        """Points of the pixels of this resolution, valid until the next call; ``left``, ``order`` hold only those."""
         v = self._view
         refine(
             order, self._rays_x, self._rays_y, left.phase, left.phase_eq, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
-            np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear, correction.astype(np.float32),
-            self._floor_sq, self._correlation, self._located,
+            np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
+            correction.astype(np.float32), self._floor_sq, self._correlation, self._located,
         )  # fmt: skip
         return self._located
 
