@@ -112,14 +112,15 @@ def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
 
 @inline
 def price(
-    t: Any, k: Any, order: int, columns: Any, correction: Any, extent: Any, phasor: Any, equalized: Any, mean: Any,
+    t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, phasor: Any, equalized: Any, mean: Any,
     width: int, height: int, axis: int, floor_sq: Any, inv: Any, texture: Any,
 ) -> None:  # fmt: skip
     """Cost 0 .. about 1.6 (slot _COST) of the candidates ``order`` after the first of a tile of lattice pixels.
 
     The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
     phases and the texture are compared there; UNSEEN outside the other picture or where that has no fringes.
-    ``phasor``, ``equalized`` (flat pairs) and ``mean`` (flat) are the other picture's.
+    ``phasor``, ``equalized`` (packed) and ``mean``, all flat, are the other picture's; ``linear``: the table ``columns`` is
+    a straight line, and need not be looked up.
     """
     start, stop = columns[0], columns[0] + columns[1] * np.float32(columns.shape[0] - 3)
     more = _TURN * np.float32(order)
@@ -128,20 +129,28 @@ def price(
         with_bias = absolute + t[_BIAS + j]
         inside = (with_bias >= start) & (with_bias <= stop)
         t[_T0 + j] = with_bias if inside else absolute
-    per, last = _ONE / columns[1], np.float32(columns.shape[0] - 3) - np.float32(1e-3)
-    for j in range(TILE):
-        where = clamped((t[_T0 + j] - start) * per, _ZERO, last)
-        k[_CELL + j] = np.int32(where)
-        t[_FRACTION + j] = where - np.float32(k[_CELL + j])
-    for j in range(TILE):
-        i = np.uint32(k[_CELL + j] + 2)
-        t[_T1 + j], t[_U + j] = columns[i], columns[i + np.uint32(1)]
+    count = np.float32(columns.shape[0] - 3)
+    per, last = _ONE / columns[1], count - np.float32(1e-3)
+    if linear:
+        rate = (columns[columns.shape[0] - 1] - columns[2]) / (columns[1] * count)
+        for j in range(TILE):
+            t[_U + j] = columns[2] + (t[_T0 + j] - start) * rate
+    else:
+        for j in range(TILE):
+            where = clamped((t[_T0 + j] - start) * per, _ZERO, last)
+            k[_CELL + j] = np.int32(where)
+            t[_FRACTION + j] = where - np.float32(k[_CELL + j])
+        for j in range(TILE):
+            i = np.uint32(k[_CELL + j] + 2)
+            t[_T1 + j], t[_U + j] = columns[i], columns[i + np.uint32(1)]
+        for j in range(TILE):
+            t[_U + j] = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
     c0, c1, c2 = correction[0], correction[1], correction[2]
     right, bottom = np.float32(width - 2), np.float32(height - 2)
     along_x = axis == 0
     step = np.int32(1) if along_x else np.int32(width)
     for j in range(TILE):
-        u = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
+        u = t[_U + j]
         u -= c0 + c1 * u + c2 * t[_ROW + j]
         s = (u - t[_ALONG + j]) / (t[_ALONG + TILE + j] - t[_ALONG + 2 * TILE + j] * u)
         v = value(t, _ACROSS, j, s)
@@ -154,15 +163,14 @@ def price(
         x, y = (x, y + _HALF) if along_x else (x + _HALF, y)
         i, m = np.int32(y), np.int32(x)
         f = x - np.float32(m) if along_x else y - np.float32(i)
-        cell = np.int32(i * np.int32(width) + m)
-        k[_CELL + j] = cell
-        k[_NEAREST + j] = np.int32(cell + (step if f > _HALF else np.int32(0)))
+        k[_CELL + j] = np.int32(i * np.int32(width) + m)
+        k[_NEAREST + j] = np.int32(k[_CELL + j] + (step if f > _HALF else np.int32(0)))
         t[_FRACTION + j] = f
-    step = np.uint32(step)
+    ahead = np.uint32(step)
     for j in range(TILE):
-        i = np.uint32(k[_CELL + j])
-        k[_P0 + j], k[_P1 + j] = phasor[i], phasor[i + step]
-        k[_E0 + j], k[_E1 + j] = equalized[i], equalized[i + step]
+        cell = np.uint32(k[_CELL + j])
+        k[_P0 + j], k[_P1 + j] = phasor[cell], phasor[cell + ahead]
+        k[_E0 + j], k[_E1 + j] = equalized[cell], equalized[cell + ahead]
         t[_THERE + j] = mean[np.uint32(k[_NEAREST + j])]
     for j in range(TILE):
         f = t[_FRACTION + j]

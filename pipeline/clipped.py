@@ -41,12 +41,12 @@ def plain_mean(raw: Any, j: int, black: Any, solution: Any) -> Any:
 
 
 @inline
-def _power(c: Any, s: Any, n: int) -> tuple[Any, Any]:
+def _power(c: float, s: float, n: int) -> Any:
     """Power -2 ... 2 of a unit phasor."""
     two, none = (n == 2) | (n == -2), n == 0
     a, b = (c * c - s * s if two else c), (s * c + c * s if two else s)
-    a, b = (np.float32(1.0) if none else a), (np.float32(0.0) if none else b)
-    return a, (-b if n < 0 else b)
+    re, im = (np.float32(1.0) if none else a), (np.float32(0.0) if none else b)
+    return re, (-im if n < 0 else im)
 
 
 @serial
@@ -63,17 +63,15 @@ def _steps(tile: Any, nominal: Any) -> None:
     xc, xs, yc, ys, agreeing = nominal[0], nominal[1], nominal[2], nominal[3], np.float32(AGREEING)
     for j in range(TILE):
         re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
-        c, s, _, _ = step_of(
-            tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j], re, im,
-            tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j], xc, xs, agreeing,
-        )  # fmt: skip
+        p, q = tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j]
+        v, w = tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j]
+        c, s, _, _ = step_of(p, q, re, im, v, w, xc, xs, agreeing)
         tile[_STEP_X * TILE + j], tile[(_STEP_X + 1) * TILE + j] = c, s
     for j in range(TILE):
         re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
-        c, s, _, _ = step_of(
-            tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j], re, im,
-            tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j], yc, ys, agreeing,
-        )  # fmt: skip
+        p, q = tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j]
+        v, w = tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j]
+        c, s, _, _ = step_of(p, q, re, im, v, w, yc, ys, agreeing)
         tile[_STEP_Y * TILE + j], tile[(_STEP_Y + 1) * TILE + j] = c, s
 
 
@@ -99,8 +97,8 @@ def fit_clipped(
 
     Args:
         picture: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
-        nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3).
-        units: re, im of the rows above, here, below.
+        nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3) of the channels.
+        units: unit phasors' re, im of the rows above, here, below.
     """
     above_re, above_im, here_re, here_im, below_re, below_im = units
     n = columns.shape[0]

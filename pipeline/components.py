@@ -14,61 +14,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.kernels import parallel, prange, serial
+from pipeline.located import PIXEL_STEPS, TURN_STEPS
 
 LEFT, UP = np.uint8(1), np.uint8(2)
 """Bits of a link: the pixel continues its left neighbour, the one above it."""
 
+MOST_SURFACES = 65534
+"""Surfaces beyond these, in scanning order, are taken as too small: a picture that has them shows noise."""
+
 _START, _CONTACT, _STOP = np.uint8(1), np.uint8(2), np.uint8(4)
 _NO = np.uint8(0)
 _ROWS = 32
-_TWO_PI = np.float32(2 * pi)
-_PHASE_STEP = np.float32(1.2)
-_MATCH_STEP = np.float32(1.5)
-
-
-@serial
-def _absolute(phase: Any, order: Any, out: Any) -> None:
-    for j in range(out.shape[0]):
-        out[j] = phase[j] + _TWO_PI * np.float32(order[j])
+_PHASE_STEP = int(1.2 / (2 * pi) * TURN_STEPS)
+_MATCH_STEP = int(1.5 * PIXEL_STEPS)
 
 
 @serial
 def _continues(
-    a: Any, b: Any, a_u: Any, b_u: Any, a_v: Any, b_v: Any, step: Any, du: Any, dv: Any, bit: Any, out: Any
+    a: Any, b: Any, a_u: Any, b_u: Any, a_v: Any, b_v: Any, step: Any, du: int, dv: int, bit: Any, out: Any
 ) -> None:  # fmt: skip
-    """Add a bit to ``out`` where row ``a`` goes on from ``b`` by about the expected steps."""
+    """Add a bit to ``out`` where row ``a`` goes on from ``b`` by about the expected steps.
+
+    Differences are taken modulo 16 bits; shifted by their limit they are small numbers without sign.
+    """
     for j in range(out.shape[0]):
-        near = (
-            (abs(a[j] - b[j] - step) < _PHASE_STEP)
-            & (abs(a_u[j] - b_u[j] - du) < _MATCH_STEP)
-            & (abs(a_v[j] - b_v[j] - dv) < _MATCH_STEP)
-        )
+        near = np.uint16(a[j] - b[j] - step + _PHASE_STEP) <= np.uint16(2 * _PHASE_STEP)
+        near &= np.uint16(a_u[j] - b_u[j] - du + _MATCH_STEP) <= np.uint16(2 * _MATCH_STEP)
+        near &= np.uint16(a_v[j] - b_v[j] - dv + _MATCH_STEP) <= np.uint16(2 * _MATCH_STEP)
         out[j] |= bit if near else _NO
 
 
 @parallel
-def links(phase: Any, order: Any, match_u: Any, match_v: Any, slope_x: Any, slope_y: Any, out: Any) -> None:
-    """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning where a pixel or that neighbour is unknown.
+def links(absolute: Any, match_u: Any, match_v: Any, slope_x: int, slope_y: int, out: Any) -> None:
+    """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning beside unknown pixels.
 
     Args:
-        phase: (H, W) wrapped; order: (H, W) int16; match_u, match_v: (H, W) pixel in the right picture.
-        slope_x, slope_y: float32, expected phase steps, radians per pixel.
+        absolute: (H, W) int16, absolute phase; match_u, match_v: (H, W) int16, pixel in the right picture, all in the
+            steps of :mod:`pipeline.located`, modulo 16 bits.
+        slope_x, slope_y: expected change of the phase per pixel, steps.
     """
-    height, width = phase.shape
-    one, zero = np.float32(1.0), np.float32(0.0)
-    for block in prange((height + _ROWS - 1) // _ROWS):
-        absolute = np.empty((2, width), np.float32)
-        top = block * _ROWS
-        above = max(top - 1, 0)
-        _absolute(phase[above], order[above], absolute[(top + 1) % 2])
-        for i in range(top, min(top + _ROWS, height)):
-            here, before = absolute[i % 2], absolute[(i + 1) % 2]
-            _absolute(phase[i], order[i], here)
-            out[i, :] = _NO
-            u, v, w = match_u[i], match_v[i], width - 1
-            _continues(here[1:], here[:w], u[1:], u[:w], v[1:], v[:w], slope_x, one, zero, LEFT, out[i, 1:])
-            if i > 0:
-                _continues(here, before, u, match_u[i - 1], v, match_v[i - 1], slope_y, zero, one, UP, out[i])
+    height, width = absolute.shape
+    last = width - 1
+    for i in prange(height):
+        a, u, v = absolute[i], match_u[i], match_v[i]
+        out[i, :] = _NO
+        _continues(a[1:], a[:last], u[1:], u[:last], v[1:], v[:last], slope_x, PIXEL_STEPS, 0, LEFT, out[i, 1:])
+        if i > 0:
+            _continues(a, absolute[i - 1], u, match_u[i - 1], v, match_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i])
 
 
 @serial
@@ -106,7 +98,7 @@ def find_runs(known: Any, link: Any, start: Any, stop: Any, contact: Any, count:
 
     Args:
         known: (H, W) uint8, 0 or 1; link: of :func:`links`.
-        start, stop, contact: (H, W) int32, filled from the left of each row.
+        start, stop, contact: (H, W or more) int32, filled from the left of each row.
         count: (2, H) int32, number of runs and of contacts of each row.
     """
     height, width = known.shape
@@ -154,7 +146,7 @@ def _root(parent: Any, k: int) -> int:
 def unite(
     start: Any, stop: Any, contact: Any, count: Any, smallest: int, first: Any, parent: Any, surface: Any, size: Any
 ) -> int:  # fmt: skip
-    """Number of connected surfaces of at least ``smallest`` pixels.
+    """Number of connected surfaces of at least ``smallest`` pixels, up to :data:`MOST_SURFACES`.
 
     Args:
         start, stop, contact, count: of :func:`find_runs`.
@@ -191,7 +183,7 @@ def unite(
     for k in range(runs):
         root = surface[k]
         if root == k:
-            if size[k] >= smallest:
+            if size[k] >= smallest and surfaces < MOST_SURFACES:
                 size[surfaces] = size[k]
                 parent[k], surfaces = surfaces, surfaces + 1
             else:
@@ -201,29 +193,28 @@ def unite(
 
 
 @parallel
-def paint(start: Any, stop: Any, count: Any, first: Any, surface: Any, out: Any) -> None:
-    """Each pixel's surface into ``out`` (H, W) int32, -1 where there is none."""
-    height, width = out.shape
-    for i in prange(height):
-        j = 0
+def paint(start: Any, stop: Any, count: Any, first: Any, surface: Any, label: Any) -> None:
+    """One more than each pixel's surface into ``label`` (H, W) uint16, 0 where there is none."""
+    for i in prange(label.shape[0]):
+        label[i, :] = 0
         for t in range(count[0, i]):
-            out[i, j : start[i, t]] = -1
-            j = stop[i, t]
-            out[i, start[i, t] : j] = surface[first[i] + t]
-        out[i, j:width] = -1
+            k = surface[first[i] + t]
+            if k >= 0:
+                label[i, start[i, t] : stop[i, t]] = k + 1
 
 
 class Surfaces:
     """Connected surfaces of one picture size, in arrays that every call uses again.
 
-    After :meth:`find`: runs by rows in ``start``, ``stop`` (H, W) and ``count`` (2, H); number of each row's first run
+    After :meth:`find`: runs by rows in ``start``, ``stop`` and ``count`` (2, H); number of each row's first run
     in ``first`` (H + 1); surface of each run in ``surface``, -1 for too small ones; pixels of each in ``sizes``.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
         height, width = shape
         # Only what a picture has runs for is ever touched of these.
-        self.start, self.stop, self.contact = (np.empty(shape, np.int32) for _ in range(3))
+        # Rows a power of two apart would share few lines of a cache.
+        self.start, self.stop, self.contact = (np.empty((height, width + 24), np.int32) for _ in range(3))
         self.count = np.empty((2, height), np.int32)
         self.first = np.empty(height + 1, np.int32)
         self._parent, self.surface, self._size = (np.empty(height * width, np.int32) for _ in range(3))
@@ -246,6 +237,6 @@ class Surfaces:
         self.sizes = self._size[:number]
         return int(number)
 
-    def paint(self, out: NDArray[np.int32]) -> None:
-        """Each pixel's surface, -1 where there is none."""
-        paint(self.start, self.stop, self.count, self.first, self.surface, out)
+    def paint(self, label: NDArray[np.uint16]) -> None:
+        """One more than each pixel's surface, 0 where there is none."""
+        paint(self.start, self.stop, self.count, self.first, self.surface, label)

@@ -11,8 +11,7 @@ from pipeline.kernels import parallel, prange, serial
 from pipeline.mosaic_fit import (
     EIGHTHS,
     MOSAIC_SLOTS,
-    add_neighbours,
-    next_row,
+    add_window_row,
     padded_row,
     rough_row,
     rough_units,
@@ -131,14 +130,12 @@ def decode_bayer(
                                units[q, o + 1 : e + 1], units[ring + q, o + 1 : e + 1],
                                units[r, o:e], units[ring + r, o:e], nominal, radius)  # fmt: skip
                     for a in range(-radius, radius + 1):
-                        k, d = (i + a) % ring, 3 * ((i + a) & 1)
-                        next_row(tile)
-                        for b in range(-radius, radius + 1):
-                            f, g = o + b, e + b
-                            add_neighbours(tile, units[k, f:g], units[ring + k, f:g], samples[k, f:g],
-                                           samples[ring + k, f:g], design[d, f:g], design[d + 1, f:g],
-                                           design[d + 2, f:g], weights[abs(a)] * weights[abs(b)], floor,
-                                           gain)  # fmt: skip
+                        k, d, f, g = (i + a) % ring, 3 * ((i + a) & 1), o - 2, e + 2
+                        weight = weights[abs(a)]
+                        add_window_row(tile, units[k, f:g], units[ring + k, f:g], samples[k, f:g],
+                                       samples[ring + k, f:g], design[d, f:g], design[d + 1, f:g], design[d + 2, f:g],
+                                       weight * weights[0], weight * weights[1], weight * weights[2], floor,
+                                       gain)  # fmt: skip
                     solve(tile)
                     e = min(e, width - edge)
                     _put_back(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], mean[i, o:e], w[o:e])

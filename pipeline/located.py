@@ -1,4 +1,8 @@
-"""What the sub-pixel match hands to the gates."""
+"""What the sub-pixel match hands to the gates.
+
+The gates look at several planes of a whole picture many times, and memory is what they wait for: pixels and phases are
+whole numbers of 16 bits in steps that are fine enough for a gate. Only what goes into the cloud is float32.
+"""
 
 from __future__ import annotations
 
@@ -8,32 +12,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
+I16 = NDArray[np.int16]
+U16 = NDArray[np.uint16]
+
+PIXEL_STEPS = 8
+"""Steps per pixel of a coordinate, counted from the picture's edge: half a pixel before the first pixel's centre."""
+OUTSIDE = np.uint16(65535)
+"""Coordinate of what lies before the picture's edge or beyond 8191 pixels."""
+RESIDUAL_STEP = 0.005
+"""Step of a residual, radians."""
+LARGEST_RESIDUAL = 668
+"""Steps at which residuals are cut off: the sum of 7 x 7 of them still has 16 bits."""
+TURN_STEPS = 256
+"""Steps per turn of the absolute phase, which is kept modulo 65536 steps (256 fringe orders)."""
 
 
 class Located(NamedTuple):
     """Points of one pair before the gates, planes of (H, W) on the left camera's pixel grid.
 
-    Where ``known`` is 0 the other planes hold anything, NaN and infinity included: they were never written.
+    Where ``known`` is 0 the other planes hold anything, NaN and infinity included: they may never have been written.
 
     Args:
         known: uint8, 1 where a match was found, else 0 (bytes serve vector code better than truth values).
         depth_mm: along the left camera's z axis; sigma_mm: one standard deviation along the viewing ray.
-        match_u, match_v: pixel in the right picture.
-        source_u, source_v: pixel of the projector that lights the point.
-        residual_eq, residual: absolute phase minus the projector's phase at the point, equalised and pointwise, radians.
+        match_u, match_v: pixel in the right picture, uint16 of :data:`PIXEL_STEPS`.
+        source_u, source_v: pixel of the projector that lights the point, likewise.
+        absolute: phase of the left pixel and 2 pi times its order, int16 of :data:`TURN_STEPS`.
+        residual_eq, residual: absolute phase minus the projector's phase at the point, equalised and pointwise,
+            int16 of :data:`RESIDUAL_STEP`.
     """
 
     known: NDArray[np.uint8]
     depth_mm: F32
     sigma_mm: F32
-    match_u: F32
-    match_v: F32
-    source_u: F32
-    source_v: F32
-    residual_eq: F32
-    residual: F32
+    match_u: U16
+    match_v: U16
+    source_u: U16
+    source_v: U16
+    absolute: I16
+    residual_eq: I16
+    residual: I16
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> Located:
         """Planes to be written."""
-        return Located(np.zeros(shape, np.uint8), *(np.empty(shape, np.float32) for _ in range(8)))
+        depth, sigma = (np.empty(shape, np.float32) for _ in range(2))
+        match_u, match_v, source_u, source_v = (np.empty(shape, np.uint16) for _ in range(4))
+        absolute, residual_eq, residual = (np.empty(shape, np.int16) for _ in range(3))
+        known = np.zeros(shape, np.uint8)
+        return Located(known, depth, sigma, match_u, match_v, source_u, source_v, absolute, residual_eq, residual)

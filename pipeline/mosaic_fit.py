@@ -20,8 +20,8 @@ CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
 AGREEING = 0.2  # cosine of the largest difference of the steps to both sides; the first guess errs pixel by pixel
 EIGHTHS = 8  # the first guess is counted in eighths of a count, exactly
 _X, _Y = SLOTS, SLOTS + 2  # phasors of the phase's steps
-_ROW, _HERE = SLOTS + 4, SLOTS + 6  # predicted phasors at the first pixel of a window row, at the pixel in turn
-MOSAIC_SLOTS = SLOTS + 8
+_ROW = SLOTS + 4  # predicted phasors at the first pixel of the window row in turn
+MOSAIC_SLOTS = SLOTS + 6
 
 
 @serial
@@ -92,7 +92,7 @@ def start_tile(
     tile: Any, above_re: Any, above_im: Any, before_re: Any, before_im: Any, re: Any, im: Any, after_re: Any,
     after_im: Any, below_re: Any, below_im: Any, nominal: Any, radius: int,
 ) -> None:  # fmt: skip
-    """Steps of the phase at (TILE,) pixels and the phasor predicted at the window's first corner, from unit phasors."""
+    """Steps of the phase at (TILE,) pixels and the phasor predicted at the window's first pixel, from unit phasors."""
     xc, xs, yc, ys, agreeing = nominal[0], nominal[1], nominal[2], nominal[3], np.float32(AGREEING)
     for j in range(TILE):
         c, s, _, _ = step_of(before_re[j], before_im[j], re[j], im[j], after_re[j], after_im[j], xc, xs, agreeing)
@@ -102,41 +102,52 @@ def start_tile(
         tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j] = c, s
     for j in range(TILE):
         tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j] = re[j], im[j]
-    for _ in range(radius):
+    for k in range(2):
         for j in range(TILE):
             c, s = tile[_X * TILE + j], tile[(_X + 1) * TILE + j]
-            p, q = tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j]
-            c, s = c * p - s * q, s * p + c * q
             p, q = tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j]
-            tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j] = p * c + q * s, q * c - p * s
+            p, q = p * c + q * s, q * c - p * s
+            c, s = tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j]
+            up = k < radius
+            tile[_ROW * TILE + j] = p * c + q * s if up else p
+            tile[(_ROW + 1) * TILE + j] = q * c - p * s if up else q
     clear(tile)
 
 
 @serial
-def next_row(tile: Any) -> None:
-    """Start a row of the window at its first pixel, and predict the first pixel of the row after it."""
-    for j in range(TILE):
-        p, q = tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j]
-        c, s = tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j]
-        tile[_HERE * TILE + j], tile[(_HERE + 1) * TILE + j] = p, q
-        tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j] = p * c - q * s, q * c + p * s
-
-
-@serial
-def add_neighbours(
-    tile: Any, re: Any, im: Any, level: Any, usable: Any, a: Any, p: Any, q: Any, weight: float, floor: float,
-    gain: float,
+def add_window_row(
+    tile: Any, re: Any, im: Any, level: Any, usable: Any, a: Any, p: Any, q: Any, middle: float, side: float,
+    far: float, floor: float, gain: float,
 ) -> None:  # fmt: skip
-    """Add to every pixel the sample of its neighbour in turn, and go on to the next one in the row.
+    """Add a row of the window, five samples, to every pixel, and predict the phasors of the next row.
+
+    All five in one loop, everything loaded before anything is stored: the sums stay in registers in between.
 
     Args:
-        re, im: (TILE,) unit phasors of the neighbours; level, usable: see :func:`samples_of_row`; a, p, q: design.
+        re, im: (TILE + 4,) unit phasors from two columns before the tile on; level, usable: see
+            :func:`samples_of_row`; a, p, q: design of the columns.
+        middle, side, far: weights of the samples by the distance of their columns.
     """
     zero, least = np.float32(0.0), np.float32(CONSISTENT)
     for j in range(TILE):
-        c, s = tile[_HERE * TILE + j], tile[(_HERE + 1) * TILE + j]
+        c0, s0 = tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j]
         x, y = tile[_X * TILE + j], tile[(_X + 1) * TILE + j]
-        tile[_HERE * TILE + j], tile[(_HERE + 1) * TILE + j] = c * x - s * y, s * x + c * y
-        w = weight * usable[j] if c * re[j] + s * im[j] >= least else zero
-        accumulate(tile, j, a[j], p[j] * c + q[j] * s, q[j] * c - p[j] * s, level[j], w,
-                   floor + gain * max(level[j], zero))  # fmt: skip
+        v, w = tile[_Y * TILE + j], tile[(_Y + 1) * TILE + j]
+        c1, s1 = c0 * x - s0 * y, s0 * x + c0 * y
+        c2, s2 = c1 * x - s1 * y, s1 * x + c1 * y
+        c3, s3 = c2 * x - s2 * y, s2 * x + c2 * y
+        c4, s4 = c3 * x - s3 * y, s3 * x + c3 * y
+        # Columns two apart have the same colour.
+        a0, p0, q0, a1, p1, q1 = a[j], p[j], q[j], a[j + 1], p[j + 1], q[j + 1]
+        l0, l1, l2, l3, l4 = level[j], level[j + 1], level[j + 2], level[j + 3], level[j + 4]
+        w0 = far * usable[j] if c0 * re[j] + s0 * im[j] >= least else zero
+        w1 = side * usable[j + 1] if c1 * re[j + 1] + s1 * im[j + 1] >= least else zero
+        w2 = middle * usable[j + 2] if c2 * re[j + 2] + s2 * im[j + 2] >= least else zero
+        w3 = side * usable[j + 3] if c3 * re[j + 3] + s3 * im[j + 3] >= least else zero
+        w4 = far * usable[j + 4] if c4 * re[j + 4] + s4 * im[j + 4] >= least else zero
+        tile[_ROW * TILE + j], tile[(_ROW + 1) * TILE + j] = c0 * v - s0 * w, s0 * v + c0 * w
+        accumulate(tile, j, a0, p0 * c0 + q0 * s0, q0 * c0 - p0 * s0, l0, w0, floor + gain * max(l0, zero))
+        accumulate(tile, j, a1, p1 * c1 + q1 * s1, q1 * c1 - p1 * s1, l1, w1, floor + gain * max(l1, zero))
+        accumulate(tile, j, a0, p0 * c2 + q0 * s2, q0 * c2 - p0 * s2, l2, w2, floor + gain * max(l2, zero))
+        accumulate(tile, j, a1, p1 * c3 + q1 * s3, q1 * c3 - p1 * s3, l3, w3, floor + gain * max(l3, zero))
+        accumulate(tile, j, a0, p0 * c4 + q0 * s4, q0 * c4 - p0 * s4, l4, w4, floor + gain * max(l4, zero))

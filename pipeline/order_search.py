@@ -95,8 +95,9 @@ class OrderSearch:
             table.top, table.down, table.left, table.step, every, table.coefficients, self._start, self._stop,
             here.phase, here.phase_eq, here.phasor, here.equalized, here.mean,
             here.valid, there.phasor, there.equalized, there.mean,
-            view.columns, single, np.float32(view.extent), view.labels, view.first_axis, np.float32(view.slopes[0]),
-            np.float32((s.min_modulation * PHASOR_SCALE) ** 2), np.float32(0.5 / s.cost_sigma**2),
-            np.float32(s.texture_weight), np.float32(s.switch_penalty), self._expected, turn, np.float32(s.follow_cost),
+            view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
+            np.float32(view.slopes[0]), np.float32((s.min_modulation * PHASOR_SCALE) ** 2),
+            np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), np.float32(s.switch_penalty),
+            self._expected, turn, np.float32(s.follow_cost),
             self._costs, self._total, self._first, self._count,
         )  # fmt: skip

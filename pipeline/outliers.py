@@ -13,29 +13,22 @@ RADIUS = 3
 
 _ROWS = 32
 _YES, _NO = np.uint8(1), np.uint8(0)
-_ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 
 
 @serial
-def _masked(known: Any, value: Any, out: Any) -> None:
-    """Values of a row where known, else 0, three further along."""
-    into = out[RADIUS:]
-    for j in range(known.shape[0]):
-        into[j] = value[j] if known[j] != 0 else _ZERO
+def _shift(came: Any, came_known: Any, gone: Any, gone_known: Any, total: Any) -> None:
+    """Column sums of known values after a row came and another went; they start three pixels left of the row."""
+    into = total[RADIUS:]
+    for j in range(came.shape[0]):
+        a, b = came[j] if came_known[j] != 0 else np.int16(0), gone[j] if gone_known[j] != 0 else np.int16(0)
+        into[j] += np.int16(a - b)
 
 
 @serial
-def _counted(known: Any, out: Any) -> None:
-    into = out[RADIUS:]
-    for j in range(known.shape[0]):
-        into[j] = _ONE if known[j] != 0 else _ZERO
-
-
-@serial
-def _down(rows: Any, out: Any) -> None:
-    a, b, c, d, e, f, g = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6]
-    for j in range(out.shape[0]):
-        out[j] = ((a[j] + b[j]) + (c[j] + d[j])) + ((e[j] + f[j]) + g[j])
+def _shift_count(came_known: Any, gone_known: Any, total: Any) -> None:
+    into = total[RADIUS:]
+    for j in range(came_known.shape[0]):
+        into[j] += np.int16(came_known[j]) - np.int16(gone_known[j])
 
 
 @serial
@@ -47,61 +40,72 @@ def _across(x: Any, out: Any) -> None:
 
 @serial
 def _agreeing(
-    known: Any, first: Any, second: Any, n: Any, sum1: Any, sum2: Any, wanted: Any, limit: Any, largest: Any, out: Any
+    known: Any, first: Any, second: Any, n: Any, sum1: Any, sum2: Any, window: Any, limit: int, largest: int, out: Any
 ) -> None:  # fmt: skip
+    """See :func:`local_outliers`; everything fits into 16 bits, without sign where differences are concerned."""
     for j in range(out.shape[0]):
-        near = (abs(first[j] * n[j] - sum1[j]) < limit * n[j]) | (abs(second[j] * n[j] - sum2[j]) < limit * n[j])
-        small = (abs(first[j]) <= largest) | (abs(second[j]) <= largest)
-        out[j] = known[j] if near & small & (n[j] >= wanted[j]) else _NO
+        a, b = np.int16(first[j] * n[j]), np.int16(second[j] * n[j])
+        from1 = np.uint16(a - sum1[j]) if a > sum1[j] else np.uint16(sum1[j] - a)
+        from2 = np.uint16(b - sum2[j]) if b > sum2[j] else np.uint16(sum2[j] - b)
+        most = np.uint16(limit * n[j])
+        near = (from1 < most) | (from2 < most)
+        small = np.uint16(first[j] + largest) <= np.uint16(2 * largest)
+        small |= np.uint16(second[j] + largest) <= np.uint16(2 * largest)
+        out[j] = known[j] if near & small & (np.uint16(4 * n[j]) >= np.uint16(window[j])) else _NO
 
 
 @parallel
-def local_outliers(known: Any, first: Any, second: Any, limit: Any, largest: Any, out: Any) -> None:
+def local_outliers(known: Any, first: Any, second: Any, limit: int, largest: int, out: Any) -> None:
     """Known pixels with a small residual and one that stays near the mean of its 7 x 7 neighbourhood.
 
     Args:
         known: (H, W) uint8, 0 or 1.
-        first, second: (H, W) float32 residuals, radians.
-        limit: float32, largest distance from the mean of the known neighbours, of which there must be a quarter.
-        largest: float32, largest residual.
+        first, second: (H, W) int16 residuals, up to 668 steps where known.
+        limit: steps that a residual stays below from the mean of the known neighbours, which must be a quarter of all.
+        largest: steps, largest residual; both up to 668.
         out: (H, W) uint8, becomes 1 where all is well, else 0.
     """
     height, width = known.shape
-    side = 2 * RADIUS + 1
     for block in prange((height + _ROWS - 1) // _ROWS):
         top = block * _ROWS
         bottom = min(top + _ROWS, height)
-        # Rows outside the picture and columns beyond its sides stay 0.
-        rows1 = np.zeros((_ROWS + side - 1, width + side - 1), np.float32)
-        rows2 = np.zeros((_ROWS + side - 1, width + side - 1), np.float32)
-        rows_n = np.zeros((_ROWS + side - 1, width + side - 1), np.float32)
-        for i in range(max(0, top - RADIUS), min(height, bottom + RADIUS)):
-            t = i - top + RADIUS
-            _masked(known[i], first[i], rows1[t])
-            _masked(known[i], second[i], rows2[t])
-            _counted(known[i], rows_n[t])
-        column = np.empty(width + side - 1, np.float32)
-        n, sum1, sum2 = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        wanted = np.empty(width, np.float32)
-        for i in range(top, bottom):
-            t = i - top
-            _down(rows1[t:], column)
-            _across(column, sum1)
-            _down(rows2[t:], column)
-            _across(column, sum2)
-            _down(rows_n[t:], column)
-            _across(column, n)
-            within = min(height, i + RADIUS + 1) - max(0, i - RADIUS)
+        # Columns beyond the picture's sides stay 0, and rows above and below it count as unknown.
+        column1, column2, column_n = (np.zeros(width + 2 * RADIUS, np.int16), np.zeros(width + 2 * RADIUS, np.int16),
+                                      np.zeros(width + 2 * RADIUS, np.int16))  # fmt: skip
+        n, sum1, sum2 = np.empty(width, np.int16), np.empty(width, np.int16), np.empty(width, np.int16)
+        window, columns = np.empty(width, np.int16), np.empty(width, np.int16)
+        for j in range(width):
+            columns[j] = min(width, j + RADIUS + 1) - max(0, j - RADIUS)
+        nothing = np.zeros(width, np.uint8)
+        first_row = max(0, top - RADIUS)
+        for i in range(first_row, bottom + RADIUS):
+            old = i - 2 * RADIUS - 1
+            came, gone = min(i, height - 1), max(old, 0)
+            came_known = known[came] if i < height else nothing
+            gone_known = known[gone] if old >= first_row else nothing
+            _shift(first[came], came_known, first[gone], gone_known, column1)
+            _shift(second[came], came_known, second[gone], gone_known, column2)
+            _shift_count(came_known, gone_known, column_n)
+            middle = i - RADIUS
+            if middle < top:
+                continue
+            _across(column1, sum1)
+            _across(column2, sum2)
+            _across(column_n, n)
+            within = min(height, middle + RADIUS + 1) - max(0, middle - RADIUS)
             for j in range(width):
-                wanted[j] = np.float32(0.25 * within) * np.float32(min(width, j + RADIUS + 1) - max(0, j - RADIUS))
-            _agreeing(known[i], first[i], second[i], n, sum1, sum2, wanted, limit, largest, out[i])
+                window[j] = within * columns[j]
+            _agreeing(known[middle], first[middle], second[middle], n, sum1, sum2, window, limit, largest, out[middle])
 
 
 @serial
-def _modulation_of_surfaces(label: Any, modulation: Any, out: Any) -> None:
-    into = out[1:]
+def _pad(label: Any, modulation: Any, labels: Any, strengths: Any, out: Any) -> None:
+    """Label and modulation (0 where there is no surface) one further along, and whether there is a surface."""
+    a, b = labels[1:], strengths[1:]
     for j in range(label.shape[0]):
-        into[j] = modulation[j] if label[j] >= 0 else _NO
+        a[j] = label[j]
+        b[j] = modulation[j] if label[j] != 0 else _NO
+        out[j] = _YES if label[j] != 0 else _NO
 
 
 @serial
@@ -112,10 +116,18 @@ def _largest_of_three(a: Any, b: Any, c: Any, out: Any) -> None:
 
 
 @serial
-def _weak(label: Any, here: Any, best: Any, share: Any, known: Any, out: Any) -> None:
-    for j in range(label.shape[0]):
-        known[j] = _YES if label[j] >= 0 else _NO
-        out[j] = _YES if (label[j] >= 0) & (np.float32(here[j]) < share * np.float32(best[j])) else _NO
+def _least_of_three(a: Any, b: Any, c: Any, out: Any) -> None:
+    for j in range(out.shape[0]):
+        x = a[j] if a[j] < b[j] else b[j]
+        out[j] = x if x < c[j] else c[j]
+
+
+@serial
+def _perhaps_mixed(here: Any, best: Any, share: int, first: Any, last: Any, out: Any) -> None:
+    """1 where several surfaces, or none, are near and a strength may fall below so many 256ths of the best."""
+    for j in range(out.shape[0]):
+        weak = np.uint16(here[j] << 8) < np.uint16(best[j] * share)
+        out[j] = _YES if weak & (first[j] != last[j]) else _NO
 
 
 @serial
@@ -134,38 +146,50 @@ def _mixed(label: Any, modulation: Any, i: int, j: int, share: Any) -> bool:
 
 
 @parallel
-def drop_mixed_edges(label: Any, modulation: Any, share: Any, known: Any) -> None:
-    """Known are the surfaces without border pixels whose modulation falls below a share of that next to them.
+def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
+    """Surfaces without the pixels at their border whose modulation falls below a share of that next to them.
 
     At the border of a surface a pixel that sees only half of it, or half in shadow, mixes two phases.
 
     Args:
-        label: (H, W) int32, surface of each pixel, -1 where there is none.
-        modulation: (H, W) uint8; share: float32.
-        known: (H, W) uint8, becomes 0 or 1.
+        label: (H, W) uint16, of :meth:`pipeline.components.Surfaces.paint`.
+        modulation: (H, W) uint8; share: float32, up to 1.
+        out: (H, W) uint8, becomes 1 where a pixel of a surface stays, else 0.
     """
     height, width = label.shape
     words = (width + 7) // 8
+    share_256 = min(int(share * np.float32(256.0)) + 1, 256)
     for block in prange((height + _ROWS - 1) // _ROWS):
         top = block * _ROWS
         bottom = min(top + _ROWS, height)
-        strength = np.zeros((_ROWS + 2, width + 2), np.uint8)
-        across = np.zeros((_ROWS + 2, width), np.uint8)
-        best = np.empty(width, np.uint8)
-        weak = np.zeros(8 * words, np.uint8)
-        weak_words = weak.view(np.uint64)
-        for i in range(max(0, top - 1), min(height, bottom + 1)):
-            row = strength[i - top + 1]
-            _modulation_of_surfaces(label[i], modulation[i], row)
-            _largest_of_three(row, row[1:], row[2:], across[i - top + 1])
-        for i in range(top, bottom):
-            t = i - top
-            _largest_of_three(across[t], across[t + 1], across[t + 2], best)
-            _weak(label[i], strength[t + 1, 1:], best, share, known[i], weak)
-            # Few pixels are weak beside any neighbour: only those are looked at closely.
+        # Beyond the picture there is no surface. Rows are kept in turns of three.
+        strength, labels = np.zeros((3, width + 2), np.uint8), np.zeros((3, width + 2), np.uint16)
+        best_of_row = np.zeros((3, width), np.uint8)
+        least_of_row, most_of_row = np.zeros((3, width), np.uint16), np.zeros((3, width), np.uint16)
+        best, least, most = np.empty(width, np.uint8), np.empty(width, np.uint16), np.empty(width, np.uint16)
+        doubt, ignored = np.zeros(8 * words, np.uint8), np.empty(width, np.uint8)
+        doubt_words = doubt.view(np.uint64)
+        for i in range(max(0, top - 1), bottom + 1):
+            now = i % 3
+            s, k = strength[now], labels[now]
+            if i < height:
+                _pad(label[i], modulation[i], k, s, out[i] if top <= i < bottom else ignored)
+            else:
+                s[:], k[:] = _NO, 0
+            _largest_of_three(s, s[1:], s[2:], best_of_row[now])
+            _least_of_three(k, k[1:], k[2:], least_of_row[now])
+            _largest_of_three(k, k[1:], k[2:], most_of_row[now])
+            here = i - 1
+            if here < top:
+                continue
+            _largest_of_three(best_of_row[0], best_of_row[1], best_of_row[2], best)
+            _least_of_three(least_of_row[0], least_of_row[1], least_of_row[2], least)
+            _largest_of_three(most_of_row[0], most_of_row[1], most_of_row[2], most)
+            _perhaps_mixed(strength[here % 3, 1:], best, share_256, least, most, doubt[:width])
+            # Few pixels are in doubt: only those are looked at closely.
             for word in range(words):
-                if weak_words[word] == 0:
+                if doubt_words[word] == 0:
                     continue
-                for j in range(8 * word, min(8 * word + 8, width)):
-                    if weak[j] != 0 and _mixed(label, modulation, i, j, share):
-                        known[i, j] = _NO
+                for j in range(8 * word, 8 * word + 8):
+                    if doubt[j] != 0 and label[here, j] != 0 and _mixed(label, modulation, here, j, share):
+                        out[here, j] = _NO

@@ -1,8 +1,8 @@
 """Sub-pixel match along the epipolar curve, and the point.
 
 For a left pixel with a known order the right camera must see the same pointwise phase at the image of the point. The
-unknown is one number, the inverse depth w = 1/z on the pixel's viewing ray; a quasi-Newton iteration on the phases
-finds it. Because the match is sought along the ray's own epipolar curve, by both full camera models, the four linear
+unknown is one number, the inverse depth w = 1/z on the pixel's viewing ray; two Newton steps on the phases, from where
+the projector's column lies, find it. Because the match is sought along the ray's own epipolar curve, by both full camera models, the four linear
 equations of the two views (see :mod:`pipeline.triangulate`) agree there: the point on the ray is their solution.
 
 Everything is done for tiles of one picture row (see :mod:`pipeline.tiles`).
@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
+from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS
 from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, angle, clamped, root, turns
 
 _COHERENCE_SQ = np.float32(0.16)
-_STEPS = 1
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _TURN, _TINY = np.float32(2 * np.pi), np.float32(1e-20)
+_PER_PIXEL, _FARTHEST = np.float32(PIXEL_STEPS), np.float32(OUTSIDE)
+_PER_RADIAN, _LARGEST = np.float32(1 / RESIDUAL_STEP), np.float32(LARGEST_RESIDUAL)
+_PER_TURN = np.float32(TURN_STEPS / (2 * np.pi))
 
 # Slots of the scratch array of floats, and of the one of integers.
 _RE, _IM, _PHI, _BIAS, _RX, _RY = (k * TILE for k in range(6))
@@ -55,20 +58,46 @@ def _pixel(d: Any, ax: Any, ay: Any, az: Any, w: Any) -> tuple[Any, Any]:
 
 
 @inline
-def _columns(t: Any, k: Any, columns: Any) -> None:
+def _columns(t: Any, k: Any, columns: Any, linear: bool) -> None:
     """Projector coordinate (slot _U) of the absolute phase in slot _T0; ``columns`` is an even grid."""
-    start, per = columns[0], _ONE / columns[1]
-    last = columns.shape[0] - 3
+    start, per, last = columns[0], _ONE / columns[1], np.float32(columns.shape[0] - 3)
+    if linear:
+        rate = (columns[columns.shape[0] - 1] - columns[2]) / (columns[1] * last)
+        for j in range(TILE):
+            t[_U + j] = columns[2] + (t[_T0 + j] - start) * rate
+        return
     for j in range(TILE):
-        where = clamped((t[_T0 + j] - start) * per, _ZERO, np.float32(last) - np.float32(1e-3))
-        k[j] = np.int32(where)
-        t[_FRACTION + j] = where - np.float32(k[j])
+        where = clamped((t[_T0 + j] - start) * per, _ZERO, last - np.float32(1e-3))
+        k[_CELL + j] = np.int32(where)
+        t[_FRACTION + j] = where - np.float32(k[_CELL + j])
     for j in range(TILE):
-        i = np.uint32(k[j] + 2)
+        i = np.uint32(k[_CELL + j] + 2)
         t[_T1 + j] = columns[i]
         t[_U + j] = columns[i + np.uint32(1)]
     for j in range(TILE):
         t[_U + j] = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
+
+
+@inline
+def _projected_phase(t: Any, k: Any, axis: int, phases: Any, linear: bool, correction: Any) -> None:
+    """The projector's absolute phase (slot _T0) at its pixels in slots _U, _V."""
+    last = phases.shape[0] - 1
+    for j in range(TILE):
+        u, v = (t[_U + j], t[_V + j]) if axis == 0 else (t[_V + j], t[_U + j])
+        t[_T1 + j] = u + correction[0] + correction[1] * u + correction[2] * v
+    if linear:
+        rate = (phases[last] - phases[0]) / np.float32(last)
+        for j in range(TILE):
+            t[_T0 + j] = phases[0] + t[_T1 + j] * rate
+        return
+    for j in range(TILE):
+        k[_CELL + j] = np.int32(clamped(t[_T1 + j], _ZERO, np.float32(last) - np.float32(1e-3)))
+        t[_FRACTION + j] = t[_T1 + j] - np.float32(k[_CELL + j])
+    for j in range(TILE):
+        m = np.uint32(k[_CELL + j])
+        t[_T0 + j], t[_T1 + j] = phases[m], phases[m + np.uint32(1)]
+    for j in range(TILE):
+        t[_T0 + j] += t[_FRACTION + j] * (t[_T1 + j] - t[_T0 + j])
 
 
 @inline
@@ -139,7 +168,7 @@ def _error(t: Any, j: int) -> tuple[Any, Any, Any, Any]:
 def refine(
     order: Any, rays_x: Any, rays_y: Any, phase: Any, phase_eq: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
-    columns: Any, phases: Any, correction: Any, floor_sq: float, correlation: float, out: Any,
+    columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float, out: Any,
 ) -> None:  # fmt: skip
     """Match and locate every pixel that has an order; all arrays float32 unless said.
 
@@ -148,7 +177,8 @@ def refine(
         phasor, other: (H, W) int32, packed; floor_sq: least squared size of a packed phasor.
         device, projector: packed models of the other camera and the projector; axis: 0 = phase grows along u.
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
-        columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate.
+        columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate;
+            linear: both are straight lines.
         correlation: of neighbouring phases' noise in the other picture (0 pointwise, more after a window fit).
         out: :class:`pipeline.located.Located`, written.
     """
@@ -157,7 +187,6 @@ def refine(
     flat, flat_variance = other.reshape(-1), other_variance.reshape(-1)
     along, across = (1, other_width) if axis == 0 else (other_width, 1)
     tiles = (width + TILE - 1) // TILE
-    last_phase = phases.shape[0] - 1
     delta = np.float32(0.01 * span)
     loss = _TWO * (_ONE - correlation)
     for i in prange(height):
@@ -177,7 +206,7 @@ def refine(
                 continue
             _load(t, n, row, phase[i, j0 : j0 + n], phase_eq[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
                   rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
-            _columns(t, k, columns)
+            _columns(t, k, columns, linear)
             _meet(t, projector, axis, correction)
             for j in range(TILE):
                 ax, ay, az = _ray(t, device, j)
@@ -187,17 +216,16 @@ def refine(
                 t[_X + j], t[_Y + j] = x, y
                 t[_EX + j], t[_EY + j] = (x1 - x) / delta, (y1 - y) / delta
                 t[_T0 + j] = w
-            for _ in range(_STEPS):
-                _cells(t, k, along, across, other_width, other_height)
-                _fetch(t, k, flat, along, across)
-                for j in range(TILE):
-                    f, re, im, step = _error(t, j)
-                    ex, ey = t[_EX + j], t[_EY + j]
-                    slope = step * (ex if axis == 0 else ey)
-                    move = -f / (slope if slope != _ZERO else _TINY)
-                    t[_W + j] += move
-                    t[_X + j] += ex * move
-                    t[_Y + j] += ey * move
+            _cells(t, k, along, across, other_width, other_height)
+            _fetch(t, k, flat, along, across)
+            for j in range(TILE):
+                f, re, im, step = _error(t, j)
+                ex, ey = t[_EX + j], t[_EY + j]
+                slope = step * (ex if axis == 0 else ey)
+                move = -f / (slope if slope != _ZERO else _TINY)
+                t[_W + j] += move
+                t[_X + j] += ex * move
+                t[_Y + j] += ey * move
             _cells(t, k, along, across, other_width, other_height)
             _fetch(t, k, flat, along, across)
             _evidence(t, k, flat_variance, along, across)
@@ -226,18 +254,9 @@ def refine(
             for j in range(TILE):
                 ax, ay, az = _ray(t, projector, j)
                 t[_U + j], t[_V + j] = _pixel(projector, ax, ay, az, t[_W + j])
+            _projected_phase(t, k, axis, phases, linear, correction)
             for j in range(TILE):
-                u, v = (t[_U + j], t[_V + j]) if axis == 0 else (t[_V + j], t[_U + j])
-                u += correction[0] + correction[1] * u + correction[2] * v
-                m = clamped(u, _ZERO, np.float32(last_phase) - np.float32(1e-3))
-                k[j] = np.int32(m)
-                t[_FRACTION + j] = u - np.float32(k[j])
-            for j in range(TILE):
-                m = np.uint32(k[j])
-                t[_T0 + j], t[_T1 + j] = phases[m], phases[m + np.uint32(1)]
-            for j in range(TILE):
-                seen = t[_T0 + j] + t[_FRACTION + j] * (t[_T1 + j] - t[_T0 + j])
-                t[_T1 + j] = t[_PHI + j] - seen
+                t[_T1 + j] = t[_PHI + j] - t[_T0 + j]
                 t[_T0 + j] = t[_T1 + j] + t[_BIAS + j]
             _store(t, n, i, j0, variance, span, out)
 
@@ -290,10 +309,25 @@ def _store(t: Any, n: int, i: int, j0: int, variance: Any, span: float, out: Any
         known[j] = np.uint8(t[_OK + j] > _ZERO)
     match_u, match_v = out.match_u[i, j0 : j0 + n], out.match_v[i, j0 : j0 + n]
     for j in range(n):
-        match_u[j], match_v[j] = t[_X + j], t[_Y + j]
+        match_u[j], match_v[j] = _steps_of_pixel(t[_X + j]), _steps_of_pixel(t[_Y + j])
     source_u, source_v = out.source_u[i, j0 : j0 + n], out.source_v[i, j0 : j0 + n]
     for j in range(n):
-        source_u[j], source_v[j] = t[_U + j], t[_V + j]
+        source_u[j], source_v[j] = _steps_of_pixel(t[_U + j]), _steps_of_pixel(t[_V + j])
     residual_eq, residual = out.residual_eq[i, j0 : j0 + n], out.residual[i, j0 : j0 + n]
     for j in range(n):
-        residual_eq[j], residual[j] = t[_T0 + j], t[_T1 + j]
+        residual_eq[j], residual[j] = _steps_of_residual(t[_T0 + j]), _steps_of_residual(t[_T1 + j])
+    absolute = out.absolute[i, j0 : j0 + n]
+    for j in range(n):
+        absolute[j] = np.int16(np.int32(np.rint(t[_PHI + j] * _PER_TURN)))
+
+
+@inline
+def _steps_of_pixel(x: Any) -> Any:
+    """A coordinate in steps from the picture's edge, see :mod:`pipeline.located`."""
+    x = (x + _HALF) * _PER_PIXEL
+    return np.uint16(np.int32(x if (x >= _ZERO) & (x < _FARTHEST) else _FARTHEST))
+
+
+@inline
+def _steps_of_residual(x: Any) -> Any:
+    return np.int16(np.int32(np.rint(clamped(x * _PER_RADIAN, -_LARGEST, _LARGEST))))

@@ -2,64 +2,162 @@
 
 from __future__ import annotations
 
-from math import pi
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.kernels import parallel, prange, serial
+from pipeline.located import PIXEL_STEPS
 
-_HALF = np.float32(0.5)
-_TWO_PI = np.float32(2 * pi)
+TILE_ROWS, TILE_COLUMNS = 8, 16
+"""Pixels of the left picture's tiles."""
+PARAMETER_STEPS = 16384
+"""Steps of the parameter s from 0 to 1."""
+
+
+class Values(NamedTuple):
+    """What must agree among those who see the same pixel: the absolute phase, or else the depth.
+
+    Args:
+        phase: (H, W) int16, absolute phase modulo 16 bits.
+        by_depth: whether the parameter s counts instead, 1/z = base + span s, in :data:`PARAMETER_STEPS`.
+    """
+
+    phase: NDArray[np.int16]
+    by_depth: bool
+    base: np.float32
+    span: np.float32
+
+
+class Claims(NamedTuple):
+    """Claims to pixels of blocks that several surfaces claim, (PARTS, n), by bands of rows.
+
+    Args:
+        entries: (PARTS) int32, number of claims of each band.
+        pixel: flat index; place: claimed pixel, 64 to a shared block; surface of the pixel.
+        depth: mm; value: of :class:`Values`; rival: bits, 1 the nearest at this place is a rival, 2 the farthest.
+    """
+
+    entries: NDArray[np.int32]
+    pixel: NDArray[np.int32]
+    place: NDArray[np.int32]
+    surface: NDArray[np.int32]
+    depth: NDArray[np.float32]
+    value: NDArray[np.int16]
+    rival: NDArray[np.uint8]
+
+    @staticmethod
+    def empty(parts: int, most: int) -> Claims:
+        """Room for so many claims in each band."""
+        types = (np.int32, np.int32, np.int32, np.float32, np.int16, np.uint8)
+        return Claims(np.zeros(parts, np.int32), *(np.empty((parts, most), t) for t in types))
+
+
+@serial
+def _any_shared(number: Any, box: Any, across: int) -> bool:
+    for y in range(box[2], box[3] + 1):
+        for x in range(box[0], box[1] + 1):
+            if number[y * across + x] >= 0:
+                return True
+    return False
 
 
 @parallel
 def list_claims(
-    label: Any, u: Any, v: Any, depth: Any, start: Any, cell: Any, count: Any, number: Any,
-    entries: Any, pixel: Any, place: Any, surface: Any, far_off: Any,
+    known: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, box: Any, number: Any,
+    entries: Any, pixels: Any, places: Any, surfaces: Any, depths: Any, all_values: Any,
 ) -> None:  # fmt: skip
-    """List the pixels that claim shared blocks, in scanning order, by bands of rows.
+    """List the pixels that claim shared blocks, by bands of rows.
 
     Args:
-        label: (H, W) int32; u, v: (H, W) pixel in the other device; depth: (H, W) mm.
-        start, cell, count, number: of :mod:`pipeline.uniqueness`.
-        entries: (PARTS) int32, becomes the length of each band's list.
-        pixel, place, surface, far_off: (PARTS, n), become flat index, claimed place (64 to a shared block), surface and
-            depth of the entries.
+        known: (H, W) uint8; label: (H, W) uint16, one more than the surface; depth: (H, W) mm.
+        u, v: (H, W) uint16, pixel in the other device of this width and height; values: :class:`Values`.
+        box, number: of :mod:`pipeline.uniqueness`.
+        entries, pixels, places, surfaces, depths, all_values: the arrays of :class:`Claims`, written.
     """
-    rows, columns = label.shape
+    rows, columns = known.shape
+    down, tiles = box.shape[:2]
     parts = entries.shape[0]
+    across = (width + 7) // 8
     for part in prange(parts):
+        contested = np.empty(tiles, np.int32)
         n = 0
-        for i in range(part * rows // parts, (part + 1) * rows // parts):
-            for t in range(count[i]):
-                b = cell[i, t]
-                if b < 0 or number[b] < 0:
-                    continue
-                for j in range(start[i, t], start[i, t + 1]):
-                    x, y = np.int32(u[i, j] + _HALF), np.int32(v[i, j] + _HALF)
-                    pixel[part, n] = i * columns + j
-                    place[part, n] = number[b] * 64 + (y & 7) * 8 + (x & 7)
-                    surface[part, n], far_off[part, n] = label[i, j], depth[i, j]
-                    n += 1
+        for band in range(part * down // parts, (part + 1) * down // parts):
+            found = 0
+            for tile in range(tiles):
+                if _any_shared(number, box[band, tile], across):
+                    contested[found], found = tile, found + 1
+            # Row by row: memory is read ahead along rows.
+            for i in range(TILE_ROWS * band, min(TILE_ROWS * (band + 1), rows)):
+                for m in range(found):
+                    first = TILE_COLUMNS * contested[m]
+                    for j in range(first, min(first + TILE_COLUMNS, columns)):
+                        a, b = np.int32(u[i, j]) // PIXEL_STEPS, np.int32(v[i, j]) // PIXEL_STEPS
+                        x, y = a // 8, b // 8
+                        inside = (known[i, j] != 0) & (a < width) & (b < height)
+                        k = number[y * across + x if inside else 0]
+                        if k < 0 or not inside:
+                            continue
+                        pixels[part, n] = i * columns + j
+                        places[part, n] = k * 64 + (b & 7) * 8 + (a & 7)
+                        surfaces[part, n], depths[part, n] = np.int32(label[i, j]) - 1, depth[i, j]
+                        if values.by_depth:
+                            s = (np.float32(1.0) / depth[i, j] - values.base) / values.span
+                            all_values[part, n] = np.int16(np.int32(s * np.float32(PARAMETER_STEPS)))
+                        else:
+                            all_values[part, n] = values.phase[i, j]
+                        n += 1
         entries[part] = n
 
 
-@parallel
-def absolute_phases(entries: Any, pixel: Any, phase: Any, order: Any, out: Any) -> None:
-    """Absolute phase of the listed pixels; phase and order flat."""
-    for part in prange(entries.shape[0]):
-        for e in range(entries[part]):
-            k = pixel[part, e]
-            out[part, e] = phase[k] + _TWO_PI * np.float32(order[k])
+@serial
+def nearest_and_farthest(entries: Any, places: Any, depth: Any, near: Any, far: Any) -> None:
+    """Entry with the least and with the largest depth at each claimed place, -1 none (flat indices)."""
+    near[:] = -1
+    capacity = places.shape[1]
+    depths = depth.ravel()
+    for part in range(entries.shape[0]):
+        for n in range(entries[part]):
+            c, e = places[part, n], part * capacity + n
+            if near[c] < 0:
+                near[c] = far[c] = e
+            elif depths[e] < depths[near[c]]:
+                near[c] = e
+            elif depths[e] > depths[far[c]]:
+                far[c] = e
+
+
+@serial
+def _differ(surface: Any, value: Any, e: int, rival: int, tolerance: int) -> bool:
+    return bool(surface[e] != surface[rival] and abs(np.int64(np.int16(value[e] - value[rival]))) > tolerance)
 
 
 @parallel
-def parameters(entries: Any, depth: Any, base: Any, span: Any, out: Any) -> None:
-    """Parameter s of the listed depths on their rays, 1/z = base + span s; all float32."""
+def contest(
+    entries: Any, places: Any, surface: Any, value: Any, near: Any, far: Any, tolerance: int, rivals: Any, against: Any
+) -> None:  # fmt: skip
+    """Find the claims that another surface contests, and their number by surface.
+
+    Args:
+        entries, places, surface, value: of :class:`Claims`; rivals: likewise, written.
+        near, far: of :func:`nearest_and_farthest`; tolerance: steps of the values up to which claimants agree.
+        against: (PARTS, surfaces) int32, zero before.
+    """
+    capacity = places.shape[1]
+    surfaces, values = surface.ravel(), value.ravel()
     for part in prange(entries.shape[0]):
-        for e in range(entries[part]):
-            out[part, e] = (np.float32(1.0) / depth[part, e] - base) / span
+        for n in range(entries[part]):
+            a, b = near[places[part, n]], far[places[part, n]]
+            e = part * capacity + n
+            bits = 0
+            if a != b:
+                bits = (1 if _differ(surfaces, values, e, a, tolerance) else 0) | (
+                    2 if _differ(surfaces, values, e, b, tolerance) else 0
+                )
+            rivals[part, n] = bits
+            if bits != 0:
+                against[part, surfaces[e]] += 1
 
 
 @serial
@@ -77,55 +175,29 @@ def _prevails(label: int, depth: float, rival: int, rival_depth: float, size: An
     return size[label] > size[rival]
 
 
-@serial
-def nearest_and_farthest(entries: Any, place: Any, depth: Any, near: Any, far: Any) -> None:
-    """Entry with the least and with the largest depth at each claimed place, -1 none (flat indices)."""
-    near[:] = -1
-    capacity = place.shape[1]
-    places, depths = place.ravel(), depth.ravel()
-    for part in range(entries.shape[0]):
-        for e in range(part * capacity, part * capacity + entries[part]):
-            c = places[e]
-            if near[c] < 0:
-                near[c] = far[c] = e
-            elif depths[e] < depths[near[c]]:
-                near[c] = e
-            elif depths[e] > depths[far[c]]:
-                far[c] = e
-
-
-@serial
+@parallel
 def arbitrate(
-    entries: Any, pixel: Any, place: Any, surface: Any, depth: Any, value: Any, near: Any, far: Any, size: Any,
-    tolerance: Any, sure: int, known: Any,
-) -> int:  # fmt: skip
-    """Forget the entries whose claim does not prevail; ``known`` (flat) is changed. Returns their number."""
-    capacity = place.shape[1]
-    places, depths, values, labels, pixels = (place.ravel(), depth.ravel(), value.ravel(), surface.ravel(),
-                                              pixel.ravel())  # fmt: skip
-    # Share of each surface's points whose place another surface claims as well.
-    surfaces = size.shape[0]
-    share = np.zeros(surfaces, np.float32)
-    for part in range(entries.shape[0]):
-        for e in range(part * capacity, part * capacity + entries[part]):
-            c = places[e]
-            for rival in (near[c], far[c]):
-                if labels[rival] != labels[e] and abs(values[rival] - values[e]) > tolerance:
-                    share[labels[e]] += 1
-                    break
-    for k in range(surfaces):
-        share[k] /= size[k]
-    gone = 0
-    for part in range(entries.shape[0]):
-        for e in range(part * capacity, part * capacity + entries[part]):
-            c, mine = places[e], labels[e]
-            if near[c] == far[c]:
+    entries: Any, pixels: Any, places: Any, surface: Any, depth: Any, rivals: Any, near: Any, far: Any,
+    size: Any, share: Any, sure: int, known: Any,
+) -> None:  # fmt: skip
+    """Forget the contested claims that do not prevail; ``known`` (flat) is changed.
+
+    Args:
+        entries, pixels, places, surface, depth, rivals: of :class:`Claims`; near, far: of :func:`nearest_and_farthest`.
+        size: pixels of each surface; share: float32, share of them that another surface contests.
+        sure: size from which a surface is taken as established.
+    """
+    capacity = places.shape[1]
+    surfaces, depths = surface.ravel(), depth.ravel()
+    for part in prange(entries.shape[0]):
+        for n in range(entries[part]):
+            bits = rivals[part, n]
+            if bits == 0:
                 continue
-            for rival in (near[c], far[c]):
-                if labels[rival] == mine or abs(values[rival] - values[e]) <= tolerance:
-                    continue
-                if not _prevails(mine, depths[e], labels[rival], depths[rival], size, share, sure):
-                    known[pixels[e]] = 0
-                    gone += 1
-                    break
-    return gone
+            a, b = near[places[part, n]], far[places[part, n]]
+            e = part * capacity + n
+            mine, z = surfaces[e], depths[e]
+            wins = (bits & 1) == 0 or _prevails(mine, z, surfaces[a], depths[a], size, share, sure)
+            wins = wins and ((bits & 2) == 0 or _prevails(mine, z, surfaces[b], depths[b], size, share, sure))
+            if not wins:
+                known[pixels[part, n]] = 0

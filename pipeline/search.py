@@ -27,7 +27,7 @@ def search_rows(
     top: int, down: int, left: int, step: int, every: int, tables: Any, start: Any, stop: Any,
     phase: Any, phase_eq: Any, phasor: Any, equalized: Any, mean: Any, valid: Any,
     other_phasor: Any, other_equalized: Any, other_mean: Any,
-    columns: Any, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
+    columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
     floor_sq: Any, inv: Any, texture: Any, penalty: Any, expected: Any, turn: int, limit: Any,
     costs: Any, total: Any, first: Any, count: Any,
 ) -> None:  # fmt: skip
@@ -38,7 +38,7 @@ def search_rows(
         tables: (4, 3, h, w) along, across, other_u, other_v; start, stop: see :func:`candidates.order_limits`.
         phasor, equalized: (H, W) int32 packed; phase, phase_eq, mean: (H, W) float32; valid: (H, W) bool.
         other_phasor, other_equalized, other_mean: the other picture's.
-        columns: even-grid table phase -> projector coordinate; extent: projector pixels across.
+        columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.
         floor_sq: least squared size of a packed phasor; inv: 1 / (2 cost_sigma^2).
         expected: (h, w) float32, absolute phase to be expected, NaN = unknown; a pixel whose expected order costs at
@@ -80,7 +80,7 @@ def search_rows(
             load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase, flat_eq,
                        flat_phasor, flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
             predict(t, part, m, flat_expected)
-            price(t, k, 0, columns, correction, extent, there_phasor, there_equalized, there_mean, width, height,
+            price(t, k, 0, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width, height,
                   axis, floor_sq, inv, texture)  # fmt: skip
             for j in range(m):
                 node = np.uint32(part[j])
@@ -115,7 +115,7 @@ def search_rows(
                 for order in range(np.uint32(labels)):
                     flat_costs[base + order] = NO_SUCH
             for order in range(most):
-                price(t, k, order, columns, correction, extent, there_phasor, there_equalized, there_mean, width,
+                price(t, k, order, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width,
                       height, axis, floor_sq, inv, texture)  # fmt: skip
                 for j in range(m):
                     node = np.uint32(part[j])

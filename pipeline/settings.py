@@ -33,7 +33,7 @@ class Settings:
     """Weight of the texture difference in the cost."""
     switch_penalty: float = 1.2
     """Price of a jump of the absolute order between neighbours."""
-    follow_cost: float = 0.3
+    follow_cost: float = 0.15
     """Cost up to which the order that the last pair lets expect is taken without a search (live streams only)."""
     max_check: float = 1.5
     """Largest difference of left and right absolute phase."""

@@ -48,7 +48,7 @@ class SurfaceStage:
         refine(
             order, self._rays_x, self._rays_y, left.phase, left.phase_eq, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
-            np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, correction.astype(np.float32),
+            np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear, correction.astype(np.float32),
             self._floor_sq, self._correlation, self._located,
         )  # fmt: skip
         return self._located
@@ -60,7 +60,7 @@ class SurfaceStage:
         part, some = (left, order) if self._every == 1 else (left.every(self._every), _every(order, self._every))
         located = self.locate(part, right, some, correction)
         watch.lap("refinement")
-        known = self._gates.certain(located, part.phase, some, part.modulation)
+        known = self._gates.certain(located, part.modulation)
         watch.lap("gates")
         xyz, sigma, gray, kept = assemble(
             known, located.depth_mm, located.sigma_mm, self._rays_x, self._rays_y, left.mean, some, self._every

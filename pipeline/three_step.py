@@ -15,7 +15,7 @@ from pipeline.kernels import serial
 
 @serial
 def levels_of_row(raw: Any, scale: float, black: Any, levels: Any) -> None:
-    """Counts above black: raw (3 W,), colours interleaved, times scale, to the first W of each levels (3, ...)."""
+    """Counts above black into levels (3, W or more); raw (3 W,), colours interleaved, is multiplied by ``scale``."""
     n = raw.shape[0] // 3
     dark0, dark1, dark2 = black[0], black[1], black[2]
     x, y, z = levels[0, :n], levels[1, :n], levels[2, :n]

@@ -1,13 +1,13 @@
 """One pixel of another device sees (or lights) one surface only: of two that claim it one is forgotten there.
 
 Areas seen by the left camera alone can match areas seen by the right alone with perfect phase; nothing else removes
-them. Most of the other device's picture is claimed by one surface only, which blocks of 8 x 8 pixels tell quickly;
-claims to single pixels are compared in the few blocks that several surfaces claim.
+them. Most of the other device's picture is claimed by one surface only, which blocks of 8 x 8 pixels tell quickly: a
+tile of the left picture claims every block between its least and largest coordinates there. Claims to single pixels
+are compared in the few blocks that several surfaces claim.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,153 +15,209 @@ from numpy.typing import NDArray
 
 from pipeline import rivals
 from pipeline.kernels import parallel, prange, serial
+from pipeline.located import OUTSIDE, PIXEL_STEPS
+from pipeline.rivals import TILE_COLUMNS, TILE_ROWS
 
 PARTS = 8
 """Bands of rows that are worked on independently: fixed, so that nothing depends on the number of threads."""
 
 NOBODY, SEVERAL = np.int32(-1), np.int32(-2)
 
-_HALF, _ZERO = np.float32(0.5), np.float32(0.0)
-_YES, _NO = np.uint8(1), np.uint8(0)
+_NOWHERE, _ZERO = OUTSIDE, np.uint16(0)
+BLOCK_STEPS = 8 * PIXEL_STEPS
 
 
 @serial
-def _blocks_of(known: Any, u: Any, v: Any, width: Any, height: Any, across: int, out: Any) -> None:
-    """Block of the other device that each pixel of a row claims, -1 outside or where nothing is known."""
-    columns = np.int32(across)
+def _masked(known: Any, x: Any, out: Any) -> None:
+    for j in range(known.shape[0]):
+        out[j] = x[j] if known[j] != 0 else _NOWHERE
+
+
+@serial
+def _least_known(x: Any, low: Any) -> None:
+    for j in range(x.shape[0]):
+        low[j] = x[j] if x[j] < low[j] else low[j]
+
+
+@serial
+def _most_known(x: Any, high: Any) -> None:
+    """``high`` is one more than the coordinate, modulo 16 bits: unknown ones are 0, without a test."""
+    for j in range(x.shape[0]):
+        a = np.uint16(x[j] + 1)
+        high[j] = a if a > high[j] else high[j]
+
+
+@serial
+def _least_label(label: Any, low: Any) -> None:
+    """``low`` is one less than the label, modulo 16 bits: none is the largest, without a test."""
+    for j in range(label.shape[0]):
+        a = np.uint16(label[j] - 1)
+        low[j] = a if a < low[j] else low[j]
+
+
+@serial
+def _least(a: Any, b: Any, out: Any) -> None:
     for j in range(out.shape[0]):
-        x, y = u[j] + _HALF, v[j] + _HALF
-        inside = (x >= _ZERO) & (y >= _ZERO) & (x < width) & (y < height) & (known[j] != 0)
-        x, y = x if inside else _HALF, y if inside else _HALF
-        block = (np.int32(y) >> np.int32(3)) * columns + (np.int32(x) >> np.int32(3))
-        out[j] = block if inside else NOBODY
+        out[j] = a[j] if a[j] < b[j] else b[j]
 
 
 @serial
-def _changes(block: Any, label: Any, out: Any) -> None:
-    """Whether block or surface differ from those of the pixel to the left."""
-    n = out.shape[0] - 1
-    a, b, p, q, into = block[1:], block[:n], label[1:], label[:n], out[1:]
-    for j in range(n):
-        into[j] = _YES if (a[j] != b[j]) | (p[j] != q[j]) else _NO
-    out[0] = _YES
+def _most(a: Any, b: Any, out: Any) -> None:
+    for j in range(out.shape[0]):
+        out[j] = a[j] if a[j] > b[j] else b[j]
+
+
+@serial
+def _least_of_16(x: Any, y: Any, n: int) -> None:
+    """The least of 16 elements from each of the first n on, in place; ``y`` is scratch."""
+    _least(x, x[8:], y[: n + 7])
+    _least(y, y[4:], x[: n + 3])
+    _least(x, x[2:], y[: n + 1])
+    _least(y, y[1:], x[:n])
+
+
+@serial
+def _most_of_16(x: Any, y: Any, n: int) -> None:
+    _most(x, x[8:], y[: n + 7])
+    _most(y, y[4:], x[: n + 3])
+    _most(x, x[2:], y[: n + 1])
+    _most(y, y[1:], x[:n])
+
+
+@serial
+def _claim(owner: Any, block: int, surface: Any) -> None:
+    if owner[block] != surface:
+        owner[block] = surface if owner[block] == NOBODY else SEVERAL
 
 
 @parallel
 def claim_blocks(
-    known: Any, label: Any, u: Any, v: Any, width: int, height: int, start: Any, cell: Any, count: Any, owner: Any
+    known: Any, label: Any, u: Any, v: Any, width: int, height: int, box: Any, owner: Any
 ) -> None:  # fmt: skip
-    """Cut every row into pieces that one surface claims one block with, and note who claims which block.
+    """Note which surface claims which block of the other device.
 
     Args:
-        known: (H, W) uint8; label: (H, W) int32; u, v: (H, W) pixel in the other device of this width and height.
-        start, cell: (H, W + 1) int32, become the pieces' first columns and blocks (-1 none), from the left of each row.
-        count: (H) int32, becomes the number of pieces; the row's end is noted as one more piece's start.
+        known: (H, W) uint8; label: (H, W) uint16, one more than the surface.
+        u, v: (H, W) uint16, pixel in the other device of this width and height, see :mod:`pipeline.located`.
+        box: (tiles down, tiles across, 4) int32, becomes first and last column, first and last row of the blocks that
+            a tile's known pixels lie in.
         owner: (PARTS, blocks) int32, becomes the claiming surface, NOBODY or SEVERAL, by bands of rows.
     """
     rows, columns = known.shape
+    down, tiles = box.shape[:2]
     across = (width + 7) // 8
-    words = (columns + 7) // 8
-    for part in prange(PARTS):
+    last_x, last_y = (width - 1) // 8, (height - 1) // 8
+    n = tiles * TILE_COLUMNS
+    for part in prange(owner.shape[0]):
         mine = owner[part]
         mine[:] = NOBODY
-        block = np.empty(columns, np.int32)
-        change = np.zeros(8 * words, np.uint8)
-        change_words = change.view(np.uint64)
-        for i in range(part * rows // PARTS, (part + 1) * rows // PARTS):
-            _blocks_of(known[i], u[i], v[i], np.float32(width), np.float32(height), across, block)
-            _changes(block, label[i], change[:columns])
-            n = 0
-            for word in range(words):
-                if change_words[word] == 0:
-                    continue
-                for j in range(8 * word, 8 * word + 8):
-                    if change[j] == 0:
-                        continue
-                    b = block[j]
-                    start[i, n], cell[i, n] = j, b
-                    n += 1
-                    if b >= 0 and mine[b] != label[i, j]:
-                        mine[b] = label[i, j] if mine[b] == NOBODY else SEVERAL
-            start[i, n], count[i] = columns, n
+        low_u, high_u, low_v, high_v, spare = (np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16),
+            np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16))  # fmt: skip
+        row = np.empty(columns, np.uint16)
+        low, high = np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16)
+        for band in range(part * down // owner.shape[0], (part + 1) * down // owner.shape[0]):
+            low_u[:], high_u[:], low_v[:], high_v[:] = _NOWHERE, _ZERO, _NOWHERE, _ZERO
+            low[:], high[:] = _NOWHERE, _ZERO
+            top, bottom = band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)
+            for i in range(top, bottom):
+                _masked(known[i], u[i], row)
+                _least_known(row, low_u)
+                _most_known(row, high_u)
+                _masked(known[i], v[i], row)
+                _least_known(row, low_v)
+                _most_known(row, high_v)
+                _least_label(label[i], low)
+                _most(label[i], high[:columns], high[:columns])
+            _least_of_16(low_u, spare, n)
+            _most_of_16(high_u, spare, n)
+            _least_of_16(low_v, spare, n)
+            _most_of_16(high_v, spare, n)
+            _least_of_16(low, spare, n)
+            _most_of_16(high, spare, n)
+            for tile in range(tiles):
+                j = tile * TILE_COLUMNS
+                x0, x1 = low_u[j] // BLOCK_STEPS, min((high_u[j] - 1) // BLOCK_STEPS, last_x)
+                y0, y1 = low_v[j] // BLOCK_STEPS, min((high_v[j] - 1) // BLOCK_STEPS, last_y)
+                box[band, tile, 0], box[band, tile, 1], box[band, tile, 2], box[band, tile, 3] = x0, x1, y0, y1
+                if high[j] == 0:
+                    box[band, tile, 1] = -1
+                elif high[j] == low[j] + 1:
+                    for y in range(y0, y1 + 1):
+                        for x in range(x0, x1 + 1):
+                            _claim(mine, y * across + x, np.int32(low[j]))
+                else:
+                    for i in range(top, bottom):
+                        for m in range(j, min(j + TILE_COLUMNS, columns)):
+                            x, y = u[i, m] // BLOCK_STEPS, v[i, m] // BLOCK_STEPS
+                            if known[i, m] and x <= last_x and y <= last_y:
+                                _claim(mine, y * across + x, np.int32(label[i, m]) - 1)
+
+
+@serial
+def _join(a: Any, b: Any) -> None:
+    for j in range(a.shape[0]):
+        other = a[j] if b[j] == NOBODY else SEVERAL
+        a[j] = b[j] if (a[j] == NOBODY) | (a[j] == b[j]) else other
 
 
 @serial
 def number_shared(owner: Any, number: Any) -> int:
-    """Number the blocks that several surfaces claim (-1 the others); how many there are."""
+    """Number the blocks that several surfaces claim; others get -1. ``owner`` is joined into its first part."""
+    joined = owner[0]
+    for part in range(1, owner.shape[0]):
+        _join(joined, owner[part])
     shared = 0
-    for b in range(owner.shape[1]):
-        who = NOBODY
-        for part in range(PARTS):
-            o = owner[part, b]
-            if o != NOBODY and o != who:
-                who = o if who == NOBODY else SEVERAL
-        number[b] = shared if who == SEVERAL else -1
-        shared += who == SEVERAL
+    for b in range(number.shape[0]):
+        number[b] = -1
+        if joined[b] == SEVERAL:
+            number[b], shared = shared, shared + 1
     return shared
 
 
 class Uniqueness:
-    """Uniqueness in devices of up to some size, in arrays that every call uses again.
-
-    Args:
-        shape: (H, W) of the left camera's picture; devices: (width, height) of the other devices.
-    """
+    """For one picture size and the other devices of these sizes (width, height); arrays that every call uses again."""
 
     def __init__(self, shape: tuple[int, int], devices: tuple[tuple[int, int], ...]) -> None:
         height, width = shape
         blocks = max(((w + 7) // 8) * ((h + 7) // 8) for w, h in devices)
-        self._start, self._cell = (np.empty((height, width + 1), np.int32) for _ in range(2))
-        self._count, self._entries = np.empty(height, np.int32), np.empty(PARTS, np.int32)
+        tiles = (height + TILE_ROWS - 1) // TILE_ROWS, (width + TILE_COLUMNS - 1) // TILE_COLUMNS
+        self._box = np.empty((*tiles, 4), np.int32)
         self._owner, self._number = np.empty((PARTS, blocks), np.int32), np.empty(blocks, np.int32)
         # Only as much as there are rival claims is ever touched of these.
-        most = (PARTS, (height // PARTS + 1) * width)
-        self._pixel, self._place, self._surface = (np.empty(most, np.int32) for _ in range(3))
-        self._depth, self._value = (np.empty(most, np.float32) for _ in range(2))
+        rows = -(-tiles[0] // PARTS) * TILE_ROWS
+        self._claims = rivals.Claims.empty(PARTS, rows * width)
         self._near, self._far = (np.empty(64 * blocks, np.int32) for _ in range(2))
 
     def apply(
-        self, known: NDArray[np.uint8], label: NDArray[np.int32], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
-        device: tuple[int, int], value_of: Callable[[Any, Any, Any, Any], None], tolerance: float, sure: int,
-    ) -> int:  # fmt: skip
-        """Forget what does not prevail in one device; number of points forgotten.
+        self, known: NDArray[np.uint8], label: NDArray[np.uint16], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
+        device: tuple[int, int], values: rivals.Values, tolerance: int, sure: int,
+    ) -> None:  # fmt: skip
+        """Forget what does not prevail in one device.
 
         Args:
-            known: (H, W) 0 or 1, changed in place; label: (H, W) surface of each known pixel.
+            known: (H, W) 0 or 1, changed in place; label: (H, W) one more than the surface of each known pixel.
             size: pixels of each surface.
-            u, v: (H, W) pixel in the device; depth: (H, W) mm.
+            u, v: (H, W) uint16, pixel in the device; depth: (H, W) mm.
             device: (width, height) of the device.
-            value_of: writes what must agree among claimants; called with lengths of the lists, flat indices of the
-                pixels, their depths, and the array to fill.
-            tolerance: largest difference of agreeing values; sure: size from which a surface is taken as established.
+            values: what must agree among claimants; tolerance: largest difference of agreeing values.
+            sure: size from which a surface is taken as established.
         """
         width, height = device
         blocks = ((width + 7) // 8) * ((height + 7) // 8)
-        owner, number = self._owner[:, :blocks], self._number[:blocks]
-        claim_blocks(known, label, u, v, width, height, self._start, self._cell, self._count, owner)
+        owner, number, c = self._owner[:, :blocks], self._number[:blocks], self._claims
+        claim_blocks(known, label, u, v, width, height, self._box, owner)
         shared = number_shared(owner, number)
         if not shared:
-            return 0
+            return
         rivals.list_claims(
-            label, u, v, depth, self._start, self._cell, self._count, number,
-            self._entries, self._pixel, self._place, self._surface, self._depth,
+            known, label, u, v, depth, values, width, height, self._box, number,
+            c.entries, c.pixel, c.place, c.surface, c.depth, c.value,
         )  # fmt: skip
-        value_of(self._entries, self._pixel, self._depth, self._value)
         near, far = self._near[: 64 * shared], self._far[: 64 * shared]
-        rivals.nearest_and_farthest(self._entries, self._place, self._depth, near, far)
-        return int(
-            rivals.arbitrate(
-                self._entries,
-                self._pixel,
-                self._place,
-                self._surface,
-                self._depth,
-                self._value,
-                near,
-                far,
-                size,
-                np.float32(tolerance),
-                sure,
-                known.reshape(-1),
-            )  # fmt: skip
+        rivals.nearest_and_farthest(c.entries, c.place, c.depth, near, far)
+        against = np.zeros((PARTS, len(size)), np.int32)
+        rivals.contest(c.entries, c.place, c.surface, c.value, near, far, tolerance, c.rival, against)
+        share = (against.sum(axis=0) / size).astype(np.float32)
+        rivals.arbitrate(
+            c.entries, c.pixel, c.place, c.surface, c.depth, c.rival, near, far, size, share, sure, known.reshape(-1)
         )

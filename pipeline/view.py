@@ -12,7 +12,7 @@ from pipeline import propagate
 from pipeline.calibration import Calibration, ColorModel
 from pipeline.camera_model import CameraModel
 from pipeline.cloud import Volume
-from pipeline.located import Located
+from pipeline.located import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, Located
 from pipeline.pattern import ColorFringe
 from pipeline.phase import Decoder, PhaseMap
 from pipeline.settings import Settings
@@ -29,7 +29,7 @@ class View:
     Args:
         table: what lattice pixels see; depth: scale of the parameter s.
         other, projector: packed models; columns: even-grid table phase -> projector coordinate; phases: its inverse;
-            all float32, for kernels.
+            all float32, for kernels; linear: both are straight lines.
         slopes: expected phase step per pixel (x, y); labels: most orders a pixel can have.
         order_step: change of s from one order to the next, mid-volume.
         first_axis: 0 when the phase grows along u; extent: projector pixels across.
@@ -42,6 +42,7 @@ class View:
     projector: F32
     columns: F32
     phases: F32
+    linear: bool
     slopes: tuple[float, float]
     labels: int
     order_step: float
@@ -73,7 +74,7 @@ class View:
         return View(
             decoder, table, depth, packed(calibration.right).astype(np.float32),
             packed(calibration.projector).astype(np.float32), _even_table(pattern).astype(np.float32),
-            phases.astype(np.float32), slopes, int(widest) + 2,
+            phases.astype(np.float32), pattern.profile is None, slopes, int(widest) + 2,
             1 / max(widest, 1e-3), 0 if axis == "x" else 1, float(pattern.size[1] if axis == "x" else pattern.size[0]),
             settings,
         )  # fmt: skip
@@ -102,12 +103,13 @@ class View:
     def column_differences(self, located: Located, correction: F64) -> tuple[F64, F64, F64]:
         """Observed minus calibrated projector coordinate of located points (a subset), and where they are."""
         part = np.s_[::3, ::2]
-        some = located.known[part].astype(bool) & (np.abs(located.residual_eq[part]) < 1.5)
-        source = [plane[part][some].astype(np.float64) for plane in (located.source_u, located.source_v)]
+        some = located.known[part].astype(bool) & (np.abs(located.residual_eq[part]) < 1.5 / RESIDUAL_STEP)
+        some &= (located.source_u[part] != OUTSIDE) & (located.source_v[part] != OUTSIDE)
+        source = [(plane[part][some] + 0.5) / PIXEL_STEPS - 0.5 for plane in (located.source_u, located.source_v)]
         along, across = source[self.first_axis], source[1 - self.first_axis]
         absolute = along + correction[0] + correction[1] * along + correction[2] * across
         rate = np.gradient(self.phases.astype(np.float64))
-        difference = located.residual_eq[part][some] / np.interp(absolute, np.arange(len(rate)), rate)
+        difference = RESIDUAL_STEP * located.residual_eq[part][some] / np.interp(absolute, np.arange(len(rate)), rate)
         return absolute - along + difference, along, across
 
 

@@ -31,9 +31,9 @@ def weights_of(radius: int, sigma: float) -> F32:
 
 @inline
 def step_of(
-    back_re: Any, back_im: Any, re: Any, im: Any, ahead_re: Any, ahead_im: Any,
-    nominal_c: Any, nominal_s: Any, agreeing: Any,
-) -> tuple[Any, Any, Any, Any]:  # fmt: skip
+    back_re: float, back_im: float, re: float, im: float, ahead_re: float, ahead_im: float,
+    nominal_c: float, nominal_s: float, agreeing: float,
+) -> Any:  # fmt: skip
     """Phasor of the phase's step by one pixel, from the unit phasors of a pixel and of its neighbours on both sides.
 
     The central difference where both sides agree; at the border of a surface the side whose step is nearer to the

@@ -1,5 +1,7 @@
 """Laws of the decoders, three-chip and mosaic, on pictures made here from the formulas alone."""
 
+import cv2
+import numba
 import numpy as np
 import pytest
 
@@ -140,3 +142,158 @@ def test_noise_is_estimated_from_the_picture_alone(encoding):
     for level in (40.0, 100.0, 160.0):
         truth = np.sqrt(0.8**2 + 1 / 12 + 0.0255 * level)
         assert 0.85 < np.sqrt(model.floor + model.gain * level) / truth < 1.15
+
+
+PLANES = ("phasor", "equalized", "mean", "variance", "phase", "phase_eq", "modulation", "valid")
+
+
+def hard_picture(shape=(90, 131), seed=3):
+    """Fringes with an edge, a dark and a clipped part, and noise."""
+    phase = smooth_phase(shape)
+    phase[shape[0] // 2 :, 40:70] += 2.0
+    albedo = np.full(shape, 0.9)
+    albedo[10:30, 20:60] = 0.0
+    albedo[50:80, 80:] = 1.9
+    return picture(phase, noise=1.0, seed=seed, albedo=albedo)
+
+
+def levels_of(raw):
+    return raw.astype(float) - COLOR.black
+
+
+def phasors_of(levels, crosstalk=CROSSTALK):
+    shifts = np.array(SHIFTS)
+    light_of = np.stack([np.ones(3), np.cos(shifts), -np.sin(shifts)], axis=1)
+    solution = levels @ np.linalg.inv(crosstalk @ light_of).T
+    return solution[..., 1] + 1j * solution[..., 2], np.maximum(solution[..., 0], 0)
+
+
+def equalized_of(levels):
+    channels = levels @ np.linalg.inv(CROSSTALK).T
+    means = channels
+    for _ in range(2):
+        means = cv2.blur(means, (11, 5), borderType=cv2.BORDER_REFLECT)
+    return phasors_of(channels / np.maximum(means, 1), np.eye(3))[0]
+
+
+def neighbours(a, axis):
+    return np.roll(a, 1, axis), np.roll(a, -1, axis)
+
+
+def folded(sums, unit, axis, nominal, weight):
+    """One direction of the window fit in whole planes; the border row or column is wrong."""
+    back, ahead = neighbours(unit, axis)
+    f, b = ahead * unit.conj(), unit * back.conj()
+    agreement = (f * b.conj()).real
+    forward = (f * np.conj(nominal)).real >= (b * np.conj(nominal)).real
+    step = np.where(agreement > 0.85, (f + b) / np.maximum(abs(f + b), 1e-3), np.where(forward, f, b))
+    both = agreement >= 0.1
+    use_back, use_ahead = weight * (both | ~forward), weight * (both | forward)
+    out = []
+    for a, turn, power in zip(sums, (1, step, 1, 1), (1, 1, 1, 2), strict=True):
+        before, after = neighbours(a, axis)
+        out.append(a + use_back**power * before * turn + use_ahead**power * after * np.conj(turn))
+    return out
+
+
+@pytest.mark.parametrize("radius", [0, 1])
+def test_the_three_chip_decoder_does_what_whole_planes_in_double_precision_do(radius):
+    raw = hard_picture()
+    levels = levels_of(raw)
+    phasor, mean = phasors_of(levels)
+    unit = phasor / np.maximum(abs(phasor), 1e-6)
+    clear = (raw < 254).all(axis=2)
+    solution = np.linalg.inv(decoder()._rows.astype(float))
+    tangent = np.einsum("k,hw->hwk", solution[2], unit.real) - np.einsum("k,hw->hwk", solution[1], unit.imag)
+    spread = (tangent**2 * (4.0 + 0.1 * np.maximum(levels, 0))).sum(axis=2)
+    sums = [clear * 1.0, clear * phasor, clear * mean, clear * spread]
+    weight = np.exp(-0.5) if radius else 0.0
+    for axis, nominal in ((1, np.exp(2j * np.pi / 11)), (0, 1.0)):
+        sums = folded(sums, unit, axis, nominal, weight)
+    found = decoder(window_radius=radius, read_noise=2.0, noise_gain=0.1).decode(raw)
+    inner = np.zeros(clear.shape, bool)
+    inner[1:-1, 1:-1] = True
+    here = clear & inner & (abs(phasor) > 1)
+    w, c, a, v = (s[here] for s in sums)
+
+    # A sample in a thousand lies on the border of a decision, where rounding decides.
+    def agree(x, y, tolerance):
+        assert np.mean(abs(x - y) > tolerance) < 1e-3
+
+    agree(found.phasor[here], c / w, 1e-2)
+    agree(found.mean[here], a / w, 1e-2)
+    agree(found.variance[here] * abs(c) ** 2 / v, 1, 1e-3)
+    agree(found.modulation[here], np.minimum(abs(c / w), 255), 1.01)
+    assert np.array_equal(found.valid[here], (abs(found.phasor[here]) >= 5) & (found.variance[here] < 1))
+    assert np.abs(wrapped(found.phase - np.angle(found.phasor)))[here].max() < 1e-6
+    assert found.clipped == pytest.approx(1 - clear.mean(), abs=1e-6)
+    assert not found.phasor[~inner].any() and not found.valid[~inner].any()
+    assert np.isinf(found.variance[~inner]).all()
+    assert np.abs(found.mean - mean)[~inner].max() < 1e-3
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", *BAYER])
+def test_the_equalised_phasor_is_right_up_to_the_border(encoding):
+    rgb = hard_picture((72, 94))
+    if encoding == "rgb8":
+        raw, levels = rgb, levels_of(rgb)
+    else:
+        raw = mosaic(rgb, encoding)
+        v, u = np.mgrid[0 : raw.shape[0], 0 : raw.shape[1]]
+        own = np.eye(3)[np.array(BAYER[encoding])[v & 1, u & 1]]
+        kernel = np.outer([1.0, 2.0, 1.0], [1.0, 2.0, 1.0])
+        total, count = (cv2.filter2D(p, -1, kernel) for p in (own * raw[..., None], own))
+        levels = total / count - COLOR.black
+    found = decoder(encoding).decode(raw)
+    # Sums of 16 bits: a part in ten thousand of a bright mean, more of a dark one.
+    bright = cv2.erode((levels.min(axis=2) > 10).astype(np.uint8), np.ones((9, 21))) > 0
+    assert bright.mean() > 0.2
+    assert np.abs(found.equalized - equalized_of(levels))[bright].max() < 2e-3
+    assert np.abs(wrapped(found.phase_eq - np.angle(found.equalized))).max() < 1e-6
+    assert bright[0].any() and bright[:, 0].any() and bright[-1].any()
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_gbrg8"])
+def test_the_result_does_not_depend_on_the_number_of_threads(encoding):
+    raw = hard_picture()
+    raw = raw if encoding == "rgb8" else mosaic(raw, encoding)
+    dec, threads = decoder(encoding), numba.get_num_threads()
+    found = []
+    try:
+        for n in (1, numba.config.NUMBA_NUM_THREADS):
+            numba.set_num_threads(n)
+            map_ = dec.decode(raw)
+            found.append([getattr(map_, name).copy() for name in PLANES])
+    finally:
+        numba.set_num_threads(threads)
+    for one, all_ in zip(*found, strict=True):
+        assert np.array_equal(one, all_, equal_nan=True)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_gbrg8"])
+def test_black_and_white_pictures_have_no_phase_and_no_nan(encoding, level):
+    found = decoder(encoding).decode(np.full((40, 64, 3) if encoding == "rgb8" else (40, 64), level, np.uint8))
+    assert not found.valid.any()
+    assert found.clipped == (level == 255)
+    assert not any(np.isnan(getattr(found, name)).any() for name in PLANES)
+
+
+@pytest.mark.parametrize("shape", [(6, 40), (13, 33), (35, 200)])
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+def test_small_pictures_are_decoded_as_parts_of_large_ones(encoding, shape):
+    rgb = picture(smooth_phase((60, 240)), noise=1.0)
+    whole, part = (x if encoding == "rgb8" else mosaic(x, encoding) for x in (rgb, rgb[: shape[0], : shape[1]]))
+    small = decoder(encoding, read_noise=1.0).decode(np.ascontiguousarray(part))
+    large = decoder(encoding, read_noise=1.0).decode(whole)
+    inner = (slice(3, shape[0] - 3), slice(3, shape[1] - 3))
+    for name in ("phasor", "mean", "variance", "phase", "modulation", "valid"):
+        np.testing.assert_allclose(getattr(small, name)[inner], getattr(large, name)[inner], rtol=1e-5, atol=1e-5)
+
+
+def test_the_modulation_outlives_the_next_picture():
+    dec = decoder()
+    first = dec.decode(hard_picture())
+    kept = first.modulation.copy()
+    dec.decode(picture(smooth_phase((90, 131)), albedo=0.3))
+    assert np.array_equal(first.modulation, kept)
