@@ -17,6 +17,7 @@ from pipeline.order_search import OrderSearch
 from pipeline.pattern import ColorFringe
 from pipeline.phase import PhaseMap
 from pipeline.raw import checked, mosaic_of
+from pipeline.rehearsal import rehearse_contest
 from pipeline.settings import Settings
 from pipeline.stopwatch import Stopwatch
 from pipeline.surface import SurfaceStage
@@ -101,6 +102,7 @@ class Reconstructor:
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
         for step in every:
             self.reconstruct(left, right, every=step, follow=follow)
+        rehearse_contest()
         self.forget()
         self.correction, self._calibrated = kept
 
