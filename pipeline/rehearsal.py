@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from pipeline import rivals
+from pipeline.located import PIXEL_STEPS
+from pipeline.rivals import PARAMETER_STEPS, Values
 from pipeline.uniqueness import Uniqueness
 
 _SIDE = 16
@@ -15,19 +14,12 @@ _SIDE = 16
 def rehearse_contest() -> None:
     """Let two small surfaces claim the same pixels of another device, in arrays of the kinds that the gates use."""
     shape = (_SIDE, _SIDE)
-    v, u = np.indices(shape).astype(np.float32)
-    known, phase = np.ones(shape, np.uint8), np.zeros(shape, np.float32)
-    order = np.zeros(shape, np.int16)
-    label = (np.arange(_SIDE * _SIDE, dtype=np.int32) % 2).reshape(shape)
+    v, u = (PIXEL_STEPS * np.indices(shape)).astype(np.uint16)
+    label = (1 + np.arange(_SIDE * _SIDE) % 2).astype(np.uint16).reshape(shape)
     size = np.full(2, label.size // 2, np.int32)
-    depth = np.where(label == 0, np.float32(1000), np.float32(1100)).astype(np.float32)
-
-    def absolute(entries: Any, pixel: Any, _: Any, out: Any) -> None:
-        rivals.absolute_phases(entries, pixel, phase.reshape(-1), order.reshape(-1), out)
-
-    def parameter(entries: Any, _: Any, depth: Any, out: Any) -> None:
-        rivals.parameters(entries, depth, np.float32(0), np.float32(1), out)
-
+    depth = np.where(label == 1, np.float32(1000), np.float32(1100)).astype(np.float32)
     contest = Uniqueness(shape, (shape,))
-    for value_of in (absolute, parameter):
-        contest.apply(known, label, size, u // 2, v, depth, shape, value_of, 1.5, label.size)
+    for by_depth in (False, True):
+        values = Values((1000 * label).astype(np.int16), by_depth, np.float32(0), np.float32(1e-3))
+        known = np.ones(shape, np.uint8)
+        contest.apply(known, label, size, u, v, depth, shape, values, PARAMETER_STEPS // 4, label.size)
