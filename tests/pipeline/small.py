@@ -30,8 +30,12 @@ def pair(scene, number=0, encoding="rgb8"):
 
 def pictures(rendered, axis="x"):
     """Left and right picture of a rendered pair; axis y: mirrored at the diagonal, so that its fringes lie."""
-    pair = np.asarray(rendered.left), np.asarray(rendered.right)
-    return pair if axis == "x" else tuple(np.ascontiguousarray(p.swapaxes(0, 1)) for p in pair)
+    pair = rendered.left, rendered.right
+    shown = pair if axis == "x" else tuple(np.ascontiguousarray(p.swapaxes(0, 1)) for p in pair)
+    # Read-only, as the reconstruction has them: for others the kernels that decode would be compiled once more.
+    for picture in shown:
+        picture.setflags(write=False)
+    return shown
 
 
 def upright(cloud, axis="x"):

@@ -7,6 +7,7 @@ import pytest
 
 from pipeline.calibration import ColorModel
 from pipeline.noise import estimate
+from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, unpacked
 from pipeline.pattern import ColorFringe
 from pipeline.phase import Decoder
 from pipeline.raw import BAYER, mosaic_of
@@ -14,6 +15,8 @@ from pipeline.settings import Settings
 from tests.pipeline.rigs import CROSSTALK
 
 SHIFTS = ColorFringe().shifts
+ROUNDED = 0.75
+"""Units by which rounding both parts may move a phasor: half the diagonal of a unit, and a little."""
 COLOR = ColorModel(np.array([3.0, 2.0, 4.0]), CROSSTALK)
 
 
@@ -220,12 +223,15 @@ def test_the_three_chip_decoder_does_what_whole_planes_in_double_precision_do(ra
     def agree(x, y, tolerance):
         assert np.mean(abs(x - y) > tolerance) < 1e-3
 
-    agree(found.phasor[here], c / w, 1e-2)
+    phasors = unpacked(found.phasor, PHASOR_SCALE)
+    agree(phasors[here], c / w, 1e-2)
+    agree(wrapped(found.phase[here] - np.angle(c)), 0, 1e-4)
     agree(found.mean[here], a / w, 1e-2)
     agree(found.variance[here] * abs(c) ** 2 / v, 1, 1e-3)
     agree(found.modulation[here], np.minimum(abs(c / w), 255), 1.01)
-    assert np.array_equal(found.valid[here], (abs(found.phasor[here]) >= 5) & (found.variance[here] < 1))
-    assert np.abs(wrapped(found.phase - np.angle(found.phasor)))[here].max() < 1e-6
+    clearly = here & (abs(abs(phasors) - 5) > ROUNDED / PHASOR_SCALE)
+    assert np.array_equal(found.valid[clearly], ((abs(phasors) >= 5) & (found.variance < 1))[clearly])
+    assert (np.abs(wrapped(found.phase - np.angle(phasors))) * abs(phasors))[here].max() < ROUNDED / PHASOR_SCALE
     assert found.clipped == pytest.approx(1 - clear.mean(), abs=1e-6)
     assert not found.phasor[~inner].any() and not found.valid[~inner].any()
     assert np.isinf(found.variance[~inner]).all()
@@ -248,8 +254,10 @@ def test_the_equalised_phasor_is_right_up_to_the_border(encoding):
     # Sums of 16 bits: a part in ten thousand of a bright mean, more of a dark one.
     bright = cv2.erode((levels.min(axis=2) > 10).astype(np.uint8), np.ones((9, 21))) > 0
     assert bright.mean() > 0.2
-    assert np.abs(found.equalized - equalized_of(levels))[bright].max() < 2e-3
-    assert np.abs(wrapped(found.phase_eq - np.angle(found.equalized))).max() < 1e-6
+    equalized = unpacked(found.equalized, EQUALIZED_SCALE)
+    assert np.abs(equalized - equalized_of(levels))[bright].max() < 2e-3
+    turned = np.abs(wrapped(found.phase_eq - np.angle(equalized)))
+    assert (turned * abs(equalized)).max() < ROUNDED / EQUALIZED_SCALE
     assert bright[0].any() and bright[:, 0].any() and bright[-1].any()
 
 
