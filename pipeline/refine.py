@@ -169,7 +169,9 @@ def _error(t: Any, j: int) -> tuple[Any, Any, Any, Any]:
 def refine(
     order: Any, rays_x: Any, rays_y: Any, phase: Any, phase_eq: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
-    columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float, out: Any,
+    columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float,
+    known: Any, depth_mm: Any, sigma_mm: Any, match_u: Any, match_v: Any, source_u: Any, source_v: Any, absolute: Any,
+    residual_eq: Any, residual: Any,
 ) -> None:  # fmt: skip
     """Match and locate every pixel that has an order; all arrays float32 unless said.
 
@@ -181,7 +183,8 @@ def refine(
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate;
             linear: both are straight lines.
         correlation: of neighbouring phases' noise in the other picture (0 pointwise, more after a window fit).
-        out: :class:`pipeline.located.Located`, written.
+        known ... residual: the planes of :class:`pipeline.located.Located`, written. (One by one: what a parallel kernel
+            writes to the members of a tuple can get lost.)
     """
     height, width = order.shape
     other_height, other_width = other_variance.shape
@@ -201,9 +204,9 @@ def refine(
                 active = row[j] != -32768
                 found += active
                 t[_OK + j] = _ONE if active else _ZERO
-            known = out.known[i, j0 : j0 + n]
             if found == 0:
-                known[:] = 0
+                for j in range(n):
+                    known[i, np.uint32(j0 + j)] = 0
                 continue
             _load(t, n, row, phase[i, j0 : j0 + n], phase_eq[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
                   rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
@@ -259,7 +262,10 @@ def refine(
             for j in range(TILE):
                 t[_T1 + j] = t[_PHI + j] - t[_T0 + j]
                 t[_T0 + j] = t[_T1 + j] + t[_BIAS + j]
-            _store(t, n, i, j0, variance, out)
+            end = j0 + n
+            _store_points(t, n, variance[i, j0:end], known[i, j0:end], depth_mm[i, j0:end], sigma_mm[i, j0:end])
+            _store_places(t, n, match_u[i, j0:end], match_v[i, j0:end], source_u[i, j0:end], source_v[i, j0:end])
+            _store_phases(t, n, absolute[i, j0:end], residual_eq[i, j0:end], residual[i, j0:end])
 
 
 @inline
@@ -298,26 +304,28 @@ def _evidence(t: Any, k: Any, variance: Any, along: int, across: int) -> None:
 
 
 @inline
-def _store(t: Any, n: int, i: int, j0: int, variance: Any, out: Any) -> None:
-    known, depth, sigma = out.known[i, j0 : j0 + n], out.depth_mm[i, j0 : j0 + n], out.sigma_mm[i, j0 : j0 + n]
-    left = variance[i, j0 : j0 + n]
+def _store_points(t: Any, n: int, variance: Any, known: Any, depth: Any, sigma: Any) -> None:
     for j in range(n):
         z = _ONE / t[_W + j]
         rx, ry = t[_RX + j], t[_RY + j]
         depth[j] = z
-        sigma[j] = root((left[j] + t[_VAR + j]) * (rx * rx + ry * ry + _ONE)) / t[_SLOPE + j] * z * z
+        sigma[j] = root((variance[j] + t[_VAR + j]) * (rx * rx + ry * ry + _ONE)) / t[_SLOPE + j] * z * z
     for j in range(n):
         known[j] = np.uint8(t[_OK + j] > _ZERO)
-    match_u, match_v = out.match_u[i, j0 : j0 + n], out.match_v[i, j0 : j0 + n]
+
+
+@inline
+def _store_places(t: Any, n: int, match_u: Any, match_v: Any, source_u: Any, source_v: Any) -> None:
     for j in range(n):
         match_u[j], match_v[j] = _steps_of_pixel(t[_X + j]), _steps_of_pixel(t[_Y + j])
-    source_u, source_v = out.source_u[i, j0 : j0 + n], out.source_v[i, j0 : j0 + n]
     for j in range(n):
         source_u[j], source_v[j] = _steps_of_pixel(t[_U + j]), _steps_of_pixel(t[_V + j])
-    residual_eq, residual = out.residual_eq[i, j0 : j0 + n], out.residual[i, j0 : j0 + n]
+
+
+@inline
+def _store_phases(t: Any, n: int, absolute: Any, residual_eq: Any, residual: Any) -> None:
     for j in range(n):
         residual_eq[j], residual[j] = _steps_of_residual(t[_T0 + j]), _steps_of_residual(t[_T1 + j])
-    absolute = out.absolute[i, j0 : j0 + n]
     for j in range(n):
         absolute[j] = np.int16(np.int32(np.rint(t[_PHI + j] * _PER_TURN)))
 

@@ -52,7 +52,7 @@ class SurfaceStage:
             order, self._rays_x, self._rays_y, left.phase, left.phase_eq, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
-            correction.astype(np.float32), self._floor_sq, self._correlation, self._located,
+            correction.astype(np.float32), self._floor_sq, self._correlation, *self._located,
         )  # fmt: skip
         return self._located
 
