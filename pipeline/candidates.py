@@ -30,10 +30,10 @@ _TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.fl
 # Slots of the scratch array of floats (tables take three each), and of the one of integers.
 _PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE, _ROW = (k * TILE for k in range(9))
 _ALONG, _ACROSS, _OTHER_U, _OTHER_V = (k * TILE for k in (9, 12, 15, 18))
-_U, _FRACTION, _SEEN, _T0, _T1, _THERE, _COST = (k * TILE for k in range(21, 28))
-SLOTS = 28
-_CELL, _NEAREST, _P0, _P1, _E0, _E1 = (k * TILE for k in range(6))
-INTEGER_SLOTS = 6
+_U, _FRACTION, _SEEN, _T0, _T1, _THERE, _COST, _SECOND = (k * TILE for k in range(21, 29))
+SLOTS = 29
+_CELL, _P0, _P1, _E0, _E1 = (k * TILE for k in range(5))
+INTEGER_SLOTS = 5
 MOVE, COST = _MOVE, _COST
 """Slots that :mod:`pipeline.search` reads."""
 
@@ -164,14 +164,13 @@ def price(
         i, m = np.int32(y), np.int32(x)
         f = x - np.float32(m) if along_x else y - np.float32(i)
         k[_CELL + j] = np.int32(i * np.int32(width) + m)
-        k[_NEAREST + j] = np.int32(k[_CELL + j] + (step if f > _HALF else np.int32(0)))
         t[_FRACTION + j] = f
     ahead = np.uint32(step)
     for j in range(TILE):
         place = np.uint32(k[_CELL + j])
         k[_P0 + j], k[_P1 + j] = phasor[place], phasor[place + ahead]
         k[_E0 + j], k[_E1 + j] = equalized[place], equalized[place + ahead]
-        t[_THERE + j] = mean[np.uint32(k[_NEAREST + j])]
+        t[_THERE + j], t[_SECOND + j] = mean[place], mean[place + ahead]
     for j in range(TILE):
         f = t[_FRACTION + j]
         r0, i0, r1, i1 = real(k[_P0 + j]), imaginary(k[_P0 + j]), real(k[_P1 + j]), imaginary(k[_P1 + j])
@@ -184,7 +183,7 @@ def price(
         t[_T1 + j] = (t[_ER + j] * er + t[_EI + j] * ei) / root(er * er + ei * ei + _TINY)
     for j in range(TILE):
         size, plain, equal = t[_T0 + j], t[_U + j], t[_T1 + j]
-        there, here = t[_THERE + j], t[_MEAN + j]
+        there, here = t[_THERE + j] + t[_FRACTION + j] * (t[_SECOND + j] - t[_THERE + j]), t[_MEAN + j]
         # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
         cost = _ONE - _HALF * (decay((_TWO - _TWO * plain) * inv) + decay((_TWO - _TWO * equal) * inv))
         cost += texture * min(abs(here - there) / (here + there + _EIGHT), _MOST)

@@ -183,8 +183,8 @@ def refine(
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate;
             linear: both are straight lines.
         correlation: of neighbouring phases' noise in the other picture (0 pointwise, more after a window fit).
-        known ... residual: the planes of :class:`pipeline.located.Located`, written. (One by one: what a parallel kernel
-            writes to the members of a tuple can get lost.)
+        known ... residual: the planes of :class:`pipeline.located.Located`, written. (One by one: what a parallel
+            kernel writes to the members of a tuple can get lost.)
     """
     height, width = order.shape
     other_height, other_width = other_variance.shape
@@ -240,7 +240,7 @@ def refine(
                 slope = slope if slope != _ZERO else _TINY
                 x, y = t[_X + j], t[_Y + j]
                 size = re * re + im * im
-                good = (abs(f) < np.float32(0.4)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
+                good = (abs(f) < np.float32(0.5)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
                 good &= abs(t[_W + j] - t[_T0 + j]) * abs(slope) < np.float32(3.0)
                 good &= (x >= _ONE) & (y >= _ONE)
                 good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))

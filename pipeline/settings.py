@@ -25,7 +25,7 @@ class Settings:
     """Width of the Gaussian weights of that window, pixels."""
     lattice_x: int = 3
     """Step of the order search along the fringes' direction of growth, pixels."""
-    lattice_y: int = 4
+    lattice_y: int = 3
     """Step of the order search across it, pixels."""
     cost_sigma: float = 0.5
     """Width of the phase cost."""
