@@ -1,7 +1,7 @@
 """Sub-pixel match along the epipolar curve, and the point.
 
 For a left pixel with a known order the right camera must see the same pointwise phase at the image of the point. The
-unknown is one number, the inverse depth w = 1/z on the pixel's viewing ray; two Newton steps on the phases, from where
+unknown is one number, the inverse depth w = 1/z on the pixel's viewing ray; some Newton steps on the phases, from where
 the projector's column lies, find it. Because the match is sought along the ray's own epipolar curve, by both full
 camera models, the four linear equations of the two views (see :mod:`pipeline.triangulate`) agree there: the point on
 the ray is their solution.
@@ -21,6 +21,7 @@ from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, angle, clamped, root, turns
 
 _COHERENCE_SQ = np.float32(0.16)
+_STEPS, _CONVERGED = 2, np.float32(0.1)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _TURN, _TINY = np.float32(2 * np.pi), np.float32(1e-20)
 _PER_PIXEL, _FARTHEST = np.float32(PIXEL_STEPS), np.float32(OUTSIDE)
@@ -220,16 +221,17 @@ def refine(
                 t[_X + j], t[_Y + j] = x, y
                 t[_EX + j], t[_EY + j] = (x1 - x) / delta, (y1 - y) / delta
                 t[_T0 + j] = w
-            _cells(t, k, along, other_width, other_height)
-            _fetch(t, k, flat, along, across)
-            for j in range(TILE):
-                f, re, im, step = _error(t, j)
-                ex, ey = t[_EX + j], t[_EY + j]
-                slope = step * (ex if axis == 0 else ey)
-                move = -f / (slope if slope != _ZERO else _TINY)
-                t[_W + j] += move
-                t[_X + j] += ex * move
-                t[_Y + j] += ey * move
+            for _ in range(_STEPS):
+                _cells(t, k, along, other_width, other_height)
+                _fetch(t, k, flat, along, across)
+                for j in range(TILE):
+                    f, re, im, step = _error(t, j)
+                    ex, ey = t[_EX + j], t[_EY + j]
+                    slope = step * (ex if axis == 0 else ey)
+                    move = -f / (slope if slope != _ZERO else _TINY)
+                    t[_W + j] += move
+                    t[_X + j] += ex * move
+                    t[_Y + j] += ey * move
             _cells(t, k, along, other_width, other_height)
             _fetch(t, k, flat, along, across)
             _evidence(t, k, flat_variance, along, across)
@@ -240,7 +242,7 @@ def refine(
                 slope = slope if slope != _ZERO else _TINY
                 x, y = t[_X + j], t[_Y + j]
                 size = re * re + im * im
-                good = (abs(f) < np.float32(0.5)) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
+                good = (abs(f) < _CONVERGED) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[_SQ + j])
                 good &= abs(t[_W + j] - t[_T0 + j]) * abs(slope) < np.float32(3.0)
                 good &= (x >= _ONE) & (y >= _ONE)
                 good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
