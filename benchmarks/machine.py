@@ -28,7 +28,7 @@ def describe() -> dict[str, str]:
         "processor": names[0] if names else platform.machine(),
         "cores": str(os.cpu_count()),
         "load before": f"{os.getloadavg()[0]:.2f}",
-        "system": f"{platform.system()} {platform.release()}",
+        "system": platform.system(),
         "python": platform.python_version(),
         **{name: version(name) for name in ("numpy", "numba")},
         "memory copy": f"{copy_gb_per_s():.1f} GB/s read and written by one thread",
