@@ -58,21 +58,22 @@ def _turn(tile: Any, row: int, column: int) -> None:
         tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j] = a * c - b * s, b * c + a * s
 
 
+@inline
+def _step(tile: Any, back: int, xc: Any, xs: Any, out: int) -> None:
+    """Steps from the unit phasors of slots ``back`` and ``back + 2`` (behind, ahead) to slot ``out``."""
+    agreeing = np.float32(AGREEING)
+    for j in range(TILE):
+        re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
+        p, q = tile[back * TILE + j], tile[(back + 1) * TILE + j]
+        v, w = tile[(back + 2) * TILE + j], tile[(back + 3) * TILE + j]
+        c, s, _, _ = step_of(p, q, re, im, v, w, xc, xs, agreeing)
+        tile[out * TILE + j], tile[(out + 1) * TILE + j] = c, s
+
+
 @serial
 def _steps(tile: Any, nominal: Any) -> None:
-    xc, xs, yc, ys, agreeing = nominal[0], nominal[1], nominal[2], nominal[3], np.float32(AGREEING)
-    for j in range(TILE):
-        re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
-        p, q = tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j]
-        v, w = tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j]
-        c, s, _, _ = step_of(p, q, re, im, v, w, xc, xs, agreeing)
-        tile[_STEP_X * TILE + j], tile[(_STEP_X + 1) * TILE + j] = c, s
-    for j in range(TILE):
-        re, im = tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j]
-        p, q = tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j]
-        v, w = tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j]
-        c, s, _, _ = step_of(p, q, re, im, v, w, yc, ys, agreeing)
-        tile[_STEP_Y * TILE + j], tile[(_STEP_Y + 1) * TILE + j] = c, s
+    _step(tile, _UNITS + 2, nominal[0], nominal[1], _STEP_X)
+    _step(tile, _UNITS + 6, nominal[2], nominal[3], _STEP_Y)
 
 
 @serial

@@ -6,7 +6,6 @@ every output element is computed by one thread in a fixed order, so results do n
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Any
 
 import numba
@@ -24,29 +23,6 @@ ordered = numba.njit(**_FLAGS | {"fastmath": _FLAGS["fastmath"] | {"nnan"}})
 """For code that never sees NaN: minima become vector instructions."""
 inline = numba.njit(inline="always", **{k: v for k, v in _FLAGS.items() if k != "cache"})
 prange = numba.prange
-
-
-@serial
-def half_turn(c: float, s: float) -> tuple[float, float]:
-    """Unit phasor of half the angle of (c, s), for angles within (-pi, pi)."""
-    norm = sqrt(c * c + s * s)
-    if norm < 1e-12:
-        return 1.0, 0.0
-    c /= norm
-    if c < -0.999999:
-        return 0.0, 1.0
-    half = sqrt(0.5 * (1.0 + c))
-    return half, 0.5 * s / (norm * half)
-
-
-@serial
-def bilinear(image: Any, x: float, y: float) -> Any:
-    """Value of a 2-D array at (x, y); the caller has made sure that 0 <= x < W - 1 and 0 <= y < H - 1."""
-    i, j = int(y), int(x)
-    b, a = y - i, x - j
-    top = (1 - a) * image[i, j] + a * image[i, j + 1]
-    bottom = (1 - a) * image[i + 1, j] + a * image[i + 1, j + 1]
-    return (1 - b) * top + b * bottom
 
 
 @serial

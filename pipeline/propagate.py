@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import parallel, prange, serial
+from pipeline.kernels import inline, parallel, prange, serial
 
 NONE = np.int16(-32768)
 _TWO_PI = np.float32(2 * pi)
@@ -150,6 +150,14 @@ def _widened(node: Any, step: int, before: int, out: Any) -> None:
             out[before + b * step + t] = node[b]
 
 
+@inline
+def _nearer(turn: Any, least: Any, x: Any, away: Any) -> tuple[Any, Any]:
+    """The order that takes x back to zero and its deviation, if that is less than the least so far."""
+    m = np.rint(x * _PER_TURN)
+    deviation = abs(x - _TWO_PI * m) + away
+    return (m if deviation < least else turn), (deviation if deviation < least else least)
+
+
 @serial
 def _least_deviating(
     here: Any, valid: Any, upper: Any, upper_next: Any, lower: Any, lower_next: Any, away: Any, away_next: Any,
@@ -157,23 +165,10 @@ def _least_deviating(
 ) -> None:  # fmt: skip
     """Orders of a row from its four lattice neighbours; ``here`` is the expected slope less the phase."""
     for j in range(out.shape[0]):
-        turn, least = np.float32(-32768.0), _FARTHEST
-        x = upper[j] + here[j]
-        m = np.rint(x * _PER_TURN)
-        deviation = abs(x - _TWO_PI * m) + (away[j] + down)
-        turn, least = (m if deviation < least else turn), (deviation if deviation < least else least)
-        x = upper_next[j] + here[j]
-        m = np.rint(x * _PER_TURN)
-        deviation = abs(x - _TWO_PI * m) + (away_next[j] + down)
-        turn, least = (m if deviation < least else turn), (deviation if deviation < least else least)
-        x = lower[j] + here[j]
-        m = np.rint(x * _PER_TURN)
-        deviation = abs(x - _TWO_PI * m) + (away[j] + up)
-        turn, least = (m if deviation < least else turn), (deviation if deviation < least else least)
-        x = lower_next[j] + here[j]
-        m = np.rint(x * _PER_TURN)
-        deviation = abs(x - _TWO_PI * m) + (away_next[j] + up)
-        turn = m if deviation < least else turn
+        turn, least = _nearer(np.float32(-32768.0), _FARTHEST, upper[j] + here[j], away[j] + down)
+        turn, least = _nearer(turn, least, upper_next[j] + here[j], away_next[j] + down)
+        turn, least = _nearer(turn, least, lower[j] + here[j], away[j] + up)
+        turn, least = _nearer(turn, least, lower_next[j] + here[j], away_next[j] + up)
         out[j] = np.int16(np.int32(turn)) if valid[j] else NONE
 
 
