@@ -51,8 +51,14 @@ class CameraThread:
     @property
     def status(self) -> CameraStatus:
         """The camera now; the fates of its frames are the pairing's to add."""
-        rate = self._rate.per_second(self._clock.monotonic_ns())
-        return replace(self._status, rate_hz=round(rate, 2), frames=self._frames)
+        rate, health = self._rate.per_second(self._clock.monotonic_ns()), self._camera.health()
+        return replace(
+            self._status,
+            rate_hz=round(rate, 2),
+            frames=self._frames,
+            driver=dict(health.counters),
+            temperature_c=health.temperature_c,
+        )
 
     def start(self) -> None:
         """Begin."""

@@ -206,6 +206,9 @@ class Service:
             for side, camera in self.cameras.items()
             if camera.status.state is CameraState.LOST
         ]
+        problem = self.rig.projector.problem()
+        if problem:
+            reasons.append(f"projector: {problem}")
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():

@@ -36,7 +36,12 @@ class CameraState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CameraStatus:
-    """One camera, as its thread sees it; ``losses`` counts the times the device was gone."""
+    """One camera, as its thread sees it.
+
+    Args:
+        losses: times the device was gone; fates: what became of the frames that the driver delivered.
+        driver: what the driver counts, frames that it lost among it.
+    """
 
     state: CameraState
     model: str = ""
@@ -48,6 +53,8 @@ class CameraStatus:
     rate_hz: float = 0.0
     frames: int = 0
     fates: dict[str, int] = field(default_factory=dict)
+    driver: dict[str, int] = field(default_factory=dict)
+    temperature_c: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

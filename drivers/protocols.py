@@ -35,6 +35,8 @@ class Frame:
         encoding: ``rgb8``, ``bayer_rggb8`` (and the other three), ``mono8``, ``mono16``.
         image: (H, W) or (H, W, 3), uint8 or uint16, read-only; never overwritten afterwards.
         exposure_us: exposure time that the camera took, 0 if unknown.
+        t_device_ns: start of exposure on the camera's own clock, None if it has none.
+        frame_id: the camera's own number of the frame, None if it gives none.
     """
 
     side: Side
@@ -44,17 +46,36 @@ class Frame:
     encoding: str
     image: NDArray[np.uint8] | NDArray[np.uint16]
     exposure_us: float = 0.0
+    t_device_ns: int | None = None
+    frame_id: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """What a camera says of itself once it is open; ``notes`` tells each setting that was refused or rounded."""
+    """What a camera says of itself once it is open.
+
+    Args:
+        size: (width, height), pixels; encoding: as in :class:`Frame`.
+        exposure_us: exposure time that it took, 0 if unknown.
+        notes: each setting that was refused or rounded, in a sentence.
+    """
 
     model: str
     serial: str
     size: tuple[int, int]
     encoding: str
+    exposure_us: float = 0.0
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CameraHealth:
+    """How a camera fares: its temperature, None if unknown, and what was counted since the daemon started.
+
+    ``counters`` hold every frame that the driver knows of and never delivered, by reason (``incomplete``,
+    ``no_buffer``, ``missed_trigger``, ...), and whatever else the driver counts.
+    """
+
     temperature_c: float | None = None
     counters: Mapping[str, int] = field(default_factory=dict)
 
@@ -78,6 +99,9 @@ class Camera(Protocol):
     def close(self) -> None:
         """Let go of the device; never raises, may be called twice."""
 
+    def health(self) -> CameraHealth:
+        """How it fares, in any state and from any thread; returns at once what is known."""
+
 
 @dataclass(frozen=True, slots=True)
 class ProjectorInfo:
@@ -90,13 +114,16 @@ class ProjectorInfo:
 
 @runtime_checkable
 class Projector(Protocol):
-    """A projector that shows pictures pixel by pixel."""
+    """A projector that shows pictures pixel by pixel; it recovers by itself and then shows the last picture again."""
 
     def open(self) -> ProjectorInfo:
         """Connect; raises DriverError when the output is not there or its mode does not fit."""
 
     def show(self, picture: NDArray[np.uint8]) -> None:
         """Show an (H, W, 3) uint8 picture of the projector's size until the next call."""
+
+    def problem(self) -> str:
+        """Why the last picture may not be shown at this moment, empty when all is well; returns at once."""
 
     def close(self) -> None:
         """Go dark and let go; never raises."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from enum import StrEnum
 
 from drivers.errors import DeviceLost, DriverError
-from drivers.protocols import CameraInfo, Frame, Side
+from drivers.protocols import CameraHealth, CameraInfo, Frame, Side
 
 
 class CameraState(StrEnum):
@@ -56,11 +56,10 @@ class SimCamera:
         """Where the camera is in its state diagram."""
         return self._state
 
-    @property
-    def counters(self) -> dict[str, int]:
+    def health(self) -> CameraHealth:
         """Frames received, thrown away for want of room, dropped unread, and times the device was lost."""
         with self._changed:
-            return dict(self._counters)
+            return CameraHealth(counters=dict(self._counters))
 
     def open(self) -> CameraInfo:
         """Connect; DeviceLost while the device is away."""
@@ -71,9 +70,7 @@ class SimCamera:
                 raise DriverError(f"camera {self.side}: open() while {self._state}; close() it first")
             self._state, self._lost = CameraState.IDLE, False
             notes = ("simulated: pictures come from a rendered loop",)
-            return CameraInfo(
-                "simulated", f"sim-{self.side}", self.size, self.encoding, notes, None, dict(self._counters)
-            )
+            return CameraInfo("simulated", f"sim-{self.side}", self.size, self.encoding, notes=notes)
 
     def start(self) -> None:
         """Begin to accept triggers."""

@@ -52,6 +52,10 @@ class SimProjector:
                 "picture; use the pattern of its layout (sim.layout.periods) with its own calibration"
             )
 
+    def problem(self) -> str:
+        """Nothing ever is."""
+        return ""
+
     def close(self) -> None:
         """Go dark and let go."""
         self._open, self._lit = False, False

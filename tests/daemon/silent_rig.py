@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from drivers.protocols import CameraInfo, Frame, ProjectorInfo
+from drivers.protocols import CameraHealth, CameraInfo, Frame, ProjectorInfo
 from pipeline.pattern import ColorFringe
 
 SIZE, PROJECTOR = (96, 64), (128, 102)
@@ -37,6 +37,9 @@ class Camera:
     def close(self) -> None:
         pass
 
+    def health(self) -> CameraHealth:
+        return CameraHealth()
+
 
 class Projector:
     def open(self) -> ProjectorInfo:
@@ -44,6 +47,9 @@ class Projector:
 
     def show(self, picture: Any) -> None:
         assert picture.dtype == np.uint8
+
+    def problem(self) -> str:
+        return ""
 
     def close(self) -> None:
         pass

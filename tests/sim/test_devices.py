@@ -98,7 +98,7 @@ def test_a_full_queue_loses_its_oldest_frames_and_counts_them(rig):
     for _ in range(11):
         rig.trigger.step()
     assert camera.read(0.0).trigger == 3
-    assert camera.counters["overflow"] == 3
+    assert camera.health().counters["overflow"] == 3
     assert rig.trigger.ledger.counts["left", "overflow"] == 3
 
 

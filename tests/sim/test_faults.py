@@ -138,7 +138,7 @@ def test_a_camera_is_gone_and_comes_back():
     world.step()
     assert [f.trigger for f in read_all(camera)] == [5]
     assert len(read_all(world.cameras["right"])) == 6
-    assert camera.counters["lost_device"] == 1
+    assert camera.health().counters["lost_device"] == 1
     assert Counter(e.fate for e in world.ledger.entries if e.side == "left") == {
         "sent": 2,
         "dropped": 1,
