@@ -206,9 +206,9 @@ class Service:
             for side, camera in self.cameras.items()
             if camera.status.state is CameraState.LOST
         ]
-        problem = self.rig.projector.problem()
-        if problem:
-            reasons.append(f"projector: {problem}")
+        dark = self.rig.projector.problem()
+        if dark:
+            reasons.append(f"projector: {dark}")
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():
