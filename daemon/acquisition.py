@@ -109,6 +109,7 @@ class CameraThread:
                 serial=info.serial,
                 encoding=info.encoding,
                 size=info.size,
+                exposure_us=info.exposure_us,
                 problem="",
             )
         )

@@ -15,7 +15,7 @@ from daemon.config import registry
 from daemon.config.models import RigConfig
 from daemon.errors import ConfigError
 from daemon.pattern_file import read_pattern, read_volume
-from drivers.protocols import Camera, Projector, Side
+from drivers.protocols import SIDES, Camera, Projector, Side
 from pipeline.calibration import Calibration
 from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
@@ -24,14 +24,19 @@ from pipeline.pattern import from_mapping as pattern_from_mapping
 Progress = Callable[[int, int], None]
 
 
+_SECTIONS = {"sim": ("simulation",), "cameras": ("cameras",), "projector": ("projector", "options")}
+"""Where in rig.yaml the options stand that a driver's message calls by a shorter name."""
+
+
 class OptionsError(ConfigError):
     """Options that a driver refuses: ``path`` names the key as well as the driver's message tells it."""
 
     def __init__(self, section: str, message: str) -> None:
-        named = re.match(r"(?:sim|cameras|projector)\.([A-Za-z0-9_.\[\]]+)", message)
-        keys = re.findall(r"[A-Za-z_]\w*|\d+", named.group(1)) if named else []
-        self.path = (section, *(int(key) if key.isdigit() else key for key in keys))
-        self.message = re.sub(r"^sim\b", section, message)
+        named = re.match(r"(sim|cameras|projector)\.([A-Za-z0-9_.\[\]]+)", message)
+        keys = re.findall(r"[A-Za-z_]\w*|\d+", named.group(2)) if named else []
+        above = _SECTIONS[named.group(1)] if named else (section,)
+        self.path = (*above, *(int(key) if key.isdigit() else key for key in keys))
+        self.message = ".".join(above) + message[len(named.group(1)) :] if named else message
         super().__init__([f"{section}: {self.message}"])
 
 
@@ -62,9 +67,8 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
         OptionsError: options that the driver refuses; PipelineError: a file that does not fit.
         DaemonError: a driver that cannot be loaded.
     """
-    opener = registry.load(registry.RIGS[config.cameras.driver])
     try:
-        devices = opener(_options(config), base_dir, progress=progress)
+        devices = _open_devices(config, base_dir, progress)
     except (ValueError, TypeError) as error:
         raise OptionsError(_section(config), str(error)) from error
     try:
@@ -82,6 +86,35 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
     except BaseException:
         devices.close()
         raise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Devices:
+    """Cameras of one driver and a projector of another."""
+
+    cameras: Mapping[Side, Camera]
+    projector: Projector
+
+    def close(self) -> None:
+        for camera in self.cameras.values():
+            camera.close()
+        self.projector.close()
+
+
+def _open_devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Any:
+    """What a whole rig's driver gives, or the same put together from a camera driver and a projector driver."""
+    name, projector = config.cameras.driver, config.projector
+    if name in registry.RIGS:
+        return registry.load(registry.RIGS[name])(_options(config), base_dir, progress=progress)
+    if projector is None or projector.driver not in registry.PROJECTORS:
+        raise ValueError(f"projector.driver is missing, expected one of: {', '.join(registry.PROJECTORS)}")
+    open_camera = registry.load(registry.CAMERAS[name])
+    open_projector = registry.load(registry.PROJECTORS[projector.driver])
+    options: dict[Side, dict[str, Any]] = {"left": config.cameras.left, "right": config.cameras.right}
+    return _Devices(
+        {side: open_camera(side, options[side], base_dir) for side in SIDES},
+        open_projector(projector.options, base_dir),
+    )
 
 
 def _section(config: RigConfig) -> str:

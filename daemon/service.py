@@ -24,6 +24,7 @@ from daemon.rig import Rig
 from daemon.sinks import CloudItem, Item, LoneItem, PairItem, Sink
 from daemon.status import CameraState, CameraStatus, State, Status
 from daemon.stop import StopEvent
+from daemon.suitability import projector_problem, size_problem, timing_warnings
 from daemon.worker import Worker
 from drivers.protocols import SIDES, Clock, Frame, Side
 from pipeline.reconstruct import Reconstructor
@@ -66,6 +67,7 @@ class Service:
         self._on_status = on_status
         self._started_ns = self.clock.monotonic_ns()
         self._ready, self._paused = False, False
+        self._refresh_hz = 0.0
         self._stop = StopEvent()
         self._namer = threads.Namer("fringed")
         self._sinks_lock = threading.Lock()
@@ -170,9 +172,11 @@ class Service:
         state, reasons = self.state()
         now_ns = self.clock.monotonic_ns()
         sinks = {name: sink.status() for name, sink in self.sinks.items()}
+        cameras: dict[str, CameraStatus] = {side: self._camera_status(side) for side in SIDES}
         return Status(
             state=state,
             reasons=reasons,
+            warnings=tuple(timing_warnings(self._refresh_hz, cameras)),
             device=self.config.device.name,
             session=self.session,
             version=program_version(),
@@ -192,7 +196,7 @@ class Service:
             stages_ms=self.worker.stages_ms,
             garbage=self.worker.pauses.summary(),
             drops=self.drops.snapshot(),
-            cameras={side: self._camera_status(side) for side in SIDES},
+            cameras=cameras,
             recorder=sinks.pop("recorder", {"recording": False}),
             sinks=sinks,
         )
@@ -206,6 +210,9 @@ class Service:
             for side, camera in self.cameras.items()
             if camera.status.state is CameraState.LOST
         ]
+        reasons += filter(
+            None, (size_problem(side, c.status.size, self.rig.calibration) for side, c in self.cameras.items())
+        )
         dark = self.rig.projector.problem()
         if dark:
             reasons.append(f"projector: {dark}")
@@ -222,6 +229,10 @@ class Service:
         self._keep_off()
         projector = self.rig.projector.open()
         log.info("projector %s, %d x %d", projector.output, *projector.size)
+        unfit = projector_problem(projector, self.rig.pattern)
+        if unfit:
+            raise DaemonError(unfit)
+        self._refresh_hz = projector.refresh_hz
         self.rig.projector.show(self.rig.pattern.picture(self.rig.calibration.response))
         for camera in self.cameras.values():
             camera.start()

@@ -48,6 +48,7 @@ class CameraStatus:
     serial: str = ""
     encoding: str = ""
     size: tuple[int, int] = (0, 0)
+    exposure_us: float = 0.0
     problem: str = ""
     losses: int = 0
     rate_hz: float = 0.0
@@ -62,7 +63,7 @@ class Status:
     """The whole daemon at one moment.
 
     Args:
-        reasons: why it is degraded.
+        reasons: why it is degraded; warnings: what measures, but not as well as it could.
         measured_every: spacing of the measured pixels; 2 while an overloaded pipeline skips every second one.
         latency_ms: from the start of exposure to the finished cloud.
         publish_latency_ms: from the arrival of both frames to the handing over of the cloud to the stream, empty while
@@ -72,6 +73,7 @@ class Status:
 
     state: State
     reasons: tuple[str, ...]
+    warnings: tuple[str, ...]
     device: str
     session: str
     version: str

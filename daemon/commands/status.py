@@ -59,6 +59,7 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
     latency, published = status["latency_ms"], status["publish_latency_ms"]
     out = [
         ("state", f"{status['state']}{''.join(f'; {reason}' for reason in status['reasons'])}"),
+        *(("warning", warning) for warning in status["warnings"]),
         ("device", f"{status['device']}, fringed {status['version']}, up {status['uptime_s']:.0f} s"),
         ("calibration", status["calibration"]),
         ("clouds", f"{status['clouds']}, {status['cloud_rate_hz']:.1f} per second"),
@@ -71,6 +72,9 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         fates = ", ".join(f"{name} {count}" for name, count in camera["fates"].items() if count)
         text = f"{camera['state']}, {camera['rate_hz']:.1f} frames per second, {camera['losses']} losses; {fates}"
         out.append((f"camera {side}", text))
+        counted = [f"{name} {count}" for name, count in camera["driver"].items() if count]
+        warm = [f"{camera['temperature_c']:.0f} °C"] if camera["temperature_c"] is not None else []
+        out.append(("", f"driver: {', '.join(warm + counted) or 'nothing to tell'}"))
     out.append(("dropped", ", ".join(f"{name} {count}" for name, count in status["drops"].items()) or "nothing"))
     recorder = status["recorder"]
     out.append(("recorder", ", ".join(f"{k} {v}" for k, v in recorder.items()) if recorder.get("recording") else "off"))

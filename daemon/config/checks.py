@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from daemon.config.registry import RIGS
+from daemon.config.registry import CAMERAS, PROJECTORS, RIGS
 from daemon.config.source import Path_
 from pipeline.errors import PipelineError
 from pipeline.pattern import from_mapping as pattern_from_mapping
@@ -34,17 +34,22 @@ def _section(data: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _drivers(data: dict[str, Any]) -> Found:
-    for name in ("cameras", "projector"):
+    known = {"cameras": [*RIGS, *CAMERAS], "projector": [*RIGS, *PROJECTORS]}
+    for name, drivers in known.items():
         driver = _section(data, name).get("driver")
-        if isinstance(driver, str) and driver not in RIGS:
-            near = difflib.get_close_matches(driver, RIGS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(RIGS)}"
+        if isinstance(driver, str) and driver not in drivers:
+            near = difflib.get_close_matches(driver, drivers, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(drivers)}"
             yield (name, "driver"), f"there is no driver {driver!r}; {hint}"
-    camera_driver = _section(data, "cameras").get("driver")
-    if camera_driver != "sim":
+    cameras, projector = (_section(data, name).get("driver") for name in known)
+    if cameras != "sim" and cameras in known["cameras"]:
         for name in ("calibration", "pattern", "volume"):
-            if camera_driver in RIGS and data.get(name) is None:
+            if data.get(name) is None:
                 yield (), f"{name} is missing; only the simulated rig knows its own"
+    if cameras in CAMERAS and projector not in PROJECTORS:
+        missing = f"projector.driver is {projector!r}" if projector in RIGS else "projector is missing"
+        if projector is None or projector in RIGS:
+            yield (), f"{missing}; the cameras {cameras!r} need one of: {', '.join(PROJECTORS)}"
 
 
 def _settings(data: dict[str, Any]) -> Found:

@@ -13,6 +13,18 @@ RIGS: dict[str, str] = {
 }
 """Whole rigs: a function of the options that gives both cameras, the projector and what they know of themselves."""
 
+CAMERAS: dict[str, str] = {
+    "genicam": "drivers.genicam:open_camera",
+    "v4l2": "drivers.v4l2:open_camera",
+}
+"""Cameras: a function of side, options and base directory that gives one, closed."""
+
+PROJECTORS: dict[str, str] = {
+    "x11": "drivers.projector:open_projector",
+    "external": "drivers.projector:open_external",
+}
+"""Projectors: a function of options and base directory that gives one, closed."""
+
 
 def load(target: str) -> Callable[..., Any]:
     """The function behind ``module:function``."""

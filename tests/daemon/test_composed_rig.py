@@ -1,0 +1,73 @@
+"""A rig of cameras of one driver and a projector of another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.config import load_rig, registry
+from daemon.errors import ConfigError
+from daemon.launch import run_rig
+from daemon.rig import open_rig
+from tests.daemon import silent_rig
+
+THIS = "tests.daemon.test_composed_rig"
+opened: list[Any] = []
+
+
+def open_camera(side: str, options: dict[str, Any], base_dir: Path) -> silent_rig.Camera:
+    if options.get("gain", 0) > 10:
+        raise ValueError(f"cameras.{side}.gain is {options['gain']}, limit 10")
+    opened.append((side, options, base_dir))
+    return silent_rig.Camera(side)
+
+
+def open_projector(options: dict[str, Any], base_dir: Path) -> silent_rig.Projector:
+    if "output" not in options:
+        raise ValueError("projector.output is missing, there are: HDMI-1")
+    opened.append(("projector", options, base_dir))
+    return silent_rig.Projector()
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setitem(registry.CAMERAS, "test", f"{THIS}:open_camera")
+    monkeypatch.setitem(registry.PROJECTORS, "test", f"{THIS}:open_projector")
+    silent_rig.write(tmp_path)
+    opened.clear()
+    return tmp_path / "rig.yaml"
+
+
+def rewrite(path: Path, cameras: str, projector: str) -> None:
+    lines = [line for line in path.read_text().splitlines() if not line.startswith(("cameras", "projector"))]
+    path.write_text("\n".join([f"cameras: {cameras}", f"projector: {projector}", *lines]))
+
+
+def test_each_device_gets_its_own_options(rig_file: Path) -> None:
+    rewrite(rig_file, "{driver: test, left: {gain: 1}, right: {gain: 2}}", "{driver: test, options: {output: HDMI-1}}")
+    rig = open_rig(load_rig(rig_file), rig_file.parent)
+    expected = [("left", {"gain": 1}), ("right", {"gain": 2}), ("projector", {"output": "HDMI-1"})]
+    assert opened == [(name, options, rig_file.parent) for name, options in expected]
+    assert set(rig.cameras) == {"left", "right"}
+    rig.release()
+
+
+@pytest.mark.parametrize(
+    ("cameras", "projector", "place", "told"),
+    [
+        ("{driver: test, right: {gain: 11}}", "{driver: test, options: {output: A}}", ":1:33", "gain is 11, limit 10"),
+        ("{driver: test}", "{driver: test, options: {}}", ":2:", "projector.options.output is missing"),
+        ("{driver: test}", "null", ":1:1", "projector is missing; the cameras 'test' need one of: "),
+        ("{driver: test}", "{driver: sim}", ":1:1", "projector.driver is 'sim'; the cameras 'test' need one of: "),
+        ("{driver: tset}", "{driver: test}", ":1:", "there is no driver 'tset'; did you mean 'test'?"),
+    ],
+)
+def test_mistakes_are_told_at_their_place(rig_file: Path, cameras: str, projector: str, place: str, told: str) -> None:
+    rewrite(rig_file, cameras, projector)
+    with pytest.raises(ConfigError) as error:
+        run_rig(rig_file)
+    (problem,) = error.value.problems
+    assert told in problem
+    assert problem.startswith(f"{rig_file}{place}")
