@@ -8,11 +8,11 @@ import socket
 import struct
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fcntl import F_OFD_GETLK, F_UNLCK, F_WRLCK, fcntl
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,9 @@ class CableState:
     picture: int
 
 
+_COUNTERS = tuple(field.name for field in fields(CableState) if field.type == "int" and field.name != "open_by")
+
+
 class Cable:
     """One emulated camera, as the world holds it; made plugged in. Not for several threads at once.
 
@@ -78,9 +81,12 @@ class Cable:
         size: (width, height) of the sensor, multiples of 4 and 2, at least 16 x 4.
         sensor: its colour filter; ``mono`` has none and offers no colour format.
         old: an older model: features by the names of GigE Vision's first version, clock in ticks of 8 ns, no chunks.
+        automatic: at power-on exposure, gain and white balance are automatic, gamma and the frame rate's limit are on.
         real_time: frames leave the camera exposure and readout after the pulse; otherwise at once, for lock-step.
         readout_us: least time between two exposures and from an exposure's end to the frame.
         exposure_step_us: exposure times are whole multiples of it.
+        reference_exposure_us: exposure time with which the camera gives the very values of the picture shown, others
+            make it darker or brighter; 0: the exposure time does not matter.
 
     Raises:
         ValueError: a size, name or number that cannot be; the message tells the limits.
@@ -97,9 +103,11 @@ class Cable:
         size: tuple[int, int] = (640, 480),
         sensor: Filter = "RG",
         old: bool = False,
+        automatic: bool = False,
         real_time: bool = True,
         readout_us: float = 2000.0,
         exposure_step_us: float = 0.5,
+        reference_exposure_us: float = 0.0,
     ) -> None:
         _check(number, size, serial, model)
         self.number, self.serial, self.size = number, serial, size
@@ -114,11 +122,13 @@ class Cable:
         header["slots"], header["slot_bytes"] = memory.SLOTS, self._slot_bytes
         header["width"], header["height"], header["magic"] = *size, memory.IMAGE_MAGIC
         self._image_header = header
-        made = {
+        made: dict[str, int | float | bytes] = {
             "width": size[0],
             "height": size[1],
             "filter": memory.FILTERS.index(sensor),
             "variant": int(old),
+            "automatic": int(automatic),
+            "reference_exposure_ns": round(reference_exposure_us * 1e3),
             "real_time": int(real_time),
             "readout_ns": round(readout_us * 1e3),
             "exposure_step_ns": round(exposure_step_us * 1e3),
@@ -244,13 +254,9 @@ class Cable:
     def state(self) -> CableState:
         """What the camera is doing and has done."""
         state = self._live()
-        numbers = {name: int(state[name]) for name in CableState.__slots__ if name in memory.STATE_DTYPE.names}
-        return CableState(
-            **numbers
-            | {"present": bool(state["present"]), "acquiring": bool(state["acquiring"]), "armed": bool(state["armed"])},
-            open_by=self._holder(),
-            exposure_us=int(state["exposure_ns"]) / 1e3,
-        )
+        seen: dict[str, Any] = {name: int(state[name]) for name in _COUNTERS}
+        seen |= {name: bool(state[name]) for name in ("present", "acquiring", "armed")}
+        return CableState(**seen, open_by=self._holder(), exposure_us=int(state["exposure_ns"]) / 1e3)
 
     def wait_idle(self, timeout_s: float) -> bool:
         """Wait until every pulse is answered and every frame has left the camera, or nobody has it open."""

@@ -42,6 +42,7 @@ TRIGGERS = {"AcquisitionStart": 0, "FrameBurstStart": 1, "FrameStart": 2}
 LINES = {"Line0": 0, "Line1": 1, "Line2": 2}
 SOURCES = {"Software": 0, "Line0": 1, "Line1": 2, "Line2": 3}
 CHUNKS = {"Timestamp": 0, "FrameID": 1, "ExposureTime": 2, "TriggersMissed": 3}
+BALANCE = {"Red": 0, "Green": 1, "Blue": 2}
 AUTO = {"Off": 0, "Once": 1, "Continuous": 2}
 
 OLD_NAMES = {
@@ -148,6 +149,8 @@ def _analog(camera: Description) -> None:
     camera.category("AnalogControl")
     camera.number("Gain", 0, 24, unit="dB")
     camera.choice("GainAuto", AUTO)
+    camera.choice("BalanceRatioSelector", BALANCE)
+    camera.number("BalanceRatio", 0.25, 4, by=By("BalanceRatioSelector", len(BALANCE)))
     camera.choice("BalanceWhiteAuto", AUTO)
     camera.number("BlackLevel", 0, 32, unit="DN")
     camera.switch("GammaEnable")

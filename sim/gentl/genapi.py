@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 Child = tuple[str, object]
 _SCHEMA = "http://www.genicam.org/GenApi/Version_1_1"
@@ -64,7 +64,7 @@ class Description:
         self._port = port
         self._renamed = renamed or {}
         self._left_out = frozenset(left_out)
-        self._nodes: list[ElementTree.Element] = []
+        self._nodes: list[ET.Element] = []
         self._categories: dict[str, list[str]] = {}
         self._category = "Root"
         self._selected: dict[str, list[str]] = {}
@@ -127,13 +127,13 @@ class Description:
         node = self._feature("Enumeration", name, locked, [], by)
         at = [child.tag for child in node].index("pSelected") if node.find("pSelected") is not None else len(node)
         for entry, value in entries.items():
-            element = ElementTree.Element("EnumEntry", Name=entry, NameSpace="Standard")
+            element = ET.Element("EnumEntry", Name=entry, NameSpace="Standard")
             if only_if and entry in only_if:
-                ElementTree.SubElement(element, "pIsImplemented").text = only_if[entry]
-            ElementTree.SubElement(element, "Value").text = str(value)
+                ET.SubElement(element, "pIsImplemented").text = only_if[entry]
+            ET.SubElement(element, "Value").text = str(value)
             node.insert(at, element)
             at += 1
-        value_node = ElementTree.Element("pValue")
+        value_node = ET.Element("pValue")
         value_node.text = register
         node.insert(at, value_node)
 
@@ -164,8 +164,8 @@ class Description:
         """A hidden integer computed from other nodes."""
         node = self._node("IntSwissKnife", name, [])
         for variable, source in variables.items():
-            ElementTree.SubElement(node, "pVariable", Name=variable).text = source
-        ElementTree.SubElement(node, "Formula").text = formula
+            ET.SubElement(node, "pVariable", Name=variable).text = source
+        ET.SubElement(node, "Formula").text = formula
 
     def chunk(self, name: str, chunk_id: int, *, number: bool = False) -> None:
         """A value of 8 bytes that comes with each picture."""
@@ -180,7 +180,7 @@ class Description:
 
     def xml(self) -> str:
         """The whole description."""
-        root = ElementTree.Element(
+        root = ET.Element(
             "RegisterDescription",
             ModelName=self._model,
             VendorName="Fringed",
@@ -197,17 +197,17 @@ class Description:
             xmlns=_SCHEMA,
         )
         for category, features in (("Root", list(self._categories)), *self._categories.items()):
-            element = ElementTree.SubElement(root, "Category", Name=category, NameSpace="Standard")
+            element = ET.SubElement(root, "Category", Name=category, NameSpace="Standard")
             for feature in features:
-                ElementTree.SubElement(element, "pFeature").text = feature
+                ET.SubElement(element, "pFeature").text = feature
         root.extend(self._nodes)
-        ElementTree.SubElement(root, "Port", Name=self._port, NameSpace="Standard")
+        ET.SubElement(root, "Port", Name=self._port, NameSpace="Standard")
         for selector, selected in self._selected.items():
             node = next(node for node in self._nodes if node.get("Name") == selector)
             for feature in selected:
-                ElementTree.SubElement(node, "pSelected").text = feature
-        ElementTree.indent(root, " ")
-        return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+                ET.SubElement(node, "pSelected").text = feature
+        ET.indent(root, " ")
+        return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
     def _wanted(self, name: str) -> bool:
         return name not in self._left_out
@@ -224,14 +224,12 @@ class Description:
         tail += [("Sign", "Unsigned")] if sign else []
         node = self._node(kind, node_name, children)
         if by:
-            ElementTree.SubElement(node, "pIndex", Offset=str(length)).text = f"{by.selector}Reg"
+            ET.SubElement(node, "pIndex", Offset=str(length)).text = f"{by.selector}Reg"
         for tag, value in [*tail, ("Endianess", "LittleEndian")]:
-            ElementTree.SubElement(node, tag).text = str(value)
+            ET.SubElement(node, tag).text = str(value)
         return node_name
 
-    def _feature(
-        self, kind: str, name: str, locked: bool, children: list[Child], by: By | None = None
-    ) -> ElementTree.Element:
+    def _feature(self, kind: str, name: str, locked: bool, children: list[Child], by: By | None = None) -> ET.Element:
         shown = self._renamed.get(name, name)
         self._categories.setdefault(self._category, []).append(shown)
         if by:
@@ -241,10 +239,10 @@ class Description:
         node.set("NameSpace", "Standard")
         return node
 
-    def _node(self, kind: str, name: str, children: list[Child]) -> ElementTree.Element:
-        node = ElementTree.Element(kind, Name=name)
+    def _node(self, kind: str, name: str, children: list[Child]) -> ET.Element:
+        node = ET.Element(kind, Name=name)
         for tag, value in children:
-            ElementTree.SubElement(node, tag).text = str(value)
+            ET.SubElement(node, tag).text = str(value)
         self._nodes.append(node)
         return node
 

@@ -28,29 +28,28 @@ class Field:
     kind: str = "u64"
 
 
-WORLD = tuple(
-    Field(*field.split(":"))
-    for field in (
-        "magic present power_cycles width height filter variant real_time readout_ns exposure_step_ns "
-        "clock_sequence clock_base_ns:i64 clock_offset_ns:i64 clock_drift_ppb:i64 temperature_c:f64 "
-        "drop_asked truncate_asked stall_until_ns asked serial:text model:text"
-    ).split()
+def _fields(names: str) -> tuple[Field, ...]:
+    """Fields from ``name`` or ``name:kind``, parted by blanks."""
+    return tuple(Field(*name.split(":")) for name in names.split())
+
+
+WORLD = _fields(
+    "magic present power_cycles width height filter variant automatic real_time readout_ns exposure_step_ns "
+    "reference_exposure_ns clock_sequence clock_base_ns:i64 clock_offset_ns:i64 clock_drift_ppb:i64 "
+    "temperature_c:f64 drop_asked truncate_asked stall_until_ns asked serial:text model:text"
 )
 """Fields of the state that only the world writes."""
 
-CAMERA = tuple(
-    Field(name)
-    for name in (
-        "owner_pid acquiring armed answered inside exposed delivered truncated dropped no_buffer overrun abandoned "
-        "too_small missed ignored granted superseded overtaken exposure_ns picture registers_power_cycle"
-    ).split()
+CAMERA = _fields(
+    "owner_pid acquiring armed answered inside exposed delivered truncated dropped no_buffer overrun abandoned "
+    "too_small missed ignored granted superseded overtaken exposure_ns picture registers_power_cycle"
 )
 """Fields of the state that only the process with the camera open writes."""
 
-IMAGE = tuple(Field(name) for name in "magic slots slot_bytes newest width height".split())
-SLOT = tuple(Field(name) for name in "sequence channels bytes_per_sample".split())
+IMAGE = _fields("magic slots slot_bytes newest width height")
+SLOT = _fields("sequence channels bytes_per_sample")
 """``sequence`` is 2n once picture n stands in the slot, 2n - 1 while it is written."""
-PULSE = tuple(Field(*field.split(":")) for field in "magic sequence t_ns:i64 width_ns:i64 line picture judged".split())
+PULSE = _fields("magic sequence t_ns:i64 width_ns:i64 line picture judged")
 """A datagram: an edge up at t_ns (CLOCK_MONOTONIC) and down width_ns later."""
 
 _NUMPY = {"u64": "<u8", "i64": "<i8", "f64": "<f8", "text": "S64"}

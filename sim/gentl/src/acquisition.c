@@ -144,6 +144,7 @@ void stop_camera(Device *device) {
         device->memory[i].bytes = NULL;
         device->memory[i].capacity = 0;
     }
+    free_tables(device);
     close(device->wake);
     STORE(state->acquiring, 0);
     STORE(state->armed, 0);

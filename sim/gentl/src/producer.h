@@ -24,11 +24,16 @@ typedef enum { SYSTEM = 0x46470001, INTERFACE, DEVICE, PORT, STREAM, BUFFER } Ki
 
 enum { TRIGGER_ACQUISITION, TRIGGER_BURST, TRIGGER_FRAME, TRIGGERS };
 enum { SOURCE_SOFTWARE, SOURCE_LINE0, SOURCE_LINE1, SOURCE_LINE2, LINES = 3 };
+enum { AUTO_OFF, AUTO_ONCE, AUTO_CONTINUOUS };
 enum { EDGE_RISING, EDGE_FALLING, EDGE_ANY };
+
+typedef struct { double scale[3], black, gamma; } Response;  /* of the channels to light */
 
 typedef struct {  /* an exposed picture on its way to the host */
     uint8_t *bytes;
     size_t capacity, image_bytes, filled;
+    int64_t exposure_ns;
+    double mean[3];  /* of the light, 0 to 1 */
     uint32_t width, height, x, y, format;
     uint64_t frame_id, timestamp, session;
     int64_t due_ns;
@@ -69,7 +74,7 @@ typedef struct Device {
     Image *image;
     size_t image_bytes;
     int fd;
-    ino_t inode;
+    ino_t inode, socket_inode;
     Stream stream;
     /* while open: */
     bool open;
@@ -82,6 +87,8 @@ typedef struct Device {
     int edges;
     Frame memory[MEMORY_FRAMES];
     int first, inside;
+    Response response;  /* that the tables are made for */
+    uint16_t *table[3]; /* 16 bits in, 16 bits out, for each channel */
     uint64_t session, frame_id;
     int64_t busy_until_ns, next_free_ns;
     int64_t frames_to_go, burst_to_go;  /* -1: no end */
@@ -113,6 +120,9 @@ bool taken_elsewhere(const Device *device);
 uint32_t get32(const Device *device, uint32_t address);
 uint64_t get64(const Device *device, uint32_t address);
 double get_double(const Device *device, uint32_t address);
+void set32(Device *device, uint32_t address, uint32_t value);
+void set_double(Device *device, uint32_t address, double value);
+void set_exposure(Device *device, double exposure_us);
 void power_on(Device *device);
 void refresh(Device *device);
 GC_ERROR write_register(Device *device, uint64_t address, const void *value, size_t size);
@@ -120,7 +130,13 @@ GC_ERROR write_register(Device *device, uint64_t address, const void *value, siz
 /* sensor.c */
 size_t image_bytes(uint32_t format, uint32_t width, uint32_t height);
 bool format_exists(uint32_t format, uint64_t filter);
-void take_picture(Device *device, Frame *frame, uint64_t wanted);
+void take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted);
+
+/* response.c */
+Response response_of(const Device *device, int64_t exposure_ns);
+uint16_t *const *response_tables(Device *device, const Response *response);
+void free_tables(Device *device);
+void follow_light(Device *device, const double mean[3]);
 
 /* acquisition.c */
 GC_ERROR start_camera(Device *device);

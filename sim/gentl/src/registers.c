@@ -23,7 +23,7 @@ double get_double(const Device *device, uint32_t address) {
     return value;
 }
 
-static void set32(Device *device, uint32_t address, uint32_t value) {
+void set32(Device *device, uint32_t address, uint32_t value) {
     memcpy(device->state->registers + address, &value, sizeof value);
 }
 
@@ -31,7 +31,7 @@ static void set64(Device *device, uint32_t address, uint64_t value) {
     memcpy(device->state->registers + address, &value, sizeof value);
 }
 
-static void set_double(Device *device, uint32_t address, double value) {
+void set_double(Device *device, uint32_t address, double value) {
     memcpy(device->state->registers + address, &value, sizeof value);
 }
 
@@ -60,6 +60,11 @@ static void follow(Device *device) {
     STORE(device->state->exposure_ns, (uint64_t)llround(get_double(device, R_ExposureTime) * 1e3));
 }
 
+void set_exposure(Device *device, double exposure_us) {
+    set_double(device, R_ExposureTime, whole_steps_us(device, exposure_us));
+    follow(device);
+}
+
 void power_on(Device *device) {
     const State *state = device->state;
     memset(device->state->registers, 0, R_END);
@@ -81,8 +86,17 @@ void power_on(Device *device) {
     set_double(device, R_AcquisitionFrameRate, 30);
     set_double(device, R_ExposureTime, whole_steps_us(device, 5000));
     set_double(device, R_Gamma, 1);
+    for (uint32_t c = 0; c < 3; c++) set_double(device, R_BalanceRatio + 8 * c, 1);
     set32(device, R_TriggerSelector, TRIGGER_FRAME);
     set64(device, R_GevTimestampTickFrequency, 1000000000u / OLD_TICK_NS);
+    if (state->automatic) {
+        set32(device, R_ExposureAuto, AUTO_CONTINUOUS);
+        set32(device, R_GainAuto, AUTO_CONTINUOUS);
+        set32(device, R_BalanceWhiteAuto, AUTO_CONTINUOUS);
+        set32(device, R_GammaEnable, 1);
+        set_double(device, R_Gamma, 0.45);
+        set32(device, R_AcquisitionFrameRateEnable, 1);
+    }
     follow(device);
     STORE(device->state->registers_power_cycle, LOAD(state->power_cycles));
 }
@@ -113,6 +127,7 @@ static bool is_valid(const Device *device, uint64_t address, uint32_t value) {
         case R_PixelFormat: return format_exists(value, device->state->filter);
         case R_TriggerSelector: return value < TRIGGERS;
         case R_LineSelector: return value < LINES;
+        case R_BalanceRatioSelector: return value < 3;
         case R_ChunkSelector: return value < CHUNKS;
     }
     return true;
@@ -127,8 +142,7 @@ static void act(Device *device, uint64_t address) {
     }
     for (int trigger = 0; trigger < TRIGGERS; trigger++)
         if (address == R_TriggerSoftware + 4 * (uint64_t)trigger) software_trigger(device, trigger);
-    if (address == R_ExposureTime)
-        set_double(device, R_ExposureTime, whole_steps_us(device, get_double(device, R_ExposureTime)));
+    if (address == R_ExposureTime) set_exposure(device, get_double(device, R_ExposureTime));
     if (address == R_Gain) set_double(device, R_Gain, round(get_double(device, R_Gain) * 10) / 10);
 }
 

@@ -126,6 +126,7 @@ void close_stream(Stream *stream) {
     stream->open = stream->grabbing = stream->event = stream->killed = false;
     while (stream->announced.count) discard(remove_at(&stream->announced, 0));
     stream->input.count = stream->output.count = 0;
+    pthread_cond_broadcast(&stream->arrived);
     pthread_mutex_unlock(&stream->lock);
 }
 

@@ -105,26 +105,25 @@ static void expose_frame(Device *device, int64_t start_ns, int64_t exposure_ns, 
     if (device->burst_to_go > 0) device->burst_to_go--;
     int64_t readout_ns = (int64_t)state->readout_ns;
     device->busy_until_ns = start_ns + longest(longest(exposure_ns, readout_ns), period_ns(device));
-    if (device->inside == MEMORY_FRAMES) {
+    uint64_t frame_id = device->frame_id++;
+    Frame *frame = &device->memory[(device->first + device->inside) % MEMORY_FRAMES];
+    if (device->inside == MEMORY_FRAMES || !describe(device, frame)) {
         COUNT(state->overrun);
-        device->frame_id++;
+        if (device->frames_to_go == 0) STORE(state->acquiring, 0);
         return;
     }
-    Frame *frame = &device->memory[(device->first + device->inside) % MEMORY_FRAMES];
     int64_t device_ns = device_clock_ns(state, start_ns);
     frame->timestamp = (uint64_t)(state->variant ? device_ns / OLD_TICK_NS : device_ns);
-    frame->frame_id = device->frame_id++;
+    frame->frame_id = frame_id;
     frame->session = device->session;
     frame->due_ns = LOAD(state->real_time) ? start_ns + exposure_ns + readout_ns : start_ns;
-    if (!describe(device, frame)) {
-        COUNT(state->overrun);
-        return;
-    }
     add_chunks(device, frame, (double)exposure_ns / 1e3);
     STORE(state->inside, (uint64_t)++device->inside);
+    Response response = response_of(device, exposure_ns);
     pthread_mutex_unlock(&device->lock); /* only this thread touches the memory; register access need not wait */
-    take_picture(device, frame, picture);
+    take_picture(device, frame, &response, picture);
     pthread_mutex_lock(&device->lock);
+    follow_light(device, frame->mean);
     if (device->frames_to_go == 0) STORE(state->acquiring, 0);
 }
 

@@ -76,7 +76,8 @@ bool taken_elsewhere(const Device *device) {
     return !fcntl(device->fd, F_OFD_GETLK, &lock) && lock.l_type != F_UNLCK;
 }
 
-static int bind_cable(const Device *device) {
+static int bind_cable(Device *device) {
+    struct stat file;
     struct sockaddr_un address;
     memset(&address, 0, sizeof address);
     address.sun_family = AF_UNIX;
@@ -87,6 +88,7 @@ static int bind_cable(const Device *device) {
         close(cable);
         return -1;
     }
+    device->socket_inode = cable >= 0 && !stat(address.sun_path, &file) ? file.st_ino : 0;
     return cable;
 }
 
@@ -127,10 +129,12 @@ GC_ERROR take(Device *device) {
 
 void release(Device *device) {
     char path[512];
+    struct stat file;
     struct flock lock = whole_file(F_UNLCK);
     if (device->socket >= 0) {
         close(device->socket);
-        if (path_of(device, "sock", path, sizeof path)) unlink(path);
+        bool ours = path_of(device, "sock", path, sizeof path) && !stat(path, &file) && file.st_ino == device->socket_inode;
+        if (ours) unlink(path); /* a new camera of the same number may have its own there */
     }
     if (device->image) munmap(device->image, device->image_bytes);
     device->socket = -1;
