@@ -98,6 +98,7 @@ class GenicamCamera:
         """Begin to accept triggers."""
         now = self._now()
         now.numbers.start()
+        now.timing.follow(time.monotonic_ns())
         now.connection.start()
         self._known_before, self._lost_in_run = self._unexplained(now), 0
         self._acquiring = True

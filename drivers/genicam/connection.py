@@ -127,7 +127,7 @@ class Connection:
         except (gentl.InvalidAddressException, gentl.NotImplementedException, gentl.InvalidParameterException):
             return
         except gentl.GenericException as error:
-            raise DeviceLost(f"the camera does not answer any more: {error}") from error
+            raise DeviceLost(f"the camera is gone (asking whether it is there): {error}") from error
 
     def stop(self) -> None:
         """Stop accepting triggers; pictures not fetched are dropped."""
