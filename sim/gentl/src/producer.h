@@ -75,9 +75,10 @@ typedef struct Device {
     size_t image_bytes;
     int fd;
     ino_t inode, socket_inode;
+    bool listed;
     Stream stream;
     /* while open: */
-    bool open;
+    bool open, held;  /* held: the lock is ours, until the camera is closed or gone */
     uint64_t power_cycle;
     int socket, wake;
     pthread_t thread;
@@ -113,6 +114,7 @@ int64_t device_clock_ns(const State *state, int64_t t_ns);
 void scan(Device *devices);
 void forget(Device *device);
 GC_ERROR take(Device *device);
+void let_go(Device *device);
 void release(Device *device);
 bool taken_elsewhere(const Device *device);
 

@@ -114,7 +114,7 @@ static void expose_frame(Device *device, int64_t start_ns, int64_t exposure_ns, 
     }
     int64_t device_ns = device_clock_ns(state, start_ns);
     frame->timestamp = (uint64_t)(state->variant ? device_ns / OLD_TICK_NS : device_ns);
-    frame->frame_id = frame_id;
+    frame->frame_id = state->variant ? 1 + frame_id % 65535 : frame_id; /* GigE Vision 1: 16 bits, never 0 */
     frame->session = device->session;
     frame->due_ns = LOAD(state->real_time) ? start_ns + exposure_ns + readout_ns : start_ns;
     add_chunks(device, frame, (double)exposure_ns / 1e3);

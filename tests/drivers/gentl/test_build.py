@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.gentl.build import BuildError, build
+from sim.gentl.build import BuildError, NoCompilerError, build
 
 
 def test_it_is_compiled_once_and_nothing_else_is_left(producer: Path, tmp_path: Path) -> None:
@@ -22,7 +22,7 @@ def test_it_is_compiled_once_and_nothing_else_is_left(producer: Path, tmp_path: 
 
 def test_without_a_compiler_the_message_tells_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(BuildError, match="tools/system-packages compiler"):
+    with pytest.raises(NoCompilerError, match="tools/system-packages compiler"):
         build(tmp_path)
 
 

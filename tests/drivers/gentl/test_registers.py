@@ -99,6 +99,18 @@ def test_settings_outlive_the_program_but_not_the_power(producer: Path, cable: C
         assert (host.get("TriggerSource"), host.get("ExposureTime"), host.get("Width")) == ("Software", 5000.0, 48)
 
 
+def test_the_factorys_settings_can_be_loaded(producer: Path, cable: Cables) -> None:
+    cable()
+    with opened(producer, "CAM0") as (host,):
+        host.trigger_on("Line2")
+        host.set(DeviceUserID="left", ExposureTime=777.0)
+        host.nodes.UserSetLoad.execute()
+        assert (host.get("TriggerMode"), host.get("ExposureTime"), host.get("DeviceUserID")) == ("Off", 5000.0, "left")
+        host.start()
+        with pytest.raises(Exception, match="UserSetLoad"):
+            host.nodes.UserSetLoad.execute()
+
+
 def test_the_clock_can_be_latched(producer: Path, cable: Cables) -> None:
     camera = cable()
     camera.set_clock(offset_ns=10**15, drift_ppm=500.0)
@@ -139,6 +151,20 @@ def test_the_old_model_has_the_old_names_and_a_clock_in_ticks(producer: Path, ca
         assert camera.pulse(t_ns)
         (shot,) = host.shots(1)
         assert (shot.frame_id, shot.timestamp) == (1, camera.device_ns(t_ns) // 8)
+
+
+def test_the_old_models_frame_numbers_have_16_bits_and_no_zero(producer: Path, cable: Cables) -> None:
+    camera = cable(old=True, size=(16, 4))
+    with opened(producer, "CAM0") as (host,):
+        host.stream.StreamBufferHandlingMode.value = "NewestOnly"
+        host.trigger_on()
+        host.start()
+        for number in range(1, 65538):
+            assert camera.pulse()
+            if number in (65535, 65536, 65537):
+                assert camera.wait_idle(WAIT_S)
+                assert host.shots(1)[0].frame_id == (number if number < 65536 else number - 65535)
+        assert camera.state().delivered == 65537
 
 
 @pytest.mark.parametrize(

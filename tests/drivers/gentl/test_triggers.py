@@ -205,6 +205,20 @@ def test_another_trigger_left_on_blocks_the_frames_until_it_comes(producer: Path
         assert (state.granted, state.exposed, state.ignored) == (3, 3, 4)
 
 
+def test_a_burst_trigger_alone_gives_so_many_frames(producer: Path, cable: Cables) -> None:
+    camera = cable(readout_us=100.0)
+    with opened(producer, "CAM0") as (host,):
+        host.trigger_on("Line1", selector="FrameBurstStart")
+        host.set(AcquisitionBurstFrameCount=3, ExposureTime=100.0)
+        host.start()
+        for burst in range(2):
+            pulsed(camera)
+            assert [shot.frame_id for shot in host.shots(3)] == [3 * burst + k for k in range(3)]
+            assert camera.wait_idle(WAIT_S)
+            assert host.nothing_comes()
+        assert camera.state().granted == 2
+
+
 def test_software_triggers_work_with_each_selector(producer: Path, cable: Cables) -> None:
     camera = cable()
     with opened(producer, "CAM0") as (host,):
