@@ -20,7 +20,10 @@ from sim.gentl.pictures import Picture, Pictures
 
 Filter = Literal["mono", "RG", "GR", "GB", "BG"]
 _FLOCK = "hhqqi4x"
+_WAKE = struct.pack("<Q", memory.WAKE_MAGIC)
+"""No pulse, but the camera's process looks at its state at once."""
 _POLL_S = 0.00005
+_PATIENCE_S = 1.0
 
 
 class Cable:
@@ -113,30 +116,24 @@ class Cable:
             line: 0, 1 or 2; width_ns: falling edge after the rising one.
 
         Returns:
-            Whether a process has the camera open, so that it will be answered.
+            Whether a process has the camera open and took the pulse, so that it will be answered. False after a
+            second in which that process took none, or had 60 pulses of the future already.
         """
         state = self._live()
-        if not state["present"] or self._socket is None:
+        if not state["present"] or not state["owner_pid"]:
             return False
         judged = t_ns is not None or bool(state["real_time"])
         t_ns = time.monotonic_ns() if t_ns is None else t_ns
         asked = int(state["asked"]) + 1
-        message = np.array(
-            [(memory.PULSE_MAGIC, asked, t_ns, width_ns, line, self._pictures.shown, judged)], dtype=memory.PULSE_DTYPE
-        )
-        deadline = time.monotonic() + 1.0
-        while True:
-            try:
-                self._socket.sendto(message.tobytes(), str(self._paths["sock"]))
-            except (FileNotFoundError, ConnectionRefusedError):
+        pulse = (memory.PULSE_MAGIC, asked, t_ns, width_ns, line, self._pictures.shown, judged)
+        message = np.array([pulse], dtype=memory.PULSE_DTYPE).tobytes()
+        deadline = time.monotonic() + _PATIENCE_S
+        while asked - int(state["answered"]) > memory.MAX_PENDING or not self._send(message):
+            if not self._holder() or time.monotonic() > deadline:
                 return False
-            except BlockingIOError:
-                if time.monotonic() > deadline:
-                    return False  # the process has stopped listening
-                time.sleep(_POLL_S)
-                continue
-            state["asked"] = asked
-            return True
+            time.sleep(_POLL_S)
+        state["asked"] = asked
+        return True
 
     def drop(self, count: int = 1) -> None:
         """Lose the next frames on the cable: each leaves a gap in the frame numbers."""
@@ -153,7 +150,7 @@ class Cable:
     def unplug(self) -> None:
         """Pull the plug: register access fails with an input/output error, the camera leaves the list."""
         self._live()["present"] = 0
-        self._wake()
+        self._send(_WAKE)
 
     def plug(self) -> None:
         """Plug in again: a new power-on, with registers at their defaults and the clock at 0."""
@@ -163,7 +160,7 @@ class Cable:
         state["power_cycles"] = int(state["power_cycles"]) + 1
         self._write_clock(offset_ns=0, drift_ppb=int(state["clock_drift_ppb"]))
         state["present"] = 1
-        self._wake()
+        self._send(_WAKE)
 
     def set_temperature(self, celsius: float) -> None:
         """What the camera's thermometer shows."""
@@ -233,12 +230,14 @@ class Cable:
         state = self._live()
         state[asked] = max(int(state[asked]), int(state[done])) + count
 
-    def _wake(self) -> None:
-        if self._socket is not None:
-            try:
-                self._socket.sendto(struct.pack("<Q", memory.WAKE_MAGIC), str(self._paths["sock"]))
-            except OSError:
-                return  # nobody has the camera open, or it is awake already
+    def _send(self, message: bytes) -> bool:
+        """Whether the camera's process got it; its queue is short."""
+        assert self._socket is not None  # noqa: S101 - for the types; _live has seen to it
+        try:
+            self._socket.sendto(message, str(self._paths["sock"]))
+        except (FileNotFoundError, ConnectionRefusedError, BlockingIOError):
+            return False
+        return True
 
     def _write_clock(self, *, offset_ns: int, drift_ppb: int) -> None:
         state = self._live()

@@ -18,6 +18,8 @@ SLOTS = 4
 """Pictures kept: the world may be this many minus one ahead of the camera's process."""
 SLOT_HEADER = 64
 MAX_CAMERAS = 8
+MAX_PENDING = 60
+"""Pulses that may lie in the future; the camera has room for a few more."""
 PULSE_MAGIC = 0x3145_534C_5550_4746
 WAKE_MAGIC = 0x3150_554B_4157_4746
 FILTERS = "mono", "RG", "GR", "GB", "BG"

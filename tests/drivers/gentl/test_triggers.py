@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.gentl.cable import Cable, CableState
+from sim.gentl.memory import MAX_PENDING
 from tests.drivers.gentl.host import WAIT_S, Host, opened
 
 MS = 1_000_000
@@ -111,6 +112,20 @@ def test_a_pulse_may_be_given_ahead_of_its_time(producer: Path, cable: Cables) -
         (shot,) = host.shots(1)
         assert time.monotonic_ns() >= t_ns
         assert shot.timestamp == camera.device_ns(t_ns)
+
+
+def test_pulses_of_the_future_are_limited(producer: Path, cable: Cables) -> None:
+    camera = cable(real_time=True)
+    with opened(producer, "CAM0") as (host,):
+        host.trigger_on()
+        host.start()
+        later_ns = time.monotonic_ns() + 3600 * 10**9
+        given = 0
+        while camera.pulse(later_ns + given):
+            given += 1
+            assert given <= MAX_PENDING
+        assert given == MAX_PENDING
+    assert camera.state().exposed == 0
 
 
 def test_the_frame_rate_limit_eats_pulses(producer: Path, cable: Cables) -> None:
