@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.gentl.build import BuildError, build
+from sim.gentl.build import NoCompilerError, build
 from sim.gentl.cable import Cable
 
 WIDTH, HEIGHT = 48, 32
@@ -35,7 +35,7 @@ def producer() -> Path:
         _missing(f"genicam cannot be imported: {error}")
     try:
         return build()
-    except BuildError as error:
+    except NoCompilerError as error:
         _missing(str(error))
         raise
 

@@ -98,7 +98,7 @@ class Host:
             return Shot(
                 module.frame_id,
                 module.timestamp,
-                bytes(module.raw_buffer)[: module.size_filled],
+                memoryview(module.raw_buffer)[: module.size_filled].tobytes(),  # "bytes" that change when queued again
                 (module.width, module.height),
                 (module.offset_x, module.offset_y),
                 {name: getattr(self.nodes, f"Chunk{name}").value for name in CHUNKS} if has_chunks else {},

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.gentl.cable import Cable, CableState
+from sim.gentl.memory import MAX_PENDING
 from tests.drivers.gentl.host import WAIT_S, Host, opened
 
 MS = 1_000_000
@@ -113,6 +114,20 @@ def test_a_pulse_may_be_given_ahead_of_its_time(producer: Path, cable: Cables) -
         assert shot.timestamp == camera.device_ns(t_ns)
 
 
+def test_pulses_of_the_future_are_limited(producer: Path, cable: Cables) -> None:
+    camera = cable(real_time=True)
+    with opened(producer, "CAM0") as (host,):
+        host.trigger_on()
+        host.start()
+        later_ns = time.monotonic_ns() + 3600 * 10**9
+        given = 0
+        while camera.pulse(later_ns + given):
+            given += 1
+            assert given <= MAX_PENDING
+        assert given == MAX_PENDING
+    assert camera.state().exposed == 0
+
+
 def test_the_frame_rate_limit_eats_pulses(producer: Path, cable: Cables) -> None:
     camera = cable()
     with opened(producer, "CAM0") as (host,):
@@ -203,6 +218,20 @@ def test_another_trigger_left_on_blocks_the_frames_until_it_comes(producer: Path
             pulsed(camera, line=line)
         state = camera.state()
         assert (state.granted, state.exposed, state.ignored) == (3, 3, 4)
+
+
+def test_a_burst_trigger_alone_gives_so_many_frames(producer: Path, cable: Cables) -> None:
+    camera = cable(readout_us=100.0)
+    with opened(producer, "CAM0") as (host,):
+        host.trigger_on("Line1", selector="FrameBurstStart")
+        host.set(AcquisitionBurstFrameCount=3, ExposureTime=100.0)
+        host.start()
+        for burst in range(2):
+            pulsed(camera)
+            assert [shot.frame_id for shot in host.shots(3)] == [3 * burst + k for k in range(3)]
+            assert camera.wait_idle(WAIT_S)
+            assert host.nothing_comes()
+        assert camera.state().granted == 2
 
 
 def test_software_triggers_work_with_each_selector(producer: Path, cable: Cables) -> None:
