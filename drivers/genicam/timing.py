@@ -69,12 +69,17 @@ class Timing:
             self._ask_camera()
         t_ns = self.clock.to_host_ns(device_ns)
         if self._can_latch and not t_host_ns - _OLD_NS < t_ns < t_host_ns + _SOON_NS:
-            self._strange += 1
-            if self._strange >= _DISTRUST_AFTER:
-                self._can_latch, self.clock = False, DeviceClock()
+            self._distrust()
+            t_ns = t_host_ns - round(exposure_us * 1000)
         else:
             self._strange = 0
         return Exposure(device_ns, min(t_ns, t_host_ns))
+
+    def _distrust(self) -> None:
+        """Some cameras stamp pictures by another clock than the one that they show when asked."""
+        self._strange += 1
+        if self._strange >= _DISTRUST_AFTER:
+            self._can_latch, self.clock = False, DeviceClock()
 
     def _ask_camera(self) -> None:
         for _ in range(1 if self.clock.latched else _FIRST_LATCHES):

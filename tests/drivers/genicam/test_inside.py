@@ -180,3 +180,49 @@ def test_opening_and_closing_does_not_grow(program: Program) -> None:
         print("kB a cycle:", (sizes[-1] - sizes[9]) / 20)
         assert sizes[-1] - sizes[9] < 20 * 100, sizes
     """)
+
+
+@pytest.mark.parametrize("ahead_s", [-3600, 3600])
+def test_a_clock_that_is_not_the_one_of_the_stamps_is_found_out(program: Program, ahead_s: int) -> None:
+    program(f"""
+        from types import SimpleNamespace
+        from drivers.genicam.timing import Timing
+
+        class Features:
+            def find(self, name):
+                return None if name == "TimestampTickFrequency" else self
+            def execute(self, name):
+                self.latched = time.monotonic_ns() + {ahead_s} * 10**9
+            def read(self, name):
+                return self.latched if name == "TimestampLatchValue" else None
+
+        timing = Timing(Features())
+        timing.follow(time.monotonic_ns())
+        for k in range(12):
+            now = time.time_ns()
+            found = timing.exposure(SimpleNamespace(timestamp_ns=time.monotonic_ns()), now, 100.0)
+            timing.follow(time.monotonic_ns())
+            assert abs(found.t_ns - now) < 50_000_000, (k, found.t_ns - now)
+        assert not timing.latches
+        assert timing.clock.ready and not timing.clock.latched
+    """)
+
+
+def test_a_camera_without_stamps_or_with_noughts_for_them_is_timed_by_arrival(program: Program) -> None:
+    program("""
+        from types import SimpleNamespace
+        from drivers.genicam.timing import Timing
+
+        class Features:
+            def find(self, name):
+                return None
+            def read(self, name):
+                return None
+
+        timing = Timing(Features())
+        assert not timing.latches
+        for buffer in (SimpleNamespace(timestamp_ns=0, timestamp=0), SimpleNamespace(timestamp_ns=0, timestamp=0)):
+            found = timing.exposure(buffer, 10**18, 250.0)
+            assert (found.t_device_ns, found.t_ns) == (None, 10**18 - 250_000)
+        assert timing.without_stamp == 2
+    """)

@@ -22,7 +22,8 @@ class FakeCamera:
 
     Args:
         options: ``frames``, ``then`` (nothing, lost, bug, exit, kill, hang, hold_lock), ``at_open`` (nothing, refused,
-            driver, hang, exit), ``encoding``, ``own_memory``: do not fill the memory that is offered.
+            driver, hang, exit), ``encoding``, ``pause_s`` before each frame, ``own_memory``: do not fill the memory that is
+            offered.
     """
 
     def __init__(self, side: Side, options: dict[str, Any]) -> None:
@@ -47,6 +48,7 @@ class FakeCamera:
                 self._do(self.options.get("then", "nothing"))
             time.sleep(timeout_s)
             return None
+        time.sleep(self.options.get("pause_s", 0.0))
         shape = (HEIGHT, WIDTH, 3) if self._encoding == "rgb8" else (HEIGHT, WIDTH)
         dtype = np.uint16 if self._encoding == "mono16" else np.uint8
         image = np.empty(shape, dtype) if self.options.get("own_memory") else self.allocate(shape, dtype)

@@ -97,23 +97,23 @@ def test_frames_arrive_whole_in_order_and_read_only(camera: Any, encoding: str, 
 
 
 def test_kept_pictures_are_never_overwritten_and_slots_come_back(camera: Any) -> None:
-    remote = camera(frames=1600)
+    remote = camera(frames=600, pause_s=0.001)
     remote.open()
     remote.start()
     kept: list[tuple[int, Any]] = []
     last = -1
-    while last < 1599:
+    while last < 599:
         frame = remote.read(1.0)
         assert frame is not None
         assert frame.trigger > last
         last = frame.trigger
         if last % 7 == 0:
             kept.append((last, frame.image[3:5]))  # a view keeps the whole slot
-            kept = kept[-2:] if last < 800 else kept[-30:]
+            kept = kept[-2:] if last < 300 else kept[-30:]
         for number, image in kept:
             assert (image == number % 251).all()
     counters = remote.health().counters
-    assert counters["shared"] > 100, "slots do not come back"
+    assert counters["shared"] > 3 * QUICK.slots, "slots do not come back"
     assert counters["copied"] > 0, "more pictures were kept than there are slots"
     remote.close()
     gc.collect()
