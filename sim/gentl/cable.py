@@ -144,8 +144,9 @@ class Cable:
         self._ask("truncate_asked", "truncated", count)
 
     def stall(self, seconds: float) -> None:
-        """Hold all frames in the camera's memory for so long; it has room for 8."""
+        """Hold all frames in the camera's memory from now on for so long, 0 to let them go; it has room for 8."""
         self._live()["stall_until_ns"] = time.monotonic_ns() + round(seconds * 1e9)
+        self._send(_WAKE)
 
     def unplug(self) -> None:
         """Pull the plug: register access fails with an input/output error, the camera leaves the list."""
