@@ -58,7 +58,9 @@ static void send_frame(Device *device, Frame *frame) {
     STORE(state->inside, (uint64_t)--device->inside);
 }
 
+/* When the next frame is to be sent; what belongs to an acquisition that has ended goes at once. */
 static int64_t due_ns(const Device *device) {
+    if (device->memory[device->first].session != device->session) return 0;
     int64_t stalled_until = (int64_t)LOAD(device->state->stall_until_ns);
     int64_t due = device->memory[device->first].due_ns;
     if (!LOAD(device->state->real_time)) due = 0;

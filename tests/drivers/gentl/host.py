@@ -9,8 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from genicam.gentl import IoException
-from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
+from tests.drivers.gentl.needs import missing
+
+try:
+    from genicam.genapi import AccessException
+    from genicam.gentl import IoException, ResourceInUseException
+    from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
+except ImportError as error:
+    missing(f"harvesters and genicam cannot be imported: {error}")
+
+__all__ = ["AccessException", "Harvester", "Host", "IoException", "ResourceInUseException", "Shot", "opened"]
 
 WAIT_S = 20.0
 CHUNKS = "Timestamp", "FrameID", "ExposureTime", "TriggersMissed"

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from genicam.genapi import AccessException
 from numpy.typing import NDArray
 
 from sim.gentl.cable import Cable
 from sim.gentl.features import PIXEL_FORMATS
 from tests.drivers.gentl.conftest import HEIGHT, WIDTH
-from tests.drivers.gentl.host import WAIT_S, Host, Shot, opened
+from tests.drivers.gentl.host import WAIT_S, AccessException, Host, Shot, opened
 
 Cables = Callable[..., Cable]
 Samples = NDArray[np.uint16]

@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from genicam.gentl import ResourceInUseException
 
 from sim.gentl.cable import Cable
 from tests.drivers.gentl.conftest import HEIGHT, WIDTH
-from tests.drivers.gentl.host import WAIT_S, opened
+from tests.drivers.gentl.host import WAIT_S, ResourceInUseException, opened
 
 Cables = Callable[..., Cable]
 REPOSITORY = Path(__file__).parents[3]
