@@ -1,0 +1,2 @@
+"""Projectors."""
+from drivers.projector.listing import outputs
