@@ -89,13 +89,17 @@ _to_window = msgspec.json.Decoder(Setup | Show | Close)
 _from_window = msgspec.json.Decoder(Opened | Failed | Shown | Beat)
 
 
-def send(sock: socket.socket, message: ToWindow | FromWindow, memfd: int | None = None) -> None:
-    """Send one packet, with a file descriptor if there is one; OSError when the other side is gone."""
+def send(sock: socket.socket, message: ToWindow | FromWindow, memfd: int | None = None, *, wait: bool = True) -> None:
+    """Send one packet, with a file descriptor if there is one.
+
+    Raises:
+        OSError: the other side is gone. BlockingIOError: it does not read, and ``wait`` is False.
+    """
     packet = msgspec.json.encode(message)
     if len(packet) > PACKET_LIMIT:
         raise ValueError(f"message of {len(packet)} bytes, at most {PACKET_LIMIT} are sent")
     if memfd is None:
-        sock.send(packet)
+        sock.send(packet, 0 if wait else socket.MSG_DONTWAIT)
     else:
         socket.send_fds(sock, [packet], [memfd])
 
@@ -119,7 +123,7 @@ def pack_pictures(pictures: list[NDArray[np.uint8]]) -> int:
     memfd = os.memfd_create("fringed-pictures", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
         for picture in pictures:
-            view = memoryview(np.ascontiguousarray(picture)).cast("B")
+            view = memoryview(np.ascontiguousarray(picture).data).cast("B")
             while view:
                 view = view[os.write(memfd, view) :]
         fcntl.fcntl(memfd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_WRITE | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)

@@ -160,7 +160,7 @@ SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 @cache
 def xrandr() -> ctypes.CDLL:
-    """libXrandr."""
+    """The library libXrandr."""
     return load("libXrandr.so.2", SIGNATURES)
 
 

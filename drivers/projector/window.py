@@ -17,7 +17,7 @@ from drivers.projector.messages import BYTES_LIMIT
 pyglet.options.shadow_window = False
 
 
-class _Window(pyglet.window.Window):
+class _Window(pyglet.window.Window):  # type: ignore[misc]  # pyglet picks the class at run time
     """No key and no window manager closes it; told when its pixels were lost."""
 
     exposed = False
@@ -47,17 +47,24 @@ class PatternWindow:
 
     def __init__(self, display: str, output: OutputFound) -> None:
         self.width, self.height = output.size
-        config = gl.Config(
+        config = gl.Config(  # type: ignore[abstract]  # pyglet puts the real one in its place at run time
             double_buffer=True,
-            **{"major_version": 3, "minor_version": 3},
-            **{"red_size": 8, "green_size": 8, "blue_size": 8, "alpha_size": 0},
-            **{"depth_size": 0, "stencil_size": 0, "sample_buffers": 0, "samples": 0},
+            major_version=3,
+            minor_version=3,
+            red_size=8,
+            green_size=8,
+            blue_size=8,
+            alpha_size=0,
+            depth_size=0,
+            stencil_size=0,
+            sample_buffers=0,
+            samples=0,
         )
         try:
             self._window = _Window(
                 self.width,
                 self.height,
-                display=pyglet.display.Display(display),
+                display=pyglet.display.Display(display),  # type: ignore[attr-defined]  # so its documentation says
                 style=pyglet.window.Window.WINDOW_STYLE_BORDERLESS,
                 caption="fringed projector",
                 visible=False,

@@ -160,7 +160,9 @@ def load(name: str, signatures: dict[str, tuple[Any, tuple[Any, ...]]]) -> ctype
     try:
         library = ctypes.CDLL(name)
     except OSError as error:
-        raise DriverError(f"the X library {name} is missing ({error}); see docs/projector.md for the packages") from None
+        raise DriverError(
+            f"the X library {name} is missing ({error}); see docs/projector.md for the packages"
+        ) from None
     for function, (result, arguments) in signatures.items():
         entry = getattr(library, function)
         entry.restype, entry.argtypes = result, arguments
@@ -169,13 +171,13 @@ def load(name: str, signatures: dict[str, tuple[Any, tuple[Any, ...]]]) -> ctype
 
 @cache
 def x11() -> ctypes.CDLL:
-    """libX11."""
+    """The library libX11."""
     return load("libX11.so.6", SIGNATURES)
 
 
 @cache
 def xext() -> ctypes.CDLL:
-    """libXext, for DPMS."""
+    """The library libXext, for DPMS."""
     return load("libXext.so.6", DPMS_SIGNATURES)
 
 
@@ -184,7 +186,6 @@ _refused: dict[int, list[str]] = {}
 REFUSED_LIMIT = 100
 
 
-@ERROR_HANDLER
 def _on_error(display: Any, event: Any) -> int:
     text = ctypes.create_string_buffer(128)
     x11().XGetErrorText(display, event.contents.error_code, text, len(text))
@@ -195,7 +196,8 @@ def _on_error(display: Any, event: Any) -> int:
     return 0
 
 
-_io_handlers: list[Any] = []
+_handlers: list[Any] = []
+"""Xlib keeps only the pointers of callbacks."""
 
 
 def catch_errors(on_lost: Callable[[], None] | None = None) -> None:
@@ -204,16 +206,11 @@ def catch_errors(on_lost: Callable[[], None] | None = None) -> None:
     Args:
         on_lost: called when a connection breaks; the process ends when it returns, Xlib knows no other way.
     """
-    x11().XSetErrorHandler(_on_error)
+    _handlers.append(ERROR_HANDLER(_on_error))
+    x11().XSetErrorHandler(_handlers[-1])
     if on_lost is not None:
-
-        @IO_ERROR_HANDLER
-        def handle(_: Any) -> int:
-            on_lost()
-            return 0
-
-        _io_handlers.append(handle)  # Xlib keeps the pointer only
-        x11().XSetIOErrorHandler(handle)
+        _handlers.append(IO_ERROR_HANDLER(lambda _: on_lost() or 0))
+        x11().XSetIOErrorHandler(_handlers[-1])
 
 
 class Connection:
