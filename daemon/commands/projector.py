@@ -175,7 +175,9 @@ def read_png(path: Path) -> NDArray[np.uint8]:
     from daemon.errors import DaemonError
 
     data = read_at_most(path, PNG_LIMIT, DaemonError)
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    # Pictures that were compressed with losses are refused: their pixels are no longer those that were meant.
+    is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
     if picture is None:
         raise DaemonError(f"{path}: not a picture that can be read; expected an 8-bit PNG")
     if picture.dtype != np.uint8 or (picture.ndim == 3 and picture.shape[2] != 3):
