@@ -158,7 +158,7 @@ def test_the_window_ends_with_its_parent(server: XServer) -> None:
 def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make) -> None:
     def left() -> tuple[int, int, int]:
         children = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
-        return len(os.listdir("/proc/self/fd")), len(children), threading.active_count()
+        return len(list(Path("/proc/self/fd").iterdir())), len(children), threading.active_count()
 
     picture, before = x.noise(server, 1), None
     for cycle in range(CYCLES):
