@@ -114,14 +114,13 @@ def hold(
     """Show the picture that ``make`` gives for the projector's size; say what becomes of it until the end."""
     info = projector.open()
     try:
-        typer.echo(f"{info.output}: {info.size[0]}x{info.size[1]} pixels at {info.refresh_hz:.3f} Hz")
-        for note in projector.notes:
-            typer.echo(f"note: {note}")
-        projector.show(make(info.size))
-        typer.echo(f"shown{_when(projector)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
-        deadline = None if seconds is None else time.monotonic() + seconds
         with suppress(KeyboardInterrupt):
-            _watch(projector, deadline)
+            typer.echo(f"{info.output}: {info.size[0]}x{info.size[1]} pixels at {info.refresh_hz:.3f} Hz")
+            for note in projector.notes:
+                typer.echo(f"note: {note}")
+            projector.show(make(info.size))
+            typer.echo(f"shown{_when(projector)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
+            _watch(projector, None if seconds is None else time.monotonic() + seconds)
     finally:
         projector.close()
 
