@@ -127,6 +127,31 @@ def test_a_window_that_is_moved_or_covered_comes_back(own_server: XServer, proje
     x.until(lambda: not shown.problem(), "all is well")
 
 
+def test_a_compositor_is_told(own_server: XServer, projector: Make) -> None:
+    with x.client(own_server) as display:
+        window = display.screen().root.create_window(0, 0, 8, 8, 0, display.screen().root_depth)
+        window.set_selection_owner(display.intern_atom("_NET_WM_CM_S0"), X.CurrentTime)
+        display.sync()
+        shown = projector(own_server)
+        shown.open()
+        assert any("compositor" in note for note in shown.notes)
+
+
+def test_the_screen_saver_waits_until_close(own_server: XServer, projector: Make) -> None:
+    def timeout_s() -> int:
+        with x.client(own_server) as display:
+            return int(display.get_screen_saver().timeout)
+
+    with x.client(own_server) as display:
+        display.set_screen_saver(600, 60, X.DefaultBlanking, X.DefaultExposures)
+        display.sync()
+    shown = projector(own_server)
+    shown.open()
+    assert timeout_s() == 0
+    shown.close()
+    assert timeout_s() == 600
+
+
 def test_hooks_run_around_the_window(server: XServer, projector: Make, tmp_path: Path) -> None:
     def note(word: str) -> list[str]:
         return [sys.executable, "-c", f"import os; open('said', 'a').write('{word} ' + os.environ['FRINGED_OUTPUT'])"]
