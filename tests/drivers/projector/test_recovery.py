@@ -110,7 +110,7 @@ def test_an_x_server_that_dies_is_told_and_used_again(own_server: XServer, proje
 
 
 def test_a_picture_wanted_while_the_server_is_gone_is_shown_later(own_server: XServer, projector: Make) -> None:
-    shown = projector(own_server, show_timeout_s=0.2)
+    shown = projector(own_server, show_timeout_s=2.0)
     opened(own_server, shown)
     own_server.kill()
     wanted = x.noise(own_server, 1, seed=5)
@@ -130,10 +130,11 @@ def test_it_closes_at_once_while_the_server_is_gone(own_server: XServer, project
     assert "closed" in shown.problem()
 
 
-def test_the_window_ends_with_its_parent(server: XServer) -> None:
+def test_the_window_ends_with_its_parent_and_puts_the_gamma_table_back(own_server: XServer) -> None:
+    server, bent = own_server, x.bend_gamma(own_server, "DUMMY1")
     code = (
         "import sys, time; from pathlib import Path; from drivers.projector import open_projector\n"
-        f"p = open_projector({{'output': 'DUMMY1', 'display': '{server.display}'}}, Path())\n"
+        f"p = open_projector({{'output': 'DUMMY1', 'gamma': 'reset', 'display': '{server.display}'}}, Path())\n"
         "p.open(); print(p.window_pid, flush=True); time.sleep(600)"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
@@ -153,6 +154,7 @@ def test_the_window_ends_with_its_parent(server: XServer) -> None:
     x.until(gone, "the window's process is gone")
     with x.client(server) as display:
         x.until(lambda: x.top_window(display) is None, "the window is gone")
+    assert np.array_equal(x.gamma(server, "DUMMY1"), bent)
 
 
 def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make) -> None:
