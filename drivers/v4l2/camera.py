@@ -175,17 +175,12 @@ class V4l2Camera:
         taken = device.set_frame_rate(wanted)
         if taken is None:
             return [f"frame_rate_hz: {wanted:g} was refused, the camera takes no frame rate"]
-        return (
-            [f"frame_rate_hz: {wanted:g} was asked, the camera took {taken:g}"]
-            if abs(taken / wanted - 1) > 1e-3
-            else []
-        )
+        exact = abs(taken / wanted - 1) < 1e-3
+        return [] if exact else [f"frame_rate_hz: {wanted:g} was asked, the camera took {taken:g}"]
 
     def _trigger_notes(self, controls: Controls) -> list[str]:
         if self.options.trigger == "software":
-            return [
-                "it runs by its own clock: pairs are simultaneous by chance only, and moving objects come out wrong"
-            ]
+            return ["trigger: software: pairs are simultaneous by chance only; whatever moves is measured wrongly"]
         if any("trigger" in name for name in self.options.controls):
             return []
         offered = [name for name in controls.found if "trigger" in name]
@@ -231,7 +226,7 @@ class V4l2Camera:
 
     def _is_open(self, doing: str) -> _Opened:
         if self._opened is None:
-            raise DeviceLost(f"{self._name}: {doing}() while it is closed; open() comes first")
+            raise DriverError(f"{self._name}: {doing}() while it is closed; open() comes first")
         return self._opened
 
     def _lost(self) -> None:

@@ -127,11 +127,10 @@ class Controls:
         if key in self.found:
             return self.found[key]
         near = difflib.get_close_matches(key, self.found, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = f"; did you mean {near[0]}?" if near else "."
         there = ", ".join(self.found) or "none"
-        raise SettingRefused(
-            f"{self._device.name}: {self._device.card} has no control {name!r}{hint} There are: {there}"
-        )
+        card = self._device.card
+        raise SettingRefused(f"{self._device.name}: {card} has no control {name!r}{hint} There are: {there}")
 
     def _set(self, control: ControlFound, number: int) -> str:
         try:

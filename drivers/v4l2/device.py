@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import os
@@ -76,10 +77,8 @@ class Device:
         """Give the descriptor back; may be called twice."""
         fd, self._fd = self._fd, None
         if fd is not None:
-            try:
+            with contextlib.suppress(OSError):  # the device is gone, and with it what there was to close
                 self.kernel.close(fd)
-            except OSError:
-                pass  # the device is gone, and with it what there was to close
 
     def check_capture(self) -> None:
         """Raise DriverError unless this is a single-planar camera with mapped buffers."""

@@ -72,7 +72,7 @@ def serial_of(node: str, *, sysfs: Path = SYSFS) -> str:
 
 def _look(kernel: Kernel, entry: Path, dev: Path) -> CameraFound | None:
     node = str(dev / entry.name)
-    path, serial = _lasting(node, dev), serial_of(node, sysfs=sysfs) if (sysfs := entry.parent) else ""
+    path, serial = _lasting(node, dev), serial_of(node, sysfs=entry.parent)
     try:
         device = Device(kernel, node, f"camera {node}")
     except DriverError as error:

@@ -85,7 +85,7 @@ def _grey(bits: int) -> Convert:
     def convert(data: Bytes, layout: Layout) -> Image:
         words = _words(data, layout)
         if bits < 16:
-            words = (words << (16 - bits)) | (words >> (2 * bits - 16))
+            words = (words << np.uint16(16 - bits)) | (words >> np.uint16(2 * bits - 16))
         return words.astype(np.uint16, copy=False)
 
     return convert
@@ -93,7 +93,8 @@ def _grey(bits: int) -> Convert:
 
 def _deep_mosaic(bits: int) -> Convert:
     def convert(data: Bytes, layout: Layout) -> Image:
-        return np.minimum(_words(data, layout) >> (bits - 8), 255).astype(np.uint8)
+        top: NDArray[np.uint16] = _words(data, layout) >> np.uint16(bits - 8)
+        return np.minimum(top, np.uint16(255)).astype(np.uint8)
 
     return convert
 

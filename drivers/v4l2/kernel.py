@@ -56,7 +56,7 @@ class LinuxKernel:
         """``ioctl(2)``, started again when a signal interrupted it."""
         while True:
             try:
-                fcntl.ioctl(fd, request, argument, True)  # type: ignore[call-overload]  # any writable buffer is taken
+                fcntl.ioctl(fd, request, argument, True)
                 return
             except InterruptedError:
                 continue

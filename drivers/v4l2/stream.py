@@ -66,8 +66,8 @@ class Stream:
         try:
             if self.granted < LEAST_BUFFERS:
                 raise DriverError(
-                    f"{device.name}: {device.path} grants {self.granted} of {wanted} buffers, {LEAST_BUFFERS} are needed;"
-                    " choose a smaller size or free memory"
+                    f"{device.name}: {device.path} grants {self.granted} of {wanted} buffers, but {LEAST_BUFFERS} are"
+                    " needed; choose a smaller size or free memory"
                 )
             self._maps.extend(self._map(index) for index in range(self.granted))
         except DriverError:

@@ -9,7 +9,7 @@ from drivers.protocols import TRIGGER_MODULUS
 
 _PLAUSIBLE_NS = 10_000_000_000
 _FUTURE_NS = 50_000_000
-_STARTS_AT_ZERO = 256
+_STARTS_AT_ZERO = 32
 """A first number below this is taken for a count that began at 0, its first frames lost."""
 
 
