@@ -76,6 +76,7 @@ def _same(channels: int, reverse: bool = False) -> Convert:
 
 
 def _words(data: Bytes, layout: Layout) -> NDArray[np.uint16]:
+    """16-bit pixels, little-endian; possibly a view into the buffer."""
     return np.ascontiguousarray(layout.rows(data, 2)).view("<u2")
 
 
@@ -84,9 +85,9 @@ def _grey(bits: int) -> Convert:
 
     def convert(data: Bytes, layout: Layout) -> Image:
         words = _words(data, layout)
-        if bits < 16:
-            words = (words << np.uint16(16 - bits)) | (words >> np.uint16(2 * bits - 16))
-        return words.astype(np.uint16, copy=False)
+        if bits == 16:
+            return words.astype(np.uint16)
+        return (words << np.uint16(16 - bits)) | (words >> np.uint16(2 * bits - 16))
 
     return convert
 

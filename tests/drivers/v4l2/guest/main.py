@@ -18,6 +18,11 @@ DRIVERS = (
 LONGEST_S = 120
 
 
+def say(result: dict[str, object]) -> None:
+    sys.stdout.write(json.dumps(result) + "\n")
+    sys.stdout.flush()
+
+
 def main() -> None:
     for driver in DRIVERS:
         subprocess.run(["modprobe", *driver.split()], check=True)
@@ -32,8 +37,8 @@ def main() -> None:
             except BaseException:  # whatever it is, the host shall read it
                 problem = traceback.format_exc()
             result = {"name": f"{name}.{test}", "problem": problem, "seconds": round(time.monotonic() - began, 2)}
-            print(json.dumps(result), flush=True)
-    print(json.dumps({"name": "end"}), flush=True)
+            say(result)
+    say({"name": "end"})
 
 
 if __name__ == "__main__":
