@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -100,11 +101,10 @@ class V4l2Camera:
         opened = self._is_open("read")
         if opened.stream is None:
             raise DriverError(f"{self._name}: read() before start()")
-        end_ns = Clocks.now().monotonic_ns + round(timeout_s * 1e9)
+        end_s = time.monotonic() + timeout_s
         while True:
-            left_s = (end_ns - Clocks.now().monotonic_ns) / 1e9
             try:
-                with opened.stream.take(max(0.0, left_s)) as taken:
+                with opened.stream.take(end_s - time.monotonic()) as taken:
                     frame = None if taken is None else self._frame(opened, taken)
             except DeviceLost:
                 self._lost()

@@ -108,6 +108,11 @@ class Device:
             raise DeviceLost(f"{self.name}: {self.path} was unplugged (while {doing}); plug it in again") from error
         if error.errno == errno.EBUSY:
             raise DriverError(f"{self.name}: {self.path} is used by another program (while {doing}); end it") from error
+        if error.errno == errno.ENOSPC:
+            raise DriverError(
+                f"{self.name}: the USB bus has not enough bandwidth left (while {doing}); plug the cameras into ports of"
+                " different controllers, or choose a smaller size, a lower frame rate or a compressed format"
+            ) from error
         raise DriverError(f"{self.name}: {self.path} failed while {doing}: {_words(error)}") from error
 
     def listed(self, number: int, make: Callable[[int], _Structure]) -> Iterator[_Structure]:

@@ -69,4 +69,4 @@ class LinuxKernel:
         """``poll(2)``; an error on the descriptor counts as something to fetch: the next request tells which."""
         poll = select.poll()
         poll.register(fd, select.POLLIN)
-        return bool(poll.poll(max(0.0, timeout_s) * 1000))
+        return bool(poll.poll(timeout_s * 1000))

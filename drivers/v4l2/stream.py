@@ -161,7 +161,7 @@ class Stream:
 
     def _wait(self, timeout_s: float) -> bool:
         try:
-            return self._device.kernel.wait(self._device.fd, timeout_s)
+            return self._device.kernel.wait(self._device.fd, max(0.0, timeout_s))
         except OSError as error:
             self._device.fail(error, "waiting for a frame")
 

@@ -258,6 +258,15 @@ def test_a_start_that_fails_leaves_nothing_behind_and_can_be_tried_again(request
     camera.start()
 
 
+def test_a_bus_without_bandwidth_is_told_with_what_helps() -> None:
+    kernel = FakeKernel()
+    camera = made(kernel)
+    camera.open()
+    kernel.errors[v.STREAMON].append(errno.ENOSPC)
+    with pytest.raises(DriverError, match="different controllers"):
+        camera.start()
+
+
 def test_a_stream_that_the_driver_gave_up_is_a_lost_camera() -> None:
     kernel = FakeKernel()
     camera = started(kernel)
