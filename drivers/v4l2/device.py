@@ -110,8 +110,8 @@ class Device:
             raise DriverError(f"{self.name}: {self.path} is used by another program (while {doing}); end it") from error
         if error.errno == errno.ENOSPC:
             raise DriverError(
-                f"{self.name}: the USB bus has not enough bandwidth left (while {doing}); plug the cameras into ports of"
-                " different controllers, or choose a smaller size, a lower frame rate or a compressed format"
+                f"{self.name}: the USB bus has not enough bandwidth left (while {doing}); plug the cameras into"
+                " ports of different controllers, or choose a smaller size, a lower frame rate or a compressed format"
             ) from error
         raise DriverError(f"{self.name}: {self.path} failed while {doing}: {_words(error)}") from error
 
