@@ -1,0 +1,53 @@
+"""``fringed doctor``: what is wrong with this machine and this rig, and how to mend it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from daemon.doctor.finding import Finding
+
+
+def main(
+    rig: Annotated[Path | None, typer.Argument(metavar="RIG.yaml", help="The rig; without it the machine.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print plain JSON.")] = False,
+    only: Annotated[list[str] | None, typer.Option(metavar="AREA", help="Look at this area alone; repeatable.")] = None,
+) -> None:
+    """Look at everything that a rig needs; exit status 1 when something is a problem.
+
+    Each finding is ok, a note (-), a warning or a PROBLEM; what mends it stands below it.
+    """
+    import json
+
+    from daemon.doctor import examine, report
+    from daemon.doctor.areas import AREAS
+    from daemon.doctor.finding import exit_code
+
+    unknown = sorted(set(only or ()) - {check.area for check in AREAS})
+    if unknown:
+        raise typer.BadParameter(f"no area {', '.join(unknown)}; there are: {', '.join(c.area for c in AREAS)}")
+    checks = [check for check in AREAS if not only or check.area in only]
+    findings = examine.examine(rig, checks=checks, on_area=_quiet if as_json else _print)
+    if as_json:
+        typer.echo(json.dumps(report.as_json(findings, rig), indent=2))
+    else:
+        typer.echo(report.verdict(findings))
+    if exit_code(findings):
+        raise typer.Exit(1)
+
+
+def _quiet(_: list[Finding]) -> None:
+    """JSON comes whole in the end."""
+
+
+def _print(findings: list[Finding]) -> None:
+    from daemon.doctor import report
+
+    for line in report.lines(findings):
+        area, mark, text = report.laid_out(line)
+        level = line[2]
+        body = typer.style(text, fg="bright_black") if level == "note" else text
+        typer.echo(typer.style(area, bold=True) + typer.style(mark, fg=report.COLOURS[level]) + body)

@@ -1,0 +1,58 @@
+"""Ask another program, with a limit to how long and how much it may talk."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+MAX_BYTES = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What it said. ``status`` is None where it took too long, negative where a signal ended it."""
+
+    status: int | None
+    out: str = ""
+    err: str = ""
+
+    @property
+    def why(self) -> str:
+        """Why there is no good answer, in a few words."""
+        if self.status is None:
+            return "it does not come to an end"
+        if self.status < 0:
+            return f"it is ended by {signal.Signals(-self.status).name}"
+        last = self.err.splitlines()[-1:] or self.out.splitlines()[-1:]
+        return last[0][:400] if last else f"exit status {self.status}"
+
+
+def there(program: str) -> bool:
+    """Whether a program is installed."""
+    return shutil.which(program) is not None
+
+
+def ask(command: Sequence[str], timeout_s: float, environ: Mapping[str, str] | None = None) -> Answer:
+    """Run a program without a shell; OSError where it cannot be started."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        try:
+            status: int | None = subprocess.run(  # fixed programs, no shell
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                timeout=timeout_s,
+                env=environ,
+                check=False,
+            ).returncode
+        except subprocess.TimeoutExpired:
+            status = None
+        texts = []
+        for file in (out, err):
+            file.seek(0)
+            texts.append(file.read(MAX_BYTES).decode(errors="replace").strip())
+    return Answer(status, *texts)

@@ -1,0 +1,88 @@
+"""The rig.yaml itself: every mistake in it, those in the drivers' options too."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from daemon.config.load import load_rig
+from daemon.config.models import RigConfig
+from daemon.config.source import read_yaml
+from daemon.doctor.finding import Area, Finding
+from daemon.doctor.subject import Subject, options_parser
+from daemon.errors import ConfigError
+from drivers.protocols import SIDES
+
+area = Area("rig")
+
+
+def read_leniently(path: Path) -> tuple[RigConfig | None, list[str]]:
+    """The rig as far as it can be understood, and every mistake.
+
+    A file that is named and not there, say, is a mistake, but no reason not to look at the cameras.
+    """
+    try:
+        return load_rig(path), []
+    except ConfigError as error:
+        problems = error.problems
+    except OSError as error:
+        return None, [f"{path}: {error.strerror or error}"]
+    try:
+        source = read_yaml(path.read_text(encoding="utf-8"))
+        return RigConfig.model_validate_json(json.dumps(source.data)), problems
+    except (ValidationError, ValueError, OSError):
+        return None, problems
+
+
+def check(subject: Subject) -> Iterator[Finding]:
+    """Tell the mistakes, or what rig it is."""
+    if subject.path is None:
+        return
+    _, problems = read_leniently(subject.path)
+    for text in problems:
+        yield area.problem("file", text, f"change that line of {subject.path.name}; see: fringed check {subject.path}")
+    config = subject.config
+    if config is None:
+        yield area.note("file", "the rest is looked at as if there were no rig.yaml")
+        return
+    wrong = list(option_problems(subject))
+    for text in wrong:
+        yield area.problem("options", text, f"change that option in {subject.path.name}")
+    if not problems and not wrong:
+        names = [f"cameras by {config.cameras.driver}"]
+        names += [f"projector by {config.projector.driver}"] if config.projector is not None else []
+        yield area.ok("file", f"{config.device.name}: {', '.join(names)}")
+
+
+def option_problems(subject: Subject) -> Iterator[str]:
+    """What the drivers say of their options."""
+    config = subject.config
+    if config is None:
+        return
+    if config.cameras.driver in ("genicam", "v4l2"):
+        parse = options_parser(config.cameras.driver)
+        for side in SIDES:
+            try:
+                parse(side, subject.options(side))
+            except ValueError as error:
+                yield str(error)
+    if config.cameras.driver == "sim":
+        from sim.options import from_mapping
+
+        try:
+            from_mapping(dict(config.simulation), subject.base_dir)
+        except (ValueError, TypeError) as error:
+            yield str(error)
+    if config.projector is not None and config.projector.driver in ("x11", "external"):
+        from drivers.projector.options import ExternalOptions, ProjectorOptions, read
+
+        try:
+            if config.projector.driver == "x11":
+                read(ProjectorOptions, config.projector.options)
+            else:
+                read(ExternalOptions, config.projector.options)
+        except ValueError as error:
+            yield str(error)

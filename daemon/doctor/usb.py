@@ -1,0 +1,60 @@
+"""USB3 Vision cameras: memory that the kernel lends them, and the speed of the socket they are plugged into."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from daemon.doctor import transport
+from daemon.doctor.finding import Area, Finding
+from daemon.doctor.subject import Subject
+
+area = Area("usb")
+
+MEMORY = "/sys/module/usbcore/parameters/usbfs_memory_mb"
+_RECOMMENDED_MB = 1000
+_SUPER_SPEED = 5000
+
+
+def check(subject: Subject) -> Iterator[Finding]:
+    """Memory, then every USB3 Vision camera on the bus."""
+    found = devices(subject)
+    used = transport.wanted(subject, "U3V")
+    if not found and used is False:
+        yield area.note("cameras", "no USB3 Vision camera is seen")
+        return
+    yield memory(subject, certain=bool(found) or used is True or subject.uses("genicam"))
+    for device in found:
+        speed = subject.machine.number(device / "speed")
+        name = subject.machine.text(device / "product") or device.name
+        if speed is not None and speed < _SUPER_SPEED:
+            text = f"{name} runs at {speed} Mbit/s, USB3 Vision needs {_SUPER_SPEED}"
+            yield area.warning("speed", text, "use a USB 3 socket of the PC itself and a USB 3 cable")
+        elif speed is not None:
+            yield area.ok("speed", f"{name} runs at {speed} Mbit/s")
+
+
+def devices(subject: Subject) -> list[Path]:
+    """The directories of USB3 Vision devices (class EF, subclass 05) below /sys/bus/usb/devices."""
+    found: dict[Path, None] = {}
+    for interface in subject.machine.entries("/sys/bus/usb/devices/*:*"):
+        kind = [subject.machine.text(interface / f"bInterface{part}").lower() for part in ("Class", "SubClass")]
+        if kind == ["ef", "05"]:
+            found[interface.parent / interface.name.partition(":")[0]] = None
+    return list(found)
+
+
+def memory(subject: Subject, *, certain: bool) -> Finding:
+    """The kernel's limit on memory for USB transfers, against what the buffers of both cameras take."""
+    limit = subject.machine.number(MEMORY)
+    if limit is None:
+        return area.note("memory", "the kernel tells no limit on memory for USB transfers (no USB here?)")
+    frames, buffers = transport.frame_bytes(subject), [camera.buffers for camera in subject.cameras.values()]
+    need = sum(size * count for size, count in zip(frames, buffers, strict=False)) / 1e6
+    if limit == 0 or limit >= max(need, 1 if need else _RECOMMENDED_MB):
+        return area.ok("memory", f"usbfs_memory_mb is {limit or 'without limit'}")
+    wanted = max(_RECOMMENDED_MB, round(need * 1.25))
+    said = f"the buffers of both cameras take {need:.0f}" if need else f"two cameras need about {_RECOMMENDED_MB}"
+    remedy = f"echo {wanted} | sudo tee {MEMORY}; for good: usbcore.usbfs_memory_mb={wanted} on the kernel command line"
+    text = f"usbfs_memory_mb is {limit}, {said}: USB3 Vision cameras would lose frames"
+    return area.warning("memory", text, remedy) if certain else area.note("memory", text, remedy)

@@ -1,0 +1,83 @@
+"""The process that runs the checks: ``python -m daemon.doctor.worker FD PARENT JOB``.
+
+Answers go to file descriptor FD, one JSON line an area; what vendors' libraries print stays out of them. A check that
+raises becomes a finding here; one that crashes or hangs takes this process with it and becomes one in
+:mod:`daemon.doctor.examine`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import msgspec
+
+from daemon.doctor.areas import Check
+from daemon.doctor.finding import Finding
+from daemon.doctor.machine import Machine
+from daemon.doctor.rig_file import read_leniently
+from daemon.doctor.subject import Subject
+from drivers.remote.spawn import die_with_parent
+
+
+class Job(msgspec.Struct, frozen=True):
+    """What to look at: the checks, the rig (empty = none), and where /proc and /sys begin."""
+
+    checks: tuple[Check, ...]
+    rig: str = ""
+    root: str = "/"
+
+
+class Done(msgspec.Struct, frozen=True):
+    """The findings of one area; the first message has no area and says that the process is ready."""
+
+    area: str = ""
+    findings: tuple[Finding, ...] = ()
+
+
+def main() -> None:
+    """Look at one area after the other."""
+    os.setpgid(0, 0)
+    die_with_parent(int(sys.argv[2]))
+    job = msgspec.json.decode(sys.argv[3], type=Job)
+    subject = make_subject(job)
+    with open(int(sys.argv[1]), "wb", buffering=0) as out:  # noqa: PTH123 - a file descriptor
+        out.write(msgspec.json.encode(Done()) + b"\n")
+        for check in job.checks:
+            out.write(msgspec.json.encode(Done(check.area, tuple(look(check, subject)))) + b"\n")
+
+
+def make_subject(job: Job) -> Subject:
+    """The machine and the rig of a job; a rig that cannot be read leaves the machine alone."""
+    machine = Machine(Path(job.root))
+    if not job.rig:
+        return Subject(machine)
+    config, _ = read_leniently(Path(job.rig))
+    return Subject(machine, Path(job.rig), config)
+
+
+def look(check: Check, subject: Subject) -> list[Finding]:
+    """The findings of one area; what it raises is one more."""
+    if subject.config is not None and check.drivers and not subject.drivers & set(check.drivers):
+        return [Finding(check.area, "not needed", "note", f"not needed with {', '.join(sorted(subject.drivers))}")]
+    if check.needs_rig and subject.path is None:
+        return [Finding(check.area, "not looked at", "note", "needs a rig.yaml")]
+    found: list[Finding] = []
+    try:
+        module, _, name = check.target.partition(":")
+        function: Callable[[Subject], Iterable[Finding]] = getattr(importlib.import_module(module), name)
+        found.extend(function(subject))
+    except Exception as error:
+        text = f"the check itself failed: {type(error).__name__}: {error}"
+        found.append(Finding(check.area, "check", "problem", text[:600], f"{_AGAIN} {check.area}"))
+    return found or [Finding(check.area, "nothing", "note", "nothing to tell")]
+
+
+_AGAIN = "mend what it names; look at it alone with: fringed doctor --only"
+
+
+if __name__ == "__main__":
+    main()
