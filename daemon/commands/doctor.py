@@ -34,6 +34,7 @@ def main(
     if as_json:
         typer.echo(json.dumps(report.as_json(findings, rig), indent=2))
     else:
+        _show(report.unseen(findings))
         typer.echo(report.verdict(findings))
     if exit_code(findings):
         raise typer.Exit(1)
@@ -44,6 +45,12 @@ def _quiet(_: list[Finding]) -> None:
 
 
 def _print(findings: list[Finding]) -> None:
+    from daemon.doctor import report
+
+    _show([finding for finding in findings if finding.name not in report.UNSEEN])
+
+
+def _show(findings: list[Finding]) -> None:
     from daemon.doctor import report
 
     for line in report.lines(findings):

@@ -38,7 +38,7 @@ def check(subject: Subject) -> Iterator[Finding]:
     yield room(directory, free_mb, keep_mb, pair_mb * rate)
     if free_mb < 64:
         return
-    yield speed(directory, measure(above, min(MAX_BYTES, int(free_mb * 1e6 / 20))), pair_mb, rate)
+    yield speed(measure(above, min(MAX_BYTES, int(free_mb * 1e6 / 20))), pair_mb, rate)
 
 
 def room(directory: Path, free_mb: float, keep_mb: float, need_mb_s: float) -> Finding:
@@ -56,7 +56,7 @@ def room(directory: Path, free_mb: float, keep_mb: float, need_mb_s: float) -> F
     return area.ok("room", text)
 
 
-def speed(directory: Path, mb_s: float, pair_mb: float, rate_hz: float) -> Finding:
+def speed(mb_s: float, pair_mb: float, rate_hz: float) -> Finding:
     """Speed against what two cameras send, without compression."""
     text = f"writes {mb_s:.0f} MB/s"
     if pair_mb <= 0 or mb_s <= 0:
@@ -85,4 +85,10 @@ def measure(directory: Path, limit: int) -> float:
 
 
 def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} minutes" if seconds < 7200 else f"{seconds / 3600:.0f} hours"
+    return (
+        f"{seconds:.0f} s"
+        if seconds < 120
+        else f"{seconds / 60:.0f} minutes"
+        if seconds < 7200
+        else f"{seconds / 3600:.0f} hours"
+    )

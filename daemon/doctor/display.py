@@ -35,7 +35,9 @@ def check(subject: Subject) -> Iterator[Finding]:
         outputs = subject.outputs
         name = named_display(subject.projector.display if certain and subject.projector is not None else "")
     except DriverError as error:
-        remedy = "start an X server and set DISPLAY (or projector.options.display) to it, such as :0; see docs/projector.md"
+        remedy = (
+            "start an X server and set DISPLAY (or projector.options.display) to it, such as :0; see docs/projector.md"
+        )
         if certain:
             yield area.problem("server", str(error), remedy)
         else:
@@ -57,20 +59,28 @@ def output_findings(outputs: list[OutputFound], options: object) -> Iterator[Fin
         yield area.problem("output", *_remedy(missing, "plug the projector in; compare with: fringed devices"))
         return
     native = getattr(options, "mode", "native") == "native"
-    wrong = unfit(output, native=native, size=getattr(options, "size", None), refresh_hz=getattr(options, "refresh_hz", None))
+    wrong = unfit(
+        output, native=native, size=getattr(options, "size", None), refresh_hz=getattr(options, "refresh_hz", None)
+    )
     if wrong:
         yield area.problem("mode", *_remedy(wrong, "choose that mode with xrandr, or correct projector.options"))
     else:
-        yield area.ok("mode", f"{shown(output)}, {'its own resolution' if output.preferred_size == output.size else 'as asked'}")
+        yield area.ok(
+            "mode", f"{shown(output)}, {'its own resolution' if output.preferred_size == output.size else 'as asked'}"
+        )
     curved = bent(output)
     if curved and getattr(options, "gamma", "check") == "check":
         yield area.problem("gamma", *_remedy(curved, "set projector.options.gamma to reset"))
     elif curved:
         yield area.note("gamma", f"the gamma table of {output.name} is not linear; it is made so while measuring")
     else:
-        yield area.ok("gamma", "the gamma table is linear" if output.gamma_identity else "the output has no gamma table")
+        yield area.ok(
+            "gamma", "the gamma table is linear" if output.gamma_identity else "the output has no gamma table"
+        )
     if not output.refresh_hz:
-        yield area.warning("refresh", "the refresh rate is unknown", "set projector.options.refresh_hz to the projector's")
+        yield area.warning(
+            "refresh", "the refresh rate is unknown", "set projector.options.refresh_hz to the projector's"
+        )
     for note in output.notes:
         yield area.note("output", note)
 
@@ -86,11 +96,15 @@ def surroundings(subject: Subject, name: str) -> Iterator[Finding]:
         yield _judged("wayland", text, 'choose an "Xorg" session at login', certain)
     if screen.compositor:
         text = "a compositing manager runs: it may show pictures a frame late"
-        yield _judged("compositor", text, "switch compositing off in the desktop's settings, or use a bare X server", certain)
+        yield _judged(
+            "compositor", text, "switch compositing off in the desktop's settings, or use a bare X server", certain
+        )
     if screen.blank_after_s or screen.dpms:
         ways = [f"the screen saver comes after {screen.blank_after_s} s"] if screen.blank_after_s else []
         ways += ["DPMS may switch monitors off"] if screen.dpms else []
-        yield area.note("saver", f"{' and '.join(ways)}; both are held off while measuring", f"DISPLAY={name} xset s off -dpms")
+        yield area.note(
+            "saver", f"{' and '.join(ways)}; both are held off while measuring", f"DISPLAY={name} xset s off -dpms"
+        )
     for program in subject.machine.programs():
         if program.name in MEDDLERS:
             text = f"{program} {MEDDLERS[program.name]}"

@@ -79,7 +79,9 @@ def _needed(data: mmap.mmap, loads: list[tuple[int, int, int]], dynamic: tuple[i
         if tag == _DT_NEEDED:
             names.append(value)
         elif tag == _DT_STRTAB:
-            table = next((value - address + offset for address, offset, size in loads if 0 <= value - address < size), 0)
+            table = next(
+                (value - address + offset for address, offset, size in loads if 0 <= value - address < size), 0
+            )
     found = []
     for name in names:
         end = data.find(b"\0", table + name, table + name + _MAX_NAME)

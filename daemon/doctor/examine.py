@@ -47,7 +47,9 @@ def examine(
         with _Worker(job) as worker:
             if worker.next(START_S) is None:
                 text = f"the checks cannot be started: {worker.end()}"
-                found.append(Finding("doctor", "start", "problem", text, "mend the installation: pip install 'fringed[rig]'"))
+                found.append(
+                    Finding("doctor", "start", "problem", text, "mend the installation: pip install 'fringed[rig]'")
+                )
                 on_area(found[-1:])
                 return found
             while pending:
@@ -77,9 +79,7 @@ class _Worker:
         self._reading, writing = os.pipe()
         try:
             arguments = [str(writing), str(os.getpid()), msgspec.json.encode(job).decode()]
-            self._process: subprocess.Popen[bytes] = spawn.start(
-                "daemon.doctor.worker", arguments, pass_fds=[writing]
-            )
+            self._process: subprocess.Popen[bytes] = spawn.start("daemon.doctor.worker", arguments, pass_fds=[writing])
         except BaseException:
             os.close(self._reading)
             raise
@@ -122,9 +122,9 @@ class _Worker:
         if self._late or self._process.poll() is None:
             with suppress(subprocess.TimeoutExpired):  # it may be just about to end by itself
                 self._process.wait(0.0 if self._late else 2.0)
-        for kill in (lambda: os.killpg(self._process.pid, signal.SIGKILL), self._process.kill):
-            with suppress(ProcessLookupError, PermissionError):
-                kill()
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)  # with whatever it has started
+        self._process.kill()
         status = self._process.wait()
         self._prints.join(1.0)
         if self._late:

@@ -64,7 +64,9 @@ def matching(
             yield area.ok(name, f"{side}: {told(found[0])}")
         else:
             text = f"{side}: {told(found[0])}, but it is {found[0].access}"
-            yield area.warning(name, text, "end the program that holds it (vendor's viewer, or a daemon: fringed status)")
+            yield area.warning(
+                name, text, "end the program that holds it (vendor's viewer, or a daemon: fringed status)"
+            )
 
 
 def pair(matched: dict[Side, CameraFound]) -> Iterator[Finding]:

@@ -75,7 +75,9 @@ def numba_layer() -> Finding:
     if not names:
         return area.problem("numba", "numba has no threading layer: nothing can be reconstructed in parallel", remedy)
     if names == ["workqueue"]:
-        return area.warning("numba", "numba has only its workqueue, which ends the process when two threads use it", remedy)
+        return area.warning(
+            "numba", "numba has only its workqueue, which ends the process when two threads use it", remedy
+        )
     version, count = numba.__version__, numba.config.NUMBA_NUM_THREADS
     asked = f" (NUMBA_THREADING_LAYER={wanted})" if wanted != "default" else ""
     return area.ok("numba", f"numba {version}: {count} threads, threading layers {', '.join(names)}{asked}")

@@ -52,7 +52,9 @@ def producer(path: Path, certain: bool) -> Finding:
     try:
         library = elf.read(path)
     except (elf.ElfError, OSError) as error:
-        return area.trouble(path.name, str(error), f"install the vendor's producer for Linux anew: {path}", certain=certain)
+        return area.trouble(
+            path.name, str(error), f"install the vendor's producer for Linux anew: {path}", certain=certain
+        )
     if not library.fits:
         text = f"{path} is made for {library.machine}, not for this machine"
         return area.trouble(path.name, text, "install the vendor's package for this processor", certain=certain)

@@ -20,6 +20,19 @@ Line = tuple[str, str, Level, str]
 _AREA, _MARK = 12, 9
 
 
+UNSEEN = "not needed", "needs a rig.yaml"
+"""Names of the findings of areas that were not looked at; a person reads all of them in one line."""
+
+
+def unseen(findings: Sequence[Finding]) -> list[Finding]:
+    """One finding for all the areas that were not looked at, for each reason."""
+    reasons: dict[str, list[str]] = {}
+    for finding in findings:
+        if finding.name in UNSEEN:
+            reasons.setdefault(finding.text, []).append(finding.area)
+    return [Finding("left out", "areas", "note", f"{why}: {', '.join(areas)}") for why, areas in reasons.items()]
+
+
 def lines(findings: Sequence[Finding]) -> Iterator[Line]:
     """The lines of one area: each finding, with its remedy below it."""
     area = findings[0].area if findings else ""
@@ -35,11 +48,6 @@ def laid_out(line: Line) -> tuple[str, str, str]:
     """Area and mark filled up to their columns, and the text."""
     area, mark, _, text = line
     return area.ljust(_AREA), mark.ljust(_MARK), text
-
-
-def text_of(findings: Sequence[Finding]) -> str:
-    """The lines of one area as plain text."""
-    return "\n".join("".join(laid_out(line)).rstrip() for line in lines(findings))
 
 
 def verdict(findings: Sequence[Finding]) -> str:

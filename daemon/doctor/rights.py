@@ -82,11 +82,17 @@ def usb_camera(subject: Subject, device: Path) -> Iterator[Finding]:
     node = machine.path(f"/dev/bus/usb/{numbers[0]:03d}/{numbers[1]:03d}")
     if node.exists() and machine.may_use(node):
         return
-    known = any(vendor and vendor in machine.text(rule) for place in RULES for rule in machine.entries(f"{place}/*.rules"))
+    known = any(
+        vendor and vendor in machine.text(rule) for place in RULES for rule in machine.entries(f"{place}/*.rules")
+    )
     if known:
-        remedy = "sudo udevadm control --reload && sudo udevadm trigger; sudo usermod -aG plugdev $USER, then log in again"
+        remedy = (
+            "sudo udevadm control --reload && sudo udevadm trigger; sudo usermod -aG plugdev $USER, then log in again"
+        )
     else:
         rule = f'SUBSYSTEM=="usb", ATTRS{{idVendor}}=="{vendor}", MODE="0660", GROUP="plugdev"'
         remedy = f"put this line into /etc/udev/rules.d/70-cameras.rules and plug the camera in again: {rule}"
-    text = f"no access to {name} (/dev/bus/usb/{numbers[0]:03d}/{numbers[1]:03d}); {'a' if known else 'no'} rule of udev"
+    text = (
+        f"no access to {name} (/dev/bus/usb/{numbers[0]:03d}/{numbers[1]:03d}); {'a' if known else 'no'} rule of udev"
+    )
     yield area.trouble("udev", f"{text} speaks of vendor {vendor}", remedy, certain=subject.uses("genicam"))

@@ -44,7 +44,9 @@ def local(machine: Machine, what: str, endpoint: str, path: Path) -> Finding:
         if not path.exists():
             return area.ok(what, f"{what}: {endpoint} is free")
         if not stat.S_ISSOCK(path.stat().st_mode):
-            return area.problem(what, f"{what}: {path} is no socket", f"rm {path}, or change {what}'s endpoint in rig.yaml")
+            return area.problem(
+                what, f"{what}: {path} is no socket", f"rm {path}, or change {what}'s endpoint in rig.yaml"
+            )
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
             probe.settimeout(1.0)
             probe.connect(str(path))
@@ -76,9 +78,13 @@ def taken(what: str, endpoint: str, program: Program | None) -> Finding:
     """The finding of an endpoint that somebody uses."""
     if program is not None and program.is_daemon:
         text = f"{what}: {endpoint} is in use by a running daemon, {program}"
-        return area.warning(what, text, f"stop it before another is started: kill -INT {program.pid}; see: fringed status")
+        return area.warning(
+            what, text, f"stop it before another is started: kill -INT {program.pid}; see: fringed status"
+        )
     who = str(program) if program is not None else "a program of another user"
-    remedy = f"end it{f': kill {program.pid}' if program is not None else ''}, or change the {what}'s endpoint in rig.yaml"
+    remedy = (
+        f"end it{f': kill {program.pid}' if program is not None else ''}, or change the {what}'s endpoint in rig.yaml"
+    )
     return area.problem(what, f"{what}: {endpoint} is in use by {who}", remedy)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from daemon.doctor.finding import Area, Finding
 from daemon.doctor.subject import Subject
-from daemon.status import CameraStatus
+from daemon.status import CameraState, CameraStatus
 from daemon.suitability import timing_warnings
 
 area = Area("timing")
@@ -22,7 +22,9 @@ def check(subject: Subject) -> Iterator[Finding]:
     for side, exposure in exposures.items():
         if exposure <= 0:
             text = f"rig.yaml sets no exposure of camera {side}: it is what the camera was left with"
-            yield area.warning("exposure", text, f"set {_key(subject, side)} to a whole number of the projector's periods")
+            yield area.warning(
+                "exposure", text, f"set {_key(subject, side)} to a whole number of the projector's periods"
+            )
     yield from judged(subject.refresh_hz, exposures)
 
 
@@ -44,9 +46,11 @@ def judged(refresh_hz: float, exposures: dict[Any, float]) -> Iterator[Finding]:
         yield area.warning("exposure", f"the cameras expose for different times: {text}", "set both to one exposure")
     if refresh_hz <= 0:
         remedy = "set projector.options.refresh_hz to the projector's frame rate"
-        yield area.note("refresh", "the projector's refresh rate is unknown, exposures cannot be compared with it", remedy)
+        yield area.note(
+            "refresh", "the projector's refresh rate is unknown, exposures cannot be compared with it", remedy
+        )
         return
-    cameras = {side: CameraStatus("closed", exposure_us=exposure) for side, exposure in known.items()}
+    cameras = {side: CameraStatus(CameraState.CLOSED, exposure_us=exposure) for side, exposure in known.items()}
     wrong = timing_warnings(refresh_hz, cameras)
     for text in wrong:
         what, _, _ = text.partition("; ")
@@ -55,8 +59,10 @@ def judged(refresh_hz: float, exposures: dict[Any, float]) -> Iterator[Finding]:
         whole = periods * 1e6 / refresh_hz
         yield area.warning("exposure", what, f"expose for {whole:.0f} us, {periods} whole period{'s'[: periods > 1]}")
     if known and not wrong:
-        periods = max(known.values()) * refresh_hz / 1e6
-        yield area.ok("exposure", f"{max(known.values()):.0f} us are {periods:.2f} periods of {refresh_hz:.3f} Hz")
+        longest = max(known.values())
+        yield area.ok(
+            "exposure", f"{longest:.0f} us are {longest * refresh_hz / 1e6:.2f} periods of {refresh_hz:.3f} Hz"
+        )
 
 
 def _key(subject: Subject, side: str) -> str:

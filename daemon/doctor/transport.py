@@ -37,8 +37,10 @@ def picture_size(subject: Subject, side: Side) -> Size | None:
 def pixel_bytes(subject: Subject, side: Side) -> float:
     """Bytes a pixel as the camera sends them; 1, as Bayer pictures have, where nothing is said."""
     options = subject.cameras.get(side)
-    name = subject.simulation.encoding if subject.simulation is not None else (
-        getattr(options, "pixel_format", None) or getattr(options, "format", None) or ""
+    name = (
+        subject.simulation.encoding
+        if subject.simulation is not None
+        else (getattr(options, "pixel_format", None) or getattr(options, "format", None) or "")
     )
     name = name.lower()
     if name.endswith(("10p", "12p", "10packed", "12packed")):

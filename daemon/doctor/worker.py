@@ -64,7 +64,7 @@ def look(check: Check, subject: Subject) -> list[Finding]:
     if subject.config is not None and check.drivers and not subject.drivers & set(check.drivers):
         return [Finding(check.area, "not needed", "note", f"not needed with {', '.join(sorted(subject.drivers))}")]
     if check.needs_rig and subject.path is None:
-        return [Finding(check.area, "not looked at", "note", "needs a rig.yaml")]
+        return [Finding(check.area, "needs a rig.yaml", "note", "needs a rig.yaml")]
     found: list[Finding] = []
     try:
         module, _, name = check.target.partition(":")
