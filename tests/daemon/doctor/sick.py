@@ -1,0 +1,50 @@
+"""Checks that behave badly, and one that does not."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator
+
+from daemon.doctor.areas import Check
+from daemon.doctor.finding import Area, Finding
+from daemon.doctor.subject import Subject
+
+area = Area("sick")
+
+
+def well(_: Subject) -> Iterator[Finding]:
+    yield Area("well").ok("all", "well")
+
+
+def raises(_: Subject) -> Iterator[Finding]:
+    yield area.ok("before", "seen before it failed")
+    raise KeyError("Exposure")
+
+
+def hangs(_: Subject) -> Iterator[Finding]:
+    # A program that is left hanging below the check must go as well; its number is told through a file.
+    child = subprocess.Popen(["sleep", "1000"])
+    with open(os.environ["SICK_CHILD"], "w") as file:
+        file.write(str(child.pid))
+    threading.Event().wait()
+    yield area.ok("never", "never")
+
+
+def crashes(_: Subject) -> Iterator[Finding]:
+    os.kill(os.getpid(), signal.SIGSEGV)
+    yield area.ok("never", "never")
+
+
+def prints(_: Subject) -> Iterator[Finding]:
+    os.write(1, b"a vendor's library talks\n" * 20_000)
+    yield area.ok("prints", "done")
+
+
+def check(name: str, area_name: str = "sick", timeout_s: float = 60.0) -> Check:
+    return Check(area_name, f"tests.daemon.doctor.sick:{name}", timeout_s=timeout_s)
+
+
+WELL = check("well", "well")

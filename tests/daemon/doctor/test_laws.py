@@ -1,0 +1,94 @@
+"""What holds of every finding and every run, whatever is found."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.doctor import report
+from daemon.doctor.areas import AREAS
+from daemon.doctor.examine import examine
+from daemon.doctor.finding import LEVELS, Finding, Level, counts, exit_code
+from tests.daemon.doctor import sick
+from tests.daemon.rigs import wait_until
+
+
+@pytest.mark.parametrize("level", ["warning", "problem"])
+def test_what_is_wrong_cannot_be_told_without_a_remedy(level: Level) -> None:
+    with pytest.raises(ValueError, match="remedy"):
+        Finding("disk", "room", level, "full")
+
+
+def test_the_exit_code_is_1_exactly_when_something_is_a_problem() -> None:
+    for chosen in itertools.product(LEVELS, repeat=3):
+        findings = [Finding("a", "b", level, "text", "mend it") for level in chosen]
+        assert exit_code(findings) == int("problem" in chosen)
+        assert sum(counts(findings).values()) == 3
+        assert report.as_json(findings, None)["healthy"] == ("problem" not in chosen)
+
+
+def test_areas_have_names_of_their_own_and_targets_that_are_there() -> None:
+    import importlib
+
+    assert len({check.area for check in AREAS}) == len(AREAS)
+    for check in AREAS:
+        module, _, name = check.target.partition(":")
+        assert callable(getattr(importlib.import_module(module), name))
+
+
+def test_a_check_that_raises_becomes_a_finding_and_keeps_what_it_found() -> None:
+    found = examine(checks=[sick.check("raises"), sick.WELL])
+    assert [finding.level for finding in found] == ["ok", "problem", "ok"]
+    assert "KeyError" in found[1].text and "Exposure" in found[1].text
+
+
+def test_a_check_that_crashes_becomes_a_finding_and_the_others_go_on() -> None:
+    found = examine(checks=[sick.WELL, sick.check("crashes"), sick.WELL])
+    assert [finding.area for finding in found] == ["well", "sick", "well"]
+    assert found[1].level == "problem" and "SIGSEGV" in found[1].text and "--only sick" in found[1].remedy
+
+
+def test_a_check_that_hangs_is_ended_with_all_that_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SICK_CHILD", str(tmp_path / "child"))
+    found = examine(checks=[sick.check("hangs", timeout_s=3.0), sick.WELL])
+    assert [finding.area for finding in found] == ["sick", "well"]
+    assert found[0].level == "problem" and "in time" in found[0].text
+    child = int((tmp_path / "child").read_text())
+    wait_until(lambda: not _runs(child))
+
+
+def test_a_check_whose_library_talks_without_end_is_no_trouble() -> None:
+    assert [finding.name for finding in examine(checks=[sick.check("prints")])] == ["prints"]
+
+
+def test_each_area_is_told_as_soon_as_it_is_done() -> None:
+    told: list[list[str]] = []
+    examine(checks=[sick.WELL, sick.check("crashes"), sick.WELL], on_area=lambda f: told.append([x.area for x in f]))
+    assert told == [["well"], ["sick"], ["well"]]
+
+
+def test_long_texts_are_wrapped_and_commands_stay_whole() -> None:
+    command = "echo 1000 | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb"
+    finding = Finding("usb", "memory", "warning", "word " * 60, f"{command}; {command}")
+    lines = ["".join(report.laid_out(line)) for line in report.lines([finding])]
+    assert all(len(line.rstrip()) <= report.WIDTH for line in lines) and lines[0].startswith("usb ")
+    assert "/sys/module/usbcore/parameters/usbfs_memory_mb" in "\n".join(lines)
+
+
+def test_the_measuring_daemon_never_imports_the_doctor() -> None:
+    code = "import sys, daemon.launch, daemon.commands.run; print([m for m in sys.modules if m.startswith('daemon.doctor')])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False

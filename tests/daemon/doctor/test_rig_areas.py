@@ -1,0 +1,237 @@
+"""Areas that compare a rig.yaml with files and devices: options, library, cameras, calibration, timing."""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from daemon.calibration_file import read_calibration
+from daemon.doctor import (
+    calibration,
+    display,
+    elf,
+    genicam_cameras,
+    genicam_library,
+    producers,
+    rig_file,
+    timing,
+    transport,
+    v4l2_cameras,
+)
+from daemon.doctor.ask import Answer
+from drivers.genicam import CameraFound
+from drivers.projector.found import OutputFound
+from drivers.projector.options import ProjectorOptions, read
+from drivers.v4l2 import CameraFound as VideoFound
+from drivers.v4l2.device import PixelFormatFound
+from tests.daemon.doctor import trees
+from tests.daemon.doctor.trees import by_name, levels
+
+
+def camera(serial: str, **changes: str) -> CameraFound:
+    values = {"vendor": "V", "model": "M", "user_name": "", "version": "1", "transport": "U3V", "producer": "p"}
+    return CameraFound(**(values | {"serial": serial, "access": "free"} | changes))
+
+
+def matched(seen: list[CameraFound], left: dict[str, Any], right: dict[str, Any]) -> list[Any]:
+    from drivers.genicam.options import parse
+
+    found: list[Any] = []
+    pair: dict[Any, CameraFound] = {}
+    for side, options in (("left", parse("left", left)), ("right", parse("right", right))):
+        fitting = [each for each in seen if genicam_cameras.fits(each, options)]
+        found += genicam_cameras.matching(side, options, fitting, seen, pair)  # type: ignore[arg-type]
+    return found + list(genicam_cameras.pair(pair))
+
+
+def test_a_rig_with_mistakes_is_looked_at_all_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(trees.genicam("{serial: 4}", "{serial: A2, exposure: 3}"))
+    config, problems = rig_file.read_leniently(path)
+    assert config is not None and len(problems) == 3 and all("there is no file" in text for text in problems)
+    subject = trees.subject(tmp_path)
+    subject.path, subject.config = path, config
+    found = list(rig_file.check(subject))
+    assert levels(found) == ["problem"] * 5
+    assert "cameras.left.serial" in found[3].text and "cameras.right.exposure" in found[4].text
+
+
+def test_a_file_that_is_no_rig_leaves_the_machine(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("camera: 5")
+    config, problems = rig_file.read_leniently(path)
+    assert config is None and problems
+    assert rig_file.read_leniently(tmp_path / "none.yaml")[1][0].endswith("No such file or directory")
+
+
+def test_a_library_that_misses_the_interpreters_is_told_with_its_package() -> None:
+    missing = Answer(1, err="ImportError: libpython3.11.so.1.0: cannot open shared object file: No such file")
+    found = genicam_library.judged("libpython3.11.so.1.0", missing, certain=True)
+    assert found.level == "problem" and found.remedy == "sudo apt install libpython3.11"
+    assert genicam_library.judged("", Answer(-11), certain=False).level == "warning"
+    assert genicam_library.judged("", Answer(None), certain=True).text.endswith("does not come to an end")
+
+
+def test_elf_headers_are_read_without_loading() -> None:
+    import numpy._core._multiarray_umath as compiled
+
+    library = elf.read(Path(compiled.__file__))
+    assert library.fits and "libc.so.6" in library.needed
+
+
+def test_files_that_are_no_libraries_are_refused(tmp_path: Path) -> None:
+    whole = Path(os.path.realpath("/proc/self/exe")).read_bytes()
+    (tmp_path / "cut").write_bytes(whole[:80])
+    (tmp_path / "text").write_bytes(b"x" * 100)
+    (tmp_path / "short").write_bytes(b"\x7fELF")
+    for name in ("cut", "text", "short"):
+        with pytest.raises(elf.ElfError):
+            elf.read(tmp_path / name)
+        assert producers.producer(tmp_path / name, certain=True).level == "problem"
+
+
+def test_a_producer_for_another_processor_and_one_that_does_not_load(tmp_path: Path) -> None:
+    import numpy._core._multiarray_umath as compiled
+
+    data = bytearray(Path(compiled.__file__).read_bytes())
+    other = 62 if data[18] != 62 else 183
+    data[18] = other
+    (tmp_path / "other.cti").write_bytes(data)
+    assert elf.MACHINES[other] in producers.producer(tmp_path / "other.cti", certain=True).text
+    # A library all right, but no producer: the GenTL functions are missing.
+    found = producers.producer(Path(compiled.__file__), certain=True)
+    assert found.level == "problem" and "GCInitLib" in found.text and "ldd" in found.remedy
+
+
+def test_directories_of_the_environment_that_are_not_there(tmp_path: Path) -> None:
+    environ = {"GENICAM_GENTL64_PATH": f"{tmp_path}/none:{tmp_path}"}
+    found = list(producers.check(trees.subject(tmp_path, environ=environ)))
+    assert levels(found) == ["warning", "warning", "note"]
+
+
+def test_cameras_that_fit() -> None:
+    found = matched([camera("A1"), camera("A2")], {"serial": "A1"}, {"serial": "A2"})
+    assert levels(found) == ["ok", "ok"] and "firmware 1" in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("seen", "right", "level", "word"),
+    [
+        ([camera("A1")], {"serial": "A2"}, "problem", "is not there"),
+        ([camera("A1"), camera("A2"), camera("A3")], {"model": "M"}, "problem", "fits 3 cameras"),
+        ([camera("A1"), camera("A2")], {"serial": "A1"}, "problem", "the same camera"),
+        ([camera("A1"), camera("A2", version="2")], {"serial": "A2"}, "warning", "firmware"),
+        ([camera("A1"), camera("A2", model="N")], {"serial": "A2"}, "warning", "right a N"),
+        ([camera("A1"), camera("A2", access="in use")], {"serial": "A2"}, "warning", "in use"),
+    ],
+)
+def test_cameras_that_do_not_fit(seen: list[CameraFound], right: dict[str, Any], level: str, word: str) -> None:
+    wrong = [finding for finding in matched(seen, {"serial": "A1"}, right) if finding.level != "ok"]
+    assert [finding.level for finding in wrong] == [level] and word in wrong[0].text
+
+
+@pytest.mark.parametrize(
+    ("options", "level", "word"),
+    [
+        ({"device": "S7", "format": "YUYV", "size": [640, 480]}, "ok", "S7"),
+        ({"device": "/dev/video0"}, "ok", "Cam"),
+        ({"device": "S8"}, "problem", "is not there"),
+        ({"device": "S7", "format": "RGGB"}, "problem", "does not offer RGGB"),
+        ({"device": "S7", "size": [800, 600]}, "problem", "does not offer 800x600"),
+    ],
+)
+def test_v4l2_cameras(options: dict[str, Any], level: str, word: str) -> None:
+    from drivers.v4l2.options import from_mapping
+
+    offers = (PixelFormatFound("YUYV", "", ((640, 480), (1280, 720))),)
+    seen = [VideoFound("/dev/v4l/by-id/x", "/dev/video0", "Cam", "uvcvideo", "usb-1", "S7", offers)]
+    (found,) = v4l2_cameras.matching("left", from_mapping("left", options), seen, {})
+    assert found.level == level and word in found.text
+
+
+def test_calibration_pattern_and_volume_that_fit(tmp_path: Path) -> None:
+    trees.known(tmp_path)
+    found = list(calibration.check(trees.subject(tmp_path, rig=trees.genicam("{user_name: L}", "{user_name: R}"))))
+    assert {finding.level for finding in found if finding.name != "age"} == {"ok"}, found
+    assert [finding.name for finding in found] == ["file", "age", "pattern", "volume"]
+
+
+def test_a_calibration_of_other_cameras_is_told(tmp_path: Path) -> None:
+    trees.known(tmp_path)
+    data = yaml.safe_load((tmp_path / "calibration.yaml").read_text())
+    data["cameras"]["left"]["serial"] = "B7"
+    (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(data))
+    rig = trees.genicam("{serial: A1, roi: {width: 64, height: 48}}", "{user_name: R}")
+    wrong = by_name(calibration.check(trees.subject(tmp_path, rig=rig)), "camera left")
+    assert levels(wrong) == ["problem", "problem"] and "64 x 48" in wrong[0].text and "B7" in wrong[1].text
+
+
+def test_a_broken_calibration_does_not_hide_the_pattern(tmp_path: Path) -> None:
+    trees.known(tmp_path)
+    (tmp_path / "calibration.yaml").write_text("cameras: {")
+    found = list(calibration.check(trees.subject(tmp_path, rig=trees.genicam())))
+    assert [(finding.name, finding.level) for finding in found] == [("file", "problem"), ("pattern", "ok")]
+
+
+def test_a_pattern_of_another_projector_and_a_volume_nobody_sees(tmp_path: Path) -> None:
+    trees.known(tmp_path)
+    (tmp_path / "volume.json").write_text('{"near_mm": 20.0, "far_mm": 40.0}')
+    rig = trees.genicam().replace("[160, 128]", "[1920, 1080]")
+    found = list(calibration.check(trees.subject(tmp_path, rig=rig)))
+    assert by_name(found, "pattern")[0].level == "problem" and by_name(found, "volume")[0].level == "warning"
+
+
+def test_the_age_of_a_calibration(tmp_path: Path) -> None:
+    trees.known(tmp_path)
+    file = read_calibration(tmp_path / "calibration.yaml")
+    stamp = datetime.fromisoformat(str(file.mapping["created"]))
+    made = stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
+    assert calibration.age(file, made + 86400.0).level == "ok"
+    assert calibration.age(file, made + 200 * 86400.0).level == "warning"
+
+
+def test_exposures_are_whole_numbers_of_periods() -> None:
+    assert levels(timing.judged(60.0, {"left": 16666.7, "right": 16666.7})) == ["ok"]
+    wrong = list(timing.judged(60.0, {"left": 10000.0, "right": 10000.0}))
+    assert levels(wrong) == ["warning", "warning"] and "16667 us" in wrong[0].remedy
+    assert levels(timing.judged(0.0, {"left": 1.0, "right": 2.0})) == ["warning", "note"]
+
+
+def test_an_exposure_that_is_not_set_is_a_warning(tmp_path: Path) -> None:
+    trees.known(tmp_path)
+    subject = trees.subject(tmp_path, rig=trees.genicam("{serial: A1}", "{serial: A2, exposure_us: 16666.7}"))
+    found = list(timing.check(subject))
+    assert levels(found) == ["warning", "ok"] and "cameras.left.exposure_us" in found[0].remedy
+
+
+@pytest.mark.parametrize(("name", "size"), [("BayerRG8", 1), ("BayerRG12p", 1.5), ("Mono12", 2), ("RGB8", 3)])
+def test_the_bytes_of_a_picture(tmp_path: Path, name: str, size: float) -> None:
+    trees.known(tmp_path)
+    side = f"{{serial: A, pixel_format: {name}, roi: {{width: 100, height: 10}}}}"
+    subject = trees.subject(tmp_path, rig=trees.genicam(side, side))
+    assert transport.frame_bytes(subject) == [1000 * size, 1000 * size] and transport.rate_hz(subject) == 0.0
+
+
+def test_an_output_in_the_wrong_mode_or_with_a_bent_gamma_table() -> None:
+    options = read(ProjectorOptions, {"output": "HDMI-1"})
+    good = OutputFound(
+        name="HDMI-1", connected=True, size=(912, 1140), refresh_hz=60.0, preferred_size=(912, 1140), gamma_identity=True
+    )
+    assert levels(display.output_findings([good], options)) == ["ok", "ok"]
+    import msgspec
+
+    bad = msgspec.structs.replace(good, size=(1920, 1080), gamma_identity=False, refresh_hz=0.0)
+    found = list(display.output_findings([bad], options))
+    assert [(finding.name, finding.level) for finding in found] == [
+        ("mode", "problem"),
+        ("gamma", "problem"),
+        ("refresh", "warning"),
+    ]
+    assert "xrandr --output HDMI-1 --mode 912x1140" in found[0].remedy
+    (gone,) = display.output_findings([], options)
+    assert gone.level == "problem" and "no such output" in gone.text

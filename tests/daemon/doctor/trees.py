@@ -1,0 +1,68 @@
+"""Machines made of files: a fake /proc, /sys, /dev and /etc, and rigs to go with them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from daemon.config import parse_rig
+from daemon.doctor.finding import Finding
+from daemon.doctor.machine import Machine
+from daemon.doctor.subject import Subject
+from tests.daemon.rigs import devices
+
+
+def machine(root: Path, files: Mapping[str, str] | None = None, environ: Mapping[str, str] | None = None) -> Machine:
+    """A machine whose files hold these texts."""
+    for name, text in (files or {}).items():
+        path = root / name.lstrip("/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return Machine(root, dict(environ or {}))
+
+
+def subject(
+    root: Path, files: Mapping[str, str] | None = None, rig: str = "", environ: Mapping[str, str] | None = None
+) -> Subject:
+    """Such a machine, with the rig of a text if there is one."""
+    made = machine(root, files, environ)
+    if not rig:
+        return Subject(made)
+    path = root / "rig.yaml"
+    path.write_text(rig)
+    return Subject(made, path, parse_rig(rig, base_dir=root))
+
+
+def known(directory: Path) -> None:
+    """Calibration, pattern and volume of the simulated rig as files."""
+    made = devices()
+    try:
+        (directory / "calibration.yaml").write_text(yaml.safe_dump(dict(made.calibration)))
+        (directory / "pattern.json").write_text(json.dumps(dict(made.pattern), default=list))
+        (directory / "volume.json").write_text(json.dumps(dict(made.volume)))
+    finally:
+        made.close()
+
+
+FILES = "calibration: calibration.yaml\npattern: pattern.json\nvolume: volume.json\n"
+
+
+def genicam(left: str = "{serial: A1}", right: str = "{serial: A2}", more: str = "") -> str:
+    """A rig of GenICam cameras and a projector that others drive."""
+    return (
+        f"cameras: {{driver: genicam, left: {left}, right: {right}}}\n"
+        "projector: {driver: external, options: {size: [160, 128], refresh_hz: 60.0}}\n" + FILES + more
+    )
+
+
+def by_name(findings: Any, name: str) -> list[Finding]:
+    """The findings of a name."""
+    return [finding for finding in findings if finding.name == name]
+
+
+def levels(findings: Any) -> list[str]:
+    return [finding.level for finding in findings]
