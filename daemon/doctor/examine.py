@@ -95,6 +95,7 @@ class _Worker:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._late = self._late or kind is not None  # Ctrl-C waits for nobody
         self.end()
         os.close(self._reading)
 

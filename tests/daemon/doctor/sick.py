@@ -7,6 +7,7 @@ import signal
 import subprocess
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 from daemon.doctor.areas import Check
 from daemon.doctor.finding import Area, Finding
@@ -27,8 +28,7 @@ def raises(_: Subject) -> Iterator[Finding]:
 def hangs(_: Subject) -> Iterator[Finding]:
     # A program that is left hanging below the check must go as well; its number is told through a file.
     child = subprocess.Popen(["sleep", "1000"])
-    with open(os.environ["SICK_CHILD"], "w") as file:
-        file.write(str(child.pid))
+    Path(os.environ["SICK_CHILD"]).write_text(str(child.pid))
     threading.Event().wait()
     yield area.ok("never", "never")
 

@@ -81,7 +81,10 @@ def test_long_texts_are_wrapped_and_commands_stay_whole() -> None:
 
 
 def test_the_measuring_daemon_never_imports_the_doctor() -> None:
-    code = "import sys, daemon.launch, daemon.commands.run; print([m for m in sys.modules if m.startswith('daemon.doctor')])"
+    code = (
+        "import sys, daemon.launch, daemon.commands.run\n"
+        "print([name for name in sys.modules if name.startswith('daemon.doctor')])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.strip() == "[]", done.stderr
 

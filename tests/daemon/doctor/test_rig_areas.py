@@ -220,7 +220,12 @@ def test_the_bytes_of_a_picture(tmp_path: Path, name: str, size: float) -> None:
 def test_an_output_in_the_wrong_mode_or_with_a_bent_gamma_table() -> None:
     options = read(ProjectorOptions, {"output": "HDMI-1"})
     good = OutputFound(
-        name="HDMI-1", connected=True, size=(912, 1140), refresh_hz=60.0, preferred_size=(912, 1140), gamma_identity=True
+        name="HDMI-1",
+        connected=True,
+        size=(912, 1140),
+        refresh_hz=60.0,
+        preferred_size=(912, 1140),
+        gamma_identity=True,
     )
     assert levels(display.output_findings([good], options)) == ["ok", "ok"]
     import msgspec
