@@ -88,6 +88,7 @@ class _Worker:
         self._prints = spawn.Prints(self._process, log, "doctor-prints")
         self._text = b""
         self._late = False
+        self._ended = ""
 
     def __enter__(self) -> Self:
         return self
@@ -118,17 +119,28 @@ class _Worker:
         except (msgspec.MsgspecError, ValueError):
             return None
 
+    def _await_end(self) -> None:
+        """Give it the time to end by itself, without taking its exit status."""
+        handle = os.pidfd_open(self._process.pid)
+        try:
+            select.select([handle], [], [], 2.0)
+        finally:
+            os.close(handle)
+
     def end(self) -> str:
-        """End the process and all that it started; says how it ended."""
-        if self._late or self._process.poll() is None:
-            with suppress(subprocess.TimeoutExpired):  # it may be just about to end by itself
-                self._process.wait(0.0 if self._late else 2.0)
+        """End the process and all that it started; says how it ended. May be called twice."""
+        if self._ended:
+            return self._ended
+        if not self._late:
+            self._await_end()
+        # The process has not been waited for yet, so that its number and its group still belong to it.
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)  # with whatever it has started
-        self._process.kill()
+        with suppress(ProcessLookupError):
+            os.kill(self._process.pid, signal.SIGKILL)
         status = self._process.wait()
         self._prints.join(1.0)
-        if self._late:
-            return "it did not come to an end in time"
         how = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        return f"{how}; {self._prints.text()}"[:600] if self._prints.text() else how
+        said = f"{how}; {self._prints.text()}"[:600] if self._prints.text() else how
+        self._ended = "it did not come to an end in time" if self._late else said
+        return self._ended

@@ -10,10 +10,12 @@ from daemon.doctor.subject import Subject
 
 area = Area("memory")
 
-BASE_MB = 700.0
-"""Interpreter, libraries and compiled kernels."""
+BASE_MB = 450.0
+"""Interpreter, libraries and compiled kernels; a simulated rig of 1024 x 820 pixels took 540 MB in all."""
 ARRAYS_PER_PIXEL = 120.0
 """Bytes of the pipeline's arrays for each pixel of a camera, roughly."""
+DEVICES_MB = 250.0
+"""The processes of two GenICam cameras and of the projector's window."""
 
 
 def check(subject: Subject) -> Iterator[Finding]:
@@ -43,7 +45,8 @@ def need_mb(subject: Subject) -> float:
     size = transport.picture_size(subject, "left") or (1024, 820)
     waiting = 8 + (config.recording.queue + config.pipeline.queue if config is not None else 61)
     frames = (sum(transport.frame_bytes(subject)) or 2 * size[0] * size[1]) * waiting
-    return BASE_MB + (size[0] * size[1] * ARRAYS_PER_PIXEL + frames) / 1e6
+    base = BASE_MB + (DEVICES_MB if subject.uses("genicam") or subject.uses("x11") else 0.0)
+    return base + (size[0] * size[1] * ARRAYS_PER_PIXEL + frames) / 1e6
 
 
 def meminfo(text: str) -> dict[str, int]:
