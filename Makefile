@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench soak check golden screenshot clean
+.PHONY: help env demo test bench soak check golden screenshot vm clean
 .DEFAULT_GOAL := help
 
 help:
@@ -51,6 +51,10 @@ golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its co
 screenshot: $(STAMP)  ## the picture in this README, of a running `make demo`
 	tools/system-packages browser
 	$(BIN)/fringed view --screenshot docs/pictures/demo.png
+
+vm: $(STAMP)  ## the virtual machine in which the V4L2 driver meets a real kernel; cached, half a minute the first time
+	tools/system-packages vm
+	PYTHON=$(BIN)/python tools/vm/build
 
 clean:  ## remove the environment and everything made
 	rm -rf $(VENV) $(PEERS) dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

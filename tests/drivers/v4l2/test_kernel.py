@@ -1,0 +1,35 @@
+"""The driver against a real kernel: the tests in ``guest/`` run inside a virtual machine, all in one start of it."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from tests.drivers.v4l2 import machine
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1300)]
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], str]:
+    """What each guest's test said, and the console."""
+    reason = machine.missing()
+    if reason and os.environ.get("CI", "").lower() in ("1", "true", "yes"):
+        pytest.fail(reason)
+    elif reason:
+        pytest.skip(reason)
+    return machine.run(tmp_path_factory.mktemp("vm"))
+
+
+@pytest.mark.parametrize("name", machine.guest_tests())
+def test_in_the_guest(said: tuple[dict[str, str], str], name: str) -> None:
+    results, console = said
+    assert name in results, f"it did not run; the console said:\n{console[-3000:]}"
+    if results[name]:
+        pytest.fail(f"in the guest:\n{results[name]}\nthe console said:\n{console[-1500:]}", pytrace=False)
+
+
+def test_the_guest_came_to_its_end(said: tuple[dict[str, str], str]) -> None:
+    results, console = said
+    assert "end" in results, console[-3000:]
