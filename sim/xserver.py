@@ -265,7 +265,7 @@ class XServer:
 
 
 def configuration(heads: Sequence[Head]) -> str:
-    """An xorg.conf for the dummy driver with these outputs side by side; the driver adds usual modes such as 640x480."""
+    """An xorg.conf for the dummy driver with these outputs side by side; the driver adds modes like 640x480."""
     width, height = sum(head.width for head in heads), max(head.height for head in heads)
     virtual = max(4096, width), max(2304, height)
     monitors, x = [], 0
