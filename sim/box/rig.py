@@ -67,7 +67,7 @@ def write_rig(
             "serial": places.serials[side],
             "exposure_us": exposure_us,
             "pixel_format": pixel_format,
-            "trigger": {"source": "Line1"},
+            "trigger": {"line": "Line1"},
         }
         for side in SIDES
     }

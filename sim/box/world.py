@@ -42,26 +42,29 @@ _NO_EDGE = (FaultKind.WRONG_NUMBER, FaultKind.BLACKOUT, FaultKind.GONE)
 class CameraCable(Protocol):
     """What the world does to one emulated camera."""
 
-    def show(self, light: Picture) -> None:
+    def show(self, picture: Picture) -> object:
         """Let this picture fall on the sensor from now on."""
 
-    def pulse(self, t_ns: int) -> None:
+    def pulse(self, t_ns: int | None = None) -> object:
         """An edge on the trigger line at a time of CLOCK_MONOTONIC."""
 
-    def settled(self) -> bool:
-        """Whether all frames of the edges so far have left the camera, or never will."""
+    def wait_idle(self, timeout_s: float) -> bool:
+        """Wait until all frames of the edges so far have left the camera, or never will."""
 
-    def drop(self, frames: int) -> None:
+    def drop(self, count: int = 1) -> None:
         """The next frames never leave the camera."""
 
-    def truncate(self, frames: int) -> None:
+    def truncate(self, count: int = 1) -> None:
         """The next frames leave incomplete."""
 
     def stall(self, seconds: float) -> None:
         """Frames are held back for a while."""
 
-    def plug(self, present: bool) -> None:
-        """Pull the plug, or put it back."""
+    def unplug(self) -> None:
+        """Pull the plug."""
+
+    def plug(self) -> None:
+        """Put it back."""
 
 
 class Screen(Protocol):
@@ -161,10 +164,9 @@ class World:
     def settle(self) -> None:
         """Wait until the frames of all edges so far have left the cameras that are there."""
         deadline = time.monotonic() + self._settle_s
-        while waiting := [s for s in SIDES if s not in self._gone and not self._cables[s].settled()]:
-            if time.monotonic() > deadline:
-                raise NotSettled(f"camera {' and '.join(waiting)}: frames have not left within {self._settle_s} s")
-            time.sleep(0.0002)
+        for side in SIDES:
+            if side not in self._gone and not self._cables[side].wait_idle(max(0.0, deadline - time.monotonic())):
+                raise NotSettled(f"camera {side}: frames have not left it within {self._settle_s} s")
 
     def run(self, rate_hz: float, stop: threading.Event) -> None:
         """Give triggers at a rate until told to stop; what comes late is counted in ``late`` and not made up for."""
@@ -213,7 +215,7 @@ class World:
 
     def _replug(self, side: Side, *, gone: bool) -> None:
         if gone != (side in self._gone):
-            self._cables[side].plug(not gone)
+            (self._cables[side].unplug if gone else self._cables[side].plug)()
             (self._gone.add if gone else self._gone.discard)(side)
 
     def _extra_first(self) -> None:
