@@ -135,6 +135,11 @@ class World:
         """Triggers given so far."""
         return self._index
 
+    def put_on_stage(self, stage: Lit, *, instants: int = 1) -> None:
+        """Another scene, from the next trigger on."""
+        self._stage, self._instants = stage, instants
+        self._lit.clear()
+
     def step(self, *, settle: bool = True) -> Shown:
         """Give one trigger and, in lock-step, wait until its frames have left the cameras.
 
