@@ -34,6 +34,7 @@ from drivers.remote.ring import RingReader, added
 
 _ERRORS: dict[str, type[DriverError]] = {"lost": DeviceLost, "refused": SettingRefused, "driver": DriverError}
 _TICK_S = 0.25
+_END_S = 1.0
 _SPARE = WINDOW + 2
 
 
@@ -158,11 +159,9 @@ class RemoteCamera:
             except BaseException:
                 ours.close()
                 raise
-        if process.stdout is None:
-            raise DriverError("the camera's process has no output")
         poll = select.poll()
         poll.register(ours, select.POLLIN)
-        prints = spawn.Prints(process.stdout, self._log, f"prints-{self.side}")
+        prints = spawn.Prints(process, self._log, f"prints-{self.side}")
         child = _Process(process, ours, prints, poll)
         with self._lock:
             self._child = child
@@ -268,13 +267,9 @@ class RemoteCamera:
             if child.ring is not None:
                 self._past = added(self._past, child.ring.health().counters)
         child.socket.close()
-        try:
-            status = child.process.wait(1.0)
-        except subprocess.TimeoutExpired:
-            child.process.kill()
-            status = child.process.wait()
-        child.prints.join(1.0)
-        return status, " | ".join(child.prints.last)
+        status = spawn.end(child.process, _END_S)
+        child.prints.join(_END_S)
+        return status, child.prints.text()
 
 
 def _give_back(connection: socket.socket, lent: set[int], backlog: deque[int], slot: int) -> None:

@@ -4,6 +4,9 @@ Started by :class:`drivers.remote.camera.RemoteCamera`; ends when that says so, 
 connection, or, should a vendor's library hang, by the kernel's parent-death signal. Signals meant for the daemon
 (Ctrl-C, a service manager's SIGTERM) reach this process too and are left to the daemon, which closes the camera in
 order.
+
+A camera with an attribute ``allocate`` fills its pictures into the ring: ``allocate(shape, dtype)`` gives an array to
+fill and to pass on as a frame's image; asking again before a frame was passed on gives the same memory.
 """
 
 from __future__ import annotations
@@ -16,9 +19,8 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from drivers.errors import DeviceLost, DriverError, SettingRefused
 from drivers.protocols import Camera, CameraHealth, CameraInfo
@@ -44,17 +46,6 @@ _IDLE_S = 0.1
 _READ_S = 0.02
 _HEALTH_S = 1.0
 _MAX_NOTES, _MAX_NOTE = 60, 500
-
-
-@runtime_checkable
-class FillsMemory(Protocol):
-    """A camera that asks for the memory of its pictures, so that they need not be copied into the ring.
-
-    ``allocate(shape, dtype)`` gives an array to fill and to pass on as the frame's image; asking again before a frame
-    was passed on gives the same memory.
-    """
-
-    allocate: Callable[..., Any]
 
 
 class _End(Exception):
@@ -157,8 +148,9 @@ class Child:
         self._ring = RingWriter(self._slots, width * height * bytes_per_pixel)
         self._ring.beat()
         self._outbox = Outbox(self._ring, self._announce)
-        if isinstance(self._camera, FillsMemory):
-            self._camera.allocate = self._outbox.allocate
+        camera: Any = self._camera
+        if hasattr(camera, "allocate"):
+            camera.allocate = self._outbox.allocate
         message = Opened(
             number=number,
             model=info.model,

@@ -79,18 +79,34 @@ def _environment(inherited: Mapping[str, str]) -> dict[str, str]:
     return {**one, **inherited, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONUNBUFFERED": "1"}
 
 
+def end(process: subprocess.Popen[bytes], patience_s: float) -> int:
+    """Wait for a process, kill it when it takes too long; returns its exit status."""
+    try:
+        return process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
 class Prints:
     """Passes what a process prints on to a logger, line by line, and keeps the last lines.
 
     Args:
-        stream: the process's output; closed at its end. name: of the thread.
+        process: from :func:`start`; its output is closed at its end. name: of the thread that reads it.
     """
 
-    def __init__(self, stream: IO[bytes], log: logging.Logger, name: str) -> None:
-        self._stream, self._log = stream, log
+    def __init__(self, process: subprocess.Popen[bytes], log: logging.Logger, name: str) -> None:
+        if process.stdout is None:
+            raise ValueError("the process has no output to read")
+        self._stream: IO[bytes] = process.stdout
+        self._log = log
         self.last: deque[str] = deque(maxlen=_KEPT_LINES)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
+
+    def text(self) -> str:
+        """The last lines in one."""
+        return " | ".join(self.last)
 
     def join(self, timeout_s: float) -> None:
         """Wait for the end of the output."""
