@@ -92,6 +92,12 @@ class Ledger:
             return self._shown[-1] if self._shown else None
 
     @property
+    def remembered(self) -> list[Shown]:
+        """The last triggers in their order."""
+        with self._lock:
+            return list(self._shown)
+
+    @property
     def counts(self) -> dict[tuple[Side, FaultKind], int]:
         """Triggers by side and fault since the start; those without one are of kind ``none``."""
         with self._lock:

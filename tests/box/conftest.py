@@ -25,7 +25,7 @@ def _missing() -> str:
 
 @pytest.fixture
 def make_box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Box]]:
-    """``make_box(scene="mixed")`` is a small rig in lock-step; options are those of the simulation, or ``box={...}``."""
+    """``make_box(scene="mixed")`` is a small rig in lock-step; options: the simulation's, or ``box={...}``."""
     reason = _missing()
     if reason and os.environ.get("CI") == "true":
         pytest.fail(reason)

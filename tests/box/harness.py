@@ -115,11 +115,15 @@ class Daemon:
         cables = self._box.cables
         wait_until(lambda: all(cables[side].state().armed for side in SIDES), timeout_s, "cameras armed")
 
-    def step_until_pair(self, tries: int = 10) -> int:
-        """Triggers until the daemon has paired one, as it must within a few; the trigger's index."""
+    def step_until_pair(self, tries: int = 40) -> int:
+        """Triggers until the daemon has paired one, as it must within a few; the trigger's index.
+
+        A camera that was started anew while its numbers are still low repeats numbers that the pairing remembers: it
+        takes up to 16 triggers more until they are told apart.
+        """
         for _ in range(tries):
             index = self._box.world.step().index
-            end = time.monotonic() + 5
+            end = time.monotonic() + 0.5
             while self.witness.last_pair < index and time.monotonic() < end and self._confirmed:
                 time.sleep(0.0005)
             if self.witness.last_pair == index:

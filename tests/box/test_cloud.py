@@ -47,11 +47,10 @@ def test_the_loop_costs_no_accuracy(make_box: Callable[..., Box], encoding: str)
         received = [next(clouds) for _ in range(daemon.witness.counts["clouds"])]
     assert len(received) >= PAIRS and clouds.lost == 0
     looped, pure = score(received[-1].xyz, truth), score(simulated(box, index), truth)
-    print(f"\n{encoding}, {box.options.layout.camera_size[0]} x {box.options.layout.camera_size[1]}, scene mixed")
-    print(line("loop", looped), line("simulated", pure), sep="\n")
+    title = f"\n{encoding}, {box.options.layout.camera_size[0]} x {box.options.layout.camera_size[1]}, scene mixed"
+    print(title, line("loop", looped), line("simulated", pure), sep="\n")  # noqa: T201 - the table is the result
     assert daemon.witness.counts["wrong"] == daemon.witness.counts["unknown"] == 0
     assert looped.reconstructed == pytest.approx(pure.reconstructed, abs=0.002)
     assert looped.wrong == pytest.approx(pure.wrong, abs=0.001)
     assert looped.rms_mm == pytest.approx(pure.rms_mm, rel=0.02)
     assert looped.smooth_rms_mm == pytest.approx(pure.smooth_rms_mm, rel=0.05)
-
