@@ -166,6 +166,11 @@ class World:
             self.settle()
         return shown
 
+    def replug(self) -> None:
+        """Give the cameras that the next trigger finds plugged in their plug already now."""
+        for side in SIDES:
+            self._replug(side, gone=self._plan.gone(self._index, side))
+
     def settle(self) -> None:
         """Wait until the frames of all edges so far have left the cameras that are there."""
         deadline = time.monotonic() + self._settle_s

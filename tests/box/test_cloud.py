@@ -8,12 +8,12 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from benchmarks.box_daemon import Daemon, wait_until
 from fringed import subscribe
 from pipeline.reconstruct import Reconstructor
 from sim import render
 from sim.box.box import Box
 from sim.score import Score, score
-from tests.box.harness import Daemon, wait_until
 
 PAIRS = 5
 

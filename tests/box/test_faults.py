@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 import pytest
 
+from benchmarks.box_daemon import Daemon, wait_until
 from drivers.protocols import SIDES
 from sim.box.box import Box
 from sim.faults import FaultKind
-from tests.box.harness import Daemon, wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
@@ -29,15 +29,6 @@ SCRIPT = [
 ]
 
 
-def step_patiently(box: Box, daemon: Daemon, count: int) -> None:
-    """Triggers, each followed by a moment for its pair, so that nothing is lost but by faults."""
-    for _ in range(count):
-        index = box.world.step().index
-        end = time.monotonic() + 0.1
-        while daemon.witness.last_pair < index and time.monotonic() < end:
-            time.sleep(0.0005)
-
-
 def no_wrong_pair(daemon: Daemon) -> bool:
     counts = daemon.witness.counts
     told = f"{counts['pairs']} pairs ({counts['dark']} dark), {counts['wrong']} wrong, {counts['unknown']} unknown"
@@ -49,7 +40,7 @@ def test_lost_broken_late_and_superfluous_frames(make_box: Callable[..., Box]) -
     script = [dict(zip(("kind", "at", "side", "length"), fault, strict=True)) for fault in SCRIPT]
     box = make_box(scene="plane", layout={"scale": 0.125}, faults={"script": script})
     with Daemon(box) as daemon:
-        step_patiently(box, daemon, 160)
+        daemon.step_patiently(160)
         daemon.step_until_pair()
         status = daemon.service.status()
     counts = box.world.ledger.counts
@@ -71,7 +62,7 @@ def test_a_camera_is_unplugged_and_plugged_in_again(make_box: Callable[..., Box]
         for side in SIDES:
             before = daemon.step_until_pair()
             box.cables[side].unplug()
-            step_patiently(box, daemon, 3)
+            daemon.step_patiently(3)
             wait_until(lambda side=side: f"camera {side} is gone" in daemon.reasons(), 30, "the loss")
             assert daemon.state() == "degraded" and daemon.witness.last_pair == before
             box.cables[side].plug()
@@ -103,7 +94,7 @@ def test_the_projector_window_and_the_x_server_die_and_come_back(make_box: Calla
         projector = daemon.rig.projector
         os.kill(projector.window_pid, signal.SIGKILL)
         wait_until(lambda: "projector" in daemon.reasons(), 30, "the loss of the window")
-        step_patiently(box, daemon, 3)
+        daemon.step_patiently(3)
         wait_until(lambda: daemon.state() == "running", 30, "the window's return")
         daemon.step_until_pair()
         assert box.world.ledger.last.picture == pattern

@@ -19,28 +19,36 @@ from daemon.service import Service
 from daemon.sinks import CloudItem, Item, PairItem
 from drivers.protocols import SIDES
 from sim.box.box import Box
-from sim.box.ledger import Ledger
+from sim.box.ledger import Ledger, Shown
 
 
 def wait_until(condition: Callable[[], object], timeout_s: float = 60.0, what: str = "the condition") -> None:
-    """Return as soon as the condition holds; fail when it does not in time."""
+    """Return as soon as the condition holds; TimeoutError when it does not in time."""
     end = time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < end, f"{what} did not come true within {timeout_s} s"
+        if time.monotonic() > end:
+            raise TimeoutError(f"{what} did not come true within {timeout_s:g} s")
         time.sleep(0.002)
 
 
 class Witness:
-    """A sink that tells of every pair which exposures its frames are, by their bytes."""
+    """A sink that tells of every pair which exposures its frames are, by their bytes.
 
-    def __init__(self, ledger: Ledger) -> None:
+    ``counts``: ``pairs`` that are right (``lit`` or ``dark``), ``wrong`` ones of two exposures, ``unknown`` ones with a
+    frame that was never shown, ``clouds``.
+
+    Args:
+        ledger: of the world; told: of each right pair and of each cloud, with the exposure.
+    """
+
+    def __init__(self, ledger: Ledger, told: Callable[[Shown, Item], None] | None = None) -> None:
         self._ledger = ledger
+        self._told = told
         self.counts: Counter[str] = Counter()
         self.last_pair = self.last_cloud = -1
-        self.wrong: list[tuple[Any, Any]] = []
-        self.latencies_ms: list[float] = []
 
     def offer(self, item: Item) -> bool:
+        """Look at a pair or a cloud."""
         if isinstance(item, PairItem):
             shown = {side: self._ledger.exposure_of(side, getattr(item, side).image) for side in SIDES}
             left, right = shown["left"], shown["right"]
@@ -48,30 +56,42 @@ class Witness:
                 self.counts["unknown"] += 1
             elif left.index != right.index:
                 self.counts["wrong"] += 1
-                self.wrong.append((left, right))
             else:
                 self.counts["pairs"] += 1
                 self.counts["dark" if left.dark else "lit"] += 1
+                self._tell(left, item)
                 self.last_pair = left.index
         elif isinstance(item, CloudItem):
             self.counts["clouds"] += 1
-            self.latencies_ms.append(item.latency_ms)
             shown_left = self._ledger.exposure_of("left", item.left.image)
-            self.last_cloud = shown_left.index if shown_left is not None else -1
+            if shown_left is not None:
+                self._tell(shown_left, item)
+                self.last_cloud = shown_left.index
         return True
 
     def close(self) -> None:
-        return
+        """Nothing to let go of."""
 
     def status(self) -> dict[str, Any]:
+        """The counts."""
         return dict(self.counts)
+
+    def _tell(self, shown: Shown, item: Item) -> None:
+        if self._told is not None:
+            self._told(shown, item)
 
 
 class Daemon:
-    """The service on a box, running in a thread; for ``with``."""
+    """The service on a box, running in a thread of this process; for ``with``.
 
-    def __init__(self, box: Box, **pipeline: Any) -> None:
-        self._box = box
+    The environment variable of :mod:`sim.box.box` must name the box's cameras.
+
+    Args:
+        box: made; told: see :class:`Witness`; pipeline: changes to that section of rig.yaml.
+    """
+
+    def __init__(self, box: Box, *, told: Callable[[Shown, Item], None] | None = None, **pipeline: Any) -> None:
+        self._box, self._told = box, told
         rig = yaml.safe_load(box.rig_file.read_text())
         box.rig_file.write_text(yaml.safe_dump(rig | {"pipeline": {"queue": 4, "temporal_prior": False} | pipeline}))
         self.stream = rig["stream"]["endpoints"][0]
@@ -83,7 +103,7 @@ class Daemon:
             self.rig = open_rig(config, self._box.folder)
             stack.callback(self.rig.release)
             publisher = open_publisher(config, self.rig, "box")
-            self.witness = Witness(self._box.world.ledger)
+            self.witness = Witness(self._box.world.ledger, self._told)
             sinks = {"stream": publisher, "witness": self.witness}
             self.service = Service(config, self.rig, sinks, on_status=publisher.publish_status, session="box")
             self._thread = threading.Thread(target=self._run, name="daemon")
@@ -96,18 +116,22 @@ class Daemon:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
-        assert not self.errors, self.errors
+        self._check()
 
     def stop(self) -> None:
+        """End the service; may be called twice."""
         self.service.ask_stop()
         self._thread.join(60)
-        assert not self._thread.is_alive()
+        if self._thread.is_alive():
+            raise TimeoutError("the daemon does not come to its end")
 
     def state(self) -> str:
-        assert not self.errors, self.errors
+        """What the daemon says it is doing."""
+        self._check()
         return str(self.service.state()[0])
 
     def reasons(self) -> str:
+        """Why it is degraded."""
         return "; ".join(self.service.state()[1])
 
     def wait_armed(self, timeout_s: float = 60) -> None:
@@ -129,7 +153,19 @@ class Daemon:
             if self.witness.last_pair == index:
                 return index
             time.sleep(0.01)
-        raise AssertionError(f"no pair within {tries} triggers; {self.service.status()}")
+        raise TimeoutError(f"no pair within {tries} triggers; {self.service.status()}")
+
+    def step_patiently(self, count: int = 1, *, patience_s: float = 0.1) -> None:
+        """Triggers, each followed by a moment for its pair, so that nothing is lost but by faults."""
+        for _ in range(count):
+            index = self._box.world.step().index
+            end = time.monotonic() + patience_s
+            while self.witness.last_pair < index and time.monotonic() < end:
+                time.sleep(0.0002)
+
+    def _check(self) -> None:
+        if self.errors:
+            raise RuntimeError("the daemon ended with an error") from self.errors[0]
 
     @property
     def _confirmed(self) -> bool:
@@ -140,5 +176,5 @@ class Daemon:
         try:
             self.service.run()
         except BaseException as error:
-            logging.getLogger("tests.box").exception("the daemon ended")
+            logging.getLogger("benchmarks.box").exception("the daemon ended")
             self.errors.append(error)
