@@ -9,6 +9,7 @@ wrong, a whole pair is missing without a fault to explain it, or something leaks
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import sys
 import time
@@ -19,6 +20,7 @@ from pathlib import Path
 
 from benchmarks.box_daemon import Daemon
 from benchmarks.process import sample
+from daemon.pairing import Pair
 from drivers.protocols import SIDES
 from sim.box.box import GENTL_DIR, Box
 from sim.box.options import from_mapping
@@ -134,6 +136,7 @@ def soak(options: argparse.Namespace) -> Result:
     """One run."""
     result = Result()
     with box_of(options) as box, Daemon(box, queue=1) as daemon:
+        _measure_some(daemon, options.measured)
         world, started = box.world, time.monotonic()
         daemon.step_until_pair()
         result.whole = daemon.witness.counts["pairs"]
@@ -167,6 +170,17 @@ def soak(options: argparse.Namespace) -> Result:
     return result
 
 
+def _measure_some(daemon: Daemon, every: int) -> None:
+    """Give the pipeline only one pair in so many: it would take the processor from what is soaked here."""
+    offer, seen = daemon.service.worker.offer, itertools.count()
+
+    def offer_some(pair: Pair) -> None:
+        if next(seen) % every == 0:
+            offer(pair)
+
+    daemon.service.worker.offer = offer_some  # type: ignore[method-assign]
+
+
 def told(result: Result) -> str:
     """The result as text."""
     first, last = result.usage[0][1], result.usage[-1][1]
@@ -191,6 +205,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scale", type=float, default=0.0625, help="size of the pictures, 1 = 1024 x 820")
     parser.add_argument("--gone", type=float, default=5e-5, help="share of triggers at which a camera is unplugged")
+    parser.add_argument("--measured", type=int, default=50, help="one pair in so many goes to the pipeline")
     parser.add_argument("--verbose", action="store_true", help="tell how far it is")
     return parser.parse_args(given)
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 
 from drivers.errors import DriverError
-from sim.box.box import GENTL_DIR, Box
+from sim.box.box import GENTL_DIR, OUTPUT, Box
 from sim.box.options import BoxOptions, read
 from sim.gentl.build import BuildError
 from sim.options import OptionError
@@ -112,7 +112,7 @@ def _told(box: Box) -> str:
     stream = f"tcp://127.0.0.1:{options.tcp}" if options.tcp else f"ipc://{folder}/stream"
     lines = [
         f"ready: {width} x {height} pixels, {options.simulation.scene}, {options.simulation.rate_hz:g} triggers a "
-        f"second, projector {box.server.display} {options.simulation.encoding}, rig {box.rig_file}",
+        f"second, {options.simulation.encoding}, projector {OUTPUT} of {box.server.display}, rig {box.rig_file}",
         f"  fringed status --endpoint ipc://{folder}/control",
         f"  fringed listen {stream}",
         f"  fringed view {stream}",

@@ -54,6 +54,8 @@ class BoxOptions:
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
                 raise OptionError(f"box.{key} is {value!r}, expected a number from {low:g} to {high:g}")
+        if int(self.tcp) != self.tcp:
+            raise OptionError(f"box.tcp is {self.tcp}, expected a whole number")
         for side in SIDES:
             if abs(self.drift_ppm[side]) > 1000:
                 raise OptionError(f"box.drift_ppm.{side} is {self.drift_ppm[side]}, expected -1000 to 1000")
@@ -98,7 +100,8 @@ def read(path: Path) -> BoxOptions:
             text = file.read(MAX_FILE_BYTES + 1)
         if len(text) > MAX_FILE_BYTES:
             raise OptionError(f"the file has more than {MAX_FILE_BYTES} bytes")
-        return from_mapping(yaml.safe_load(text) or {}, path.parent)
+        data = yaml.safe_load(text)
+        return from_mapping({} if data is None else data, path.parent)
     except (OptionError, yaml.YAMLError) as error:
         raise OptionError(f"{path}: {error}") from error
 
