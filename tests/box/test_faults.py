@@ -56,6 +56,23 @@ def test_lost_broken_late_and_superfluous_frames(make_box: Callable[..., Box]) -
     assert states["right"].truncated == 1 and states["right"].missed == 1
 
 
+def test_a_camera_that_stalls_for_longer_than_a_frame_waits(make_box: Callable[..., Box]) -> None:
+    box = make_box(scene="plane", layout={"scale": 0.125})
+    with Daemon(box) as daemon:
+        before = daemon.step_until_pair()
+        longest_s = daemon.service.config.pairing.max_wait_ms / 1e3
+        box.cables["left"].stall(longest_s + 0.5)
+        for _ in range(4):
+            box.world.step(settle=False)
+        box.world.settle()
+        wait_until(lambda: daemon.service.status().cameras["left"].fates.get("late", 0) == 4, 30, "late frames")
+        assert daemon.witness.last_pair == before
+        fates = {side: daemon.service.status().cameras[side].fates for side in SIDES}
+        assert fates["right"]["partner_missing"] == 4
+        assert daemon.step_until_pair() == before + 5
+        assert daemon.state() == "running" and no_wrong_pair(daemon)
+
+
 def test_a_camera_is_unplugged_and_plugged_in_again(make_box: Callable[..., Box]) -> None:
     box = make_box(scene="plane", layout={"scale": 0.125})
     with Daemon(box) as daemon:
