@@ -83,10 +83,19 @@ def run(job: Job) -> Timing:
     return Timing(**json.loads(result.stdout))
 
 
+# What the daemon sets for itself (daemon.tuning), said to the C library from outside; the peers get it as well.
+_TUNING = {
+    "OMP_WAIT_POLICY": "PASSIVE",
+    "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
+    "MALLOC_ARENA_MAX": "1",
+}
+
+
 def environment(threads: int) -> dict[str, str]:
-    """Of a process whose libraries use so many threads."""
+    """Of a process whose libraries use so many threads, tuned as the daemon is."""
     names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    return os.environ | dict.fromkeys(names, str(threads))
+    return os.environ | _TUNING | dict.fromkeys(names, str(threads))
 
 
 def work(job: Job) -> Timing:
