@@ -22,6 +22,10 @@ class BuildError(RuntimeError):
     """The producer cannot be compiled; the message tells why and what to do."""
 
 
+class NoCompilerError(BuildError):
+    """There is no C compiler."""
+
+
 def build(directory: Path | None = None, *, extra_flags: tuple[str, ...] = ()) -> Path:
     """Compile the producer unless it stands there already, and return its path.
 
@@ -30,7 +34,8 @@ def build(directory: Path | None = None, *, extra_flags: tuple[str, ...] = ()) -
         extra_flags: for the compiler, for instance ``-fsanitize=address``.
 
     Raises:
-        BuildError: there is no C compiler, or it refuses the sources.
+        NoCompilerError: there is no C compiler.
+        BuildError: it refuses the sources.
     """
     generated = _generated()
     sources = {path.name: path.read_text() for path in sorted(SOURCES.iterdir()) if path.suffix in (".c", ".h")}
@@ -39,7 +44,7 @@ def build(directory: Path | None = None, *, extra_flags: tuple[str, ...] = ()) -
         return library
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:
-        raise BuildError(
+        raise NoCompilerError(
             f"the GenTL producer for {library} needs a C compiler and there is none ('cc', or what CC names); "
             "install one, for instance with: tools/system-packages compiler"
         )

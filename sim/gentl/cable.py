@@ -2,74 +2,28 @@
 
 from __future__ import annotations
 
-import mmap
 import os
 import socket
 import struct
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
 from fcntl import F_OFD_GETLK, F_UNLCK, F_WRLCK, fcntl
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.gentl import memory
+from sim.gentl.counters import CableState, read_state
+from sim.gentl.pictures import Picture, Pictures
 
 Filter = Literal["mono", "RG", "GR", "GB", "BG"]
-Picture = NDArray[np.uint8] | NDArray[np.uint16]
 _FLOCK = "hhqqi4x"
+_WAKE = struct.pack("<Q", memory.WAKE_MAGIC)
+"""No pulse, but the camera's process looks at its state at once."""
 _POLL_S = 0.00005
-
-
-@dataclass(frozen=True, slots=True)
-class CableState:
-    """What a camera is doing and has done since its cable was made.
-
-    For every pulse on a line: ``exposed + missed + ignored + granted`` rises by one; and every exposure ends as one of
-    ``delivered``, ``truncated``, ``too_small``, ``dropped``, ``no_buffer``, ``overrun`` or ``abandoned``.
-
-    Args:
-        present: plugged in; open_by: pid of the process that has it open, 0 if none.
-        acquiring: between AcquisitionStart and its end; armed: the next pulse on the right line starts an exposure.
-        exposure_us: the exposure time that is set; inside: frames between start of exposure and host.
-        exposed: exposures started; delivered: whole frames in the hands of the host's GenTL queue.
-        truncated: frames that lost their second half on the cable; too_small: did not fit the host's buffer.
-        dropped: frames lost on the cable; no_buffer: the host had queued none; overrun: the camera's memory was full.
-        abandoned: acquisition ended, or the plug was pulled, before they were sent.
-        missed: pulses during an exposure; ignored: pulses that the settings do not want; granted: pulses that started
-            an acquisition or a burst rather than a frame.
-        superseded: delivered frames that a newer one replaced before the host took them.
-        overtaken: pulses whose picture was written over before the camera took it.
-        picture: number of the picture exposed last.
-    """
-
-    present: bool
-    open_by: int
-    acquiring: bool
-    armed: bool
-    exposure_us: float
-    inside: int
-    exposed: int
-    delivered: int
-    truncated: int
-    too_small: int
-    dropped: int
-    no_buffer: int
-    overrun: int
-    abandoned: int
-    missed: int
-    ignored: int
-    granted: int
-    superseded: int
-    overtaken: int
-    picture: int
-
-
-_COUNTERS = tuple(field.name for field in fields(CableState) if field.type == "int" and field.name != "open_by")
+_PATIENCE_S = 1.0
 
 
 class Cable:
@@ -114,14 +68,7 @@ class Cable:
         self._paths = {ending: directory / f"cam{number}.{ending}" for ending in ("state", "img", "sock")}
         if len(os.fsencode(self._paths["sock"])) > 107:
             raise ValueError(f"the path {self._paths['sock']} is longer than the 107 bytes of a socket's name")
-        self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        self._shown = 0
-        self._slot_bytes = memory.SLOT_HEADER + size[0] * size[1] * 3 * 2
-        self._image = _create(self._paths["img"], memory.SLOT_HEADER + memory.SLOTS * self._slot_bytes)
-        header = self._image[: memory.IMAGE_DTYPE.itemsize].view(memory.IMAGE_DTYPE)[0]
-        header["slots"], header["slot_bytes"] = memory.SLOTS, self._slot_bytes
-        header["width"], header["height"], header["magic"] = *size, memory.IMAGE_MAGIC
-        self._image_header = header
+        self._pictures = Pictures(self._paths["img"], size)
         made: dict[str, int | float | bytes] = {
             "width": size[0],
             "height": size[1],
@@ -141,6 +88,7 @@ class Cable:
             "magic": memory.STATE_MAGIC,
         }
         self._state = self._publish(made)
+        self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
 
     def __enter__(self) -> Self:
         return self
@@ -151,30 +99,13 @@ class Cable:
         self.close()
 
     def show(self, picture: Picture) -> int:
-        """Let light fall on the whole sensor; the picture's number from 1.
+        """Let light fall on the whole sensor, and return the picture's number from 1.
 
         Args:
             picture: (H, W) or (H, W, 3) of the sensor's size, uint8 or uint16 over their whole range.
         """
-        width, height = self.size
-        if picture.shape not in ((height, width), (height, width, 3)) or picture.dtype not in (np.uint8, np.uint16):
-            raise ValueError(
-                f"camera {self.serial} shows ({height}, {width}) or ({height}, {width}, 3), uint8 or uint16; "
-                f"got {picture.shape}, {picture.dtype}"
-            )
-        number = self._shown + 1
-        start = memory.SLOT_HEADER + number % memory.SLOTS * self._slot_bytes
-        slot = self._image[start : start + self._slot_bytes]
-        header = slot[: memory.SLOT_DTYPE.itemsize].view(memory.SLOT_DTYPE)[0]
-        header["sequence"] = 2 * number - 1
-        header["channels"] = 3 if picture.ndim == 3 else 1
-        header["bytes_per_sample"] = picture.dtype.itemsize
-        pixels = slot[memory.SLOT_HEADER : memory.SLOT_HEADER + picture.nbytes].view(picture.dtype)
-        np.copyto(pixels.reshape(picture.shape), picture)
-        header["sequence"] = 2 * number
-        self._image_header["newest"] = number
-        self._shown = number
-        return number
+        self._live()
+        return self._pictures.show(picture)
 
     def pulse(self, t_ns: int | None = None, *, line: int = 1, width_ns: int = 10_000) -> bool:
         """Give a pulse on a line; the picture exposed is the one shown now.
@@ -185,30 +116,24 @@ class Cable:
             line: 0, 1 or 2; width_ns: falling edge after the rising one.
 
         Returns:
-            Whether a process has the camera open, so that it will be answered.
+            Whether a process has the camera open and took the pulse, so that it will be answered. False after a
+            second in which that process took none, or had 60 pulses of the future already.
         """
         state = self._live()
-        if not state["present"] or self._socket is None:
+        if not state["present"] or not state["owner_pid"]:
             return False
         judged = t_ns is not None or bool(state["real_time"])
         t_ns = time.monotonic_ns() if t_ns is None else t_ns
         asked = int(state["asked"]) + 1
-        message = np.array(
-            [(memory.PULSE_MAGIC, asked, t_ns, width_ns, line, self._shown, judged)], dtype=memory.PULSE_DTYPE
-        )
-        deadline = time.monotonic() + 1.0
-        while True:
-            try:
-                self._socket.sendto(message.tobytes(), str(self._paths["sock"]))
-            except (FileNotFoundError, ConnectionRefusedError):
+        pulse = (memory.PULSE_MAGIC, asked, t_ns, width_ns, line, self._pictures.shown, judged)
+        message = np.array([pulse], dtype=memory.PULSE_DTYPE).tobytes()
+        deadline = time.monotonic() + _PATIENCE_S
+        while asked - int(state["answered"]) > memory.MAX_PENDING or not self._send(message):
+            if not self._holder() or time.monotonic() > deadline:
                 return False
-            except BlockingIOError:
-                if time.monotonic() > deadline:
-                    return False  # the process has stopped listening
-                time.sleep(_POLL_S)
-                continue
-            state["asked"] = asked
-            return True
+            time.sleep(_POLL_S)
+        state["asked"] = asked
+        return True
 
     def drop(self, count: int = 1) -> None:
         """Lose the next frames on the cable: each leaves a gap in the frame numbers."""
@@ -219,13 +144,14 @@ class Cable:
         self._ask("truncate_asked", "truncated", count)
 
     def stall(self, seconds: float) -> None:
-        """Hold all frames in the camera's memory for so long; it has room for 8."""
+        """Hold all frames in the camera's memory from now on for so long, 0 to let them go; it has room for 8."""
         self._live()["stall_until_ns"] = time.monotonic_ns() + round(seconds * 1e9)
+        self._send(_WAKE)
 
     def unplug(self) -> None:
         """Pull the plug: register access fails with an input/output error, the camera leaves the list."""
         self._live()["present"] = 0
-        self._wake()
+        self._send(_WAKE)
 
     def plug(self) -> None:
         """Plug in again: a new power-on, with registers at their defaults and the clock at 0."""
@@ -235,7 +161,7 @@ class Cable:
         state["power_cycles"] = int(state["power_cycles"]) + 1
         self._write_clock(offset_ns=0, drift_ppb=int(state["clock_drift_ppb"]))
         state["present"] = 1
-        self._wake()
+        self._send(_WAKE)
 
     def set_temperature(self, celsius: float) -> None:
         """What the camera's thermometer shows."""
@@ -253,10 +179,7 @@ class Cable:
 
     def state(self) -> CableState:
         """What the camera is doing and has done."""
-        state = self._live()
-        seen: dict[str, Any] = {name: int(state[name]) for name in _COUNTERS}
-        seen |= {name: bool(state[name]) for name in ("present", "acquiring", "armed")}
-        return CableState(**seen, open_by=self._holder(), exposure_us=int(state["exposure_ns"]) / 1e3)
+        return read_state(self._live(), self._holder())
 
     def wait_idle(self, timeout_s: float) -> bool:
         """Wait until every pulse is answered and every frame has left the camera, or nobody has it open."""
@@ -292,7 +215,7 @@ class Cable:
     def _publish(self, made: dict[str, int | float | bytes]) -> np.void:
         """Fill the state under another name first, so that no process maps half of it."""
         making = self._paths["state"].with_suffix(".making")
-        whole = _create(making, (memory.STATE_DTYPE.itemsize + 7) // 8 * 8)
+        whole = memory.create_shared(making, (memory.STATE_DTYPE.itemsize + 7) // 8 * 8)
         state: np.void = whole[: memory.STATE_DTYPE.itemsize].view(memory.STATE_DTYPE)[0]
         for name, value in made.items():
             state[name] = value
@@ -308,12 +231,14 @@ class Cable:
         state = self._live()
         state[asked] = max(int(state[asked]), int(state[done])) + count
 
-    def _wake(self) -> None:
-        if self._socket is not None:
-            try:
-                self._socket.sendto(struct.pack("<Q", memory.WAKE_MAGIC), str(self._paths["sock"]))
-            except OSError:
-                return  # nobody has the camera open, or it is awake already
+    def _send(self, message: bytes) -> bool:
+        """Whether the camera's process got it; its queue is short."""
+        assert self._socket is not None  # noqa: S101 - for the types; _live has seen to it
+        try:
+            self._socket.sendto(message, str(self._paths["sock"]))
+        except (FileNotFoundError, ConnectionRefusedError, BlockingIOError):
+            return False
+        return True
 
     def _write_clock(self, *, offset_ns: int, drift_ppb: int) -> None:
         state = self._live()
@@ -339,16 +264,6 @@ def _check(number: int, size: tuple[int, int], serial: str, model: str) -> None:
     for name in serial, model:
         if not 0 < len(name.encode()) < 64:
             raise ValueError(f"{name!r} as serial number or model: 1 to 63 bytes")
-
-
-def _create(path: Path, size: int) -> NDArray[np.uint8]:
-    """A new file of zeros, shared with other processes for as long as the array lives."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o660)
-    try:
-        os.ftruncate(descriptor, size)
-        return np.frombuffer(mmap.mmap(descriptor, size), np.uint8)
-    finally:
-        os.close(descriptor)
 
 
 def _wait(condition: Callable[[], bool], timeout_s: float) -> bool:

@@ -72,7 +72,8 @@ def describe(*, old: bool = False) -> Description:
         renamed=OLD_NAMES if old else {},
         left_out=MODERN_ONLY if old else OLD_ONLY,
     )
-    for part in (_device, _image_format, _acquisition, _triggers, _analog, _lines, _chunks, _transport, _statistics):
+    image = _image_format, _analog, _chunks
+    for part in (_device, *image, _acquisition, _triggers, _lines, _transport, _user_sets, _statistics):
         part(camera)
     return camera
 
@@ -180,6 +181,12 @@ def _transport(camera: Description) -> None:
     camera.category("TransportLayerControl")
     camera.integer("PayloadSize", length=8)
     camera.integer("TLParamsLocked", 0, 1)
+
+
+def _user_sets(camera: Description) -> None:
+    camera.category("UserSetControl")
+    camera.choice("UserSetSelector", {"Default": 0})
+    camera.command("UserSetLoad", locked=True)
 
 
 def _statistics(camera: Description) -> None:

@@ -144,12 +144,12 @@ class Description:
         register = self._register("IntReg", name, 4, by, read_only=read_only, sign=True)
         self._feature("Boolean", name, locked, [("pValue", register), ("OnValue", 1), ("OffValue", 0)], by)
 
-    def command(self, name: str, *, by: By | None = None) -> None:
+    def command(self, name: str, *, by: By | None = None, locked: bool = False) -> None:
         """A command: writing 1 starts it."""
         if not self._wanted(name):
             return
         register = self._register("IntReg", name, 4, by, sign=True)
-        self._feature("Command", name, False, [("pValue", register), ("CommandValue", 1)], by)
+        self._feature("Command", name, locked, [("pValue", register), ("CommandValue", 1)], by)
 
     def text(self, name: str, *, writable: bool = False, length: int = 64) -> None:
         """A string of at most ``length`` bytes."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import mmap
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.gentl.features import REGISTERS
 
@@ -14,6 +18,8 @@ SLOTS = 4
 """Pictures kept: the world may be this many minus one ahead of the camera's process."""
 SLOT_HEADER = 64
 MAX_CAMERAS = 8
+MAX_PENDING = 60
+"""Pulses that may lie in the future; the camera has room for a few more."""
 PULSE_MAGIC = 0x3145_534C_5550_4746
 WAKE_MAGIC = 0x3150_554B_4157_4746
 FILTERS = "mono", "RG", "GR", "GB", "BG"
@@ -64,6 +70,20 @@ IMAGE_DTYPE = np.dtype(_dtype(IMAGE))
 SLOT_DTYPE = np.dtype(_dtype(SLOT))
 PULSE_DTYPE = np.dtype(_dtype(PULSE))
 STATE_DTYPE = np.dtype([*_dtype(WORLD), *_dtype(CAMERA), ("registers", "u1", (REGISTERS.end,))])
+
+
+def create_shared(path: Path, size: int) -> NDArray[np.uint8]:
+    """A new file of zeros, shared with other processes for as long as the array lives.
+
+    Raises:
+        FileExistsError: there is such a file.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o660)
+    try:
+        os.ftruncate(descriptor, size)
+        return np.frombuffer(mmap.mmap(descriptor, size), np.uint8)
+    finally:
+        os.close(descriptor)
 
 
 def header() -> str:

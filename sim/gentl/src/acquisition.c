@@ -58,17 +58,38 @@ static void send_frame(Device *device, Frame *frame) {
     STORE(state->inside, (uint64_t)--device->inside);
 }
 
+/* When the next frame is to be sent; what belongs to an acquisition that has ended goes at once. */
 static int64_t due_ns(const Device *device) {
+    if (device->memory[device->first].session != device->session) return 0;
     int64_t stalled_until = (int64_t)LOAD(device->state->stall_until_ns);
     int64_t due = device->memory[device->first].due_ns;
     if (!LOAD(device->state->real_time)) due = 0;
     return due > stalled_until ? due : stalled_until;
 }
 
+/* Whatever is inside is lost. */
+static void abandon(Device *device) {
+    State *state = device->state;
+    for (; device->inside; device->inside--) COUNT(state->abandoned);
+    device->edges = 0;
+    device->next_free_ns = 0;
+    STORE(state->acquiring, 0);
+    STORE(state->armed, 0);
+    STORE(state->inside, 0);
+}
+
 /* Does what is due, and returns for how long there is nothing to do. */
 static int64_t step(Device *device) {
     Edge edge;
     receive(device);
+    if (device->held && !is_there(device)) { /* the plug was pulled: the camera is nobody's */
+        abandon(device);
+        let_go(device);
+    }
+    if (!device->held) {
+        device->edges = 0;
+        return IDLE_NS;
+    }
     while (next_edge(device, now_ns(), &edge)) {
         judge(device, &edge);
         while (device->inside && due_ns(device) <= now_ns()) send_frame(device, &device->memory[device->first]);
@@ -132,13 +153,12 @@ GC_ERROR start_camera(Device *device) {
 }
 
 void stop_camera(Device *device) {
-    State *state = device->state;
     pthread_mutex_lock(&device->lock);
     device->running = false;
     pthread_mutex_unlock(&device->lock);
     wake(device);
     pthread_join(device->thread, NULL);
-    for (; device->inside; device->inside--) COUNT(state->abandoned);
+    if (device->held) abandon(device);
     for (int i = 0; i < MEMORY_FRAMES; i++) {
         free(device->memory[i].bytes);
         device->memory[i].bytes = NULL;
@@ -146,9 +166,6 @@ void stop_camera(Device *device) {
     }
     free_tables(device);
     close(device->wake);
-    STORE(state->acquiring, 0);
-    STORE(state->armed, 0);
-    STORE(state->inside, 0);
 }
 
 void begin_acquisition(Device *device) {
@@ -157,7 +174,7 @@ void begin_acquisition(Device *device) {
     device->burst_to_go = 0;
     device->started = false;
     device->session++;
-    device->frame_id = device->state->variant ? 1 : 0; /* GigE Vision 1 counts blocks from 1 */
+    device->frame_id = 0;
     STORE(device->state->acquiring, 1);
     wake(device);
 }

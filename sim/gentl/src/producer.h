@@ -25,6 +25,7 @@ typedef enum { SYSTEM = 0x46470001, INTERFACE, DEVICE, PORT, STREAM, BUFFER } Ki
 enum { TRIGGER_ACQUISITION, TRIGGER_BURST, TRIGGER_FRAME, TRIGGERS };
 enum { SOURCE_SOFTWARE, SOURCE_LINE0, SOURCE_LINE1, SOURCE_LINE2, LINES = 3 };
 enum { AUTO_OFF, AUTO_ONCE, AUTO_CONTINUOUS };
+enum { EXPOSURE_TIMED, EXPOSURE_TRIGGER_WIDTH };
 enum { EDGE_RISING, EDGE_FALLING, EDGE_ANY };
 
 typedef struct { double scale[3], black, gamma; } Response;  /* of the channels to light */
@@ -75,9 +76,10 @@ typedef struct Device {
     size_t image_bytes;
     int fd;
     ino_t inode, socket_inode;
+    bool listed;
     Stream stream;
     /* while open: */
-    bool open;
+    bool open, held;  /* held: the lock is ours, until the camera is closed or gone */
     uint64_t power_cycle;
     int socket, wake;
     pthread_t thread;
@@ -113,6 +115,7 @@ int64_t device_clock_ns(const State *state, int64_t t_ns);
 void scan(Device *devices);
 void forget(Device *device);
 GC_ERROR take(Device *device);
+void let_go(Device *device);
 void release(Device *device);
 bool taken_elsewhere(const Device *device);
 
@@ -144,14 +147,17 @@ void stop_camera(Device *device);
 void begin_acquisition(Device *device);
 void end_acquisition(Device *device);
 void software_trigger(Device *device, int trigger);
-void refresh_armed(Device *device);
 
 /* trigger.c */
 void add_edge(Device *device, Edge edge);
 bool next_edge(Device *device, int64_t now, Edge *edge);
 void judge(Device *device, const Edge *edge);
-void free_run(Device *device, int64_t now);
 bool runs_free(const Device *device);
+void refresh_armed(Device *device);
+
+/* exposure.c */
+void expose_on(Device *device, const Edge *edge);
+void free_run(Device *device, int64_t now);
 
 /* stream.c */
 typedef enum { HANDED_OVER, HANDED_OVER_INCOMPLETE, NO_BUFFER, NOT_GRABBING } Outcome;

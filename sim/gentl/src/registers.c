@@ -65,9 +65,13 @@ void set_exposure(Device *device, double exposure_us) {
     follow(device);
 }
 
+/* The name that the user gave to the camera is all it keeps. */
 void power_on(Device *device) {
     const State *state = device->state;
+    char user_id[64];
+    memcpy(user_id, device->state->registers + R_DeviceUserID, sizeof user_id);
     memset(device->state->registers, 0, R_END);
+    memcpy(device->state->registers + R_DeviceUserID, user_id, sizeof user_id);
     set_text(device, R_DeviceVendorName, VENDOR);
     set_text(device, R_DeviceModelName, state->model);
     set_text(device, R_DeviceVersion, VERSION);
@@ -112,7 +116,7 @@ void refresh(Device *device) {
 
 static bool is_locked(uint64_t address) {
     return address == R_Width || address == R_Height || address == R_PixelFormat || address == R_AcquisitionMode ||
-           address == R_AcquisitionFrameCount || address == R_ChunkModeActive ||
+           address == R_AcquisitionFrameCount || address == R_ChunkModeActive || address == R_UserSetLoad ||
            (address >= R_ChunkEnable && address < R_ChunkEnable + 4 * CHUNKS);
 }
 
@@ -143,6 +147,7 @@ static void act(Device *device, uint64_t address) {
     for (int trigger = 0; trigger < TRIGGERS; trigger++)
         if (address == R_TriggerSoftware + 4 * (uint64_t)trigger) software_trigger(device, trigger);
     if (address == R_ExposureTime) set_exposure(device, get_double(device, R_ExposureTime));
+    if (address == R_UserSetLoad) power_on(device); /* the only set is the factory's */
     if (address == R_Gain) set_double(device, R_Gain, round(get_double(device, R_Gain) * 10) / 10);
 }
 

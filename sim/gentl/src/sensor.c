@@ -106,6 +106,7 @@ void take_picture(Device *device, Frame *frame, const Response *response, uint64
     const Format *format = format_of(frame->format);
     const Image *image = device->image;
     memset(frame->bytes, 0, frame->image_bytes);
+    memset(frame->mean, 0, sizeof frame->mean);
     if (!format) return;
     for (int attempt = 0; attempt < 100; attempt++) {
         uint64_t number = wanted && !attempt ? wanted : LOAD(image->newest);

@@ -51,7 +51,6 @@ API GC_ERROR GCInitLib(void) {
             pthread_cond_init(&device->stream.arrived, &monotonic);
             pthread_condattr_destroy(&monotonic);
         }
-        scan(devices);
         the_system.initialised = true;
     }
     pthread_mutex_unlock(&library);
@@ -179,22 +178,25 @@ API GC_ERROR IFGetParentTL(void *handle, void **system) {
     return GC_ERR_SUCCESS;
 }
 
-static bool listed(const Device *device) {
-    return device->state && LOAD(device->state->present);
-}
-
+/* The list is what it was at the last update, whatever was plugged or pulled since. */
 API GC_ERROR IFUpdateDeviceList(void *handle, bool8_t *changed, uint64_t timeout_ms) {
     (void)timeout_ms;
     NEEDS(handle, INTERFACE);
+    bool differs = false;
     scan(devices);
-    if (changed) *changed = 1;
+    for (int i = 0; i < (int)MAX_CAMERAS; i++) {
+        bool listed = devices[i].state && LOAD(devices[i].state->present);
+        differs |= listed != devices[i].listed;
+        devices[i].listed = listed;
+    }
+    if (changed) *changed = differs;
     return GC_ERR_SUCCESS;
 }
 
 API GC_ERROR IFGetNumDevices(void *handle, uint32_t *count) {
     NEEDS(handle, INTERFACE);
     *count = 0;
-    for (int i = 0; i < (int)MAX_CAMERAS; i++) *count += listed(&devices[i]);
+    for (int i = 0; i < (int)MAX_CAMERAS; i++) *count += devices[i].listed;
     return GC_ERR_SUCCESS;
 }
 
@@ -202,13 +204,13 @@ API GC_ERROR IFGetDeviceID(void *handle, uint32_t index, char *id, size_t *size)
     NEEDS(handle, INTERFACE);
     uint32_t left = index;
     for (int i = 0; i < (int)MAX_CAMERAS; i++)
-        if (listed(&devices[i]) && left-- == 0) return put_text(devices[i].id, NULL, id, size);
+        if (devices[i].listed && left-- == 0) return put_text(devices[i].id, NULL, id, size);
     return fail(GC_ERR_INVALID_INDEX, "device %u: not so many are there", index);
 }
 
 static Device *find(const char *id) {
     for (int i = 0; i < (int)MAX_CAMERAS; i++)
-        if (id && listed(&devices[i]) && !strcmp(devices[i].id, id)) return &devices[i];
+        if (id && devices[i].listed && !strcmp(devices[i].id, id)) return &devices[i];
     return NULL;
 }
 
@@ -251,6 +253,7 @@ API GC_ERROR IFOpenDevice(void *handle, const char *id, int32_t flags, void **ou
     Device *device = find(id);
     if (!device) return fail(GC_ERR_INVALID_ID, "no device %s", id ? id : "(null)");
     if (device->open) return fail(GC_ERR_RESOURCE_IN_USE, "%s is open already", id);
+    if (!LOAD(device->state->present)) return fail(GC_ERR_IO, "%s is gone", id);
     GC_ERROR error = take(device);
     if (error) return error;
     if ((error = start_camera(device))) {

@@ -115,6 +115,7 @@ GC_ERROR take(Device *device) {
         return errno == EAGAIN || errno == EACCES
                    ? fail(GC_ERR_RESOURCE_IN_USE, "%s is open in another process", device->id)
                    : fail(GC_ERR_IO, "%s: %s", device->id, strerror(errno));
+    device->held = true;
     device->socket = bind_cable(device);
     device->image = map_image(device);
     if (device->socket < 0 || !device->image) {
@@ -127,10 +128,18 @@ GC_ERROR take(Device *device) {
     return GC_ERR_SUCCESS;
 }
 
+/* From here on another process may have the camera, and nothing of its state is written any more. */
+void let_go(Device *device) {
+    struct flock lock = whole_file(F_UNLCK);
+    if (!device->held) return;
+    STORE(device->state->owner_pid, 0);
+    device->held = false;
+    fcntl(device->fd, F_OFD_SETLK, &lock);
+}
+
 void release(Device *device) {
     char path[512];
     struct stat file;
-    struct flock lock = whole_file(F_UNLCK);
     if (device->socket >= 0) {
         close(device->socket);
         bool ours = path_of(device, "sock", path, sizeof path) && !stat(path, &file) && file.st_ino == device->socket_inode;
@@ -139,8 +148,7 @@ void release(Device *device) {
     if (device->image) munmap(device->image, device->image_bytes);
     device->socket = -1;
     device->image = NULL;
-    STORE(device->state->owner_pid, 0);
-    fcntl(device->fd, F_OFD_SETLK, &lock);
+    let_go(device);
 }
 
 /* What the camera's own clock shows at a time of CLOCK_MONOTONIC: rounded down, so that others compute the same. */
