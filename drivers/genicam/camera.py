@@ -98,6 +98,7 @@ class GenicamCamera:
         """Begin to accept triggers."""
         now = self._now()
         now.numbers.start()
+        now.timing.follow(time.monotonic_ns())
         now.connection.start()
         self._known_before, self._lost_in_run = self._unexplained(now), 0
         self._acquiring = True
@@ -250,6 +251,7 @@ class GenicamCamera:
             self._seen.setdefault("missed_trigger", int(missed))
             self._grow("missed_trigger", int(missed))
         self._count_losses(now)
+        self._counters["without_stamp"] = now.timing.without_stamp
         self._counters["clock_resets"] = now.timing.clock.resets
         if now.timing.clock.ready:
             self._counters["clock_uncertainty_us"] = now.timing.clock.uncertainty_ns() // 1000

@@ -38,11 +38,13 @@ class TriggerNumbers:
         self.by_time = False
         self.gaps = self.resets = 0
         self._same = 0
+        self._last_id: int | None = None
+        self._begins_anew: bool | None = None
         self.start()
 
     def start(self) -> None:
         """The camera was started: the next frame is the first one."""
-        self._last_id: int | None = None
+        self._id_before, self._last_id = self._last_id, None
         self._number = -1
         self._times: deque[int] = deque(maxlen=_HISTORY)
 
@@ -70,14 +72,21 @@ class TriggerNumbers:
 
     def _step_by_id(self, frame_id: int) -> int:
         if self._last_id is None:
-            ahead = frame_id - self._first_id
-            step = 1 + ahead if self._number < 0 and 0 <= ahead < _FRESH else 1
+            step = self._first_step(frame_id)
         else:
             step = frame_id - self._last_id
             if step < 0:
                 step = self._after_wrap(frame_id)
         self.gaps += step - 1
         return step
+
+    def _first_step(self, frame_id: int) -> int:
+        """To 0, or beyond it where a count that has just begun tells that frames were lost already."""
+        if self._id_before is not None and self._begins_anew is None:
+            self._begins_anew = frame_id <= self._id_before
+        ahead = frame_id - self._first_id
+        fresh = self._begins_anew or self._id_before is None
+        return 1 + ahead if fresh and self._number < 0 and 0 <= ahead < _FRESH else 1
 
     def _after_wrap(self, frame_id: int) -> int:
         """GigE Vision's short block ids go from 65535 to 1; any other way back is a count that began anew."""

@@ -51,10 +51,9 @@ class Timing:
 
     def follow(self, now_ns: int) -> bool:
         """Ask the camera for its time if that is due; whether it was asked. ``now_ns`` is CLOCK_MONOTONIC."""
-        if not self._can_latch or now_ns < self._next_ns:
+        if not self._can_latch or (now_ns < self._next_ns and self.clock.latched):
             return False
-        for _ in range(1 if self.clock.latched else _FIRST_LATCHES):
-            self._latch()
+        self._ask_camera()
         self._next_ns = now_ns + _LATCH_EVERY_NS
         return True
 
@@ -66,14 +65,25 @@ class Timing:
             return Exposure(None, t_host_ns - round(exposure_us * 1000))
         device_ns = stamp + self._offset_ns
         self.clock.arrival(device_ns, t_host_ns, delay_ns=round(exposure_us * 1000))
+        if self._can_latch and not self.clock.latched:  # it was set anew
+            self._ask_camera()
         t_ns = self.clock.to_host_ns(device_ns)
         if self._can_latch and not t_host_ns - _OLD_NS < t_ns < t_host_ns + _SOON_NS:
-            self._strange += 1
-            if self._strange >= _DISTRUST_AFTER:
-                self._can_latch, self.clock = False, DeviceClock()
+            self._distrust()
+            t_ns = t_host_ns - round(exposure_us * 1000)
         else:
             self._strange = 0
         return Exposure(device_ns, min(t_ns, t_host_ns))
+
+    def _distrust(self) -> None:
+        """Some cameras stamp pictures by another clock than the one that they show when asked."""
+        self._strange += 1
+        if self._strange >= _DISTRUST_AFTER:
+            self._can_latch, self.clock = False, DeviceClock()
+
+    def _ask_camera(self) -> None:
+        for _ in range(1 if self.clock.latched else _FIRST_LATCHES):
+            self._latch()
 
     def _latch(self) -> None:
         with losses("reading its clock"):
