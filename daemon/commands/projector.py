@@ -114,14 +114,13 @@ def hold(
     """Show the picture that ``make`` gives for the projector's size; say what becomes of it until the end."""
     info = projector.open()
     try:
-        typer.echo(f"{info.output}: {info.size[0]}x{info.size[1]} pixels at {info.refresh_hz:.3f} Hz")
-        for note in projector.notes:
-            typer.echo(f"note: {note}")
-        projector.show(make(info.size))
-        typer.echo(f"shown{_when(projector)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
-        deadline = None if seconds is None else time.monotonic() + seconds
         with suppress(KeyboardInterrupt):
-            _watch(projector, deadline)
+            typer.echo(f"{info.output}: {info.size[0]}x{info.size[1]} pixels at {info.refresh_hz:.3f} Hz")
+            for note in projector.notes:
+                typer.echo(f"note: {note}")
+            projector.show(make(info.size))
+            typer.echo(f"shown{_when(projector)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
+            _watch(projector, None if seconds is None else time.monotonic() + seconds)
     finally:
         projector.close()
 
@@ -175,7 +174,9 @@ def read_png(path: Path) -> NDArray[np.uint8]:
     from daemon.errors import DaemonError
 
     data = read_at_most(path, PNG_LIMIT, DaemonError)
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    # Pictures that were compressed with losses are refused: their pixels are no longer those that were meant.
+    is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
     if picture is None:
         raise DaemonError(f"{path}: not a picture that can be read; expected an 8-bit PNG")
     if picture.dtype != np.uint8 or (picture.ndim == 3 and picture.shape[2] != 3):

@@ -148,7 +148,6 @@ class Child:
 
     def _finish(self) -> None:
         """Black, then gone, and everything as it was."""
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         self._screen.black()
         self._restore()
         self._window.close()
@@ -157,6 +156,7 @@ class Child:
         self._x.close()
 
     def _restore(self) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # nothing may interrupt it
         try:
             if self._stage is not None:
                 self._stage.restore()

@@ -64,7 +64,11 @@ class OutputProjector:
         self._run_hooks(self.options.hook.open)
         setup = Setup(options=self.options, display=display)
         supervisor = Supervisor(setup, after_show=self._after_show, hung_s=self._hung_s)
-        opened = supervisor.open()
+        try:
+            opened = supervisor.open()
+        except BaseException:
+            supervisor.close()
+            raise
         self._supervisor, self.notes = supervisor, opened.notes
         self._info = ProjectorInfo(opened.output.name, opened.output.size, opened.output.refresh_hz)
         return self._info

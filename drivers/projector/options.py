@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar
 
@@ -104,14 +105,17 @@ def named_display(display: str) -> str:
     return name
 
 
+_FIELD = re.compile(r"Object (contains unknown|missing required) field `(.*)`")
+_SAID = {"contains unknown": "no such option", "missing required": "is missing"}
+
+
 def _named(text: str) -> str:
     """From "Expected `str`, got `int` - at `$.output`" to "projector.output: expected `str`, got `int`"."""
     what, _, where = text.partition(" - at `$")
-    key = where.rstrip("`").removeprefix(".")
-    if not key and "field `" in what:
-        what, _, rest = what.partition(" field `")
-        key, what = rest.rstrip("`"), {"Object missing required": "is missing"}.get(what, "no such option")
-    return f"projector.{key}: {what[:1].lower()}{what[1:]}" if key else f"projector: {what}"
+    key = where.rstrip("`")
+    if field := _FIELD.fullmatch(what):
+        key, what = f"{key}.{field[2]}", _SAID[field[1]]
+    return f"projector{key}: {what[:1].lower()}{what[1:]}"
 
 
 def _check(options: ProjectorOptions | ExternalOptions) -> None:

@@ -21,7 +21,7 @@ from drivers.projector.xlib import load
 KIND_PIXMAP, KIND_MSC = 0, 1
 COMPLETE_NOTIFY = 1
 COMPLETE_NOTIFY_MASK = 2
-PLAUSIBLE_S = 1.0
+PLAUSIBLE_S = 10.0
 
 
 class CompleteNotify(Structure):

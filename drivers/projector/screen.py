@@ -13,7 +13,7 @@ from drivers.projector.messages import Show, Shown
 from drivers.projector.present import VBlank, VBlankClock
 from drivers.projector.window import PatternWindow
 
-VBLANK_S = 0.25
+VBLANK_S = 1.0
 SWAP_S = 0.05
 
 

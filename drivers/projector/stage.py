@@ -37,15 +37,13 @@ class Stage:
                 "or run an X server of the rig's own"
             )
         self.randr = Randr(connection)
-        self._changed_gamma = False
+        self._windows: tuple[int, int] | None = None
         self.gamma_before = gamma_before
         self.output = self._fit_output()
-        self._crtc = self.randr.crtc_of(options.output)
         self._linearize()
         self.randr.watch()
         self._dpms_was_on = False
         self._saver_before = tuple(c_int() for _ in range(4))
-        self._windows: tuple[int, int] | None = None
         self._visibility = 0
         self._destroyed = False
 
@@ -56,7 +54,7 @@ class Stage:
             notes.append(f"output {self.output.name} tells no native resolution, so its mode was not checked")
         if self.output.gamma_identity is None:
             notes.append(f"output {self.output.name} tells no gamma table, so it was not checked")
-        if self._changed_gamma:
+        if self.gamma_before:
             notes.append(f"output {self.output.name} had a gamma table that was not linear; it is, until close")
         if self._x.lib.XGetSelectionOwner(self._x.handle, self._x.atom("_NET_WM_CM_S0")):
             notes.append("a compositor runs on this display; it can delay pictures by a frame")
@@ -110,11 +108,12 @@ class Stage:
 
     def restore(self) -> None:
         """Give gamma table and screen saver back as they were."""
-        if self._crtc and self.gamma_before:
+        crtc = self.randr.crtc_of(self._options.output)
+        if crtc and self.gamma_before:
             before = np.frombuffer(self.gamma_before, np.uint16).reshape(3, -1)
-            now = self.randr.gamma(self._crtc)
+            now = self.randr.gamma(crtc)
             if now is not None and now.shape == before.shape:
-                self.randr.set_gamma(self._crtc, before)
+                self.randr.set_gamma(crtc, before)
         if self._saver_before[0].value:
             self._x.lib.XSetScreenSaver(self._x.handle, *(value.value for value in self._saver_before))
         if self._dpms_was_on:
@@ -130,8 +129,8 @@ class Stage:
         if not refused and output.gamma_identity is False:
             if options.gamma == "check":
                 refused = bent(output)
-            elif self._changed_gamma:  # some other program loaded its table again
-                self.randr.set_gamma(self._crtc, self._linear_gamma())
+            elif self._windows is not None:  # some other program loaded its table again
+                self._make_linear()
         if refused:
             raise SettingRefused(refused)
         return output
@@ -139,21 +138,21 @@ class Stage:
     def _linearize(self) -> None:
         if self._options.gamma != "reset":
             return
-        gamma = self.randr.gamma(self._crtc)
-        if gamma is None:
-            return
         if self.output.gamma_identity is False:
-            if not self.gamma_before and gamma.nbytes <= GAMMA_BYTES_LIMIT:
-                self.gamma_before = gamma.tobytes()
-            self.randr.set_gamma(self._crtc, identity(gamma.shape[1]))
-        self._changed_gamma = bool(self.gamma_before)
+            before = self._make_linear()
+            if not self.gamma_before and before is not None and before.nbytes <= GAMMA_BYTES_LIMIT:
+                self.gamma_before = before.tobytes()
         again = self.randr.output(self._options.output)
         if again is not None and (reason := bent(again)):
             raise SettingRefused(f"{reason}; it could not be reset")
 
-    def _linear_gamma(self) -> NDArray[np.uint16]:
-        gamma = self.randr.gamma(self._crtc)
-        return identity(256 if gamma is None else gamma.shape[1])
+    def _make_linear(self) -> NDArray[np.uint16] | None:
+        """Load the linear gamma table; the one that was there before."""
+        crtc = self.randr.crtc_of(self._options.output)
+        before = self.randr.gamma(crtc)
+        if before is not None:
+            self.randr.set_gamma(crtc, identity(before.shape[1]))
+        return before
 
     def _placed(self) -> str:
         if self._windows is None:

@@ -8,6 +8,7 @@ The thread of the supervisor reconciles two things, what is wanted and what the 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import selectors
 import threading
@@ -15,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -186,7 +188,11 @@ class Supervisor:
         try:
             send(window.sock, self._setup)
             self._converse(life)
-        except (OSError, ValueError) as error:  # a broken socket, or words that are none
+        except ConnectionError:  # it ended before it was told something; its last words are still to be read
+            with contextlib.suppress(OSError, msgspec.DecodeError):
+                while self._hear(life):
+                    pass
+        except (OSError, ValueError, msgspec.DecodeError) as error:
             life.failed = life.failed or Failed(reason=f"the window's process: {error}")
             window.kill()
         how = window.end(CLOSE_S if life.failed is None else 1.0)
