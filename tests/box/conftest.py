@@ -16,7 +16,7 @@ from sim.box.options import from_mapping
 
 
 def _missing() -> str:
-    programs = {"Xorg": "xserver", "cc": "compiler"}
+    programs = {"Xorg": "x11", "cc": "compiler"}
     for program, packages in programs.items():
         if shutil.which(program) is None:
             return f"{program} is missing; install it with: tools/system-packages {packages}"
