@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("daemon.commands.replay", "Reconstruct a recorded take."),
     "info": ("daemon.commands.info", "Tell what a take holds and whether it is whole."),
     "check": ("daemon.commands.check", "Check a rig.yaml, a calibration or a take."),
+    "projector": ("daemon.commands.projector", "Find the projector's output and show test pictures on it."),
     "export": ("daemon.commands.export", "Turn clouds into PLY, PCD or a video."),
 }
 

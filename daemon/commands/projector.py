@@ -1,0 +1,223 @@
+"""``fringed projector``: find the projector's output, and show pictures on it to set it up; needs no daemon."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from drivers.projector import ExternalProjector, OutputFound, OutputProjector
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
+
+RIG_LIMIT = 1 << 20
+PNG_LIMIT = 1 << 28
+
+Display = Annotated[str, typer.Option(help="X display such as :0.", show_default="DISPLAY")]
+Output = Annotated[str | None, typer.Option(help="RandR output such as HDMI-1; see: fringed projector list.")]
+Rig = Annotated[Path | None, typer.Option(help="Take the options from the projector section of this rig.yaml.")]
+AnyMode = Annotated[bool, typer.Option("--any-mode", help="Also where the mode is not the projector's own.")]
+ResetGamma = Annotated[bool, typer.Option("--reset-gamma", help="Make the gamma table linear meanwhile.")]
+Seconds = Annotated[float | None, typer.Option(min=0.1, help="Stop after so many seconds.", show_default="Ctrl-C")]
+
+
+@app.callback()
+def _root() -> None:
+    """Find the projector's output, and show pictures on it to set it up."""
+
+
+@app.command("list")
+def list_outputs(
+    display: Display = "",
+    everything: Annotated[bool, typer.Option("--all", help="Also outputs with nothing plugged in.")] = False,
+) -> None:
+    """Print the outputs of an X display, and what stands in the way of exact pixels."""
+    from drivers.projector import outputs
+
+    found = [output for output in outputs(display) if everything or output.connected]
+    for output in found:
+        typer.echo(describe(output))
+    if not found:
+        typer.echo("no output has anything plugged in")
+
+
+@app.command("test")
+def test(
+    output: Output = None,
+    display: Display = "",
+    rig: Rig = None,
+    any_mode: AnyMode = False,
+    reset_gamma: ResetGamma = False,
+    seconds: Seconds = None,
+) -> None:
+    """Show the alignment picture: frame, 1-pixel checkerboard, grey ramps, colours, cross hairs."""
+    from drivers.projector.pictures import alignment
+
+    hold(_projector(output, display, rig, any_mode, reset_gamma), alignment, seconds)
+
+
+@app.command("show")
+def show(
+    what: Annotated[str, typer.Argument(metavar="FILE.png|white|black|cross", help="Picture of the output's size.")],
+    output: Output = None,
+    display: Display = "",
+    rig: Rig = None,
+    any_mode: AnyMode = False,
+    reset_gamma: ResetGamma = False,
+    seconds: Seconds = None,
+) -> None:
+    """Show a picture until Ctrl-C."""
+    from drivers.projector import pictures
+
+    made: dict[str, Callable[[tuple[int, int]], Any]] = {
+        "white": lambda size: pictures.plain(size, 255),
+        "black": lambda size: pictures.plain(size, 0),
+        "cross": pictures.cross,
+    }
+    make = made.get(what)
+    if make is None:
+        picture = read_png(Path(what))
+        make = lambda _: picture  # noqa: E731
+    hold(_projector(output, display, rig, any_mode, reset_gamma), make, seconds)
+
+
+@app.command("off")
+def off(
+    output: Output = None,
+    display: Display = "",
+    rig: Rig = None,
+    any_mode: AnyMode = False,
+    reset_gamma: ResetGamma = False,
+) -> None:
+    """Go dark once, and run the projector's open and close commands if rig.yaml has some."""
+    projector = _projector(output, display, rig, any_mode, reset_gamma)
+    projector.open()
+    before = projector.notes
+    projector.close()
+    for note in projector.notes[len(before) :]:
+        typer.echo(note, err=True)
+
+
+def hold(
+    projector: OutputProjector | ExternalProjector,
+    make: Callable[[tuple[int, int]], NDArray[np.uint8]],
+    seconds: float | None,
+) -> None:
+    """Show the picture that ``make`` gives for the projector's size; say what becomes of it until the end."""
+    info = projector.open()
+    try:
+        with suppress(KeyboardInterrupt):
+            typer.echo(f"{info.output}: {info.size[0]}x{info.size[1]} pixels at {info.refresh_hz:.3f} Hz")
+            for note in projector.notes:
+                typer.echo(f"note: {note}")
+            projector.show(make(info.size))
+            typer.echo(f"shown{_when(projector)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
+            _watch(projector, None if seconds is None else time.monotonic() + seconds)
+    finally:
+        projector.close()
+
+
+def _watch(projector: OutputProjector | ExternalProjector, deadline: float | None) -> None:
+    told = ""
+    while deadline is None or time.monotonic() < deadline:
+        problem = projector.problem()
+        if problem != told:
+            typer.echo(problem or "all is well again", err=bool(problem))
+            told = problem
+        time.sleep(0.2 if deadline is None else min(0.2, max(0.0, deadline - time.monotonic())))
+
+
+def _when(projector: OutputProjector | ExternalProjector) -> str:
+    flip = getattr(projector, "last_flip", None)
+    if flip is None:
+        return ""
+    return {
+        "present": "; the server confirms the flip",
+        "vblank": "; drawn before a vertical blank",
+        "unverified": "; the server tells no flip times",
+    }[flip.source]
+
+
+def describe(output: OutputFound) -> str:
+    """One output in a few words."""
+    if not output.connected:
+        return f"{output.name}: nothing plugged in"
+    if not output.lit:
+        return f"{output.name}: {output.edid_name or 'connected'}, switched off"
+    parts = [
+        f"{output.size[0]}x{output.size[1]} at +{output.position[0]}+{output.position[1]}",
+        f"{output.refresh_hz:.3f} Hz" if output.refresh_hz else "refresh unknown",
+        f"native {output.preferred_size[0]}x{output.preferred_size[1]}" if output.preferred_size else "native unknown",
+        {True: "gamma linear", False: "gamma NOT linear", None: "gamma unknown"}[output.gamma_identity],
+    ]
+    parts += ["primary"] if output.primary else []
+    parts += [f"rotated {output.rotation}"] if output.rotation != "normal" else []
+    parts += ["scaled"] if output.scaled else []
+    parts += output.notes
+    return f"{output.name}: {f'{output.edid_name}, ' if output.edid_name else ''}{', '.join(parts)}"
+
+
+def read_png(path: Path) -> NDArray[np.uint8]:
+    """An 8-bit grey or colour PNG as (H, W, 3) red, green, blue; DaemonError if it is something else."""
+    import cv2
+    import numpy as np
+
+    from daemon.bounded import read_at_most
+    from daemon.errors import DaemonError
+
+    data = read_at_most(path, PNG_LIMIT, DaemonError)
+    # Pictures that were compressed with losses are refused: their pixels are no longer those that were meant.
+    is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
+    if picture is None:
+        raise DaemonError(f"{path}: not a picture that can be read; expected an 8-bit PNG")
+    if picture.dtype != np.uint8 or (picture.ndim == 3 and picture.shape[2] != 3):
+        raise DaemonError(f"{path}: {picture.dtype} {picture.shape}; expected 8 bits, grey or red-green-blue, no alpha")
+    return np.ascontiguousarray(np.repeat(picture[..., None], 3, 2) if picture.ndim == 2 else picture[..., ::-1])
+
+
+def _projector(
+    output: str | None, display: str, rig: Path | None, any_mode: bool, reset_gamma: bool
+) -> OutputProjector | ExternalProjector:
+    """The projector of the command line, or of a rig file with the command line's changes."""
+    from daemon.errors import DaemonError
+    from drivers.projector import open_external, open_projector
+
+    driver, options = _section(rig) if rig is not None else ("", {})
+    changes = {"output": output, "display": display or None, "mode": "any" if any_mode else None}
+    changes["gamma"] = "reset" if reset_gamma else None
+    options = {**options, **{key: value for key, value in changes.items() if value is not None}}
+    base_dir = rig.resolve().parent if rig is not None else Path.cwd()
+    try:
+        if driver == "external" and output is None:
+            return open_external(options, base_dir)
+        if "output" not in options:
+            raise typer.BadParameter("give --output or --rig; see: fringed projector list")
+        return open_projector(options, base_dir)
+    except ValueError as error:
+        raise DaemonError(f"{rig}: {error}" if rig is not None else str(error)) from None
+
+
+def _section(rig: Path) -> tuple[str, dict[str, Any]]:
+    """Driver and options of the projector section; the rest of the file may be unfinished."""
+    from daemon.bounded import read_at_most
+    from daemon.config.source import read_yaml
+    from daemon.errors import ConfigError, DaemonError
+
+    source = read_yaml(read_at_most(rig, RIG_LIMIT, DaemonError).decode("utf-8", errors="replace"))
+    if source.problems:
+        raise ConfigError([f"{rig}:{p.line}:{p.column}: {p.message}" for p in source.problems])
+    section = source.data.get("projector") if isinstance(source.data, dict) else None
+    if not isinstance(section, dict) or not isinstance(section.get("options", {}), dict):
+        raise DaemonError(f"{rig}: no section projector with driver and options")
+    if section.get("driver") == "sim":
+        raise DaemonError(f"{rig}: projector.driver is sim, which has no light; there is nothing to show")
+    return str(section.get("driver")), dict(section.get("options", {}))

@@ -1,0 +1,115 @@
+"""Which cameras there are, found by a process of its own so that no open camera is disturbed."""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from drivers.errors import DriverError
+from drivers.remote import spawn
+
+log = logging.getLogger("fringed.camera")
+
+_MAX_BYTES = 1 << 20
+_TIMEOUT_S = 60.0
+
+
+class CameraFound(msgspec.Struct, frozen=True):
+    """A camera that a producer sees; texts are empty where it does not tell.
+
+    Args:
+        version: of its firmware. transport: ``GEV``, ``U3V``, ``CL``... access: whether it could be opened now.
+    """
+
+    vendor: str
+    model: str
+    serial: str
+    user_name: str
+    version: str
+    transport: str
+    producer: str
+    access: str
+
+
+_ACCESS = {1: "free", 2: "read only", 3: "no access", 4: "in use", 5: "open", 6: "open, read only"}
+
+
+def describe(device: Any) -> CameraFound:
+    """What a harvesters' device info tells; producers may refuse each single answer."""
+    access = _told(device, "access_status")
+    return CameraFound(
+        vendor=str(_told(device, "vendor") or ""),
+        model=str(_told(device, "model") or ""),
+        serial=str(_told(device, "serial_number") or ""),
+        user_name=str(_told(device, "user_defined_name") or ""),
+        version=str(_told(device, "version") or ""),
+        transport=str(_told(device, "tl_type") or ""),
+        producer=str(_producer(device)),
+        access=_ACCESS.get(int(access), "unknown") if access is not None else "unknown",
+    )
+
+
+def discover(producers: Sequence[Path]) -> list[CameraFound]:
+    """All cameras that the producers (.cti files) see.
+
+    Raises:
+        FileNotFoundError: a producer that is not there. DriverError: looking failed, or took a minute.
+    """
+    for path in producers:
+        if not path.is_file():
+            raise FileNotFoundError(f"there is no GenTL producer {path}")
+    reading, writing = os.pipe()
+    try:
+        process = spawn.start("drivers.genicam.look", [str(writing), *map(str, producers)], pass_fds=[writing])
+    except BaseException:
+        os.close(reading)
+        raise
+    finally:
+        os.close(writing)
+    prints = spawn.Prints(process, log, "listing-prints")
+    try:
+        text = _read_all(reading, time.monotonic() + _TIMEOUT_S)
+    finally:
+        os.close(reading)
+        status = spawn.end(process, 1.0)
+        prints.join(1.0)
+    if status != 0 or not text:
+        raise DriverError(f"looking for cameras failed (exit status {status}): {prints.text()}")
+    return msgspec.json.decode(text, type=list[CameraFound])
+
+
+def _read_all(fd: int, deadline: float) -> bytes:
+    poll = select.poll()
+    poll.register(fd, select.POLLIN)
+    text = b""
+    while poll.poll(max(deadline - time.monotonic(), 0) * 1000):
+        part = os.read(fd, 65536)
+        if not part or len(text) > _MAX_BYTES:
+            return text
+        text += part
+    return b""
+
+
+def _told(device: Any, name: str) -> Any:
+    from genicam import gentl
+
+    try:
+        return getattr(device, name)
+    except (gentl.GenericException, AttributeError):
+        return None
+
+
+def _producer(device: Any) -> str:
+    from genicam import gentl
+
+    try:
+        return str(device.parent.parent.parent.path_name)
+    except (gentl.GenericException, AttributeError):
+        return ""

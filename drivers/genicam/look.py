@@ -1,0 +1,30 @@
+"""The process that looks for cameras: ``python -m drivers.genicam.look FD PRODUCER...``.
+
+Writes the list as JSON to file descriptor FD; standard output belongs to the producers' messages.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import msgspec
+from harvesters.core import Harvester
+
+from drivers.genicam.listing import describe
+
+
+def main() -> None:
+    """Look, and write what was found."""
+    fd, *producers = sys.argv[1:]
+    harvester = Harvester()
+    for producer in producers:
+        harvester.add_file(producer)
+    harvester.update()
+    found = [describe(device) for device in harvester.device_info_list]
+    with open(int(fd), "wb") as out:  # noqa: PTH123 - a file descriptor
+        out.write(msgspec.json.encode(found))
+    harvester.reset()
+
+
+if __name__ == "__main__":
+    main()

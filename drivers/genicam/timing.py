@@ -1,0 +1,121 @@
+"""When a frame was exposed: the camera's time stamp, mapped to the host's clock, with what each camera lacks."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.device_clock import DeviceClock
+from drivers.genicam.features import GENICAM_ERRORS, LOSS, Features, losses
+
+_NS = 1_000_000_000
+_LATCH_EVERY_NS = 400_000_000
+_FIRST_LATCHES = 8
+_SOON_NS, _OLD_NS = 5_000_000, 10 * _NS
+_DISTRUST_AFTER = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """When a frame's exposure began.
+
+    Args:
+        t_device_ns: on the camera's clock, None if it gave none. t_ns: CLOCK_REALTIME.
+    """
+
+    t_device_ns: int | None
+    t_ns: int
+
+
+class Timing:
+    """Follows one camera's clock.
+
+    Args:
+        camera: its features. offset_us: added to its time stamps to get the start of exposure.
+    """
+
+    def __init__(self, camera: Features, *, offset_us: float = 0.0) -> None:
+        self._camera, self._offset_ns = camera, round(offset_us * 1000)
+        self.clock = DeviceClock()
+        self.without_stamp = 0
+        self._hz = _tick_rate(camera)
+        self._can_latch = camera.find("TimestampLatch") is not None and camera.find("TimestampLatchValue") is not None
+        self._next_ns = 0
+        self._strange = 0
+
+    @property
+    def latches(self) -> bool:
+        """Whether the camera tells its time when asked."""
+        return self._can_latch
+
+    def follow(self, now_ns: int) -> bool:
+        """Ask the camera for its time if that is due; whether it was asked. ``now_ns`` is CLOCK_MONOTONIC."""
+        if not self._can_latch or (now_ns < self._next_ns and self.clock.latched):
+            return False
+        self._ask_camera()
+        self._next_ns = now_ns + _LATCH_EVERY_NS
+        return True
+
+    def exposure(self, buffer: Any, t_host_ns: int, exposure_us: float) -> Exposure:
+        """When the exposure of a picture that has just come began."""
+        stamp = self._stamp(buffer)
+        if stamp is None:
+            self.without_stamp += 1
+            return Exposure(None, t_host_ns - round(exposure_us * 1000))
+        device_ns = stamp + self._offset_ns
+        self.clock.arrival(device_ns, t_host_ns, delay_ns=round(exposure_us * 1000))
+        if self._can_latch and not self.clock.latched:  # it was set anew
+            self._ask_camera()
+        t_ns = self.clock.to_host_ns(device_ns)
+        if self._can_latch and not t_host_ns - _OLD_NS < t_ns < t_host_ns + _SOON_NS:
+            self._distrust()
+            t_ns = t_host_ns - round(exposure_us * 1000)
+        else:
+            self._strange = 0
+        return Exposure(device_ns, min(t_ns, t_host_ns))
+
+    def _distrust(self) -> None:
+        """Some cameras stamp pictures by another clock than the one that they show when asked."""
+        self._strange += 1
+        if self._strange >= _DISTRUST_AFTER:
+            self._can_latch, self.clock = False, DeviceClock()
+
+    def _ask_camera(self) -> None:
+        for _ in range(1 if self.clock.latched else _FIRST_LATCHES):
+            self._latch()
+
+    def _latch(self) -> None:
+        with losses("reading its clock"):
+            before = time.time_ns()
+            self._camera.execute("TimestampLatch")
+            after = time.time_ns()
+            value = self._camera.read("TimestampLatchValue")
+        if value is not None and after >= before:
+            self.clock.latch(before, _nanoseconds(int(value), self._hz), after)
+
+    def _stamp(self, buffer: Any) -> int | None:
+        """The picture's time stamp in nanoseconds, None if there is none, or a zero in place of one."""
+        found = _ask(buffer, "timestamp_ns")
+        if not found:
+            ticks = _ask(buffer, "timestamp") or self._camera.read("ChunkTimestamp")
+            found = _nanoseconds(int(ticks), self._hz) if ticks else 0
+        return int(found) or None
+
+
+def _tick_rate(camera: Features) -> int:
+    """Ticks a second of the camera's clock; modern cameras count nanoseconds."""
+    return int(camera.read("TimestampTickFrequency") or 0) or _NS
+
+
+def _nanoseconds(ticks: int, hz: int) -> int:
+    return ticks if hz == _NS else ticks * _NS // hz
+
+
+def _ask(buffer: Any, name: str) -> Any:
+    try:
+        return getattr(buffer, name)
+    except LOSS:
+        raise
+    except GENICAM_ERRORS:
+        return None

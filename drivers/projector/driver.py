@@ -1,0 +1,168 @@
+"""A projector at an output of the graphics card, pixel by pixel."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import DriverError, SettingRefused
+from drivers.projector.hooks import run_hooks
+from drivers.projector.messages import BYTES_LIMIT, SEQUENCE_LIMIT, FlipSource, Setup, Shown
+from drivers.projector.options import ProjectorOptions
+from drivers.projector.supervisor import Supervisor
+from drivers.protocols import ProjectorInfo
+
+
+@dataclass(frozen=True, slots=True)
+class Flip:
+    """When a picture was out, that is, when the graphics card began to send it.
+
+    Args:
+        t_monotonic_ns, t_realtime_ns: the same instant on both clocks.
+        msc: number of the vertical blank, 0 if unknown.
+        source: ``present`` = the server told of this very picture; ``vblank`` = first vertical blank after it was
+            drawn; ``unverified`` = the server tells no time, this is when drawing ended.
+    """
+
+    t_monotonic_ns: int
+    t_realtime_ns: int
+    msc: int
+    source: FlipSource
+
+
+class OutputProjector:
+    """Shows pictures on a RandR output, in a window whose process is watched and started again when it dies.
+
+    Args:
+        options: see :class:`drivers.projector.options.ProjectorOptions`; directory: where hooks run.
+        hung_s: silence after which the window counts as hung.
+    """
+
+    def __init__(self, options: ProjectorOptions, directory: Path, *, hung_s: float = 6.0) -> None:
+        self.options = options
+        self.notes: tuple[str, ...] = ()
+        self.last_flip: Flip | None = None
+        self._directory, self._hung_s = directory, hung_s
+        self._first_flip: Flip | None = None
+        self._supervisor: Supervisor | None = None
+        self._info: ProjectorInfo | None = None
+
+    def open(self) -> ProjectorInfo:
+        """Check the output and put a black window on it; returns at once where that is done already.
+
+        Raises:
+            DriverError: no display, no such output, or a hook failed.
+            SettingRefused: the output would change pixels or their values; the message says what to do.
+        """
+        if self._info is not None:
+            return self._info
+        display = self.options.display_name()
+        self._run_hooks(self.options.hook.open)
+        setup = Setup(options=self.options, display=display)
+        supervisor = Supervisor(setup, after_show=self._after_show, hung_s=self._hung_s)
+        try:
+            opened = supervisor.open()
+        except BaseException:
+            supervisor.close()
+            raise
+        self._supervisor, self.notes = supervisor, opened.notes
+        self._info = ProjectorInfo(opened.output.name, opened.output.size, opened.output.refresh_hz)
+        return self._info
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Show an (H, W, 3) uint8 picture until the next call; returns when it is out, or ``problem`` tells why not."""
+        self.show_sequence([picture])
+
+    def show_sequence(self, pictures: list[NDArray[np.uint8]], *, hold_frames: int = 1, loop: bool = False) -> None:
+        """Show pictures one after the other; returns when the first is out.
+
+        Args:
+            pictures: at most 64 of (H, W, 3) uint8.
+            hold_frames: vertical blanks that each stays; loop: whether to begin again after the last, which stays.
+
+        Raises:
+            SettingRefused: pictures of another size, or too many. DriverError: the projector is closed.
+        """
+        if self._supervisor is None or self._info is None:
+            raise DriverError("projector: show() while closed; open() comes first")
+        if not 1 <= len(pictures) <= SEQUENCE_LIMIT or hold_frames < 1:
+            raise SettingRefused(
+                f"projector: {len(pictures)} pictures, {hold_frames} frames; expected 1 to {SEQUENCE_LIMIT}, at least 1"
+            )
+        width, height = self._info.size
+        for picture in pictures:
+            if picture.shape != (height, width, 3) or picture.dtype != np.uint8:
+                raise SettingRefused(
+                    f"projector: picture {picture.shape} {picture.dtype} does not fit output {self._info.output}, "
+                    f"expected {(height, width, 3)} uint8"
+                )
+        if sum(picture.nbytes for picture in pictures) > BYTES_LIMIT:
+            raise SettingRefused(
+                f"projector: the pictures are larger than {BYTES_LIMIT >> 20} MiB together; show fewer"
+            )
+        hook = self.options.hook
+        patience_s = self.options.show_timeout_s + len(hook.show) * hook.timeout_s
+        shown = self._supervisor.show(pictures, hold_frames=hold_frames, loop=loop, timeout_s=patience_s)
+        self._note_flip(shown)
+
+    def problem(self) -> str:
+        """Why the last picture may not be shown at this moment, empty when all is well."""
+        if self._supervisor is None:
+            return "the projector is closed"
+        found = self._supervisor.problem()
+        return f"projector {self.options.output}: {found}" if found else ""
+
+    def close(self) -> None:
+        """Go dark, let go, run the hooks; never raises, may be called twice."""
+        if self._supervisor is None:
+            return
+        self._supervisor.close()
+        self._supervisor = self._info = None
+        try:
+            self._run_hooks(self.options.hook.close)
+        except DriverError as error:
+            self.notes = (*self.notes, str(error))
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """``restarts`` of the window and ``late`` pictures of sequences since it was opened."""
+        return self._supervisor.counted() if self._supervisor is not None else {"restarts": 0, "late": 0}
+
+    @property
+    def window_pid(self) -> int:
+        """Process id of the window, 0 while there is none."""
+        return self._supervisor.pid if self._supervisor is not None else 0
+
+    @property
+    def latency_s(self) -> float | None:
+        """From flip to light as the options tell it, None if it was never measured."""
+        return self.options.latency_s(self._info.refresh_hz if self._info is not None else 0.0)
+
+    @property
+    def measured_refresh_hz(self) -> float | None:
+        """Refresh rate between the first and the last flip, None if the server tells no vertical blanks."""
+        first, last = self._first_flip, self.last_flip
+        if first is None or last is None or not 0 < first.msc < last.msc:
+            return None
+        return (last.msc - first.msc) * 1e9 / (last.t_monotonic_ns - first.t_monotonic_ns)
+
+    def _note_flip(self, shown: Shown | None) -> None:
+        if shown is None:
+            self.last_flip = None
+            return
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        flip = Flip(shown.t_monotonic_ns, shown.t_monotonic_ns + offset_ns, shown.msc, shown.source)
+        if self._first_flip is None or flip.msc <= self._first_flip.msc:
+            self._first_flip = flip
+        self.last_flip = flip
+
+    def _after_show(self) -> None:
+        self._run_hooks(self.options.hook.show)
+
+    def _run_hooks(self, commands: tuple[tuple[str, ...], ...]) -> None:
+        variables = {"FRINGED_OUTPUT": self.options.output}
+        run_hooks(commands, timeout_s=self.options.hook.timeout_s, directory=self._directory, variables=variables)

@@ -1,0 +1,74 @@
+"""A projector that shows its picture by itself: from its flash memory, or driven by another program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import DriverError, SettingRefused
+from drivers.projector.hooks import run_hooks
+from drivers.projector.options import ExternalOptions
+from drivers.protocols import ProjectorInfo
+
+
+class ExternalProjector:
+    """Shows nothing itself; it checks sizes, runs hooks, and trusts that the picture is there.
+
+    Args:
+        options: see :class:`drivers.projector.options.ExternalOptions`; directory: where hooks run.
+    """
+
+    def __init__(self, options: ExternalOptions, directory: Path) -> None:
+        self.options = options
+        self.notes: tuple[str, ...] = ("nothing tells whether an external projector really shows its picture",)
+        self._directory = directory
+        self._open = False
+        self._problem = ""
+
+    def open(self) -> ProjectorInfo:
+        """Run the ``open`` hooks; DriverError if one fails."""
+        if not self._open:
+            self._run_hooks(self.options.hook.open)
+            self._open, self._problem = True, ""
+        return ProjectorInfo(self.options.name, self.options.size, self.options.refresh_hz)
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Run the ``show`` hooks; a hook that fails is told by :meth:`problem`."""
+        if not self._open:
+            raise DriverError(f"projector {self.options.name}: show() while closed; open() comes first")
+        width, height = self.options.size
+        if picture.shape != (height, width, 3) or picture.dtype != np.uint8:
+            raise SettingRefused(
+                f"projector {self.options.name}: picture {picture.shape} {picture.dtype} does not fit, "
+                f"expected {(height, width, 3)} uint8 (projector.size)"
+            )
+        try:
+            self._run_hooks(self.options.hook.show)
+            self._problem = ""
+        except DriverError as error:
+            self._problem = str(error)
+
+    def problem(self) -> str:
+        """The hook that failed last, empty if none did."""
+        return self._problem if self._open else f"projector {self.options.name} is closed"
+
+    def close(self) -> None:
+        """Run the ``close`` hooks; never raises, may be called twice."""
+        if not self._open:
+            return
+        self._open = False
+        try:
+            self._run_hooks(self.options.hook.close)
+        except DriverError as error:
+            self.notes = (*self.notes, str(error))
+
+    @property
+    def latency_s(self) -> float | None:
+        """From flip to light as the options tell it, None if it was never measured."""
+        return self.options.latency_s(self.options.refresh_hz)
+
+    def _run_hooks(self, commands: tuple[tuple[str, ...], ...]) -> None:
+        variables = {"FRINGED_OUTPUT": self.options.name}
+        run_hooks(commands, timeout_s=self.options.hook.timeout_s, directory=self._directory, variables=variables)

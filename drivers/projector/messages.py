@@ -1,0 +1,146 @@
+"""What the driver and its window's process say to each other: JSON in packets of bounded size, pictures by memfd."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import socket
+from typing import Literal, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.projector.found import OutputFound
+from drivers.projector.options import SIZE_LIMIT, ProjectorOptions
+
+PACKET_LIMIT = 1 << 17
+SEQUENCE_LIMIT = 64
+BYTES_LIMIT = 1 << 30
+
+FlipSource = Literal["present", "vblank", "unverified"]
+
+
+class Setup(msgspec.Struct, tag="setup", frozen=True, kw_only=True):
+    """First message to the window: what to open; ``gamma_before`` = table to restore, left by a window that died."""
+
+    options: ProjectorOptions
+    display: str
+    gamma_before: bytes = b""
+
+
+class Show(msgspec.Struct, tag="show", frozen=True, kw_only=True):
+    """Show the pictures in the memfd that comes with this packet.
+
+    Args:
+        serial: number that comes back in :class:`Shown`.
+        count: pictures of (height, width, 3) bytes, one after the other.
+        hold_frames: vertical blanks that each stays; loop: whether to begin again after the last.
+    """
+
+    serial: int
+    count: int
+    width: int
+    height: int
+    hold_frames: int = 1
+    loop: bool = False
+
+
+class Close(msgspec.Struct, tag="close", frozen=True):
+    """Go dark, restore, end."""
+
+
+class Opened(msgspec.Struct, tag="opened", frozen=True, kw_only=True):
+    """The window stands on the output, black."""
+
+    output: OutputFound
+    notes: tuple[str, ...]
+    gamma_before: bytes = b""
+
+
+class Failed(msgspec.Struct, tag="failed", frozen=True, kw_only=True):
+    """The window cannot be (or be any longer); ``refused``: a setting must be changed first."""
+
+    reason: str
+    refused: bool = False
+
+
+class Shown(msgspec.Struct, tag="shown", frozen=True, kw_only=True):
+    """The picture is out since ``t_monotonic_ns``, vertical blank number ``msc``."""
+
+    serial: int
+    t_monotonic_ns: int
+    msc: int
+    source: FlipSource
+
+
+class Beat(msgspec.Struct, tag="beat", frozen=True, kw_only=True):
+    """Alive; ``late``: pictures of sequences that came out later than planned."""
+
+    problem: str = ""
+    late: int = 0
+
+
+ToWindow: TypeAlias = Setup | Show | Close
+FromWindow: TypeAlias = Opened | Failed | Shown | Beat
+
+_to_window = msgspec.json.Decoder(Setup | Show | Close)
+_from_window = msgspec.json.Decoder(Opened | Failed | Shown | Beat)
+
+
+def send(sock: socket.socket, message: ToWindow | FromWindow, memfd: int | None = None, *, wait: bool = True) -> None:
+    """Send one packet, with a file descriptor if there is one.
+
+    Raises:
+        OSError: the other side is gone. BlockingIOError: it does not read, and ``wait`` is False.
+    """
+    packet = msgspec.json.encode(message)
+    if len(packet) > PACKET_LIMIT:
+        raise ValueError(f"message of {len(packet)} bytes, at most {PACKET_LIMIT} are sent")
+    if memfd is None:
+        sock.send(packet, 0 if wait else socket.MSG_DONTWAIT)
+    else:
+        socket.send_fds(sock, [packet], [memfd])
+
+
+def receive_in_window(sock: socket.socket) -> tuple[ToWindow, int | None] | None:
+    """The next packet to the window and its file descriptor (the caller's to close); None at the end."""
+    packet, memfds, _, _ = socket.recv_fds(sock, PACKET_LIMIT, 1)
+    if not packet:
+        return None
+    return _to_window.decode(packet), memfds[0] if memfds else None
+
+
+def receive_from_window(sock: socket.socket) -> FromWindow | None:
+    """The next packet from the window; None at the end."""
+    packet = sock.recv(PACKET_LIMIT)
+    return _from_window.decode(packet) if packet else None
+
+
+def pack_pictures(pictures: list[NDArray[np.uint8]]) -> int:
+    """Pictures of one size, (H, W, 3), in a sealed memfd that the caller closes."""
+    memfd = os.memfd_create("fringed-pictures", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    try:
+        for picture in pictures:
+            view = memoryview(np.ascontiguousarray(picture).data).cast("B")
+            while view:
+                view = view[os.write(memfd, view) :]
+        fcntl.fcntl(memfd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_WRITE | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
+    except BaseException:
+        os.close(memfd)
+        raise
+    return memfd
+
+
+def unpack_pictures(memfd: int, show: Show) -> NDArray[np.uint8]:
+    """The pictures of a message, (count, height, width, 3); closes the memfd. ValueError if they are not right."""
+    try:
+        size = show.count * show.width * show.height * 3
+        right = 1 <= show.count <= SEQUENCE_LIMIT and 1 <= show.width <= SIZE_LIMIT and 1 <= show.height <= SIZE_LIMIT
+        if not right or size > BYTES_LIMIT or os.fstat(memfd).st_size != size:
+            raise ValueError(f"{show.count} pictures of {show.width}x{show.height} are not in the {size} bytes sent")
+        mapped = mmap.mmap(memfd, size, prot=mmap.PROT_READ)
+    finally:
+        os.close(memfd)
+    return np.frombuffer(mapped, np.uint8).reshape(show.count, show.height, show.width, 3)

@@ -1,0 +1,124 @@
+"""Pictures on the window and the times at which they were out; sequences that go on by themselves."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import DriverError
+from drivers.projector.messages import Show, Shown
+from drivers.projector.present import VBlank, VBlankClock
+from drivers.projector.window import PatternWindow
+
+VBLANK_S = 1.0
+SWAP_S = 0.05
+
+
+@dataclass(slots=True)
+class _Sequence:
+    count: int
+    hold_frames: int
+    loop: bool
+    number: int
+    due_msc: int
+    asked: int
+
+
+class Screen:
+    """Shows pictures in a window and tells when they were out.
+
+    Args:
+        window: on the screen; clock: its vertical blanks, None where the server tells none.
+    """
+
+    def __init__(self, window: PatternWindow, clock: VBlankClock | None) -> None:
+        self._window, self._clock = window, clock
+        self._number: int | None = None
+        self._sequence: _Sequence | None = None
+        self._sees_swaps: bool | None = None
+        self.late = 0
+        self.wrong_pixels = ""
+
+    def show(self, pictures: NDArray[np.uint8], show: Show) -> Shown:
+        """Show the first of these pictures, and the others after it by :meth:`take_events`."""
+        self._sequence, self._number = None, None
+        self.wrong_pixels = self._window.load(pictures)
+        self._number = 0
+        out = self._flip()
+        if show.count > 1 and self._clock is not None and out is not None:
+            due = out.msc + show.hold_frames
+            # A picture drawn after vertical blank number n is out at n + 1.
+            asked = self._clock.ask(due - 1)
+            self._sequence = _Sequence(show.count, show.hold_frames, show.loop, 0, due, asked)
+        elif show.count > 1:
+            raise DriverError("this X server tells no vertical blanks, so sequences cannot be shown on it")
+        if out is None or not out.t_monotonic_ns:
+            return Shown(serial=show.serial, t_monotonic_ns=time.monotonic_ns(), msc=0, source="unverified")
+        source = "present" if out.swap else "vblank"
+        return Shown(serial=show.serial, t_monotonic_ns=out.t_monotonic_ns, msc=out.msc, source=source)  # type: ignore[arg-type]
+
+    def black(self) -> None:
+        """Go dark; returns when it is dark, as well as can be known."""
+        self._sequence, self._number = None, None
+        self._window.draw(None)
+        self._flip()
+
+    def redraw(self) -> None:
+        """Show the same again: the window lost its pixels."""
+        self._window.draw(self._number)
+        self._window.flip()
+
+    def take_events(self) -> None:
+        """Go on with a sequence where a vertical blank came for which it waits."""
+        if self._clock is None:
+            return
+        for event in self._clock.events():
+            if self._sequence is not None and not event.swap and event.serial == self._sequence.asked:
+                self._advance(self._sequence, event.msc)
+
+    def _advance(self, sequence: _Sequence, msc: int) -> None:
+        assert self._clock is not None  # noqa: S101 - for the type checker
+        out_msc = max(msc + 1, sequence.due_msc)
+        self.late += out_msc > sequence.due_msc
+        sequence.number += 1
+        if sequence.number == sequence.count:
+            if not sequence.loop:
+                self._sequence = None
+                return
+            sequence.number = 0
+        self._number = sequence.number
+        self._window.draw(self._number)
+        self._window.flip()
+        if sequence.number + 1 == sequence.count and not sequence.loop:
+            self._sequence = None
+            return
+        sequence.due_msc = out_msc + sequence.hold_frames
+        sequence.asked = self._clock.ask(sequence.due_msc - 1)
+
+    def _flip(self) -> VBlank | None:
+        """Flip, and wait for the vertical blank in which the picture goes out; None if the server tells none."""
+        if self._clock is None:
+            self._window.flip()
+            return None
+        if any(event.swap for event in self._clock.events()):
+            self._sees_swaps = True
+        self._window.flip()
+        asked = self._clock.ask()
+        vblank: VBlank | None = None
+        swap: VBlank | None = None
+        deadline = time.monotonic() + VBLANK_S
+        while (left := deadline - time.monotonic()) > 0:
+            for event in self._clock.wait(left):
+                if event.swap:
+                    swap = event
+                elif event.serial == asked:
+                    vblank = event
+            if swap is not None or (vblank is not None and self._sees_swaps is False):
+                break
+            if vblank is not None and self._sees_swaps is None:
+                deadline = min(deadline, time.monotonic() + SWAP_S)
+        self._sees_swaps = swap is not None or bool(self._sees_swaps)
+        return swap or vblank

@@ -1,0 +1,121 @@
+"""Start a process that ends with this one, and read what it prints."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from typing import IO
+
+from drivers.errors import DriverError
+
+_PR_SET_PDEATHSIG = 1
+_MAX_LINE = 2000
+_KEPT_LINES = 8
+
+_Job = tuple[Callable[[], "subprocess.Popen[bytes]"], "Future[subprocess.Popen[bytes]]"]
+_jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
+_starting = threading.Lock()
+_thread: threading.Thread | None = None
+
+
+def die_with_parent(parent: int) -> None:
+    """Called in the child: the kernel kills it when the thread that started it ends, even if it hangs."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        raise SystemExit("the process that started this one is gone")
+
+
+def start(module: str, arguments: Sequence[str], *, pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Start ``python -m module``; its standard output and error come through one pipe, ``stdout``.
+
+    The kernel's parent-death signal watches the *thread* that started a process, so all are started by one thread
+    that lives as long as this process does.
+    """
+    global _thread
+    with _starting:
+        if _thread is None or not _thread.is_alive():
+            _thread = threading.Thread(target=_work, name="process-starter", daemon=True)
+            _thread.start()
+    done: Future[subprocess.Popen[bytes]] = Future()
+
+    def job() -> subprocess.Popen[bytes]:
+        return subprocess.Popen(  # noqa: S603 - this very interpreter, no shell
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=tuple(pass_fds),
+            env=_environment(os.environ),
+        )
+
+    _jobs.put((job, done))
+    try:
+        return done.result()
+    except OSError as error:
+        raise DriverError(f"a process for {module} cannot be started: {error}") from error
+
+
+def _work() -> None:
+    while True:
+        job, done = _jobs.get()
+        try:
+            done.set_result(job())
+        except BaseException as error:
+            done.set_exception(error)
+
+
+def _environment(inherited: Mapping[str, str]) -> dict[str, str]:
+    """The same modules as here, and no pools of threads for linear algebra that nobody uses."""
+    one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    return {**one, **inherited, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONUNBUFFERED": "1"}
+
+
+def end(process: subprocess.Popen[bytes], patience_s: float) -> int:
+    """Wait for a process, kill it when it takes too long; returns its exit status."""
+    try:
+        return process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+class Prints:
+    """Passes what a process prints on to a logger, line by line, and keeps the last lines.
+
+    Args:
+        process: from :func:`start`; its output is closed at its end. name: of the thread that reads it.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], log: logging.Logger, name: str) -> None:
+        if process.stdout is None:
+            raise ValueError("the process has no output to read")
+        self._stream: IO[bytes] = process.stdout
+        self._log = log
+        self.last: deque[str] = deque(maxlen=_KEPT_LINES)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def text(self) -> str:
+        """The last lines in one."""
+        return " | ".join(self.last)
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for the end of the output."""
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        with self._stream:
+            while line := self._stream.readline(_MAX_LINE):
+                text = line.decode("utf-8", "replace").rstrip()
+                if text:
+                    self.last.append(text)
+                    self._log.debug("%s", text)

@@ -1,0 +1,55 @@
+"""The light on a sensor, shared with the camera's process: the last few pictures, each whole or seen as not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.gentl import memory
+
+Picture = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+class Pictures:
+    """A ring of pictures in a file of its own.
+
+    The writer makes a slot's sequence odd, writes the picture, and makes it even; the reader copies and looks whether
+    the sequence is still the one it wanted. So neither waits for the other, and no torn picture is ever used.
+
+    Args:
+        path: a new file; size: (width, height) of the sensor.
+    """
+
+    def __init__(self, path: Path, size: tuple[int, int]) -> None:
+        self.shown = 0
+        self._size = size
+        self._slot_bytes = memory.SLOT_HEADER + size[0] * size[1] * 3 * 2
+        self._bytes = memory.create_shared(path, memory.SLOT_HEADER + memory.SLOTS * self._slot_bytes)
+        self._header = self._bytes[: memory.IMAGE_DTYPE.itemsize].view(memory.IMAGE_DTYPE)[0]
+        self._header["slots"], self._header["slot_bytes"] = memory.SLOTS, self._slot_bytes
+        self._header["width"], self._header["height"] = size
+        self._header["magic"] = memory.IMAGE_MAGIC
+
+    def show(self, picture: Picture) -> int:
+        """Write the next picture and return its number from 1; see :meth:`sim.gentl.cable.Cable.show`."""
+        width, height = self._size
+        if picture.shape not in ((height, width), (height, width, 3)) or picture.dtype not in (np.uint8, np.uint16):
+            raise ValueError(
+                f"the sensor shows ({height}, {width}) or ({height}, {width}, 3), uint8 or uint16; "
+                f"got {picture.shape}, {picture.dtype}"
+            )
+        number = self.shown + 1
+        start = memory.SLOT_HEADER + number % memory.SLOTS * self._slot_bytes
+        slot = self._bytes[start : start + self._slot_bytes]
+        header = slot[: memory.SLOT_DTYPE.itemsize].view(memory.SLOT_DTYPE)[0]
+        header["sequence"] = 2 * number - 1
+        header["channels"] = 3 if picture.ndim == 3 else 1
+        header["bytes_per_sample"] = picture.dtype.itemsize
+        pixels = slot[memory.SLOT_HEADER : memory.SLOT_HEADER + picture.nbytes].view(picture.dtype)
+        np.copyto(pixels.reshape(picture.shape), picture)
+        header["sequence"] = 2 * number
+        self._header["newest"] = number
+        self.shown = number
+        return number

@@ -1,0 +1,132 @@
+/* The sensor: light of the shared picture, through the colour filter, as pixels in the format that was asked for. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "formats.h"
+#include "producer.h"
+
+/* Which channel a pixel of an even or odd row and column sees. */
+static const int filter_channel[][4] = {
+    [FILTER_MONO] = { 1, 1, 1, 1 }, [FILTER_RG] = { 0, 1, 1, 2 }, [FILTER_GR] = { 1, 0, 2, 1 },
+    [FILTER_GB] = { 1, 2, 0, 1 },   [FILTER_BG] = { 2, 1, 1, 0 },
+};
+
+static const Format *format_of(uint32_t number) {
+    for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
+        if (formats[i].number == number) return &formats[i];
+    return NULL;
+}
+
+bool format_exists(uint32_t number, uint64_t filter) {
+    const Format *format = format_of(number);
+    return format && (format->filter ? format->filter == filter : format->samples == 1 || filter != FILTER_MONO);
+}
+
+size_t image_bytes(uint32_t format, uint32_t width, uint32_t height) {
+    return ((size_t)width * height * (format >> 16 & 0xFF) + 7) / 8;
+}
+
+typedef struct { const uint8_t *pixels; uint32_t width, height, channels, bytes; } Light;
+
+/* One value of the light in 16 bits. */
+static inline uint32_t sample(const Light *light, size_t pixel, uint32_t channel) {
+    size_t at = pixel * light->channels + (light->channels == 1 ? 0 : channel);
+    if (light->bytes == 1) return (uint32_t)light->pixels[at] << 8;
+    uint16_t value;
+    memcpy(&value, light->pixels + 2 * at, 2);
+    return value;
+}
+
+static void expose_row(
+    const Light *light, const Format *format, const Frame *frame, uint16_t *const *table, uint32_t row, uint16_t *out) {
+    uint32_t y = frame->y + row;
+    const int *channel = filter_channel[format->filter] + 2 * (y & 1);
+    for (uint32_t i = 0; i < frame->width; i++) {
+        size_t pixel = (size_t)y * light->width + frame->x + i;
+        if (format->samples == 3)
+            for (uint32_t c = 0; c < 3; c++) out[3 * i + c] = (uint16_t)sample(light, pixel, c);
+        else if (format->filter)
+            out[i] = (uint16_t)sample(light, pixel, (uint32_t)channel[(frame->x + i) & 1]);
+        else
+            out[i] = (uint16_t)((sample(light, pixel, 0) + 2 * sample(light, pixel, 1) + sample(light, pixel, 2)) >> 2);
+    }
+    for (uint32_t i = 0; table && i < frame->width; i++) {
+        if (format->samples == 3)
+            for (uint32_t c = 0; c < 3; c++) out[3 * i + c] = table[c][out[3 * i + c]];
+        else
+            out[i] = table[channel[(frame->x + i) & 1]][out[i]];
+    }
+}
+
+/* Packed formats put the pixels' bits one after the other, lowest first, with no gap at the row's end. */
+static void write_row(const Format *format, const uint16_t *row, size_t count, size_t first, uint8_t *out) {
+    unsigned shift = 16 - format->depth;
+    if (format->packed) {
+        size_t bit = first * format->depth;
+        for (size_t i = 0; i < count; i++, bit += format->depth) {
+            uint32_t value = (uint32_t)(row[i] >> shift) << (bit & 7);
+            for (size_t at = bit >> 3; value; at++, value >>= 8) out[at] |= (uint8_t)value;
+        }
+    } else if (format->depth == 8)
+        for (size_t i = 0; i < count; i++) out[first + i] = (uint8_t)(row[i] >> 8);
+    else
+        for (size_t i = 0; i < count; i++) {
+            uint16_t value = (uint16_t)(row[i] >> shift);
+            memcpy(out + 2 * (first + i), &value, 2);
+        }
+}
+
+/* How bright the light is, by a grid of 32 x 32 pixels. */
+static void measure(const Light *light, double mean[3]) {
+    for (uint32_t c = 0; c < 3; c++) {
+        uint64_t sum = 0;
+        for (uint32_t i = 0; i < 1024; i++) {
+            size_t y = (size_t)(i / 32) * light->height / 32, x = (size_t)(i % 32) * light->width / 32;
+            sum += sample(light, y * light->width + x, c);
+        }
+        mean[c] = (double)sum / 1024 / 65535;
+    }
+}
+
+static void expose(const Light *light, const Format *format, Frame *frame, uint16_t *const *table) {
+    uint16_t *row = malloc((size_t)frame->width * format->samples * sizeof *row);
+    size_t count = (size_t)frame->width * format->samples;
+    if (!row) return;
+    if (format->packed) memset(frame->bytes, 0, frame->image_bytes);
+    for (uint32_t y = 0; y < frame->height; y++) {
+        expose_row(light, format, frame, table, y, row);
+        write_row(format, row, count, y * count, frame->bytes);
+    }
+    free(row);
+}
+
+/* Exposes picture `wanted`, or the newest (0). A picture that was written over meanwhile is replaced by the newest. */
+void take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted) {
+    uint16_t *const *table = response_tables(device, response);
+    const Format *format = format_of(frame->format);
+    const Image *image = device->image;
+    memset(frame->bytes, 0, frame->image_bytes);
+    memset(frame->mean, 0, sizeof frame->mean);
+    if (!format) return;
+    for (int attempt = 0; attempt < 100; attempt++) {
+        uint64_t number = wanted && !attempt ? wanted : LOAD(image->newest);
+        if (!number) return; /* the cap is on */
+        const Slot *slot = (const Slot *)((const uint8_t *)image + SLOT_HEADER + number % SLOTS * image->slot_bytes);
+        if (LOAD(slot->sequence) == 2 * number) {
+            Light light = { (const uint8_t *)slot + SLOT_HEADER, (uint32_t)image->width, (uint32_t)image->height,
+                            (uint32_t)slot->channels, (uint32_t)slot->bytes_per_sample };
+            bool fits = (light.channels == 1 || light.channels == 3) && (light.bytes == 1 || light.bytes == 2) &&
+                        SLOT_HEADER + image->width * image->height * light.channels * light.bytes <= image->slot_bytes;
+            if (fits) {
+                expose(&light, format, frame, table);
+                measure(&light, frame->mean);
+            }
+            __atomic_thread_fence(__ATOMIC_ACQUIRE);
+            if (LOAD(slot->sequence) == 2 * number) {
+                STORE(device->state->picture, number);
+                return;
+            }
+        }
+        if (wanted && !attempt) COUNT(device->state->overtaken);
+    }
+}

@@ -1,0 +1,158 @@
+"""What every camera of every producer must do, each with what it has."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import DeviceLost, DriverError, SettingRefused
+from drivers.genicam import discover
+from drivers.protocols import Camera, Frame
+from tests.drivers.genicam import producers
+from tests.drivers.genicam.producers import Ability
+
+
+@dataclass
+class Bench:
+    """One producer, and how to make cameras of it."""
+
+    ability: Ability
+    library: Path
+    make: Callable[..., Camera]
+
+    def camera(self, **changes: Any) -> Camera:
+        ability = self.ability
+        options = {"producer": str(self.library), **ability.select, "trigger": ability.trigger, **ability.options}
+        return self.make({**options, **changes})
+
+
+@pytest.fixture(params=producers.ALL, ids=lambda ability: ability.name)
+def bench(request: pytest.FixtureRequest, world: Path, opened: Any) -> Iterator[Bench]:
+    ability: Ability = request.param
+    with ExitStack() as stack:
+        if ability.name.startswith("ours"):
+            stack.enter_context(producers.cables(world, old=ability.name == "ours_old"))
+        yield Bench(ability, producers.library(ability.name), opened)
+
+
+def frames(camera: Camera, count: int) -> list[Frame]:
+    end = time.monotonic() + 20
+    found: list[Frame] = []
+    while len(found) < count and time.monotonic() < end:
+        frame = camera.read(0.2)
+        found += [] if frame is None else [frame]
+    assert len(found) == count
+    return found
+
+
+def test_cameras_are_found(bench: Bench) -> None:
+    found = discover([bench.library])
+    assert len(found) == bench.ability.cameras
+    assert len({camera.serial for camera in found}) == len(found)
+    for camera in found:
+        assert camera.model
+        assert camera.vendor
+        assert camera.producer == str(bench.library)
+        assert camera.access in ("free", "open", "unknown")
+
+
+def test_frames_are_numbered_and_timed(bench: Bench) -> None:
+    ability = bench.ability
+    camera = bench.camera()
+    info = camera.open()
+    assert (info.model, info.size, info.encoding) == (ability.model, ability.size, ability.encoding)
+    assert any("does not tell its time" in note for note in info.notes) != ability.latches
+    camera.start()
+    found = frames(camera, 12)
+    width, height = ability.size
+    for frame in found:
+        assert frame.image.shape[:2] == (height, width)
+        assert not frame.image.flags.writeable
+        assert frame.encoding == ability.encoding
+        assert frame.t_exposure_ns <= frame.t_host_ns
+        assert frame.t_host_ns - frame.t_exposure_ns < 10**9
+        assert abs(frame.t_host_ns - time.time_ns()) < 60 * 10**9
+        assert (frame.t_device_ns is not None) == ability.stamps
+        assert (frame.frame_id is not None) == ability.ids
+    numbers = [frame.trigger for frame in found]
+    steps = {later - earlier for earlier, later in itertools.pairwise(numbers)}
+    assert min(steps) > 0
+    if not ability.holes:
+        assert steps == {1}
+    times = [frame.t_exposure_ns for frame in found]
+    assert times == sorted(times)
+
+
+def test_each_start_counts_anew(bench: Bench) -> None:
+    camera = bench.camera()
+    camera.open()
+    for _ in range(3):
+        camera.start()
+        assert frames(camera, 3)[0].trigger < 3 or bench.ability.holes
+        camera.stop()
+        assert camera.read(0.1) is None
+
+
+def test_a_closed_camera_opens_again(bench: Bench) -> None:
+    camera = bench.camera()
+    for _ in range(2):
+        camera.open()
+        camera.start()
+        frames(camera, 2)
+        camera.close()
+    with pytest.raises(DeviceLost):
+        camera.read(0.1)
+
+
+def test_health(bench: Bench) -> None:
+    camera = bench.camera()
+    camera.open()
+    end = time.monotonic() + 10
+    while not camera.health().counters.get("processes") or "incomplete" not in camera.health().counters:
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    assert (camera.health().temperature_c is not None) == bench.ability.temperature
+
+
+def test_a_camera_that_is_not_there_names_those_that_are(bench: Bench) -> None:
+    with pytest.raises(DeviceLost, match=f"serial 'nobody'.*there are.*{bench.ability.model}"):
+        bench.camera(serial="nobody").open()
+
+
+def test_options_that_fit_several_are_refused(bench: Bench) -> None:
+    if bench.ability.several:
+        everyone = dict.fromkeys(bench.ability.select)
+        with pytest.raises(DriverError, match=r"cameras with model .* name one of them by its serial"):
+            bench.camera(**everyone, **bench.ability.several).open()
+
+
+def test_a_format_that_is_not_there_names_those_that_are(bench: Bench) -> None:
+    with pytest.raises(SettingRefused, match=r"PixelFormat cannot be set to Mono9000: there are .*Mono8"):
+        bench.camera(pixel_format="Mono9000").open()
+
+
+def test_a_feature_that_is_not_there_is_named(bench: Bench) -> None:
+    with pytest.raises(SettingRefused, match="NoSuchFeature cannot be set to 1"):
+        bench.camera(features={"NoSuchFeature": 1}).open()
+
+
+def test_a_camera_in_use_says_so(bench: Bench) -> None:
+    first = bench.camera()
+    first.open()
+    second = bench.camera()
+    if bench.ability.exclusive:
+        with pytest.raises(DeviceLost, match="in use"):
+            second.open()
+    else:
+        second.open()
+    first.start()
+    frames(first, 2)
+    assert len(discover([bench.library])) == bench.ability.cameras
+    frames(first, 2)

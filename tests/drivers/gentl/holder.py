@@ -1,0 +1,34 @@
+"""A program with one camera open, for tests with several processes.
+
+``python -m tests.drivers.gentl.holder PRODUCER SERIAL`` opens the camera, arms it, prints ``armed`` and then a line of
+JSON for each frame: number, time and first byte. It ends with its standard input.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import sys
+from pathlib import Path
+
+from tests.drivers.gentl.host import opened
+
+
+def main(producer: str, serial: str) -> None:
+    """Hold the camera until nobody wants it any more."""
+    with opened(Path(producer), serial) as (host,):
+        host.trigger_on()
+        host.set(PixelFormat="Mono8")
+        host.start()
+        sys.stdout.write("armed\n")
+        sys.stdout.flush()
+        while not select.select([sys.stdin], [], [], 0)[0]:
+            shot = host.shot(0.02)
+            if shot is not None:
+                told = {"frame_id": shot.frame_id, "timestamp": shot.timestamp, "first": shot.bytes[0]}
+                sys.stdout.write(json.dumps(told) + "\n")
+                sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,138 @@
+"""``fringed projector``: what the rig person types, without a daemon."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from drivers.projector import pictures
+from sim.xserver import XServer
+from tests.drivers.projector import x
+
+FRINGED = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-c", FRINGED, "projector", *arguments]
+
+
+@pytest.fixture
+def run(server: XServer) -> Run:
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        environment = server.environment()
+        return subprocess.run(
+            command(*arguments), env=environment, capture_output=True, text=True, timeout=60, check=False
+        )
+
+    return run
+
+
+def test_list_tells_each_output_in_a_line(run: Run) -> None:
+    done = run("list")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        "DUMMY0: 640x480 at +0+0, 60.000 Hz, native 640x480, gamma linear, primary",
+        "DUMMY1: 320x256 at +640+0, 59.943 Hz, native 320x256, gamma linear",
+    ]
+    assert "DUMMY2: nothing plugged in" in run("list", "--all").stdout
+
+
+def test_the_test_picture_stands_until_it_is_interrupted(server: XServer) -> None:
+    held = subprocess.Popen(
+        command("test", "--output", "DUMMY1"), env=server.environment(), stdout=subprocess.PIPE, text=True
+    )
+    wanted = pictures.alignment((320, 256))
+    try:
+        x.until(lambda: np.array_equal(x.grab(server, 1), wanted), "the picture is on the output")
+        held.send_signal(signal.SIGINT)
+        said, _ = held.communicate(timeout=30)
+    finally:
+        held.kill()
+        held.wait()
+    assert held.returncode == 0 and "320x256 pixels at 59.943 Hz" in said
+    assert not x.grab(server, 1).any()
+
+
+def test_a_png_of_the_right_size_is_shown_from_a_rig_file_that_is_not_complete(
+    server: XServer, run: Run, tmp_path: Path
+) -> None:
+    picture = x.noise(server, 1)
+    cv2.imwrite(str(tmp_path / "picture.png"), picture[..., ::-1])
+    rig = tmp_path / "rig.yaml"
+    look = f"import sys; sys.path[:0] = {sys.path!r}; from tests.drivers.projector import x; import numpy as np"
+    saved = "s = type('S', (), {'heads': (x.DESKTOP, x.PROJECTOR), 'display': sys.argv[1]})()"
+    code = f"{look}; {saved}; np.save('seen.npy', x.grab(s, 1))"
+    rig.write_text(
+        "projector:\n  driver: pyglet\n  options:\n    output: DUMMY1\n"
+        f"    hook: {{show: [[{sys.executable!r}, '-c', {code!r}, {server.display!r}]], timeout_s: 60.0}}\n"
+    )
+    done = run("show", str(tmp_path / "picture.png"), "--rig", str(rig), "--seconds", "0.1")
+    assert done.returncode == 0 and done.stderr == ""
+    assert np.array_equal(np.load(tmp_path / "seen.npy"), picture)
+
+
+def test_pictures_that_are_not_exact_are_refused(run: Run, tmp_path: Path) -> None:
+    small, deep, clear = (
+        np.zeros((8, 8, 3), np.uint8),
+        np.zeros((256, 320), np.uint16),
+        np.zeros((256, 320, 4), np.uint8),
+    )
+    for name, picture in (("small.png", small), ("deep.png", deep), ("clear.png", clear), ("lossy.jpg", small)):
+        cv2.imwrite(str(tmp_path / name), picture)
+    for name, complaint in (
+        ("small.png", "picture (8, 8, 3) uint8 does not fit output DUMMY1, expected (256, 320, 3)"),
+        ("deep.png", "uint16 (256, 320); expected 8 bits"),
+        ("clear.png", "uint8 (256, 320, 4); expected 8 bits"),
+        ("lossy.jpg", "expected an 8-bit PNG"),
+        ("none.png", "none.png: No such file"),
+    ):
+        done = run("show", str(tmp_path / name), "--output", "DUMMY1", "--seconds", "0.1")
+        assert done.returncode == 1 and complaint in done.stderr, done.stderr
+
+
+def test_wrong_usage_and_wrong_rigs_are_told(run: Run, tmp_path: Path) -> None:
+    assert run("show", "white").returncode == 2
+    done = run("test", "--output", "HDMI-9")
+    assert done.returncode == 1 and "there are: DUMMY0, DUMMY1" in done.stderr
+    rig = tmp_path / "rig.yaml"
+    for text, complaint in (
+        ("projector: {driver: pyglet, options: {output: a, outptu: b}}", "projector.outptu: no such option"),
+        ("projector: {driver: sim}", "which has no light"),
+        ("cameras: {driver: sim}", "no section projector"),
+        ("projector: [", "YAML syntax"),
+    ):
+        rig.write_text(text)
+        done = run("off", "--rig", str(rig))
+        assert done.returncode == 1 and complaint in done.stderr and "Traceback" not in done.stderr
+
+
+def test_off_runs_the_commands_of_an_external_projector(run: Run, tmp_path: Path) -> None:
+    rig, touch = tmp_path / "rig.yaml", "import sys; open(sys.argv[1], 'w').close()"
+    hook = {key: [[sys.executable, "-c", touch, key]] for key in ("open", "show", "close")}
+    rig.write_text(f"projector: {{driver: external, options: {{size: [8, 8], hook: {hook!r}}}}}")
+    assert run("off", "--rig", str(rig)).returncode == 0
+    assert {"open", "close"} == set(os.listdir(tmp_path)) - {"rig.yaml"}  # noqa: PTH208
+
+
+@pytest.mark.parametrize("size", [(320, 256), (321, 257), (1280, 800), (912, 1140)])
+def test_the_alignment_picture_shows_each_edge_and_each_level(size: tuple[int, int]) -> None:
+    picture = pictures.alignment(size)
+    width, height = size
+    assert picture.shape == (height, width, 3) and picture.dtype == np.uint8
+    assert all((edge == 255).all() for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]))
+    border = picture[1:15, 1:-1, 0].astype(int)
+    middle = np.abs(np.diff(border, axis=1)) == 255
+    assert middle.mean() > 0.95, "neighbours differ by everything: any scaling shows"
+    grey = picture[(picture == picture[..., :1]).all(axis=2)][:, 0]
+    assert len(set(grey.tolist())) >= 250, "nearly every level, even where the cross hairs take a few"
+    for color in pictures.COLORS:
+        assert (picture == color).all(axis=2).any()

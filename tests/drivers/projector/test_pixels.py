@@ -1,0 +1,125 @@
+"""What is shown is what was asked for, byte for byte, on the right output, and when it was out."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from drivers.errors import DriverError, SettingRefused
+from drivers.projector import OutputProjector, pictures
+from sim.xserver import Head, XServer
+from tests.drivers.projector import x
+
+Make = Callable[..., OutputProjector]
+OUTPUTS = pytest.mark.parametrize("head", [0, 1], ids=["DUMMY0", "DUMMY1"])
+
+
+@OUTPUTS
+def test_every_picture_is_on_its_output_byte_for_byte(server: XServer, projector: Make, head: int) -> None:
+    size, other = server.heads[head], x.grab(server, 1 - head)
+    shown = projector(server, output=f"DUMMY{head}")
+    info = shown.open()
+    assert (info.output, info.size) == (f"DUMMY{head}", (size.width, size.height))
+    assert info.refresh_hz == pytest.approx(size.refresh_hz, abs=0.01)
+    assert not x.grab(server, head).any(), "an open projector is black"
+    ramp = np.zeros((size.height, size.width, 3), np.uint8)
+    ramp[:, :256] = np.arange(256)[:, None]
+    for picture in (x.noise(server, head), ramp, pictures.alignment(info.size), pictures.plain(info.size, 255)):
+        shown.show(picture)
+        assert shown.problem() == ""
+        assert np.array_equal(x.grab(server, head), picture)
+    assert np.array_equal(x.grab(server, 1 - head), other), "the other output is left alone"
+    shown.close()
+    assert not x.grab(server, head).any()
+    with x.client(server) as display:
+        assert x.top_window(display) is None
+
+
+def test_a_window_manager_does_not_move_it(own_server: XServer, projector: Make) -> None:
+    if shutil.which("openbox") is None:
+        assert not os.environ.get("CI"), "openbox is missing; run: tools/system-packages x11"
+        pytest.skip("openbox is not installed; run: tools/system-packages x11")
+    manager = subprocess.Popen(["openbox"], env=own_server.environment(), stderr=subprocess.DEVNULL)
+    try:
+        with x.client(own_server) as display:
+            root, atom = display.screen().root, display.intern_atom("_NET_SUPPORTING_WM_CHECK")
+            x.until(lambda: root.get_full_property(atom, 0) is not None, "openbox is there")
+        for head in (1, 0):
+            shown = projector(own_server, output=f"DUMMY{head}")
+            shown.open()
+            shown.show(x.noise(own_server, head))
+            assert np.array_equal(x.grab(own_server, head), x.noise(own_server, head)) and shown.problem() == ""
+            shown.close()
+    finally:
+        manager.terminate()
+        manager.wait(20)
+
+
+def test_two_projectors_of_two_sizes_show_side_by_side(server: XServer, projector: Make) -> None:
+    both = [projector(server, output="DUMMY0"), projector(server, output="DUMMY1")]
+    for head, shown in enumerate(both):
+        shown.open()
+        shown.show(x.noise(server, head))
+    for head, shown in enumerate(both):
+        assert np.array_equal(x.grab(server, head), x.noise(server, head)) and shown.problem() == ""
+
+
+def test_a_server_with_one_output_will_do(projector: Make) -> None:
+    server = x.start(XServer([Head(640, 480)], kind="xvfb"))
+    try:
+        shown = projector(server, output="screen")
+        assert shown.open().refresh_hz == 0
+        assert any("no native resolution" in note for note in shown.notes)
+        shown.show(x.noise(server, 0))
+        assert np.array_equal(x.grab(server, 0), x.noise(server, 0))
+        shown.close()
+    finally:
+        server.stop()
+
+
+def test_flips_are_told_by_the_vertical_blank(server: XServer, projector: Make) -> None:
+    shown = projector(server)
+    shown.open()
+    assert shown.last_flip is None and shown.measured_refresh_hz is None
+    flips = []
+    for seed in range(6):
+        shown.show(x.noise(server, 1, seed))
+        assert shown.last_flip is not None
+        flips.append(shown.last_flip)
+    assert {flip.source for flip in flips} == {"vblank"}, "the server presents no OpenGL itself, but has a clock"
+    assert all(b.msc > a.msc and b.t_monotonic_ns > a.t_monotonic_ns for a, b in pairwise(flips))
+    assert shown.measured_refresh_hz == pytest.approx(60, rel=0.05)  # of the dummy driver's own timer
+
+
+def test_a_sequence_goes_on_by_itself_and_its_last_picture_stays(server: XServer, projector: Make) -> None:
+    shown = projector(server)
+    shown.open()
+    sequence = [x.noise(server, 1, seed) for seed in range(3)]
+    shown.show_sequence(sequence, hold_frames=2)
+    x.until(lambda: np.array_equal(x.grab(server, 1), sequence[2]), "the last picture is out")
+    shown.show_sequence(sequence, hold_frames=15, loop=True)
+    for picture in [*sequence, sequence[0]]:
+        x.until(lambda wanted=picture: np.array_equal(x.grab(server, 1), wanted), "each picture comes, again and again")
+    shown.show(sequence[1])
+    assert np.array_equal(x.grab(server, 1), sequence[1]) and shown.problem() == ""
+
+
+def test_pictures_that_do_not_fit_are_refused(server: XServer, projector: Make) -> None:
+    shown = projector(server)
+    picture = x.noise(server, 1)
+    with pytest.raises(DriverError, match=r"open\(\) comes first"):
+        shown.show(picture)
+    shown.open()
+    for wrong in (picture[:-1], picture[..., 0], picture.astype(np.uint16)):
+        with pytest.raises(SettingRefused, match=r"does not fit output DUMMY1, expected \(256, 320, 3\) uint8"):
+            shown.show(wrong)
+    for count, hold_frames in ((0, 1), (65, 1), (1, 0)):
+        with pytest.raises(SettingRefused, match="expected 1 to 64"):
+            shown.show_sequence([picture] * count, hold_frames=hold_frames)
+    assert shown.problem() == ""

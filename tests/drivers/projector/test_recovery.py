@@ -1,0 +1,175 @@
+"""Whatever dies, the driver says so, starts it again and shows the last picture; and it leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from drivers.projector import OutputProjector
+from sim.xserver import XServer
+from tests.drivers.projector import x
+
+Make = Callable[..., OutputProjector]
+CYCLES = 12
+
+
+def opened(server: XServer, shown: OutputProjector) -> np.ndarray:
+    picture = x.noise(server, 1)
+    shown.open()
+    shown.show(picture)
+    assert shown.problem() == "" and np.array_equal(x.grab(server, 1), picture)
+    return picture
+
+
+def watch(shown: OutputProjector) -> tuple[list[str], Callable[[], None]]:
+    """Every problem that is told from now on, and how to end the watch."""
+    said: list[str] = []
+    over = threading.Event()
+
+    def look() -> None:
+        while not over.wait(0.001):
+            if (problem := shown.problem()) and problem not in said:
+                said.append(problem)
+
+    thread = threading.Thread(target=look)
+    thread.start()
+
+    def end() -> None:
+        over.set()
+        thread.join()
+
+    return said, end
+
+
+def recovers(server: XServer, shown: OutputProjector, picture: np.ndarray, harm: Callable[[], None], word: str) -> None:
+    """After some harm the problem is told with that word, and then the picture is there again, by another window."""
+    first, (said, end) = shown.window_pid, watch(shown)
+    try:
+        harm()
+        x.until(lambda: any(word in problem for problem in said), f"'{word}' is told, only: {said}")
+        x.until(lambda: not shown.problem(), "all is well again")
+    finally:
+        end()
+    assert np.array_equal(x.grab(server, 1), picture)
+    assert shown.window_pid != first and not Path(f"/proc/{first}").exists()
+    assert shown.counted["restarts"] >= 1
+
+
+def test_a_killed_window_comes_back_with_its_picture(server: XServer, projector: Make) -> None:
+    shown = projector(server)
+    picture = opened(server, shown)
+    recovers(server, shown, picture, lambda: os.kill(shown.window_pid, signal.SIGKILL), "signal 9")
+
+
+def test_a_hung_window_is_replaced(server: XServer, projector: Make) -> None:
+    shown = projector(server, hung_s=4.0)
+    picture = opened(server, shown)
+    recovers(server, shown, picture, lambda: os.kill(shown.window_pid, signal.SIGSTOP), "does not answer")
+
+
+def test_a_destroyed_window_comes_back(server: XServer, projector: Make) -> None:
+    shown = projector(server)
+    picture = opened(server, shown)
+
+    def destroy() -> None:
+        with x.client(server) as display:
+            x.top_window(display).destroy()
+            display.sync()
+
+    recovers(server, shown, picture, destroy, "destroyed by another program")
+
+
+def test_a_window_taken_off_the_screen_comes_back(server: XServer, projector: Make) -> None:
+    shown = projector(server)
+    picture = opened(server, shown)
+
+    def unmap() -> None:
+        with x.client(server) as display:
+            x.top_window(display).unmap()
+            display.sync()
+
+    recovers(server, shown, picture, unmap, "taken off the screen")
+
+
+def test_an_x_server_that_dies_is_told_and_used_again(own_server: XServer, projector: Make) -> None:
+    shown = projector(own_server)
+    picture = opened(own_server, shown)
+    own_server.kill()
+    x.until(lambda: "X server" in shown.problem(), "the server's end is told")
+    x.until(lambda: "no connection" in shown.problem(), "it is tried again")
+    own_server.restart()
+    x.until(lambda: not shown.problem(), "all is well again")
+    assert np.array_equal(x.grab(own_server, 1), picture)
+
+
+def test_a_picture_wanted_while_the_server_is_gone_is_shown_later(own_server: XServer, projector: Make) -> None:
+    shown = projector(own_server, show_timeout_s=2.0)
+    opened(own_server, shown)
+    own_server.kill()
+    wanted = x.noise(own_server, 1, seed=5)
+    shown.show(wanted)
+    assert "no picture" in shown.problem() and shown.last_flip is None
+    own_server.restart()
+    x.until(lambda: not shown.problem(), "all is well again")
+    assert np.array_equal(x.grab(own_server, 1), wanted)
+
+
+def test_it_closes_at_once_while_the_server_is_gone(own_server: XServer, projector: Make) -> None:
+    shown = projector(own_server)
+    opened(own_server, shown)
+    own_server.kill()
+    x.until(lambda: "X server" in shown.problem(), "the server's end is told")
+    shown.close()
+    assert "closed" in shown.problem()
+
+
+def test_the_window_ends_with_its_parent_and_puts_the_gamma_table_back(own_server: XServer) -> None:
+    server, bent = own_server, x.bend_gamma(own_server, "DUMMY1")
+    code = (
+        "import sys, time; from pathlib import Path; from drivers.projector import open_projector\n"
+        f"p = open_projector({{'output': 'DUMMY1', 'gamma': 'reset', 'display': '{server.display}'}}, Path())\n"
+        "p.open(); print(p.window_pid, flush=True); time.sleep(600)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    with parent.stdout:
+        window = int(parent.stdout.readline())
+        assert Path(f"/proc/{window}").exists()
+        parent.kill()
+        parent.wait()
+
+    def gone() -> bool:
+        try:
+            return Path(f"/proc/{window}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+
+    x.until(gone, "the window's process is gone")
+    with x.client(server) as display:
+        x.until(lambda: x.top_window(display) is None, "the window is gone")
+    assert np.array_equal(x.gamma(server, "DUMMY1"), bent)
+
+
+def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make) -> None:
+    def left() -> tuple[int, int, int]:
+        children = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
+        return len(list(Path("/proc/self/fd").iterdir())), len(children), threading.active_count()
+
+    picture, before = x.noise(server, 1), None
+    for cycle in range(CYCLES):
+        shown = projector(server)
+        shown.open()
+        shown.show(picture)
+        if cycle % 4 == 1:
+            os.kill(shown.window_pid, signal.SIGKILL)
+            x.until(lambda shown=shown: not shown.problem(), "all is well again")
+        shown.close()
+        before = before or left()
+    assert left() == before

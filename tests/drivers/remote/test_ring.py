@@ -1,0 +1,121 @@
+"""The shared memory: what the daemon believes of it, and what it does not."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from drivers.errors import DriverError
+from drivers.protocols import CameraHealth
+from drivers.remote import messages
+from drivers.remote.messages import Ready
+from drivers.remote.outbox import WINDOW, Outbox
+from drivers.remote.ring import RingReader, RingWriter, added
+
+
+def test_what_is_written_is_read() -> None:
+    writer = RingWriter(4, 100)
+    reader = RingReader(writer.fd, 4, writer.slot_bytes)
+    writer.slot(2, (5, 10), np.dtype(np.uint16))[...] = 1234
+    assert (reader.picture(2, (5, 10), wide=True) == 1234).all()
+    assert not reader.picture(2, (5, 10), wide=True).flags.writeable
+    os.close(writer.fd)
+
+
+@pytest.mark.parametrize(("index", "shape"), [(-1, (2, 2)), (4, (2, 2)), (0, (4096, 2)), (0, (-1, -1))])
+def test_pictures_that_cannot_be_are_refused(index: int, shape: tuple[int, ...]) -> None:
+    writer = RingWriter(4, 100)
+    reader = RingReader(writer.fd, 4, writer.slot_bytes)
+    with pytest.raises(DriverError):
+        reader.picture(index, shape, wide=False)
+    os.close(writer.fd)
+
+
+@pytest.mark.parametrize(("slots", "slot_bytes"), [(4, 8192), (2, 4096), (4, 100), (257, 4096), (4, 1 << 40)])
+def test_memory_of_another_size_is_refused(slots: int, slot_bytes: int) -> None:
+    writer = RingWriter(4, 4096)
+    with pytest.raises(DriverError):
+        RingReader(writer.fd, slots, slot_bytes)
+    os.close(writer.fd)
+
+
+def test_the_memory_can_neither_shrink_nor_grow() -> None:
+    writer = RingWriter(4, 4096)
+    for size in (0, 1 << 20):
+        with pytest.raises(PermissionError):
+            os.ftruncate(writer.fd, size)
+    os.close(writer.fd)
+
+
+def test_health_is_never_read_half_written() -> None:
+    writer = RingWriter(4, 100)
+    reader = RingReader(writer.fd, 4, writer.slot_bytes)
+    assert reader.health() == CameraHealth()
+    stop = threading.Event()
+
+    def post() -> None:
+        k = 0
+        while not stop.is_set():
+            k += 1
+            writer.post(CameraHealth(float(k), {f"counter{i}": k for i in range(k % 50)}))
+
+    thread = threading.Thread(target=post)
+    thread.start()
+    try:
+        for _ in range(2000):
+            health = reader.health()
+            assert set(health.counters.values()) <= {int(health.temperature_c or 0)}
+    finally:
+        stop.set()
+        thread.join()
+    os.close(writer.fd)
+
+
+def test_the_heartbeat_tells_its_age() -> None:
+    writer = RingWriter(4, 100)
+    reader = RingReader(writer.fd, 4, writer.slot_bytes)
+    before = time.monotonic_ns()
+    writer.beat()
+    assert 0 <= reader.age_ns(time.monotonic_ns()) <= time.monotonic_ns() - before
+    os.close(writer.fd)
+
+
+def test_asking_for_memory_again_gives_the_same() -> None:
+    told: list[Ready] = []
+    writer = RingWriter(3, 64)
+    outbox = Outbox(writer, told.append)
+    first = outbox.allocate((8, 8), np.uint8)
+    again = outbox.allocate((8, 8), np.uint8)
+    assert np.shares_memory(first, again)
+    os.close(writer.fd)
+
+
+def test_no_more_than_the_window_is_announced() -> None:
+    told: list[Ready] = []
+    writer = RingWriter(6, 64)
+    outbox = Outbox(writer, told.append)
+    from tests.drivers.remote.fake import FakeCamera
+
+    camera = FakeCamera("left", {"frames": 100})
+    for _ in range(20):
+        frame = camera.read(0.0)
+        assert frame is not None
+        outbox.put(frame)
+    assert [ready.trigger for ready in told] == list(range(WINDOW))
+    assert outbox.waiting + WINDOW + outbox.ring_full == 20
+    outbox.took(told[0].slot, kept=False)
+    assert told[-1].trigger == 20 - outbox.waiting - 1
+    os.close(writer.fd)
+
+
+def test_messages_are_bounded() -> None:
+    with pytest.raises(ValueError, match="at most"):
+        messages.encode(messages.Failed(1, "lost", "x" * messages.MAX_MESSAGE))
+
+
+def test_counters_add_up() -> None:
+    assert added({"a": 1, "b": 2}, {"b": 3, "c": 4}) == {"a": 1, "b": 5, "c": 4}
