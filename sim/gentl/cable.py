@@ -27,7 +27,9 @@ _PATIENCE_S = 1.0
 
 
 class Cable:
-    """One emulated camera, as the world holds it; made plugged in. Not for several threads at once.
+    """One emulated camera, as the world holds it; made plugged in.
+
+    ``show``, ``pulse`` and ``close`` belong to one thread; faults, waits and ``state`` may come from another.
 
     Args:
         directory: what FRINGED_GENTL_DIR says to the camera's process; number: 0 to 7, each once.
@@ -136,11 +138,11 @@ class Cable:
         return True
 
     def drop(self, count: int = 1) -> None:
-        """Lose the next frames on the cable: each leaves a gap in the frame numbers."""
+        """Lose the next frames that leave the camera: each leaves a gap in the frame numbers."""
         self._ask("drop_asked", "dropped", count)
 
     def truncate(self, count: int = 1) -> None:
-        """Lose the second half of the next frames on the cable."""
+        """Lose the second half of the next frames that leave the camera."""
         self._ask("truncate_asked", "truncated", count)
 
     def stall(self, seconds: float) -> None:
@@ -259,8 +261,9 @@ def _check(number: int, size: tuple[int, int], serial: str, model: str) -> None:
     if not 0 <= number < memory.MAX_CAMERAS:
         raise ValueError(f"camera number {number} is not 0 .. {memory.MAX_CAMERAS - 1}")
     width, height = size
-    if width % 4 or height % 2 or not 16 <= width <= 8192 or not 4 <= height <= 8192:
-        raise ValueError(f"sensor of {width} x {height} pixels: multiples of 4 and 2 from 16 x 4 to 8192 x 8192")
+    most = memory.MAX_SIDE
+    if width % 4 or height % 2 or not 16 <= width <= most or not 4 <= height <= most:
+        raise ValueError(f"sensor of {width} x {height} pixels: multiples of 4 and 2 from 16 x 4 to {most} x {most}")
     for name in serial, model:
         if not 0 < len(name.encode()) < 64:
             raise ValueError(f"{name!r} as serial number or model: 1 to 63 bytes")

@@ -1,5 +1,4 @@
 /* The sensor: light of the shared picture, through the colour filter, as pixels in the format that was asked for. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "formats.h"
@@ -28,34 +27,50 @@ size_t image_bytes(uint32_t format, uint32_t width, uint32_t height) {
 
 typedef struct { const uint8_t *pixels; uint32_t width, height, channels, bytes; } Light;
 
+#define INLINED static inline __attribute__((always_inline))
+
 /* One value of the light in 16 bits. */
-static inline uint32_t sample(const Light *light, size_t pixel, uint32_t channel) {
-    size_t at = pixel * light->channels + (light->channels == 1 ? 0 : channel);
-    if (light->bytes == 1) return (uint32_t)light->pixels[at] << 8;
+INLINED uint32_t sample_of(const uint8_t *pixels, size_t pixel, uint32_t channel, uint32_t channels, uint32_t bytes) {
+    size_t at = pixel * channels + (channels == 1 ? 0 : channel);
+    if (bytes == 1) return (uint32_t)pixels[at] << 8;
     uint16_t value;
-    memcpy(&value, light->pixels + 2 * at, 2);
+    memcpy(&value, pixels + 2 * at, 2);
     return value;
 }
 
-static void expose_row(
-    const Light *light, const Format *format, const Frame *frame, uint16_t *const *table, uint32_t row, uint16_t *out) {
-    uint32_t y = frame->y + row;
-    const int *channel = filter_channel[format->filter] + 2 * (y & 1);
-    for (uint32_t i = 0; i < frame->width; i++) {
-        size_t pixel = (size_t)y * light->width + frame->x + i;
-        if (format->samples == 3)
-            for (uint32_t c = 0; c < 3; c++) out[3 * i + c] = (uint16_t)sample(light, pixel, c);
-        else if (format->filter)
-            out[i] = (uint16_t)sample(light, pixel, (uint32_t)channel[(frame->x + i) & 1]);
-        else
-            out[i] = (uint16_t)((sample(light, pixel, 0) + 2 * sample(light, pixel, 1) + sample(light, pixel, 2)) >> 2);
-    }
-    for (uint32_t i = 0; table && i < frame->width; i++) {
-        if (format->samples == 3)
-            for (uint32_t c = 0; c < 3; c++) out[3 * i + c] = table[c][out[3 * i + c]];
-        else
-            out[i] = table[channel[(frame->x + i) & 1]][out[i]];
-    }
+static uint32_t sample(const Light *light, size_t pixel, uint32_t channel) {
+    return sample_of(light->pixels, pixel, channel, light->channels, light->bytes);
+}
+
+/* A row of the picture in 16 bits. `channels` and `bytes` are constants where this is called, for speed. */
+INLINED void expose_row_of(const uint8_t *row, const Format *format, const int channel[2], uint32_t count, uint16_t *out,
+                           uint32_t channels, uint32_t bytes) {
+    if (format->samples == 3)
+        for (uint32_t i = 0; i < 3 * count; i++) out[i] = (uint16_t)sample_of(row, i / 3, i % 3, channels, bytes);
+    else if (format->filter)
+        for (uint32_t i = 0; i < count; i++)
+            out[i] = (uint16_t)sample_of(row, i, (uint32_t)channel[i & 1], channels, bytes);
+    else
+        for (uint32_t i = 0; i < count; i++)
+            out[i] = (uint16_t)((sample_of(row, i, 0, channels, bytes) + 2 * sample_of(row, i, 1, channels, bytes) +
+                                 sample_of(row, i, 2, channels, bytes)) >> 2);
+}
+
+static void expose_row(const Light *light, const Format *format, const Frame *frame, uint16_t *const *table,
+                       uint32_t row, uint16_t *out) {
+    uint32_t y = frame->y + row, x = frame->x, count = frame->width;
+    const int *filter = filter_channel[format->filter] + 2 * (y & 1);
+    const int channel[2] = { filter[x & 1], filter[~x & 1] };
+    const uint8_t *from = light->pixels + ((size_t)y * light->width + x) * light->channels * light->bytes;
+    if (light->channels == 3 && light->bytes == 1) expose_row_of(from, format, channel, count, out, 3, 1);
+    else if (light->channels == 3) expose_row_of(from, format, channel, count, out, 3, 2);
+    else if (light->bytes == 1) expose_row_of(from, format, channel, count, out, 1, 1);
+    else expose_row_of(from, format, channel, count, out, 1, 2);
+    if (!table) return;
+    if (format->samples == 3)
+        for (uint32_t i = 0; i < 3 * count; i++) out[i] = table[i % 3][out[i]];
+    else
+        for (uint32_t i = 0; i < count; i++) out[i] = table[channel[i & 1]][out[i]];
 }
 
 /* Packed formats put the pixels' bits one after the other, lowest first, with no gap at the row's end. */
@@ -89,15 +104,13 @@ static void measure(const Light *light, double mean[3]) {
 }
 
 static void expose(const Light *light, const Format *format, Frame *frame, uint16_t *const *table) {
-    uint16_t *row = malloc((size_t)frame->width * format->samples * sizeof *row);
+    uint16_t row[3 * MAX_SIDE];
     size_t count = (size_t)frame->width * format->samples;
-    if (!row) return;
     if (format->packed) memset(frame->bytes, 0, frame->image_bytes);
     for (uint32_t y = 0; y < frame->height; y++) {
         expose_row(light, format, frame, table, y, row);
         write_row(format, row, count, y * count, frame->bytes);
     }
-    free(row);
 }
 
 /* Exposes picture `wanted`, or the newest (0). A picture that was written over meanwhile is replaced by the newest. */
@@ -105,12 +118,10 @@ void take_picture(Device *device, Frame *frame, const Response *response, uint64
     uint16_t *const *table = response_tables(device, response);
     const Format *format = format_of(frame->format);
     const Image *image = device->image;
-    memset(frame->bytes, 0, frame->image_bytes);
     memset(frame->mean, 0, sizeof frame->mean);
-    if (!format) return;
     for (int attempt = 0; attempt < 100; attempt++) {
         uint64_t number = wanted && !attempt ? wanted : LOAD(image->newest);
-        if (!number) return; /* the cap is on */
+        if (!number || !format) break; /* the cap is on */
         const Slot *slot = (const Slot *)((const uint8_t *)image + SLOT_HEADER + number % SLOTS * image->slot_bytes);
         if (LOAD(slot->sequence) == 2 * number) {
             Light light = { (const uint8_t *)slot + SLOT_HEADER, (uint32_t)image->width, (uint32_t)image->height,
@@ -129,4 +140,5 @@ void take_picture(Device *device, Frame *frame, const Response *response, uint64
         }
         if (wanted && !attempt) COUNT(device->state->overtaken);
     }
+    memset(frame->bytes, 0, frame->image_bytes);
 }

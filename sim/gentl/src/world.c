@@ -48,7 +48,9 @@ static void find(Device *device) {
     if (!there || (device->fd = open(path, O_RDWR | O_CLOEXEC)) < 0) return;
     device->inode = file.st_ino;
     device->state = map(device->fd, sizeof(State), PROT_READ | PROT_WRITE);
-    if (!device->state || LOAD(device->state->magic) != STATE_MAGIC) forget(device);
+    const State *state = device->state;
+    bool good = state && LOAD(state->magic) == STATE_MAGIC && state->width <= MAX_SIDE && state->height <= MAX_SIDE;
+    if (!good) forget(device);
 }
 
 /* Looks for cameras that came or went; one that is open is kept, gone or not. */
