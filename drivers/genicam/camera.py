@@ -109,6 +109,7 @@ class GenicamCamera:
         now = self._now()
         end = time.monotonic() + timeout_s
         while True:
+            self._keep_up(now)
             buffer = now.connection.fetch()
             if buffer is not None:
                 try:
@@ -117,9 +118,7 @@ class GenicamCamera:
                     now.connection.requeue(buffer)
                 self._heard_ns = time.monotonic_ns()
                 if frame is not None:
-                    self._keep_up(now)
                     return frame
-            self._keep_up(now)
             if time.monotonic() >= end:
                 return None
             if buffer is None and not self._wait_ms:

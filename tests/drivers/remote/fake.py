@@ -22,8 +22,8 @@ class FakeCamera:
 
     Args:
         options: ``frames``, ``then`` (nothing, lost, bug, exit, kill, hang, hold_lock), ``at_open`` (nothing, refused,
-            driver, hang, exit), ``encoding``, ``pause_s`` before each frame, ``own_memory``: do not fill the memory that is
-            offered.
+            driver, hang, exit), ``encoding``, ``pause_s`` before each frame, ``own_memory``: do not fill the
+            memory that is offered.
     """
 
     def __init__(self, side: Side, options: dict[str, Any]) -> None:
