@@ -59,7 +59,7 @@ class Footprint:
             for start, end in groups:
                 _look_up(self.uv[some], self.gain[some], edged, shifts[start], start, end, rays[some])
 
-        render._in_bands(band, len(rays))
+        render.in_bands(band, len(rays))
         return _pixels(rays, optics) + self.dark
 
 
@@ -165,7 +165,7 @@ def _sampled(
         uv = np.where(lit[:, None], pixels_of(lamp, hits.points), 0.0).astype(np.float32)
         return tuple(part.reshape(height, columns, -1) for part in (uv, gain, dark))  # type: ignore[return-value]
 
-    bands = render._in_bands(band, rows)
+    bands = render.in_bands(band, rows)
     uv, gain, dark = (np.concatenate([part[k] for part in bands]) for k in range(3))
     return uv, gain, dark
 
