@@ -81,7 +81,7 @@ def measure_latency(
             camera.close()
         projector.close()
     middles = [0.5 * (low + high) for low, high, _, _ in found]
-    ms = median(middles)
+    ms = max(0.0, median(middles))  # below: the flip is known less well than the latency
     return Latency(
         ms=round(ms, 2),
         earliest_ms=round(max(low for low, _, _, _ in found), 2),
@@ -111,7 +111,7 @@ def _flash(
         flipped_ns = flip_ns() or clock.realtime_ns()
         for look, level in zip(looks, dark, strict=True):
             before_ns, after_ns, bright = look.brighter(level)
-            found.append((max(0, before_ns - flipped_ns) / 1e6, (after_ns - flipped_ns) / 1e6, level, bright))
+            found.append(((before_ns - flipped_ns) / 1e6, (after_ns - flipped_ns) / 1e6, level, bright))
     return found
 
 

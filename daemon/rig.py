@@ -67,10 +67,7 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
         OptionsError: options that the driver refuses; PipelineError: a file that does not fit.
         DaemonError: a driver that cannot be loaded.
     """
-    try:
-        devices = _open_devices(config, base_dir, progress)
-    except (ValueError, TypeError) as error:
-        raise OptionsError(_section(config), str(error)) from error
+    devices = open_devices(config, base_dir, progress=progress)
     try:
         calibration = _calibration(config, base_dir, devices)
         return Rig(
@@ -101,7 +98,19 @@ class _Devices:
         self.projector.close()
 
 
-def _open_devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Any:
+def open_devices(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Any:
+    """Cameras and projector of rig.yaml, closed, without its other files; ``close()`` lets go of all of them.
+
+    Raises:
+        OptionsError: options that the driver refuses. DaemonError: a driver that cannot be loaded.
+    """
+    try:
+        return _devices(config, base_dir, progress)
+    except (ValueError, TypeError) as error:
+        raise OptionsError(_section(config), str(error)) from error
+
+
+def _devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Any:
     """What a whole rig's driver gives, or the same put together from a camera driver and a projector driver."""
     name, projector = config.cameras.driver, config.projector
     if name in registry.RIGS:

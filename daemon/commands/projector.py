@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from daemon.commands import latency
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -104,6 +106,9 @@ def off(
     projector.close()
     for note in projector.notes[len(before) :]:
         typer.echo(note, err=True)
+
+
+app.command("latency")(latency.main)
 
 
 def hold(
