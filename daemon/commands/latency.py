@@ -27,10 +27,13 @@ def main(
     from daemon.clock import SystemClock
     from daemon.config import load_rig
     from daemon.flash import measure_latency
-    from daemon.rig import open_devices
+    from daemon.rig import OptionsError, open_devices
 
     config = load_rig(rig)
-    devices = open_devices(config, rig.resolve().parent)
+    try:
+        devices = open_devices(config, rig.resolve().parent)
+    except OptionsError as error:
+        raise error.located(rig) from error
 
     def flip_ns() -> int | None:
         flip: Any = getattr(devices.projector, "last_flip", None)

@@ -108,6 +108,18 @@ def off(
         typer.echo(note, err=True)
 
 
+@app.command("white")
+def white(output: Output = None, display: Display = "", rig: Rig = None, seconds: Seconds = None) -> None:
+    """Show white until Ctrl-C: focus, brightness, flicker."""
+    show("white", output, display, rig, seconds=seconds)
+
+
+@app.command("cross")
+def cross(output: Output = None, display: Display = "", rig: Rig = None, seconds: Seconds = None) -> None:
+    """Show cross hairs until Ctrl-C: where the axis of the projector points."""
+    show("cross", output, display, rig, seconds=seconds)
+
+
 app.command("latency")(latency.main)
 
 
