@@ -136,3 +136,4 @@ def _run(
 def log_to_stderr(level: int = logging.INFO) -> None:
     """One line an event on standard error, with its time."""
     logging.basicConfig(stream=sys.stderr, level=level, format="%(asctime)s %(levelname).1s %(name)s: %(message)s")
+    logging.getLogger("numexpr").setLevel(logging.WARNING)  # it counts its threads aloud

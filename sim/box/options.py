@@ -27,7 +27,8 @@ class BoxOptions:
         simulation: scene, layout, optics, encoding, faults and rate, as the simulated rig has them; ``rate_hz`` is the
             rate of the triggers, ``frames`` the number of instants of a moving scene. The sizes of the pictures are
             rounded down to what cameras and X servers have.
-        exposure_us: exposure time of the cameras; readout_us: time that a frame takes to leave the sensor.
+        exposure_us: exposure time of the cameras, one period of the projector unless told otherwise; readout_us: time
+            that a frame takes to leave the sensor.
         drift_ppm: of the cameras' clocks.
         tolerance_us: of the daemon's pairing.
         tcp: port of the cloud stream on this machine, beside the socket in the box's folder; 0 = none.
@@ -36,7 +37,7 @@ class BoxOptions:
     """
 
     simulation: SimOptions = field(default_factory=lambda: small_simulation())
-    exposure_us: float = 2_000.0
+    exposure_us: float = 16_667.0
     readout_us: float = 1_000.0
     drift_ppm: Mapping[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, 0.0))
     tolerance_us: float = 1_000.0
