@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import yaml
 
 from drivers.protocols import SIDES, Side
-from sim.options import OptionError, SimOptions
+from sim.options import OptionError, SimOptions, known
 from sim.options import from_mapping as sim_from_mapping
 from sim.rig import RigLayout
 
@@ -109,7 +108,7 @@ def read(path: Path) -> BoxOptions:
 
 def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> BoxOptions:
     """Options of plain values; relative paths start at ``base_dir``. Errors name the key."""
-    _known("box", data, [item.name for item in fields(BoxOptions)])
+    known("box", data, [item.name for item in fields(BoxOptions)])
     values = {key: value for key, value in data.items() if value is not None}
     if "simulation" in values:
         given = values["simulation"]
@@ -119,7 +118,7 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> BoxOp
             {"layout": {"scale": 0.25}, "frames": 12, "rate_hz": 4.0} | dict(given), base_dir
         )
     if "drift_ppm" in values:
-        _known("box.drift_ppm", values["drift_ppm"], list(SIDES))
+        known("box.drift_ppm", values["drift_ppm"], list(SIDES))
         if any(not isinstance(value, int | float) for value in values["drift_ppm"].values()):
             raise OptionError(f"box.drift_ppm is {values['drift_ppm']}, expected numbers")
         values["drift_ppm"] = dict.fromkeys(SIDES, 0.0) | values["drift_ppm"]
@@ -132,13 +131,3 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> BoxOp
 
 def _rounded(size: tuple[int, int], step: tuple[int, int]) -> tuple[int, int]:
     return size[0] // step[0] * step[0], size[1] // step[1] * step[1]
-
-
-def _known(name: str, data: object, keys: list[str]) -> None:
-    if not isinstance(data, Mapping):
-        raise OptionError(f"{name} is {data!r:.60}, expected a mapping")
-    for key in data:
-        if key not in keys:
-            near = difflib.get_close_matches(str(key), keys, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(keys)}"
-            raise OptionError(f"{name}.{key} is not an option{hint}")
