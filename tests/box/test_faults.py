@@ -61,7 +61,7 @@ def test_a_camera_that_stalls_for_longer_than_a_frame_waits(make_box: Callable[.
     with Daemon(box) as daemon:
         before = daemon.step_until_pair()
         longest_s = daemon.service.config.pairing.max_wait_ms / 1e3
-        box.cables["left"].stall(longest_s + 0.5)
+        box.cables["left"].stall(max(2.0, longest_s + 0.5))
         for _ in range(4):
             box.world.step(settle=False)
         box.world.settle()
