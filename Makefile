@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench soak check golden screenshot vm clean
+.PHONY: help env demo test bench soak check golden screenshot rig-in-a-box vm clean
 .DEFAULT_GOAL := help
 
 help:
@@ -24,7 +24,7 @@ demo: $(STAMP)  ## measure a moving object on the simulated rig, live; prints th
 	$(BIN)/fringed demo
 
 test: $(STAMP)  ## everything that proves it: style, types, layers, all tests
-	tools/system-packages browser
+	tools/system-packages browser x11 compiler vm
 	$(MAKE) --no-print-directory check
 	$(BIN)/python -m pytest
 
@@ -51,6 +51,10 @@ golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its co
 screenshot: $(STAMP)  ## the picture in this README, of a running `make demo`
 	tools/system-packages browser
 	$(BIN)/fringed view --screenshot docs/pictures/demo.png
+
+rig-in-a-box: $(STAMP)  ## the real drivers on emulated hardware: projector window, light, cameras, daemon; Ctrl-C ends
+	tools/system-packages x11 compiler
+	$(BIN)/python -m sim.box $(BOX)
 
 vm: $(STAMP)  ## the virtual machine in which the V4L2 driver meets a real kernel; cached, half a minute the first time
 	tools/system-packages vm

@@ -33,7 +33,7 @@ class CameraThread:
         camera: Camera,
         *,
         deliver: Callable[[Frame], None],
-        started: Callable[[], None],
+        started: Callable[[Side], None],
         changed: Callable[[], None],
         clock: Clock,
     ) -> None:
@@ -118,7 +118,7 @@ class CameraThread:
         """Read until told to pause or stop; waits while paused."""
         if not self._wanted.wait(_READ_TIMEOUT_S):
             return
-        self._started()
+        self._started(self.side)
         self._camera.start()
         self._set(replace(self._status, state=CameraState.ACQUIRING))
         while self._wanted.is_set() and not self._stop.is_set():

@@ -14,10 +14,9 @@ from types import FrameType
 from typing import Any
 
 from daemon.config import RigConfig, load_rig
-from daemon.config.source import read_yaml
 from daemon.control.methods import Methods
 from daemon.control.server import ControlServer
-from daemon.errors import ConfigError, DaemonError
+from daemon.errors import DaemonError
 from daemon.outputs import open_publisher, open_take
 from daemon.recorder import Recorder
 from daemon.rig import OptionsError, Progress, open_rig
@@ -87,9 +86,7 @@ def run_rig(
     except StopAskedError:
         return
     except OptionsError as error:
-        source = read_yaml(path.read_text(encoding="utf-8"))
-        line, column = source.place(error.path, key=error.path in source.keys)
-        raise ConfigError([f"{path}:{line}:{column}: {error.message}"]) from error
+        raise error.located(path) from error
     _run(config, rig, path, base_dir, flag, record, on_status)
 
 
@@ -139,3 +136,4 @@ def _run(
 def log_to_stderr(level: int = logging.INFO) -> None:
     """One line an event on standard error, with its time."""
     logging.basicConfig(stream=sys.stderr, level=level, format="%(asctime)s %(levelname).1s %(name)s: %(message)s")
+    logging.getLogger("numexpr").setLevel(logging.WARNING)  # it counts its threads aloud

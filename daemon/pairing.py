@@ -178,9 +178,12 @@ class Pairer:
             for guest in [guest for guest in camera.waiting if guest.arrived_ns < oldest_ns]
         ]
 
-    def doubt(self) -> None:
-        """A camera was started anew: its count may have moved, so it must be confirmed again."""
+    def doubt(self, side: Side) -> None:
+        """A camera was started anew: its count may have moved or begun again, so it must be confirmed anew."""
         self._confirmed, self._sightings = False, 0
+        # What it counted before is no witness against what it counts now.
+        self._cameras[side].seen.clear()
+        self._cameras[side].lapsed.clear()
 
     def flush(self) -> list[Event]:
         """The end: every frame still waiting is counted as stopped."""

@@ -44,10 +44,10 @@ class PairingDesk:
         with self._lock:
             self._handle(self._pairer.tick(self._clock.monotonic_ns()))
 
-    def doubt(self) -> None:
+    def doubt(self, side: Side) -> None:
         """A camera was started anew."""
         with self._lock:
-            self._pairer.doubt()
+            self._pairer.doubt(side)
 
     def flush(self) -> None:
         """The end: every frame meets its fate."""

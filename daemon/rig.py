@@ -13,6 +13,7 @@ import yaml
 from daemon.calibration_file import CalibrationFile, parse_calibration, read_calibration
 from daemon.config import registry
 from daemon.config.models import RigConfig
+from daemon.config.source import read_yaml
 from daemon.errors import ConfigError
 from daemon.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Camera, Projector, Side
@@ -38,6 +39,12 @@ class OptionsError(ConfigError):
         self.path = (*above, *(int(key) if key.isdigit() else key for key in keys))
         self.message = ".".join(above) + message[len(named.group(1)) :] if named else message
         super().__init__([f"{section}: {self.message}"])
+
+    def located(self, path: Path) -> ConfigError:
+        """The same mistake with its place in the rig file."""
+        source = read_yaml(path.read_text(encoding="utf-8"))
+        line, column = source.place(self.path, key=self.path in source.keys)
+        return ConfigError([f"{path}:{line}:{column}: {self.message}"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +74,7 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
         OptionsError: options that the driver refuses; PipelineError: a file that does not fit.
         DaemonError: a driver that cannot be loaded.
     """
-    try:
-        devices = _open_devices(config, base_dir, progress)
-    except (ValueError, TypeError) as error:
-        raise OptionsError(_section(config), str(error)) from error
+    devices = open_devices(config, base_dir, progress=progress)
     try:
         calibration = _calibration(config, base_dir, devices)
         return Rig(
@@ -101,7 +105,34 @@ class _Devices:
         self.projector.close()
 
 
-def _open_devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Any:
+def open_devices(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Any:
+    """Cameras and projector of rig.yaml, closed, without its other files; ``close()`` lets go of all of them.
+
+    Raises:
+        OptionsError: options that the driver refuses. DaemonError: a driver that cannot be loaded.
+    """
+    try:
+        return _devices(config, base_dir, progress)
+    except (ValueError, TypeError) as error:
+        raise OptionsError(_section(config), str(error)) from error
+
+
+def check_options(config: RigConfig, base_dir: Path) -> None:
+    """Let the drivers look at their options; touches no device.
+
+    Raises:
+        OptionsError: as :func:`open_devices`.
+    """
+    if config.cameras.driver in registry.CAMERAS:
+        open_devices(config, base_dir).close()
+    elif config.cameras.driver == "sim":
+        try:
+            registry.load(registry.SIM_OPTIONS)(config.simulation, base_dir)
+        except (ValueError, TypeError) as error:
+            raise OptionsError("simulation", str(error)) from error
+
+
+def _devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Any:
     """What a whole rig's driver gives, or the same put together from a camera driver and a projector driver."""
     name, projector = config.cameras.driver, config.projector
     if name in registry.RIGS:

@@ -248,6 +248,8 @@ class Service:
             made.result()
             self._ready = not self._stop.is_set()
             self._note_state()
+            for warning in self.status().warnings:
+                log.warning("%s", warning)
 
     def _warm(self) -> Reconstructor:
         """A reconstructor with all kernels compiled, which takes up to a minute after an update."""

@@ -63,7 +63,7 @@ class SimOptions:
 
 def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> SimOptions:
     """Options of plain values; relative paths start at ``base_dir``. Errors name the key."""
-    _known("sim", data, [item.name for item in fields(SimOptions)])
+    known("sim", data, [item.name for item in fields(SimOptions)])
     values: dict[str, Any] = {key: value for key, value in data.items() if value is not None}
     for key, kind in (("scene", str), ("encoding", str), ("seed", int), ("frames", int)):
         if key in values and (not isinstance(values[key], kind) or isinstance(values[key], bool)):
@@ -81,7 +81,7 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> SimOp
 
 
 def _layout(data: Mapping[str, Any]) -> RigLayout:
-    _known("sim.layout", data, [*(item.name for item in fields(RigLayout)), "scale"])
+    known("sim.layout", data, [*(item.name for item in fields(RigLayout)), "scale"])
     values = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items() if key != "scale"}
     layout: RigLayout = _made("sim.layout", RigLayout, values)
     scale = data.get("scale", 1.0)
@@ -91,7 +91,7 @@ def _layout(data: Mapping[str, Any]) -> RigLayout:
 
 
 def _optics(data: Mapping[str, Any]) -> Optics:
-    _known("sim.optics", data, [*(item.name for item in fields(Optics)), "preset"])
+    known("sim.optics", data, [*(item.name for item in fields(Optics)), "preset"])
     values = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items() if key != "preset"}
     presets = {"standard": Optics, "realistic": Optics.realistic, "ideal": Optics.ideal}
     preset = data.get("preset", "standard")
@@ -102,7 +102,7 @@ def _optics(data: Mapping[str, Any]) -> Optics:
 
 def _faults(data: Mapping[str, Any], seed: int) -> FaultPlan:
     """Rates by kind, ``extra_first: left|right``, ``seed``, and ``script``: a list of {kind, at, side, length}."""
-    _known("sim.faults", data, [*RANDOM_KINDS, "extra_first", "seed", "script"])
+    known("sim.faults", data, [*RANDOM_KINDS, "extra_first", "seed", "script"])
     script = [_fault(i, item) for i, item in enumerate(data.get("script", ()))]
     extra = data.get("extra_first")
     if extra:
@@ -117,7 +117,7 @@ def _faults(data: Mapping[str, Any], seed: int) -> FaultPlan:
 
 def _fault(i: int, data: Mapping[str, Any]) -> Fault:
     name = f"faults.script[{i}]"
-    _known(f"sim.{name}", data, [item.name for item in fields(Fault)])
+    known(f"sim.{name}", data, [item.name for item in fields(Fault)])
     _one_of(f"{name}.kind", data.get("kind"), tuple(FaultKind))
     fault: Fault = _made(f"sim.{name}", Fault, {"at": 0, **data, "kind": FaultKind(data["kind"])})
     if fault.side is not None:
@@ -125,7 +125,8 @@ def _fault(i: int, data: Mapping[str, Any]) -> Fault:
     return replace(fault, at=int(fault.at), length=int(fault.length))
 
 
-def _known(name: str, data: object, keys: list[str]) -> None:
+def known(name: str, data: object, keys: list[str]) -> None:
+    """OptionError unless ``data`` is a mapping with some of these keys; ``name`` stands for it in the message."""
     if not isinstance(data, Mapping):
         raise OptionError(f"{name} is {data!r:.60}, expected a mapping")
     for key in data:

@@ -192,7 +192,7 @@ def _light_at(
         )
         return np.asarray(out.reshape(rows, columns, 3))
 
-    return np.concatenate(_in_bands(band, lattice.rows))
+    return np.concatenate(in_bands(band, lattice.rows))
 
 
 def truths(
@@ -205,12 +205,12 @@ def truths(
         def band(first: int, rows: int) -> Truth:
             return rows_of_truth(now, camera, other, rig.projector, pattern, first, rows)
 
-        return stacked(_in_bands(band, camera.size[1]))
+        return stacked(in_bands(band, camera.size[1]))
 
     return of(rig.left, rig.right), of(rig.right, rig.left)
 
 
-def _in_bands(work: Callable[[int, int], T], rows: int) -> list[T]:
+def in_bands(work: Callable[[int, int], T], rows: int) -> list[T]:
     """``work(first_row, rows)`` for bands of rows, on all cores; the compiled parts let go of the interpreter."""
     firsts = range(0, rows, _BAND_ROWS)
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:

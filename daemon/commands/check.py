@@ -56,8 +56,13 @@ def _checker(path: Path) -> Callable[[Path], tuple[bool, list[str]]]:
 
 def _rig(path: Path) -> tuple[bool, list[str]]:
     from daemon.config import load_rig
+    from daemon.rig import OptionsError, check_options
 
     config = load_rig(path)
+    try:
+        check_options(config, path.resolve().parent)
+    except OptionsError as error:
+        raise error.located(path) from error
     lines = [f"{path}: good: rig {config.device.name}, cameras by {config.cameras.driver}"]
     problems: list[str] = []
     for name in (config.calibration, config.pattern, config.volume):

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from daemon.commands import latency
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -104,6 +106,21 @@ def off(
     projector.close()
     for note in projector.notes[len(before) :]:
         typer.echo(note, err=True)
+
+
+@app.command("white")
+def white(output: Output = None, display: Display = "", rig: Rig = None, seconds: Seconds = None) -> None:
+    """Show white until Ctrl-C: focus, brightness, flicker."""
+    show("white", output, display, rig, seconds=seconds)
+
+
+@app.command("cross")
+def cross(output: Output = None, display: Display = "", rig: Rig = None, seconds: Seconds = None) -> None:
+    """Show cross hairs until Ctrl-C: where the axis of the projector points."""
+    show("cross", output, display, rig, seconds=seconds)
+
+
+app.command("latency")(latency.main)
 
 
 def hold(

@@ -13,6 +13,9 @@ RIGS: dict[str, str] = {
 }
 """Whole rigs: a function of the options that gives both cameras, the projector and what they know of themselves."""
 
+SIM_OPTIONS = "sim.options:from_mapping"
+"""What checks the options of the simulated rig without rendering anything."""
+
 CAMERAS: dict[str, str] = {
     "genicam": "drivers.genicam:open_camera",
     "v4l2": "drivers.v4l2:open_camera",

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from daemon.commands.check import check_file
 from daemon.config import load_rig, registry
 from daemon.errors import ConfigError
 from daemon.launch import run_rig
@@ -71,3 +72,19 @@ def test_mistakes_are_told_at_their_place(rig_file: Path, cameras: str, projecto
     (problem,) = error.value.problems
     assert told in problem
     assert problem.startswith(f"{rig_file}{place}")
+
+
+def test_check_lets_the_drivers_look_at_their_options_without_touching_a_device(rig_file: Path) -> None:
+    rewrite(rig_file, "{driver: test, right: {gain: 11}}", "{driver: test, options: {output: A}}")
+    good, lines = check_file(rig_file)
+    assert not good
+    assert lines == [f"{rig_file}:1:33: cameras.right.gain is 11, limit 10"]
+    rewrite(rig_file, "{driver: test, right: {gain: 1}}", "{driver: test, options: {output: A}}")
+    assert check_file(rig_file)[0]
+
+
+def test_check_finds_a_mistake_in_the_simulations_options(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("cameras: {driver: sim}\nsimulation: {scene: plnae}\n")
+    good, (line,) = check_file(path)
+    assert not good and line.startswith(f"{path}:2:") and "plnae" in line

@@ -102,9 +102,23 @@ def test_after_a_camera_started_anew_its_count_is_confirmed_first() -> None:
     for k in range(5):
         pairer.feed(_frame("left", k, k * PERIOD_NS, 1))
         pairer.feed(_frame("right", k, k * PERIOD_NS, 1))
-    pairer.doubt()
+    pairer.doubt("left")
     fed = [pairer.feed(_frame(side, k, k * PERIOD_NS, 1)) for k in range(5, 8) for side in _BOTH]
     assert fed[:5] == [[]] * 5 and len(fed[5]) == 3
+
+
+@pytest.mark.parametrize("side", _BOTH)
+def test_a_camera_that_counts_from_zero_again_costs_only_the_sightings_that_confirm_it(side: str) -> None:
+    """Numbers that it used up to a moment ago come again: no witness against the new ones once it was started anew."""
+    sent = [Sent(_frame(s, k, k * PERIOD_NS, 1), k) for k in range(10) for s in _BOTH]
+    pairer = Pairer()
+    assert len(check(sent, play(sent, pairer), pairer)) == 10
+    pairer.doubt(side)
+    again = [Sent(_frame(s, k - 12 * (s == side), k * PERIOD_NS, 1), k) for k in range(12, 30) for s in _BOTH]
+    events = play(again, pairer)
+    pairs = [event for event in events if isinstance(event, Pair)]
+    assert len(pairs) == len(again) // 2
+    assert all(pair.left.t_exposure_ns == pair.right.t_exposure_ns for pair in pairs)
 
 
 def test_frames_before_the_other_camera_runs_are_named_so() -> None:

@@ -298,7 +298,7 @@ def test_pairs_survive_everything_that_happens_to_single_frames(make: Make, rig:
     exposure()
     lose(cameras["left"])
     rig[0].plug()
-    pairer.doubt()
+    pairer.doubt("left")
     start(cameras["left"], rig[0])
     before = len(pairs)
     for _ in range(10):

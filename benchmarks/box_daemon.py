@@ -1,0 +1,180 @@
+"""A daemon on a rig in a box: its real service on the real drivers, and a witness that knows what was shown."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+import yaml
+
+from daemon.config import load_rig
+from daemon.outputs import open_publisher
+from daemon.rig import open_rig
+from daemon.service import Service
+from daemon.sinks import CloudItem, Item, PairItem
+from drivers.protocols import SIDES
+from sim.box.box import Box
+from sim.box.ledger import Ledger, Shown
+
+
+def wait_until(condition: Callable[[], object], timeout_s: float = 60.0, what: str = "the condition") -> None:
+    """Return as soon as the condition holds; TimeoutError when it does not in time."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"{what} did not come true within {timeout_s:g} s")
+        time.sleep(0.002)
+
+
+class Witness:
+    """A sink that tells of every pair which exposures its frames are, by their bytes.
+
+    ``counts``: ``pairs`` that are right (``lit`` or ``dark``), ``wrong`` ones of two exposures, ``unknown`` ones with a
+    frame that was never shown, ``clouds``.
+
+    Args:
+        ledger: of the world; told: of each right pair and of each cloud, with the exposure.
+    """
+
+    def __init__(self, ledger: Ledger, told: Callable[[Shown, Item], None] | None = None) -> None:
+        self._ledger = ledger
+        self._told = told
+        self.counts: Counter[str] = Counter()
+        self.last_pair = self.last_cloud = -1
+
+    def offer(self, item: Item) -> bool:
+        """Look at a pair or a cloud."""
+        if isinstance(item, PairItem):
+            shown = {side: self._ledger.exposure_of(side, getattr(item, side).image) for side in SIDES}
+            left, right = shown["left"], shown["right"]
+            if left is None or right is None:
+                self.counts["unknown"] += 1
+            elif left.index != right.index:
+                self.counts["wrong"] += 1
+            else:
+                self.counts["pairs"] += 1
+                self.counts["dark" if left.dark else "lit"] += 1
+                self._tell(left, item)
+                self.last_pair = left.index
+        elif isinstance(item, CloudItem):
+            self.counts["clouds"] += 1
+            shown_left = self._ledger.exposure_of("left", item.left.image)
+            if shown_left is not None:
+                self._tell(shown_left, item)
+                self.last_cloud = shown_left.index
+        return True
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def status(self) -> dict[str, Any]:
+        """The counts."""
+        return dict(self.counts)
+
+    def _tell(self, shown: Shown, item: Item) -> None:
+        if self._told is not None:
+            self._told(shown, item)
+
+
+class Daemon:
+    """The service on a box, running in a thread of this process; for ``with``.
+
+    The environment variable of :mod:`sim.box.box` must name the box's cameras.
+
+    Args:
+        box: made; told: see :class:`Witness`; pipeline: changes to that section of rig.yaml.
+    """
+
+    def __init__(self, box: Box, *, told: Callable[[Shown, Item], None] | None = None, **pipeline: Any) -> None:
+        self._box, self._told = box, told
+        rig = yaml.safe_load(box.rig_file.read_text())
+        box.rig_file.write_text(yaml.safe_dump(rig | {"pipeline": {"queue": 4, "temporal_prior": False} | pipeline}))
+        self.stream = rig["stream"]["endpoints"][0]
+        self.errors: list[BaseException] = []
+
+    def __enter__(self) -> Daemon:
+        with ExitStack() as stack:
+            config = load_rig(self._box.rig_file)
+            self.rig = open_rig(config, self._box.folder)
+            stack.callback(self.rig.release)
+            publisher = open_publisher(config, self.rig, "box")
+            self.witness = Witness(self._box.world.ledger, self._told)
+            sinks = {"stream": publisher, "witness": self.witness}
+            self.service = Service(config, self.rig, sinks, on_status=publisher.publish_status, session="box")
+            self._thread = threading.Thread(target=self._run, name="daemon")
+            self._thread.start()
+            stack.callback(self.stop)
+            wait_until(lambda: self.state() == "running", 90, "the daemon")
+            self.wait_armed()
+            stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+        self._check()
+
+    def stop(self) -> None:
+        """End the service; may be called twice."""
+        self.service.ask_stop()
+        self._thread.join(60)
+        if self._thread.is_alive():
+            raise TimeoutError("the daemon does not come to its end")
+
+    def state(self) -> str:
+        """What the daemon says it is doing."""
+        self._check()
+        return str(self.service.state()[0])
+
+    def reasons(self) -> str:
+        """Why it is degraded."""
+        return "; ".join(self.service.state()[1])
+
+    def wait_armed(self, timeout_s: float = 60) -> None:
+        """Until both cameras wait for a trigger."""
+        cables = self._box.cables
+        wait_until(lambda: all(cables[side].state().armed for side in SIDES), timeout_s, "cameras armed")
+
+    def step_until_pair(self, tries: int = 40) -> int:
+        """Triggers until the daemon has paired one, as it must within a few; the trigger's index.
+
+        A camera that was started anew while its numbers are still low repeats numbers that the pairing remembers: it
+        takes up to 16 triggers more until they are told apart.
+        """
+        for _ in range(tries):
+            index = self._box.world.step().index
+            end = time.monotonic() + 0.5
+            while self.witness.last_pair < index and time.monotonic() < end and self._confirmed:
+                time.sleep(0.0005)
+            if self.witness.last_pair == index:
+                return index
+            time.sleep(0.01)
+        raise TimeoutError(f"no pair within {tries} triggers; {self.service.status()}")
+
+    def step_patiently(self, count: int = 1, *, patience_s: float = 0.1) -> None:
+        """Triggers, each followed by a moment for its pair, so that nothing is lost but by faults."""
+        for _ in range(count):
+            index = self._box.world.step().index
+            end = time.monotonic() + patience_s
+            while self.witness.last_pair < index and time.monotonic() < end:
+                time.sleep(0.0002)
+
+    def _check(self) -> None:
+        if self.errors:
+            raise RuntimeError("the daemon ended with an error") from self.errors[0]
+
+    @property
+    def _confirmed(self) -> bool:
+        """Whether the pairing believes its count, so that the next pair leaves at once."""
+        return bool(self.service.desk._pairer._confirmed)
+
+    def _run(self) -> None:
+        try:
+            self.service.run()
+        except BaseException as error:
+            logging.getLogger("benchmarks.box").exception("the daemon ended")
+            self.errors.append(error)

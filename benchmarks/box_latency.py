@@ -1,0 +1,150 @@
+"""How long it takes from the edge on the trigger lines to the cloud: ``python -m benchmarks.box_latency``.
+
+A daemon measures a rig in a box at a steady rate: real drivers, real stream, and cameras whose frames leave them
+exposure and readout after the edge, as real ones do. Every time is taken where the thing happens, on one machine, with
+one clock; each frame is told by its bytes, so no number can be mistaken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+import time
+from collections import defaultdict
+from contextlib import closing
+
+import numpy as np
+
+from benchmarks.box_daemon import Daemon, wait_until
+from benchmarks.tables import Table
+from daemon.sinks import Item, PairItem
+from fringed import SilenceError, subscribe
+from sim.box.box import GENTL_DIR, Box
+from sim.box.ledger import Shown
+from sim.box.options import from_mapping
+
+STAGES = {
+    "frame": "both frames in the cameras' processes",
+    "pair": "pair in the daemon",
+    "cloud": "cloud ready",
+    "received": "cloud at a subscriber",
+}
+_PERCENTILES = (50, 99, 99.9)
+_WARM_UP = 10
+
+
+class Times:
+    """Times of all stages by trigger, milliseconds after the edge; filled from several threads."""
+
+    def __init__(self) -> None:
+        self.ms: dict[str, dict[int, float]] = defaultdict(dict)
+        self._edges: dict[int, tuple[int, int]] = {}
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def told(self, shown: Shown, item: Item) -> None:
+        """The witness's: a pair or a cloud is there."""
+        now_ns = time.monotonic_ns()
+        if isinstance(item, PairItem):
+            host_ns = max(item.left.t_host_ns, item.right.t_host_ns) - self._offset_ns
+            self._edges[item.left.trigger] = shown.index, shown.t_ns
+            self._note("frame", shown, host_ns)
+            self._note("pair", shown, now_ns)
+        else:
+            self._note("cloud", shown, now_ns)
+
+    def received(self, seq: int) -> None:
+        """A subscriber has the cloud of a trigger's number."""
+        index, t_ns = self._edges[seq]
+        self.ms["received"][index] = (time.monotonic_ns() - t_ns) / 1e6
+
+    def _note(self, stage: str, shown: Shown, at_ns: int) -> None:
+        self.ms[stage][shown.index] = (at_ns - shown.t_ns) / 1e6
+
+
+def measure(options: argparse.Namespace) -> Table:
+    """One run and its table."""
+    made = from_mapping(
+        {
+            "tcp": 0,
+            "exposure_us": options.exposure_us,
+            "readout_us": options.readout_us,
+            "simulation": {"scene": "mixed", "frames": 1, "layout": {"scale": options.scale}, "rate_hz": options.rate},
+        }
+    )
+    times = Times()
+    with Box(made) as box:
+        os.environ[GENTL_DIR] = str(box.gentl_dir)
+        with Daemon(box, told=times.told, temporal_prior=True) as daemon:
+            _run(box, daemon, times, options)
+        late = box.world.late
+    width, height = made.layout.camera_size
+    table = Table(
+        "box_latency",
+        f"From the edge on the trigger lines, ms ({width} x {height} pixels, {options.rate:g} triggers a second)",
+        ("until", *(f"P{p:g}" for p in _PERCENTILES), "longest", "count"),
+    )
+    for stage, name in STAGES.items():
+        values = np.array([ms for index, ms in times.ms[stage].items() if index >= _WARM_UP])
+        table.add(
+            name, *(f"{np.percentile(values, p):.2f}" for p in _PERCENTILES), f"{values.max():.2f}", f"{len(values)}"
+        )
+    in_camera_ms = (options.exposure_us + options.readout_us) / 1e3
+    table.notes.append(f"exposure and readout take {in_camera_ms:g} ms of it; triggers skipped by the emulator: {late}")
+    table.notes.append(f"wrong pairs: {daemon.witness.counts['wrong']}; X server, light and cameras run beside it")
+    return table
+
+
+def _run(box: Box, daemon: Daemon, times: Times, options: argparse.Namespace) -> None:
+    stop, ended = threading.Event(), threading.Event()
+    subscriber = threading.Thread(target=_subscribe, args=(daemon.stream, times, ended), name="subscriber")
+    subscriber.start()
+    try:
+        wait_until(lambda: "cloud/full" in daemon.service.sinks["stream"].status()["topics"], 30, "the subscription")
+        triggers = threading.Thread(target=box.world.run, args=(options.rate, stop), name="triggers")
+        triggers.start()
+        try:
+            wait_until(
+                lambda: box.world.triggers >= options.count, 60 + 2 * options.count / options.rate, "the last trigger"
+            )
+        finally:
+            stop.set()
+            triggers.join(30)
+        wait_until(lambda: daemon.witness.last_cloud >= box.world.triggers - 2, 30, "the last cloud")
+    finally:
+        ended.set()
+        subscriber.join(30)
+
+
+def _subscribe(endpoint: str, times: Times, ended: threading.Event) -> None:
+    with closing(subscribe(endpoint, latest=False, timeout_s=0.5)) as clouds:
+        while not ended.is_set():
+            try:
+                times.received(next(clouds).header.seq)
+            except SilenceError:
+                continue
+
+
+def arguments(given: list[str]) -> argparse.Namespace:
+    """Options of the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.box_latency", description=__doc__)
+    parser.add_argument("--count", type=int, default=1500, help="triggers")
+    parser.add_argument("--rate", type=float, default=20.0, help="triggers a second")
+    parser.add_argument("--scale", type=float, default=0.25, help="size of the pictures, 1 = 1024 x 820")
+    parser.add_argument("--exposure-us", type=float, default=2000.0)
+    parser.add_argument("--readout-us", type=float, default=1000.0)
+    return parser.parse_args(given)
+
+
+def main(given: list[str]) -> int:
+    """Measure and print."""
+    from rich.console import Console
+
+    table = measure(arguments(given))
+    table.print(Console())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

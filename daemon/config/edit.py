@@ -1,0 +1,57 @@
+"""Change one value of a YAML text that a person wrote: comments, order and layout stay."""
+
+from __future__ import annotations
+
+import copy
+import re
+from typing import Any
+
+from daemon.config.source import Path_, read_yaml
+from daemon.errors import DaemonError
+
+
+def with_value(text: str, path: Path_, value: float) -> str:
+    """The text with a number at a path of keys; the key is put first in its section if it is not there yet.
+
+    Raises:
+        DaemonError: the section is not there, or the text is laid out in a way that this does not understand.
+    """
+    source = read_yaml(text)
+    above, key = path[:-1], path[-1]
+    section = source.data
+    for name in above:
+        section = section.get(name) if isinstance(section, dict) else None
+    if not isinstance(section, dict) or (not section and above not in source.places):
+        raise DaemonError(f"there is no section {'.'.join(map(str, above))} to put {key} into")
+    wanted = copy.deepcopy(source.data)
+    target = wanted
+    for name in above:
+        target = target[name]
+    target[key] = value
+    changed = (
+        _replaced(text, source.places[path], value) if key in section else _inserted(text, source, above, value, key)
+    )
+    if read_yaml(changed).data != wanted:
+        raise DaemonError(
+            f"{'.'.join(map(str, path))} cannot be set by itself in this file; write {key}: {value:g} there"
+        )
+    return changed
+
+
+def _replaced(text: str, place: tuple[int, int], value: float) -> str:
+    lines = text.splitlines(keepends=True)
+    line, column = place[0] - 1, place[1] - 1
+    lines[line] = lines[line][:column] + re.sub(r"^[^\s,}#]+", f"{value:g}", lines[line][column:])
+    return "".join(lines)
+
+
+def _inserted(text: str, source: Any, above: Path_, value: float, key: str | int) -> str:
+    lines = text.splitlines(keepends=True)
+    row, column = source.places[above]
+    line = lines[row - 1]
+    if line[column - 1 : column] == "{":
+        more = "" if line[column:].lstrip().startswith("}") else ", "
+        lines[row - 1] = f"{line[:column]}{key}: {value:g}{more}{line[column:]}"
+    else:
+        lines.insert(row - 1, f"{' ' * (column - 1)}{key}: {value:g}\n")
+    return "".join(lines)

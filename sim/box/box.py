@@ -1,0 +1,125 @@
+"""A whole rig without hardware: X server, emulated cameras, the light between them, and the files of the rig."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+
+from drivers.protocols import SIDES, Side
+from sim import scenes
+from sim.box.grab import Grabber
+from sim.box.ledger import Ledger
+from sim.box.light import Stage
+from sim.box.options import BoxOptions
+from sim.box.rig import PIXEL_FORMATS, RigPlaces, write_rig
+from sim.box.world import World
+from sim.gentl.build import build
+from sim.gentl.cable import Cable, Filter
+from sim.xserver import Head, XServer
+
+GENTL_DIR = "FRINGED_GENTL_DIR"
+OUTPUT = "DUMMY1"
+_DESKTOP = Head(640, 480)
+_FILTERS: dict[str, Filter] = {
+    "rgb8": "RG",
+    "bayer_rggb8": "RG",
+    "bayer_bggr8": "BG",
+    "bayer_grbg8": "GR",
+    "bayer_gbrg8": "GB",
+    "mono8": "mono",
+    "mono16": "mono",
+}
+# Beside exposure and readout, so that no edge ever meets a busy sensor by rounding.
+_REST_S = 0.0005
+
+
+class Box:
+    """Everything of a rig but the daemon; for ``with``.
+
+    Args:
+        options: of the box.
+        real_time: frames leave the cameras exposure and readout after the edge; False = at once, for lock-step.
+        ledger: of the world.
+
+    Attributes:
+        server: X server; ``OUTPUT`` is the projector. cables: to the cameras. world: gives the triggers.
+        stage: the scene. rig_file: for ``fringed run``. gentl_dir: what the environment variable ``GENTL_DIR`` must
+            say to every process that opens the cameras.
+    """
+
+    def __init__(self, options: BoxOptions, *, real_time: bool = True, ledger: Ledger | None = None) -> None:
+        self.options = options
+        self._real_time, self._ledger = real_time, ledger
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Box:
+        with ExitStack() as stack:
+            self._make(stack)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def serials(self) -> dict[Side, str]:
+        """Serial numbers of the cameras."""
+        return {side: f"BOX-{side.upper()}" for side in SIDES}
+
+    def _make(self, stack: ExitStack) -> None:
+        options = self.options
+        simulation, layout = options.simulation, options.layout
+        folder = options.folder
+        if folder is None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fringed-box-")))
+        self.folder, self.gentl_dir = folder, folder / "gentl"
+        self.gentl_dir.mkdir(parents=True, exist_ok=True)
+        producer = build()
+        scene = scenes.build(simulation.scene, seed=simulation.seed, mesh_file=simulation.mesh)
+        self.stage = Stage(
+            layout, scene, simulation.optics, encoding=simulation.encoding, instants_s=options.instants_s
+        )
+        self.server = stack.enter_context(XServer((_DESKTOP, Head(*layout.projector_size))))
+        self.cables: Mapping[Side, Cable] = {
+            side: stack.enter_context(self._cable(number, side)) for number, side in enumerate(SIDES)
+        }
+        for side in SIDES:
+            self.cables[side].set_clock(drift_ppm=options.drift_ppm[side])
+        self.grabber = stack.enter_context(Grabber(self.server.display, OUTPUT))
+        self.world = World(
+            self.grabber,
+            self.stage,
+            self.cables,
+            size=layout.projector_size,
+            instants=len(self.stage.instants_s),
+            plan=simulation.faults,
+            period_s=(options.exposure_us + options.readout_us) / 1e6 + _REST_S,
+            ledger=self._ledger,
+        )
+        self.rig_file = write_rig(
+            folder,
+            layout,
+            simulation.optics,
+            RigPlaces(producer, self.serials, self.server.display, OUTPUT),
+            pixel_format=PIXEL_FORMATS[simulation.encoding],
+            exposure_us=options.exposure_us,
+            tolerance_us=options.tolerance_us,
+            tcp=options.tcp,
+        )
+
+    def _cable(self, number: int, side: Side) -> Cable:
+        options = self.options
+        return Cable(
+            self.gentl_dir,
+            number,
+            serial=self.serials[side],
+            size=options.layout.camera_size,
+            sensor=_FILTERS[options.simulation.encoding],
+            real_time=self._real_time,
+            readout_us=options.readout_us,
+        )

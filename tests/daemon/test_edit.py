@@ -1,0 +1,47 @@
+"""One value of a file that a person wrote: everything else stays byte for byte."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+
+from daemon.config.edit import with_value
+from daemon.errors import DaemonError
+
+KEY = ("projector", "options", "latency_ms")
+BLOCK = (
+    "# mine\nprojector:\n  driver: x11 # the window\n  options:\n    output: HDMI-1   # left of the desk\n"
+    "{more}device: {{name: a}}\n"
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        BLOCK.format(more=""),
+        BLOCK.format(more="    latency_ms: 1.0 # old\n"),
+        "projector: {driver: x11, options: {output: HDMI-1}} # flow\n",
+        "projector: {driver: x11, options: {latency_ms: 3, output: HDMI-1}}\n",
+        "projector: {driver: external, options: {}}\n",
+        "projector:\n  options: {output: A}\n  driver: x11\n",
+    ],
+)
+def test_only_the_value_changes(text: str) -> None:
+    changed = with_value(text, KEY, 33.42)
+    wanted = yaml.safe_load(text)
+    wanted["projector"]["options"]["latency_ms"] = 33.42
+    assert yaml.safe_load(changed) == wanted
+    assert with_value(changed, KEY, 33.42) == changed
+    kept = [line for line in text.splitlines() if "latency_ms" not in line and "options: {" not in line]
+    assert [line for line in changed.splitlines() if line in kept] == kept
+    assert [part.partition("#")[2] for part in changed.splitlines() if "#" in part] == [
+        part.partition("#")[2] for part in text.splitlines() if "#" in part
+    ]
+
+
+def test_what_is_not_there_or_not_understood_is_told() -> None:
+    with pytest.raises(DaemonError, match=r"no section projector\.options"):
+        with_value("device: {name: a}\n", KEY, 1.0)
+    anchored = "a: &x {output: A}\nprojector: {options: *x}\n"
+    with pytest.raises(DaemonError, match=r"latency_ms cannot be set by itself .* write latency_ms: 1 there"):
+        with_value(anchored, KEY, 1.0)
