@@ -14,6 +14,7 @@ from daemon.config.source import read_yaml
 from daemon.doctor.finding import Area, Finding
 from daemon.doctor.subject import Subject, options_parser
 from daemon.errors import ConfigError
+from daemon.rig import OptionsError
 from drivers.protocols import SIDES
 
 area = Area("rig")
@@ -50,7 +51,8 @@ def check(subject: Subject) -> Iterator[Finding]:
         return
     wrong = list(option_problems(subject))
     for text in wrong:
-        yield area.problem("options", text, f"change that option in {subject.path.name}")
+        located = OptionsError("cameras", text).located(subject.path)
+        yield area.problem("options", str(located), f"change that option in {subject.path.name}")
     if not problems and not wrong:
         names = [f"cameras by {config.cameras.driver}"]
         names += [f"projector by {config.projector.driver}"] if config.projector is not None else []

@@ -113,7 +113,7 @@ def test_the_lowest_speed_is_told_only_where_powersave_means_that(tmp_path: Path
     assert len(list(processors.governor(trees.subject(tmp_path, files)))) == told
 
 
-@pytest.mark.parametrize(("available_kb", "level"), [(300_000, "problem"), (1_000_000, "warning"), (8_000_000, "ok")])
+@pytest.mark.parametrize(("available_kb", "level"), [(300_000, "problem"), (800_000, "warning"), (8_000_000, "ok")])
 def test_memory(tmp_path: Path, available_kb: int, level: str) -> None:
     text = f"MemTotal: 16000000 kB\nMemAvailable: {available_kb} kB\nSwapTotal: 0 kB\nSwapFree: 0 kB\n"
     assert levels(memory.check(trees.subject(tmp_path, {"/proc/meminfo": text}))) == [level]

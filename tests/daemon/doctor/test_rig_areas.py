@@ -58,7 +58,8 @@ def test_a_rig_with_mistakes_is_looked_at_all_the_same(tmp_path: Path) -> None:
     subject.path, subject.config = path, config
     found = list(rig_file.check(subject))
     assert levels(found) == ["problem"] * 5
-    assert "cameras.left.serial" in found[3].text and "cameras.right.exposure" in found[4].text
+    assert f"{path}:1:35: cameras.left.serial" in found[3].text, found[3].text
+    assert "cameras.right.exposure" in found[4].text
 
 
 def test_a_file_that_is_no_rig_leaves_the_machine(tmp_path: Path) -> None:
