@@ -43,8 +43,11 @@ def check(subject: Subject) -> Iterator[Finding]:
     if subject.path is None:
         return
     _, problems = read_leniently(subject.path)
+    remedy = f"change that line of {subject.path.name}; see: fringed check {subject.path}"
+    if not subject.path.is_file():
+        remedy = "name a rig.yaml that is there; examples/rig.yaml is one to begin with"
     for text in problems:
-        yield area.problem("file", text, f"change that line of {subject.path.name}; see: fringed check {subject.path}")
+        yield area.problem("file", text, remedy)
     config = subject.config
     if config is None:
         yield area.note("file", "the rest is looked at as if there were no rig.yaml")

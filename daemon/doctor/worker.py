@@ -63,7 +63,7 @@ def look(check: Check, subject: Subject) -> list[Finding]:
     """The findings of one area; what it raises is one more."""
     if subject.config is not None and check.drivers and not subject.drivers & set(check.drivers):
         return [Finding(check.area, "not needed", "note", f"not needed with {', '.join(sorted(subject.drivers))}")]
-    if check.needs_rig and subject.path is None:
+    if check.needs_rig and (subject.path is None or (subject.config is None and check.area != "rig")):
         return [Finding(check.area, "needs a rig.yaml", "note", "needs a rig.yaml")]
     found: list[Finding] = []
     try:
