@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench soak check golden screenshot rig-in-a-box vm clean
+.PHONY: help env demo test bench soak check golden screenshot rig-in-a-box box-soak box-latency vm clean
 .DEFAULT_GOAL := help
 
 help:
@@ -44,6 +44,14 @@ $(PEERS)/.complete: benchmarks/peers.txt
 
 soak: $(STAMP)  ## half an hour at 30 pairs a second: losses, memory, latencies; exit code 1 if one is lost
 	$(BIN)/python -m benchmarks.soak $(SOAK)
+
+box-soak: $(STAMP)  ## 200,000 triggers through the real drivers on emulated hardware, with random faults; ten minutes
+	tools/system-packages x11 compiler
+	$(BIN)/python -m benchmarks.box_soak --triggers 200000 --verbose $(BOX)
+
+box-latency: $(STAMP)  ## from the trigger's edge to frame, pair, cloud and subscriber on emulated hardware
+	tools/system-packages x11 compiler
+	$(BIN)/python -m benchmarks.box_latency $(BOX)
 
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make

@@ -38,10 +38,11 @@ class Witness:
     frame that was never shown, ``clouds``.
 
     Args:
-        ledger: of the world; told: of each right pair and of each cloud, with the exposure.
+        ledger: of the world; told: of each right pair and of each cloud, with the exposure and the time
+            (CLOCK_MONOTONIC, ns) at which it was offered, before its bytes were looked at.
     """
 
-    def __init__(self, ledger: Ledger, told: Callable[[Shown, Item], None] | None = None) -> None:
+    def __init__(self, ledger: Ledger, told: Callable[[Shown, Item, int], None] | None = None) -> None:
         self._ledger = ledger
         self._told = told
         self.counts: Counter[str] = Counter()
@@ -49,6 +50,7 @@ class Witness:
 
     def offer(self, item: Item) -> bool:
         """Look at a pair or a cloud."""
+        now_ns = time.monotonic_ns()
         if isinstance(item, PairItem):
             shown = {side: self._ledger.exposure_of(side, getattr(item, side).image) for side in SIDES}
             left, right = shown["left"], shown["right"]
@@ -59,13 +61,13 @@ class Witness:
             else:
                 self.counts["pairs"] += 1
                 self.counts["dark" if left.dark else "lit"] += 1
-                self._tell(left, item)
+                self._tell(left, item, now_ns)
                 self.last_pair = left.index
         elif isinstance(item, CloudItem):
             self.counts["clouds"] += 1
             shown_left = self._ledger.exposure_of("left", item.left.image)
             if shown_left is not None:
-                self._tell(shown_left, item)
+                self._tell(shown_left, item, now_ns)
                 self.last_cloud = shown_left.index
         return True
 
@@ -76,9 +78,9 @@ class Witness:
         """The counts."""
         return dict(self.counts)
 
-    def _tell(self, shown: Shown, item: Item) -> None:
+    def _tell(self, shown: Shown, item: Item, now_ns: int) -> None:
         if self._told is not None:
-            self._told(shown, item)
+            self._told(shown, item, now_ns)
 
 
 class Daemon:
@@ -90,7 +92,7 @@ class Daemon:
         box: made; told: see :class:`Witness`; pipeline: changes to that section of rig.yaml.
     """
 
-    def __init__(self, box: Box, *, told: Callable[[Shown, Item], None] | None = None, **pipeline: Any) -> None:
+    def __init__(self, box: Box, *, told: Callable[[Shown, Item, int], None] | None = None, **pipeline: Any) -> None:
         self._box, self._told = box, told
         rig = yaml.safe_load(box.rig_file.read_text())
         box.rig_file.write_text(yaml.safe_dump(rig | {"pipeline": {"queue": 4, "temporal_prior": False} | pipeline}))

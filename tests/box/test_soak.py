@@ -16,5 +16,5 @@ def test_random_faults_never_make_a_wrong_pair() -> None:
     assert result.problems() == []
     assert result.triggers == 5000 and set(result.faults) == {*box_soak.RATES, "gone"}
     assert result.losses > 0 and result.clouds > 0
-    # A camera that was plugged in again repeats numbers that the pairing remembers: up to a room full each time.
-    assert result.pairs >= result.whole - 60 * result.losses - 20
+    # Frames that wait when a camera goes are given up: at most a room full each time.
+    assert result.pairs >= result.whole - 8 * result.losses
