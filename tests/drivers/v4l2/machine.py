@@ -16,6 +16,7 @@ GUEST = Path(__file__).parent / "guest"
 MAIN = (GUEST / "main.py").relative_to(ROOT)
 CODE = ("drivers", "daemon/__init__.py", "daemon/pairing.py", "tests/__init__.py", "tests/drivers/__init__.py",
         "tests/drivers/v4l2/__init__.py", str(GUEST.relative_to(ROOT)))  # fmt: skip
+BUILD = ROOT / "tools" / "vm" / "build"
 TOOLS = ("qemu-system-x86_64", "apt-get", "depmod", "mkfs.ext4", "gcc", "make")
 BUILD_LIMIT_S, RUN_LIMIT_S = 600, 600
 
@@ -33,7 +34,10 @@ def missing() -> str:
     """What this machine lacks for the virtual one, in a sentence; empty if nothing."""
     places = os.pathsep.join((os.environ.get("PATH", ""), "/usr/sbin", "/sbin"))
     lacking = [tool for tool in TOOLS if shutil.which(tool, path=places) is None]
-    return f"the virtual machine needs {', '.join(lacking)}: tools/system-packages vm" if lacking else ""
+    if lacking:
+        return f"the virtual machine needs {', '.join(lacking)}: tools/system-packages vm"
+    mirror = subprocess.run([BUILD, "mirror"], check=True, capture_output=True, text=True, timeout=60).stdout.strip()
+    return "" if mirror else "this machine's package sources name no Debian mirror; set DEBIAN_MIRROR to one"
 
 
 def run(folder: Path) -> tuple[dict[str, str], str]:
@@ -46,11 +50,10 @@ def run(folder: Path) -> tuple[dict[str, str], str]:
     with tarfile.open(code, "w") as archive:
         for name in CODE:
             archive.add(ROOT / name, name, filter=lambda entry: None if "__pycache__" in entry.name else entry)
-    tools = ROOT / "tools" / "vm"
     environment = {**os.environ, "PYTHON": sys.executable}
-    subprocess.run([tools / "build"], check=True, timeout=BUILD_LIMIT_S, env=environment, stdout=subprocess.DEVNULL)
+    subprocess.run([BUILD], check=True, timeout=BUILD_LIMIT_S, env=environment, stdout=subprocess.DEVNULL)
     try:
-        subprocess.run([tools / "run", code, MAIN, folder], check=True, timeout=RUN_LIMIT_S, env=environment)
+        subprocess.run([BUILD.with_name("run"), code, MAIN, folder], check=True, timeout=RUN_LIMIT_S, env=environment)
         ended = ""
     except subprocess.TimeoutExpired:
         ended = f"\nstopped after {RUN_LIMIT_S} s"
