@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import secrets
 import selectors
 import shutil
 import signal
@@ -24,6 +25,7 @@ from typing import Literal
 PACKAGES = "xserver-xorg-core xserver-xorg-video-dummy xvfb libgl1-mesa-dri"
 LOG_TAIL_BYTES = 4000
 STOP_S = 5.0
+FIRST_DISPLAY, DISPLAYS = 100, 900
 
 SERVER_FLAGS = """\
 Section "ServerFlags"
@@ -66,6 +68,17 @@ Section "Monitor"
   Option "Enable" "true"
 EndSection
 """
+
+
+def _free_display() -> str:
+    """A display number that nobody uses.
+
+    Not the lowest one, which the next server that is started anywhere would take while this one is down for a moment.
+    """
+    while True:
+        number = FIRST_DISPLAY + secrets.randbelow(DISPLAYS)
+        if not any(Path(place).exists() for place in (f"/tmp/.X{number}-lock", f"/tmp/.X11-unix/X{number}")):  # noqa: S108
+            return f":{number}"
 
 
 class XServerError(RuntimeError):
@@ -237,7 +250,7 @@ class XServer:
             raise XServerError(f"no {self._kind} X server here; install the packages {PACKAGES}")
         guard = shutil.which("setpriv")
         command = [guard, "--pdeathsig", "KILL", program] if guard else [program]
-        command += [*([self.display] if self.display else []), "-displayfd", str(ready)]
+        command += [self.display or _free_display(), "-displayfd", str(ready)]
         command += ["-s", "0", "-noreset", "-nolisten", "tcp"]
         if self._kind == "xvfb":
             head = self.heads[0]
