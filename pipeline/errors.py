@@ -15,3 +15,7 @@ class PatternError(PipelineError):
 
 class PictureError(PipelineError):
     """A picture whose size, type or encoding does not fit."""
+
+
+class TargetError(PipelineError):
+    """A calibration board that cannot be described, found or trusted in a picture; the message says why."""
