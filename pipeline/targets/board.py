@@ -18,7 +18,7 @@ from pipeline.errors import TargetError
 Array = NDArray[np.float64]
 Kind = Literal["circles", "acircles", "chessboard", "charuco"]
 
-KINDS: tuple[str, ...] = get_args(Kind)
+KINDS: tuple[Kind, ...] = get_args(Kind)
 DIAMETER_SHARE = 0.6
 """Diameter of a circle as a share of the pitch, where nothing else is told."""
 _MOST_MARKS = 2500
@@ -111,8 +111,9 @@ def parse_board(text: str) -> Board:
     Raises:
         TargetError: it says which form is expected.
     """
-    kind, *rest = text.split(":")
-    if kind not in _FORMS:
+    name, *rest = text.split(":")
+    kind = next((known for known in KINDS if known == name), None)
+    if kind is None:
         raise TargetError(f"board {text!r:.80}: unknown kind; expected one of {', '.join(_FORMS.values())}")
     wrong = TargetError(f"board {text!r:.80}: expected {_FORMS[kind]}")
     size = re.fullmatch(r"(\d{1,4})x(\d{1,4})", rest[0]) if rest else None
@@ -127,4 +128,4 @@ def parse_board(text: str) -> Board:
     if kind == "charuco":
         return Board(kind, columns, rows, lengths[0], marker_mm=lengths[1], dictionary=rest[3])
     diameter = lengths[1] if len(lengths) > 1 else 0.0
-    return Board(kind, columns, rows, lengths[0], diameter_mm=diameter)  # type: ignore[arg-type]
+    return Board(kind, columns, rows, lengths[0], diameter_mm=diameter)
