@@ -12,7 +12,7 @@ import pytest
 
 from tests import kernels
 
-WITHOUT_KERNELS = "stream", "drivers"
+WITHOUT_KERNELS = "stream", "drivers", "calibrate"
 """Directories of tests that neither measure nor render."""
 
 

@@ -18,14 +18,14 @@ class Marks:
         ids: (n,) numbers of the marks, see :class:`pipeline.targets.board.Board`; none twice.
         pixels: (n, 2) u, v. For circles this is the centroid of the circle's image, not the image of its centre.
         sigma_px: (n,) expected standard deviation of each coordinate from the picture's noise.
-        area: whether the pixels are centroids of areas (circles seen by a camera), so that whoever fits a model must
-            predict centroids, or images of points (corners; a projector's marks).
+        areas_px: (n,) areas of the circles' images where ``pixels`` are their centroids, so that whoever fits a model
+            must predict centroids; None where they are images of points (corners; a projector's marks).
     """
 
     ids: NDArray[np.int64]
     pixels: Array
     sigma_px: Array
-    area: bool = False
+    areas_px: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -33,6 +33,8 @@ class Marks:
             raise ValueError(
                 f"marks: ids {self.ids.shape}, pixels {self.pixels.shape}, sigma_px {self.sigma_px.shape} do not agree"
             )
+        if self.areas_px is not None and self.areas_px.shape != (n,):
+            raise ValueError(f"marks: areas_px {self.areas_px.shape}, expected {(n,)}")
         if len(np.unique(self.ids)) != n:
             raise ValueError("marks: a mark is there twice")
 
@@ -41,7 +43,8 @@ class Marks:
 
     def some(self, chosen: NDArray[np.bool_]) -> Marks:
         """The marks where ``chosen`` (n,) is true."""
-        return Marks(self.ids[chosen], self.pixels[chosen], self.sigma_px[chosen], self.area)
+        areas = None if self.areas_px is None else self.areas_px[chosen]
+        return Marks(self.ids[chosen], self.pixels[chosen], self.sigma_px[chosen], areas)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
