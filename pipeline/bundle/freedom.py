@@ -91,6 +91,5 @@ def freedom(
         if options.aspect is not None and key == "fy" and f"{device}.fx" not in held:
             column[at - 1] = 1 / options.aspect
         columns.append(column)
-    assert len(names) == PER_DEVICE * len(devices)
     basis = np.stack(columns, axis=1) if columns else np.zeros((len(names), 0))
     return Freedom(basis, options.board_refined, nominal, pitch_mm)
