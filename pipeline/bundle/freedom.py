@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.bundle.options import Options
-from pipeline.bundle.state import INTRINSICS, PER_DEVICE, POSE
+from pipeline.bundle.state import INTRINSICS, POSE
 from pipeline.errors import CalibrationError
 
 Array = NDArray[np.float64]

@@ -97,11 +97,7 @@ def _face_up(
     for view in behind:
         if mirrored is None:
             _drop(placed, view, number)
-            placed.rejected.append(
-                Rejection(
-                    views[view].name, device, (), "its numbering shows the board from behind"
-                )
-            )
+            placed.rejected.append(Rejection(views[view].name, device, (), "its numbering shows the board from behind"))
             continue
         placed.data = placed.data.renumbered(number, view, mirrored.permutation)
         placed.poses[number][view] = _relabelled(placed.poses[number][view], mirrored)
