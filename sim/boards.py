@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.camera_model import CameraModel
+from pipeline.targets import printed
 from pipeline.targets.board import Board
 from sim.box.light import Counts, Stage
 from sim.ink import Ink
@@ -43,32 +45,14 @@ def board_shape(board: Board, *, at_mm: Triple = (0.0, 0.0, 0.0), turn: Triple =
         board: what is printed.
         at_mm: place of the middle of its marks on the stage; turn: rotation vector, radians.
     """
-    width, height, (left, top), discs, squares = _drawn(board)
-    centre = np.array([width / 2 - left, height / 2 - top, 0.0])
-    x, y = centre[:2]
-    ink = Ink(discs - [x, y, 0.0], squares - [x, y, x, y], INK_ALBEDO / PAPER_ALBEDO)
+    sheet = printed.shapes(board)
+    x, y = sheet.width_mm / 2 - sheet.offset_mm[0], sheet.height_mm / 2 - sheet.offset_mm[1]
+    centre = np.array([x, y, 0.0])
+    ink = Ink(sheet.discs - centre, sheet.squares - [x, y, x, y], INK_ALBEDO / PAPER_ALBEDO)
     pose = BoardPose(at_mm, turn)
     a, b, c = np.array(at_mm) + pose.rotation @ (centre - middle(board))
-    return rectangle(width, height, ink=ink).placed((float(a), float(b), float(c)), turn=turn, albedo=PAPER_ALBEDO)
-
-
-def _drawn(board: Board) -> tuple[float, float, tuple[float, float], Array, Array]:
-    points, pitch = board.points[:, :2], board.pitch_mm
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.9 * pitch if board.round else 1.5 * pitch
-    discs, squares = np.zeros((0, 3)), np.zeros((0, 4))
-    if board.round:
-        discs = np.concatenate([points, np.full((len(points), 1), board.printed_diameter_mm / 2)], axis=1)
-    else:
-        columns, rows = board.grid
-        squares = np.array([
-            (j * pitch, i * pitch, (j + 1) * pitch, (i + 1) * pitch)
-            for i in range(-1, rows)
-            for j in range(-1, columns)
-            if (i + j) % 2 == 0
-        ])  # fmt: skip
-    width, height = high - low + 2 * margin
-    return float(width), float(height), (margin, margin), discs, squares
+    paper = rectangle(sheet.width_mm, sheet.height_mm, ink=ink)
+    return paper.placed((float(a), float(b), float(c)), turn=turn, albedo=PAPER_ALBEDO)
 
 
 def board_scene(board: Board, pose: BoardPose | None = None) -> Scene:
@@ -164,3 +148,9 @@ def true_centroids(device: CameraModel, board: Board, rotation: Array, place: Ar
 def _derivative(values: Array) -> Array:
     spectrum = np.fft.rfft(values, axis=-1)
     return np.asarray(np.fft.irfft(1j * np.arange(spectrum.shape[-1]) * spectrum, n=values.shape[-1], axis=-1))
+
+
+if __name__ == "__main__":
+    from sim.capture import main
+
+    sys.exit(main(sys.argv[1:]))

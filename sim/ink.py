@@ -56,7 +56,9 @@ class Ink:
         first = np.concatenate([[0], np.cumsum([len(cell) for cell in members])]).astype(np.int64)
         items = np.array([index for cell in members for index in cell], np.int64)
         grid = np.array([low[0], low[1], size, columns, rows])
-        return Cells(np.ascontiguousarray(self.discs), np.ascontiguousarray(self.squares), self.share, grid, first, items)
+        return Cells(
+            np.ascontiguousarray(self.discs), np.ascontiguousarray(self.squares), self.share, grid, first, items
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -74,10 +74,10 @@ def session_poses(
     if n < 1 or not 0 <= tilt_deg <= 60:
         raise ValueError(f"session_poses: n is {n}, tilt_deg {tilt_deg}; expected 1 or more, and 0 to 60")
     layout = layout or RigLayout()
-    return [_pose(k, n, seed, layout, board, tilt_deg) for k in range(n)]
+    return [_pose(k, seed, layout, board, tilt_deg) for k in range(n)]
 
 
-def _pose(k: int, n: int, seed: int, layout: RigLayout, board: Board, tilt_deg: float) -> BoardPose:
+def _pose(k: int, seed: int, layout: RigLayout, board: Board, tilt_deg: float) -> BoardPose:
     rng = np.random.default_rng([seed, k, 5])
     # Axes of the tilts follow each other by the golden angle, so that any number of poses covers all directions.
     axis = 2 * np.pi * 0.381966 * k + rng.uniform(-0.2, 0.2)
@@ -120,8 +120,8 @@ def _furthest(place: Array, direction: Array, turn: Array, layout: RigLayout, bo
     corners = _corners(turn, layout, board)
     inner, outer = 0.0, layout.standoff_mm / 4
     for _ in range(14):
-        middle_mm = (inner + outer) / 2
-        inner, outer = (middle_mm, outer) if _fits(place + middle_mm * direction, corners, layout) else (inner, middle_mm)
+        way = (inner + outer) / 2
+        inner, outer = (way, outer) if _fits(place + way * direction, corners, layout) else (inner, way)
     return inner * direction
 
 
