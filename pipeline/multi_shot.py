@@ -130,7 +130,9 @@ def gray(picture: NDArray[Any], encoding: str, *, channels: tuple[int, ...] = (0
         plane = picture / 257.0
     elif encoding == "rgb8":
         chosen = picture if channels == (0, 1, 2) else picture[..., list(channels)]
-        return chosen.sum(axis=-1, dtype=np.float64) / chosen.shape[-1], np.asarray((chosen >= _SATURATION).any(axis=-1))
+        return chosen.sum(axis=-1, dtype=np.float64) / chosen.shape[-1], np.asarray(
+            (chosen >= _SATURATION).any(axis=-1)
+        )
     else:
         plane = picture.astype(np.float64)
     return plane, np.asarray(plane >= _SATURATION)
