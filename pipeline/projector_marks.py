@@ -26,12 +26,12 @@ from pipeline.targets.marks import Marks
 F64: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
-REACH = 0.8
-"""Radius of the window around a mark, in pitches."""
+WINDOWS = ((0.8, 3), (1.2, 3), (1.2, 2))
+"""Radius of the window around a mark, in pitches, and pixels left out at dark edges: the first that is enough serves.
+Most marks take the first; boards with much black need a wider look."""
 _BEYOND = 0.45
 """How far the white board is trusted beyond the outermost marks, in pitches."""
 _WHITE_SHARE = 0.7
-_EDGE_PX = 3
 _FEWEST_PIXELS = 60
 _FEWEST_MARKS = 4
 _SIDE_SHARE = 0.05
@@ -112,7 +112,11 @@ def marks_by_camera(board: Board, marks: Marks, x: Coordinate, y: Coordinate) ->
     found = []
     for k, centre in enumerate(centres):
         slope = view.slope(plane[k : k + 1])[0]
-        fit = _fitted(field, whole, centre, plane[k], slope, REACH * board.pitch_mm, (low, high))
+        tries = (
+            _fitted(field, whole, centre, plane[k], slope, reach * board.pitch_mm, edge_px, (low, high))
+            for reach, edge_px in WINDOWS
+        )
+        fit = next((one for one in tries if one is not None), None)
         if fit is not None:
             moved = float(np.sqrt((fit.slope**2).sum() / 2)) * float(marks.sigma_px[k])
             found.append((k, fit.value, float(np.hypot(fit.sigma, moved))))
@@ -173,17 +177,25 @@ def _projector_homography(field: _Field, centres: F64) -> F64:
 
 
 def _fitted(
-    field: _Field, whole: F64, centre: F64, place: F64, slope: F64, reach_mm: float, limits: tuple[F64, F64]
+    field: _Field,
+    whole: F64,
+    centre: F64,
+    place: F64,
+    slope: F64,
+    reach_mm: float,
+    edge_px: int,
+    limits: tuple[F64, F64],
 ) -> _Fit | None:
     """The projector pixel at ``centre`` from the white pixels around it, None where there are too few.
 
     Args:
         whole: homography that the fit is a correction of.
         centre: camera pixel; place: the same on the board, mm; slope: (2, 2) d pixel / d mm.
-        reach_mm: radius of the window; limits: lowest and highest place on the board that is trusted.
+        reach_mm: radius of the window; edge_px: how much is left out at dark edges.
+        limits: lowest and highest place on the board that is trusted, mm.
     """
     height, width = field.good.shape
-    half = reach_mm * np.sqrt((slope**2).sum(axis=1)) + _EDGE_PX + 1
+    half = reach_mm * np.sqrt((slope**2).sum(axis=1)) + edge_px + 1
     left, top = np.maximum(np.floor(centre - half), 0).astype(int)
     right, bottom = np.minimum(np.ceil(centre + half) + 1, (width, height)).astype(int)
     if right - left < 3 or bottom - top < 3:
@@ -194,7 +206,7 @@ def _fitted(
     board = away @ np.linalg.inv(slope).T
     inside = (board**2).sum(axis=-1) <= reach_mm**2
     inside &= ((board + place >= limits[0]) & (board + place <= limits[1])).all(axis=-1)
-    chosen = _white(field, part, inside) & inside
+    chosen = _white(field, part, inside, edge_px) & inside
     if np.count_nonzero(chosen) < _FEWEST_PIXELS or not _all_around(board[chosen]):
         return None
     source = np.stack([columns[chosen], rows[chosen]], axis=1)
@@ -211,14 +223,14 @@ def _fitted(
     return _Fit(value, float(np.sqrt(variance)), gradient)
 
 
-def _white(field: _Field, part: tuple[slice, slice], inside: Bools) -> Bools:
+def _white(field: _Field, part: tuple[slice, slice], inside: Bools, edge_px: int) -> Bools:
     """White pixels with a phase, away from the edges of anything dark."""
     level = field.white[part]
     if not inside.any():
         return inside
     bright = level >= _WHITE_SHARE * np.quantile(level[inside], 0.9)
     # The pixels around a patch count as bright, or else the window's own border would be an edge.
-    core = cv2.erode(bright.astype(np.uint8), np.ones((2 * _EDGE_PX + 1,) * 2, np.uint8))
+    core = cv2.erode(bright.astype(np.uint8), np.ones((2 * edge_px + 1,) * 2, np.uint8))
     return np.asarray((core > 0) & field.good[part])
 
 
