@@ -49,6 +49,20 @@ class ColorTurns:
         """Nothing to correct."""
         return ColorTurns(shifts, np.zeros((2, 12, 1), np.float32), 0)
 
+    @staticmethod
+    def of(shifts: Triple, angles: F64) -> ColorTurns:
+        """From the channels' angles at every STEP-th row, (3, n, W), the last of them below the picture."""
+        constant = angles.mean(axis=(1, 2))
+        red, green, blue = (float(s) for s in np.array(shifts) + constant)
+        rest = np.moveaxis(angles - constant[:, None, None], 0, -1)
+        if np.abs(rest).max() < SMALLEST_RAD:
+            return ColorTurns.none((red, green, blue))
+        base = np.array([red, green, blue])
+        full = np.linalg.inv(_light(base)) @ _light(base + rest)
+        both = np.stack([full[..., 1:], np.linalg.inv(full)[..., 1:]], axis=-3)
+        table = np.moveaxis(both.reshape(*rest.shape[:2], 12), 1, 2)
+        return ColorTurns((red, green, blue), np.ascontiguousarray(table, np.float32), STEP)
+
 
 def color_turns(calibration: Calibration, pattern: ColorFringe, color: ColorModel, depth_mm: float) -> ColorTurns:
     """The left camera's table for a pattern (pass ``calibration.swapped()`` for the right one).
@@ -62,16 +76,7 @@ def color_turns(calibration: Calibration, pattern: ColorFringe, color: ColorMode
     rows = STEP * np.arange((height - 1) // STEP + 2, dtype=np.float64)
     v, u = np.meshgrid(rows, np.arange(width, dtype=np.float64), indexing="ij")
     angles = channel_angles(calibration, pattern, color, depth_mm, np.stack([u, v], axis=-1))
-    constant = angles.mean(axis=(1, 2))
-    red, green, blue = (float(s) for s in np.array(pattern.shifts) + constant)
-    shifts = (red, green, blue)
-    rest = np.moveaxis(angles - constant[:, None, None], 0, -1)
-    if np.abs(rest).max() < SMALLEST_RAD:
-        return ColorTurns.none(shifts)
-    full = np.linalg.inv(_light(np.array(shifts))) @ _light(np.array(shifts) + rest)
-    both = np.stack([full[..., 1:], np.linalg.inv(full)[..., 1:]], axis=-3)
-    table = np.moveaxis(both.reshape(len(rows), width, 12), 1, 2)
-    return ColorTurns(shifts, np.ascontiguousarray(table, np.float32), STEP)
+    return ColorTurns.of(pattern.shifts, angles)
 
 
 def channel_angles(

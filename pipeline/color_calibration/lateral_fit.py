@@ -3,8 +3,9 @@
 At a pixel the fringe of red has another phase than the fringe of green, in x and in y: red light stands t = -(J d + s)
 projector pixels beside its place, with d the displacement in the camera's picture, J the derivative of the projector's
 coordinates by the camera's and s the projector's own offset. d belongs to one camera, s to both; both are fitted
-together by least squares with weak priors for what the pictures do not tell apart (on a board that fills the field the
-same magnification in both cameras and in the projector look nearly alike; their sum is what the measuring needs).
+together by least squares. The pictures hardly tell a shift or a magnification common to both cameras from one of the
+projector: priors share such parts out (a shift is the projector's, a magnification anybody's). What the measuring needs
+is their sum, and that is told by the pictures alone.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _AXES: tuple[Axis, Axis] = ("x", "y")
 _SIDE = 12  # of the blocks, pixels
 # Standard deviations of the priors: shift px, magnification, displacement by the cubic term at the corner px; projector
 # shift px, stretch.
-_PRIOR_SHIFT, _PRIOR_MAGNIFICATION, _PRIOR_CUBIC_PX, _PRIOR_OFFSET, _PRIOR_STRETCH = 0.3, 1e-3, 0.3, 3.0, 1e-3
+_PRIOR_SHIFT, _PRIOR_MAGNIFICATION, _PRIOR_CUBIC_PX, _PRIOR_OFFSET, _PRIOR_STRETCH = 0.02, 3e-4, 0.02, 3.0, 3e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,28 +193,33 @@ def fit_lateral(
     """
     solved = [_fit_color(views, cameras, size, color) for color in ("red", "blue")]
     n = len(cameras)
+    before, after = [], []
+    for i, seen in enumerate(views):
+        raw = [_in_camera(o, t) for o in seen for t in (o.red, o.blue)]
+        rest = [
+            _in_camera(o, t - (_terms(o, i, cameras, size) @ s).reshape(-1, 2))
+            for o in seen
+            for t, s in zip((o.red, o.blue), solved, strict=True)
+        ]
+        before.append(_rms(np.concatenate(raw)))
+        after.append(_rms(np.concatenate(rest)))
+    if all(max(b * b - a * a, 0.0) < SMALLEST_PX**2 for b, a in zip(before, after, strict=True)):
+        return LateralSolution((None,) * n, None, tuple(before), tuple(after))
     lateral: list[Lateral | None] = []
     for i, camera in enumerate(cameras):
         red, blue = (ColorDisplacement(s[4 * i : 4 * i + 2], float(s[4 * i + 2]), float(s[4 * i + 3])) for s in solved)
         model = Lateral(red, blue)
-        width, height = camera.size
-        corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
-        lateral.append(model if np.abs(model.at(camera, corners)).max() > SMALLEST_PX else None)
+        lateral.append(model if np.abs(model.at(camera, _corners(camera.size))).max() > SMALLEST_PX else None)
     offsets = [ColorOffset(s[4 * n : 4 * n + 2], s[4 * n + 2 :].reshape(2, 2)) for s in solved]
     registration: Registration | None = Registration(*offsets)
-    ends = np.array([[0, 0], [size[0] - 1, 0], [0, size[1] - 1], [size[0] - 1, size[1] - 1]], np.float64)
-    if registration is not None and np.abs(registration.at(size, ends)).max() <= SMALLEST_PX:
+    if registration is not None and np.abs(registration.at(size, _corners(size))).max() <= SMALLEST_PX:
         registration = None
-    before, after = [], []
-    for i, seen in enumerate(views):
-        raw = np.concatenate([_in_camera(o, t) for o in seen for t in (o.red, o.blue)])
-        left = np.concatenate([
-            _in_camera(o, t - (_terms(o, i, cameras, size) @ s).reshape(-1, 2))
-            for o in seen for t, s in zip((o.red, o.blue), solved, strict=True)
-        ])  # fmt: skip
-        before.append(_rms(raw))
-        after.append(_rms(left))
     return LateralSolution(tuple(lateral), registration, tuple(before), tuple(after))
+
+
+def _corners(size: tuple[int, int]) -> Array:
+    width, height = size
+    return np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)
 
 
 def _in_camera(offsets: Offsets, t: Array) -> Array:

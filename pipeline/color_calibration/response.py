@@ -112,7 +112,8 @@ def monotone_cubic(x: Array, y: Array, at: Array) -> Array:
         slopes[:] = d[0]
     else:
         w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
-        rising = (d[1:] > 0) & (d[:-1] > 0)
+        least = 1e-12 * float(np.abs(d).max())
+        rising = (d[1:] > least) & (d[:-1] > least)
         safe = np.where(rising, d[:-1], 1.0), np.where(rising, d[1:], 1.0)
         slopes[1:-1] = np.where(rising, (w1 + w2) / (w1 / safe[0] + w2 / safe[1]), 0.0)
         slopes[0] = _end_slope(h[0], h[1], d[0], d[1])

@@ -170,12 +170,19 @@ def _camera(
         "crosstalk_sigma": float(sigma[off].max()),
         "crosstalk_scatter": float(scatter[off].max()),
         "white_share": float(np.mean([v.area.mean() for v in views])),
-        "peak": float(max((np.median((v.full + v.black)[v.area], axis=0)).max() for v in views)),
+        "peak": max(_peak(v, crosstalk) for v in views),
     }
     sums = [_additivity(v, roles, response, crosstalk) for v in views]
     if all(s is not None for s in sums):
         quality["additivity"] = float(np.mean([s for s in sums if s is not None]))
     return ColorModel(black, crosstalk, f"cameras.{side}.color", balance), quality
+
+
+def _peak(view: _View, crosstalk: Array) -> float:
+    """Counts that the brightest part of the white area will have at the standard colour fringe's peak."""
+    top = np.percentile(view.full[view.area], 98, axis=0)
+    lights = np.where(np.eye(3, dtype=bool), 245.5, 68.5) / 255
+    return float((view.black[view.area].mean(axis=0) + (lights * top) @ crosstalk.T).max())
 
 
 def _additivity(view: _View, roles: Roles, response: Response, crosstalk: Array) -> float | None:
