@@ -80,9 +80,7 @@ def test_the_centroid_of_a_tilted_circle_is_not_the_image_of_its_centre(quarter)
 )
 def test_pictures_of_boards_do_not_depend_on_the_number_of_rays(text, quarter):
     board = parse_board(text)
-    few, many = (
-        albedo_seen(quarter, board, TILTED, replace(EVEN, psf_px=0.7, supersampling=s))[0] for s in (4, 8)
-    )
+    few, many = (albedo_seen(quarter, board, TILTED, replace(EVEN, psf_px=0.7, supersampling=s))[0] for s in (4, 8))
     rotation, place = TILTED.in_world(board, quarter)
     inner = cv2.erode((few > 0.01).astype(np.uint8), np.ones((5, 5))) > 0
     assert inner.sum() > 5000
@@ -101,7 +99,10 @@ def test_inner_corners_of_a_chessboard_are_where_the_truth_says(quarter):
         start = truth[device.name].astype(np.float32)[:, None]
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
         found = cv2.cornerSubPix(seen.astype(np.float32), start + np.float32(0.4), (4, 4), (-1, -1), stop)[:, 0]
-        assert np.abs(found - truth[device.name]).max() < 0.03
+        # What is left is the corner finder's own, a few hundredths of a pixel of either sign where edges are sharp.
+        away = found - truth[device.name]
+        assert np.abs(away).max() < 0.06
+        assert np.abs(away.mean(axis=0)).max() < 0.01
 
 
 def test_the_back_of_a_board_is_white(quarter):
