@@ -77,23 +77,25 @@ def samples_of_phases(
             raise CalibrationError(f"{name} phases are {field.shape[:2]}, the camera's picture is {device.size[::-1]}")
     rows, columns = light.shape[:2]
     v, u = (index.ravel() for index in np.mgrid[every // 2 : rows : every, every // 2 : columns : every])
-    place, slope, fine = _fits(light, u, v)
-    u, v, place, slope = u[fine], v[fine], place[fine], slope[fine]
+    place, _, fine = _fits(light, u, v)
+    u, v, place = u[fine], v[fine], place[fine]
     found_u, found_v, fine = _lookup(there, place, calibration.projector.size)
     u, v, place, found_u, found_v = u[fine], v[fine], place[fine], found_u[fine], found_v[fine]
     value, gradient, fine = _fits(there, found_u, found_v)
     # Solved one by one where the two coordinates do change with the place.
     fine &= np.abs(np.linalg.det(gradient)) > 1e-3
-    u, v, place = u[fine], v[fine], place[fine]
+    u, v, place, found_u, found_v = u[fine], v[fine], place[fine], found_u[fine], found_v[fine]
     away = np.linalg.solve(gradient[fine], (place - value[fine])[..., None])[..., 0]
-    match = np.stack([found_u[fine], found_v[fine]], axis=1) + away
+    match = np.stack([found_u, found_v], axis=1) + away
     fine = (np.abs(away) <= _FARTHEST_PX).all(axis=1)
-    points = triangulate(
-        calibration.left, calibration.right, np.stack([u, v], axis=1)[fine].astype(np.float64), match[fine]
-    )
-    place = place[fine]
-    n = len(points)
-    return Samples(np.concatenate([points, points]), place.T.ravel(), np.repeat(np.arange(2), n), np.ones(2 * n))
+    pixels, place = np.stack([u, v], axis=1)[fine].astype(np.float64), place[fine]
+    points = triangulate(calibration.left, calibration.right, pixels, match[fine])
+    noise = [
+        np.hypot(here.sigma_px[v, u], other.sigma_px[found_v, found_u])[fine] / (2 * _RADIUS + 1)
+        for here, other in zip(left, right, strict=True)
+    ]
+    axis = np.repeat(np.arange(2), len(points))
+    return Samples(np.concatenate([points, points]), place.T.ravel(), axis, np.concatenate(noise))
 
 
 def _stacked(pair: tuple[Coordinate, Coordinate]) -> F64:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration import Calibration
-from pipeline.multi_shot import Coordinate, coordinate
+from pipeline.multi_shot import Coordinate, coordinates
 from pipeline.projector_marks import Seen, projector_marks
 from pipeline.sequence import projector_sequence
 from pipeline.targets.board import Board
@@ -37,7 +37,8 @@ def view() -> RenderedViews:
 
 def _phases(view: RenderedViews, side: int, seed: int) -> tuple[Coordinate, Coordinate]:
     pictures = [pair[side] for pair in view.pictures(seed, 0)]
-    return coordinate(pictures, SEQUENCE, "x"), coordinate(pictures, SEQUENCE, "y")
+    x, y = coordinates(pictures, SEQUENCE)
+    return x, y
 
 
 def _seen(view: RenderedViews, side: int, seed: int) -> Seen:
