@@ -28,6 +28,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 _SATURATION = 254.0
 _TURN = 2 * np.pi
+_AXES: tuple[Axis, ...] = ("x", "y")
 _WORST_CONDITION = 50.0
 _FEWEST_PIXELS = 200
 
@@ -288,7 +289,7 @@ def coordinates(
     noise: NoiseModel | None = None,
     min_amplitude: float = 5.0,
     certainty: float = 3.0,
-    axes: tuple[Axis, ...] = ("x", "y"),
+    axes: tuple[Axis, ...] = _AXES,
 ) -> tuple[Coordinate, ...]:
     """Projector column and row of every pixel, from one camera's pictures of a sequence.
 
@@ -321,6 +322,24 @@ def coordinates(
 def coordinate(pictures: Items[NDArray[Any]], sequence: Sequence, axis: Axis, **options: Any) -> Coordinate:
     """One of :func:`coordinates`."""
     return coordinates(pictures, sequence, axes=(axis,), **options)[0]
+
+
+def evenly_lit(
+    pictures: Items[NDArray[Any]], sequence: Sequence, *, lit: tuple[str, ...] = CHANNELS
+) -> NDArray[np.float32]:
+    """The scene without fringes, in the raw pictures' own layout and counts, float32.
+
+    The mean of the finest fringes of both axes: as good as a white picture of so many exposures, so marks are better
+    found here than in one white picture. Where a sample of the pictures is saturated it is too dark.
+    """
+    finest = [found[-1] for axis in _AXES if (found := levels(sequence, axis, lit=lit))]
+    if not finest or len(pictures) != len(sequence):
+        raise PictureError(f"{len(pictures)} pictures of sequence {sequence.name!r}: no even light comes of them")
+    total = np.zeros(pictures[finest[0].frames[0]].shape, np.float32)
+    for level in finest:
+        for number, share in zip(level.frames, _solution_of(np.array(level.shifts))[0], strict=True):
+            total += np.float32(share / len(finest)) * pictures[number]
+    return total
 
 
 def _coordinate(
