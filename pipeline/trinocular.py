@@ -25,7 +25,7 @@ F64: TypeAlias = NDArray[np.float64]
 FEWEST_SAMPLES = 300
 LARGEST_RESIDUAL_PX = 8.0
 """Median beyond which the points' fringe orders are in doubt: nothing to be refined."""
-_FEWEST_CELLS = 9
+_FEWEST_CELLS = 16
 _CELLS = 12
 _FEWEST_IN_CELL = 8
 _ROUNDS = 12
