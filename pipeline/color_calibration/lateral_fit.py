@@ -162,7 +162,7 @@ def _coefficients(terms: Array, values: Array) -> Array:
     keep: Mask = np.ones(len(values), bool)
     solution: Array = np.zeros(terms.shape[1])
     for _ in range(4):
-        solution = np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0]
+        solution = np.asarray(np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0], np.float64)
         away = np.abs(values - terms @ solution)
         keep = away <= max(4 * 1.4826 * float(np.median(away)), 1e-9)
     return solution
@@ -227,7 +227,7 @@ def _corners(size: tuple[int, int]) -> Array:
 
 def _in_camera(offsets: Offsets, t: Array) -> Array:
     """Offsets in projector pixels as displacements in the camera's picture, (n, 2)."""
-    return np.linalg.solve(offsets.jacobian, t[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(offsets.jacobian, t[..., None])[..., 0], np.float64)
 
 
 def _rms(displacements: Array) -> float:
