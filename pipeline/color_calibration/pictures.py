@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -82,12 +83,18 @@ def planes_of(picture: NDArray[np.uint8], encoding: str) -> F32:
     """Three colours at every pixel, (H, W, 3) float32 counts; a mosaic by symmetric means, which move no phase."""
     if encoding == "rgb8":
         return picture.astype(np.float32)
-    colors = _colors_of(picture.shape, encoding)
     out = np.empty((*picture.shape, 3), np.float32)
-    for k in range(3):
-        own = (colors == k).astype(np.float32)
-        out[..., k] = _tent(own * picture) / _tent(own)
+    for k, (own, share) in enumerate(_shares(picture.shape[0], picture.shape[1], encoding)):
+        out[..., k] = _tent(own * picture) * share
     return out
+
+
+@lru_cache(maxsize=2)
+def _shares(rows: int, columns: int, encoding: str) -> tuple[tuple[F32, F32], ...]:
+    """For each colour its own pixels as ones, and the inverse weight of those around every pixel."""
+    colors = _colors_of((rows, columns), encoding)
+    own = [(colors == k).astype(np.float32) for k in range(3)]
+    return tuple((mask, np.asarray(1 / _tent(mask))) for mask in own)
 
 
 def _colors_of(shape: tuple[int, ...], encoding: str) -> NDArray[np.int64]:

@@ -78,6 +78,15 @@ def test_black_from_marks_asks_for_marks():
     assert black_from_marks(5 * flat, 100 * flat, np.ones((50, 50), bool)) is None
 
 
+def test_fringes_that_were_predistorted_tell_the_same():
+    bench, plain = solved(lateral=LATERAL, registration=REGISTRATION)
+    sequence = color_sequence(PROJECTOR)
+    frames = bench.shoot(sequence, seed=2, shown=plain.response)
+    again = calibrate_color(frames, sequence, calibration=rig(), shown=plain.response)
+    assert np.abs(again.left.crosstalk - plain.left.crosstalk).max() < 0.003
+    assert np.abs(again.registration.red.shift - plain.registration.red.shift).max() < 0.03
+
+
 def phase_errors(bench, found, side=0):
     check = check_sequence(PATTERN)
     before = [p[side] for p in bench.shoot(check, seed=5)]
