@@ -34,6 +34,7 @@ Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 SIDES = ("left", "right")
 GOOD_PEAK = (180.0, 245.0)
 UNEVEN_BALANCE = 1.25
+DISAGREEMENT = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,8 +100,9 @@ def calibrate_color(
     Returns:
         The solution; ``quality`` holds, per side, ``black_from``, ``crosstalk_sigma``, ``crosstalk_scatter``,
         ``white_share``, ``peak``, ``additivity``, ``lateral_before_px``, ``lateral_after_px``; for the projector
-        ``response_sigma`` and ``gamma``; and, when the sequence holds a check, ``phase_error_rad`` per side
-        (uncorrected and with this solution, as the frames were shown).
+        ``response_sigma``, ``response_disagreement`` (of the cameras) and ``gamma``; ``lateral_problem`` if lateral
+        colour could not be measured; and, when the sequence holds a check, ``phase_error_rad`` per side (uncorrected
+        and with this solution, as the frames were shown).
 
     Raises:
         PictureError: clipped, dark or unfit pictures, with the camera, the frame and the remedy.
@@ -131,17 +133,25 @@ def calibrate_color(
         models.append(model)
         quality[side] = more
     registration: Registration | None = None
+    advice = _disagreement(curves, len(passes), quality)
     if calibration is not None and set(roles.single) == set(roles.coarse) == {"x", "y"}:
-        lateral = _lateral(views, models, roles, calibration, response, shown)
-        models = [replace(m, lateral=one) for m, one in zip(models, lateral.cameras, strict=True)]
-        registration = lateral.registration
-        for side, before, after in zip(SIDES, lateral.before_px, lateral.after_px, strict=True):
-            quality[side] |= {"lateral_before_px": before, "lateral_after_px": after}
+        try:
+            lateral = _lateral(views, models, roles, calibration, response, shown)
+        except PictureError as problem:
+            # The rest is worth having without it.
+            quality["lateral_problem"] = str(problem)
+            advice.append(f"lateral colour was not measured: {problem}")
+        else:
+            models = [replace(m, lateral=one) for m, one in zip(models, lateral.cameras, strict=True)]
+            registration = lateral.registration
+            for side, before, after in zip(SIDES, lateral.before_px, lateral.after_px, strict=True):
+                quality[side] |= {"lateral_before_px": before, "lateral_after_px": after}
     _check(views, models, sequence, roles, quality)
     balance = {s: np.mean([v.full[v.area].mean(axis=0, dtype=np.float64) for v in seen], axis=0)
                for s, seen in zip(SIDES, views, strict=True)}  # fmt: skip
-    advice = tuple(line for side in SIDES for line in _advice(side, balance[side], quality[side]["peak"]))
-    return ColorSolution(models[0], models[1], response, registration, balance, quality, advice)
+    for side in SIDES:
+        advice += _advice(side, balance[side], quality[side]["peak"])
+    return ColorSolution(models[0], models[1], response, registration, balance, quality, tuple(advice))
 
 
 def _view(pictures: Pictures, roles: Roles) -> _View:
@@ -220,6 +230,21 @@ def _projector_quality(response: Response, curves: Sequence[Sequence[LevelCurve]
     middle = response.light(np.full((1, 3), 127.5))[0] / 255
     gamma = np.log(np.maximum(middle, 1e-6)) / np.log(0.5)
     return {"response_sigma": sigma, "gamma": dict(zip(CHANNELS, gamma.round(4).tolist(), strict=True))}
+
+
+def _disagreement(curves: Sequence[Sequence[LevelCurve]], passes: int, quality: dict[str, Any]) -> list[str]:
+    """How far the cameras differ about the response, into ``quality``; a sentence if that is much."""
+    differences = []
+    for seen in curves:
+        left, right = (np.mean([c.light for c in part], axis=0) for part in (seen[:passes], seen[passes:]))
+        differences.append(float(np.abs(left - right).max()))
+    quality["response_disagreement"] = max(differences)
+    if max(differences) <= DISAGREEMENT:
+        return []
+    return [
+        f"the cameras differ by {max(differences):.3f} about the light of {CHANNELS[int(np.argmax(differences))]} "
+        f"(limit {DISAGREEMENT}): make the exposure a whole number of the projector's colour cycles, the same in both cameras"
+    ]
 
 
 def _check(
