@@ -243,7 +243,8 @@ def _disagreement(curves: Sequence[Sequence[LevelCurve]], passes: int, quality: 
         return []
     return [
         f"the cameras differ by {max(differences):.3f} about the light of {CHANNELS[int(np.argmax(differences))]} "
-        f"(limit {DISAGREEMENT}): make the exposure a whole number of the projector's colour cycles, the same in both cameras"
+        f"(limit {DISAGREEMENT}): make the exposure a whole number of the projector's colour cycles, the same in both "
+        "cameras"
     ]
 
 
