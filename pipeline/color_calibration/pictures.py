@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.color_calibration.frames import Roles
 from pipeline.errors import PictureError
 from pipeline.raw import mosaic_of
 
@@ -152,3 +153,29 @@ def blocks(weights: Any, *planes: Any, side: int = 16) -> tuple[NDArray[np.float
         return np.asarray(cut.sum(axis=(1, 3), dtype=np.complex128 if np.iscomplexobj(plane) else np.float64).ravel())
 
     return (summed(weights), *(summed(weights * plane) for plane in planes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One camera's pictures of one pass, and what does not change while they are evaluated.
+
+    Args:
+        black: (H, W, 3) mean of the black frames; full: (H, W, 3) each colour's own full light above it.
+        area: (H, W) evenly white pixels.
+    """
+
+    pictures: Pictures
+    black: F32
+    full: F32
+    area: Mask
+
+
+def view_of(pictures: Pictures, roles: Roles) -> View:
+    """Black frame, full light of each colour and white area of one pass; PictureError when it is clipped or dark."""
+    black = pictures.mean(roles.black)
+    own = [pictures.planes(roles.levels[k][-1][1])[..., k] - black[..., k] for k in range(3)]
+    full = np.stack(own, axis=-1)
+    area = white_area(pictures, full)
+    for levels in roles.levels:
+        pictures.refuse_clipped(levels[-1][1], area)
+    return View(pictures, black, full, area)
