@@ -15,6 +15,7 @@ from sim import boards, render
 from sim.ink import Ink
 from sim.optics import Optics
 from sim.poses import BoardPose, middle, session_poses
+from sim.rig import RigLayout
 from sim.scenes import Scene
 from sim.shapes import rectangle, sphere
 
@@ -80,11 +81,11 @@ def test_the_centroid_of_a_tilted_circle_is_not_the_image_of_its_centre(quarter)
 @pytest.mark.parametrize(
     "text", ["circles:11x9:32:20", "acircles:5x9:60", "chessboard:9x6:34", "charuco:10x7:32:23:DICT_4X4_100"]
 )
-def test_pictures_of_boards_do_not_depend_on_the_number_of_rays(text, quarter):
-    board = parse_board(text)
-    few, many = (albedo_seen(quarter, board, TILTED, replace(EVEN, psf_px=0.7, supersampling=s))[0] for s in (4, 8))
+def test_pictures_of_boards_do_not_depend_on_the_number_of_rays(text):
+    board, layout = parse_board(text), RigLayout().scaled(0.125)
+    few, many = (albedo_seen(layout, board, TILTED, replace(EVEN, psf_px=0.7, supersampling=s))[0] for s in (4, 8))
     inner = cv2.erode((few > 0.01).astype(np.uint8), np.ones((5, 5))) > 0
-    assert inner.sum() > 5000
+    assert inner.sum() > 1000
     # Corners are sharp: where two of them meet, some thousandths remain.
     assert np.abs(few - many)[inner].max() < 0.02
     assert np.sqrt(np.mean((few - many)[inner] ** 2)) < 0.002
