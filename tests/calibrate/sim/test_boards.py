@@ -10,6 +10,7 @@ import pytest
 
 from pipeline.sequence import Fringe, Uniform
 from pipeline.sequence import Sequence as Frames
+from pipeline.targets.aruco import charuco
 from pipeline.targets.board import DEFAULT_BOARD, parse_board
 from sim import boards, render
 from sim.ink import Ink
@@ -105,6 +106,20 @@ def test_inner_corners_of_a_chessboard_are_where_the_truth_says(quarter):
         away = found - truth[device.name]
         assert np.abs(away).max() < 0.06
         assert np.abs(away.mean(axis=0)).max() < 0.01
+
+
+def test_markers_are_read_as_what_they_are_and_not_mirrored(quarter):
+    board = parse_board("charuco:10x7:32:23:DICT_4X4_100")
+    facing = BoardPose((0.0, 0.0, 20.0), (0.1, -0.2, 0.05))
+    seen, _ = albedo_seen(quarter, board, facing)
+    picture = np.clip(255 * seen, 0, 255).astype(np.uint8)
+    corners, ids, _, markers = cv2.aruco.CharucoDetector(charuco(board)).detectBoard(
+        cv2.resize(picture, None, fx=3, fy=3)
+    )
+    assert len(markers) > 25
+    assert len(ids) > 40
+    found = (corners.reshape(-1, 2) + 0.5) / 3 - 0.5
+    assert np.abs(found - boards.true_marks(quarter, board, facing)["left"][ids.ravel()]).max() < 0.5
 
 
 def test_the_back_of_a_board_is_white(quarter):
