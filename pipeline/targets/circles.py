@@ -29,6 +29,8 @@ _BLURRED = 0.45
 """Largest sigma of the edges, in the least half axis of the circles' images."""
 _LEAST_SEEN = 0.1
 """Share of the marks that must have been seen for a second look that reckons with shadows."""
+_BOARD_OF_ITS_OWN = 0.4
+"""Share of the marks from which on a full smaller grid is taken for another board, not for a part of this one."""
 _SAMPLE = 16
 _MISFIT = 0.12
 _MISFIT_OVER_MEDIAN = 8.0
@@ -76,7 +78,7 @@ def _grid(picture: GreyPicture, board: Board) -> _Grid:
     Raises:
         TargetError: none of them shows the board alone and whole enough to number its marks.
     """
-    best: tuple[int, TargetError] | None = None
+    best: tuple[int, TargetError, float] | None = None
     for dark, level, shadow in _attempts(picture):
         if shadow and (best is None or best[0] < _LEAST_SEEN * len(board.points)):
             continue
@@ -91,7 +93,10 @@ def _grid(picture: GreyPicture, board: Board) -> _Grid:
         if isinstance(answer, _Grid):
             return answer
         if best is None or len(seen[0]) > best[0]:
-            best = len(seen[0]), answer
+            best = len(seen[0]), answer, float(np.median(discs.radii[seen[0].indices]))
+    sigma = answers.edge_sigma_px(picture)
+    if best is not None and sigma > max(answers.BLURRED_PX, _BLURRED * best[2]):
+        raise answers.too_blurred(sigma, max(answers.BLURRED_PX, _BLURRED * best[2]))
     if best is None or best[0] < max(6, 0.05 * len(board.points)):
         raise answers.nothing(board, picture)
     raise best[1]
@@ -130,8 +135,8 @@ def _numbered(
     if other and surplus > max(2, 0.4 * min(board.grid)):
         return answers.wrong_size(board, columns, rows)
     if found.hits < _LEAST_SHARE * whole or not clear(found, board):
-        full = len(lattice) >= 0.95 * columns * rows
-        if other and full and min(columns, rows) >= 2 and len(lattice) >= 9:
+        full = len(lattice) >= 0.95 * columns * rows and len(lattice) >= _BOARD_OF_ITS_OWN * whole
+        if other and full and min(columns, rows) > 2:
             return answers.wrong_size(board, columns, rows)
         return answers.too_few(board, found.hits, picture)
     named = found.ids >= 0
@@ -150,7 +155,7 @@ def _relative(fits: Fits) -> Array:
 def _inside(fits: Fits, picture: GreyPicture) -> NDArray[np.bool_]:
     """Discs that the edge of the picture does not cut."""
     height, width = picture.values.shape
-    room = np.linalg.norm(fits.shapes, axis=2) + 1.5 * fits.blur_px[:, None] + 0.5
+    room = np.linalg.norm(fits.shapes, axis=2) + 0.5 * fits.blur_px[:, None]
     return ((fits.centres > room) & (fits.centres < np.array([width - 1, height - 1]) - room)).all(axis=1)
 
 

@@ -105,7 +105,7 @@ def test_blur_costs_certainty_but_no_truth(blur_px):
     error = errors(found, DEFAULT_BOARD, DEVICE, Pose(20, 20))
     assert len(error) == 99
     assert np.sqrt((error**2).mean()) < 1.3 * np.sqrt((found.marks.sigma_px**2).mean())
-    assert np.abs(error.mean(axis=0)).max() < 0.002
+    assert np.abs(error.mean(axis=0)).max() < (0.002 if blur_px < 4 else 0.01)
     assert found.sharpness_px == pytest.approx(np.hypot(blur_px, np.sqrt(1 / 12)), rel=0.1)
 
 
