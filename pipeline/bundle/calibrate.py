@@ -59,7 +59,7 @@ def calibrate(
     if not devices or len(devices) != len(sizes):
         raise CalibrationError(f"devices {', '.join(sizes) or 'none'}: expected some of {', '.join(DEVICES)}")
     start = start or {}
-    data, rejected = few_marks(gather(board, views, devices), views, devices, options)
+    data, rejected = few_marks(gather(board, views, devices), board, views, devices, options)
     _enough(data, views, options, rejected)
     advice = missing(board, views, sizes, start=start)
     if options.check:

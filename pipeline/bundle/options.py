@@ -15,7 +15,10 @@ class Options:
     """Choices of :func:`pipeline.bundle.calibrate`.
 
     Args:
-        skew: whether the skew of each device is found; else it stays at its start value (0 without one).
+        skew: whether the skew of each device is found; else it stays at its start value (0 without one). Free by
+            default: it costs the other parameters hardly any certainty, and a real skew that is not modelled (axes
+            of a projector's optics, a tilted sensor) would bend the residuals; its standard deviation tells whether
+            it is there.
         k3: whether the third radial coefficient is found.
         tangential: whether p1 and p2 are found.
         aspect: fixed fy / fx, or None: both focal lengths are found.

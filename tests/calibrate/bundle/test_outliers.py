@@ -84,9 +84,16 @@ def test_a_picture_with_few_marks_and_an_empty_view_are_named(clean):
     views, sizes, _, _ = clean
     few = views[3].marks["right"]
     wrong = [*views, BoardView("empty", {})]
+    row = views[8].marks["left"]
+    wrong[8] = BoardView("view_08", views[8].marks | {"left": row.some(row.ids // 11 == 4)})
     wrong[3] = BoardView("view_03", views[3].marks | {"right": few.some(np.arange(len(few)) < 5)})
     solution = calibrate(DEFAULT_BOARD, wrong, sizes)
-    assert {(r.view, r.device) for r in solution.rejected} == {("view_03", "right"), ("empty", "")}
+    assert {(r.view, r.device) for r in solution.rejected} == {
+        ("view_03", "right"),
+        ("view_08", "left"),
+        ("empty", ""),
+    }
+    assert "lie in one line" in {r.view: r.reason for r in solution.rejected}["view_08"]
     assert solution.views_used == 12 and solution.views_rejected == 1 and solution.poses[12] is None
 
 
