@@ -97,6 +97,12 @@ def test_a_picture_with_few_marks_and_an_empty_view_are_named(clean):
     assert solution.views_used == 12 and solution.views_rejected == 1 and solution.poses[12] is None
 
 
+def test_two_views_of_one_name_are_refused(clean):
+    views, sizes, _, _ = clean
+    with pytest.raises(CalibrationError, match="view_03 is there twice"):
+        calibrate(DEFAULT_BOARD, [*views, views[3]], sizes)
+
+
 def test_more_bad_views_than_the_limit_is_an_error(clean):
     views, sizes, _, _ = clean
     other = session(sigma=0.03, pose_seed=9)[0]
