@@ -51,13 +51,17 @@ def test_single_wrong_marks_are_named(clean, far):
 
 def test_a_board_that_moved_between_the_pictures_is_left_out_with_the_reason(clean):
     views, sizes, _, without = clean
-    layout_pose = session(sigma=0.03, pose_seed=9)[0][4]
+    other = session(sigma=0.03, pose_seed=9)[0][4]
     wrong = list(views)
-    wrong[4] = BoardView("view_04", wrong[4].marks | {"right": layout_pose.marks["right"]})
+    wrong[4] = BoardView("view_04", wrong[4].marks | {"right": other.marks["right"]})
     solution = calibrate(DEFAULT_BOARD, wrong, sizes)
-    assert [(r.view, r.ids) for r in solution.rejected] == [("view_04", ())]
+    assert [(r.view, r.device, r.ids) for r in solution.rejected] == [("view_04", "right", ())]
     assert "moved" in solution.rejected[0].reason
     close(solution, without, sigmas=2)
+    pairs = [BoardView(v.name, {d: v.marks[d] for d in ("left", "right")}) for v in wrong]
+    two = calibrate(DEFAULT_BOARD, pairs, {d: sizes[d] for d in ("left", "right")})
+    assert [(r.view, r.device, r.ids) for r in two.rejected] == [("view_04", "", ())]
+    assert two.views_rejected == 1 and two.poses[4] is None
 
 
 @pytest.mark.parametrize("by_px", [1.0, 4.0])
