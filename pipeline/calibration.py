@@ -137,9 +137,7 @@ class Calibration:
 
         left = CameraModel(self.right.size, self.right.matrix, self.right.distortion, name="left")
         right, projector = move(self.left, "right"), move(self.projector, "projector")
-        return Calibration(
-            left, right, projector, self.right_color, self.left_color, self.response, self.registration
-        )
+        return Calibration(left, right, projector, self.right_color, self.left_color, self.response, self.registration)
 
 
 def from_mapping(data: Mapping[str, Any]) -> Calibration:
