@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,13 +11,13 @@ from pipeline.errors import TargetError
 from pipeline.targets import found as answers
 from pipeline.targets.board import Board
 from pipeline.targets.candidates import Discs, find_discs, merged
+from pipeline.targets.disc_grid import Grid, among_neighbours, completed, reach_px, room_px
 from pipeline.targets.ellipse_fit import Fits, fit_ellipses
 from pipeline.targets.found import Found
 from pipeline.targets.grey import Grey, GreyPicture
 from pipeline.targets.lattice import Lattice, lattices
 from pipeline.targets.marks import Marks
 from pipeline.targets.match import clear, extent, match, oriented
-from pipeline.targets.printed import MARGIN
 
 Array = NDArray[np.float64]
 
@@ -35,17 +33,7 @@ _BOARD_OF_ITS_OWN = 0.4
 _SAMPLE = 16
 _MISFIT = 0.12
 _MISFIT_OVER_MEDIAN = 8.0
-_NEAREST = 12
 _SIGMA_UNREFINED_PX = 0.2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Numbered discs."""
-
-    ids: NDArray[np.int64]
-    discs: Discs
-    dark: bool
 
 
 def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
@@ -53,8 +41,8 @@ def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> 
     grid = _grid(picture, board)
     if not refine:
         return _unrefined(picture, grid)
-    grid = _completed(grid, board)
-    fits = _fitted(picture, grid.discs, room=_room(grid, board))
+    grid = completed(grid, board)
+    fits = _fitted(picture, grid.discs, room=room_px(grid, board))
     good = fits.good & (fits.contrast > 0 if grid.dark else fits.contrast < 0)
     if good.any():
         blur = float(np.median(fits.blur_px[good]))
@@ -67,13 +55,14 @@ def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> 
         good &= _inside(fits, picture)
         # A start that was predicted, or found, is never far wrong: what moved away is another edge.
         good &= np.linalg.norm(fits.centres - grid.discs.centres, axis=1) < 0.5 * grid.discs.radii
+        good[good] = among_neighbours(board.points[grid.ids[good], :2], fits.centres[good])
     if good.sum() < _LEAST_SHARE * len(board.points):
         raise answers.too_few(board, int(good.sum()), picture)
     marks = Marks(grid.ids, fits.centres, fits.sigma_px, fits.areas_px).some(good)
     return Found(marks, blur, float(np.clip(np.median(contrast[good]), 0, 1)), picture.saturated)
 
 
-def _grid(picture: GreyPicture, board: Board) -> _Grid:
+def _grid(picture: GreyPicture, board: Board) -> Grid:
     """Try both polarities and, in large pictures, the coarse levels first; the best failure tells the reason.
 
     Raises:
@@ -91,7 +80,7 @@ def _grid(picture: GreyPicture, board: Board) -> _Grid:
         if not seen:
             continue
         answer = _numbered(picture, board, discs, seen, dark=dark)
-        if isinstance(answer, _Grid):
+        if isinstance(answer, Grid):
             return answer
         if best is None or len(seen[0]) > best[0]:
             best = len(seen[0]), answer, float(np.median(discs.radii[seen[0].indices]))
@@ -121,7 +110,7 @@ def _logarithm(values: Grey) -> Grey:
 
 def _numbered(
     picture: GreyPicture, board: Board, discs: Discs, seen: list[Lattice], *, dark: bool
-) -> _Grid | TargetError:
+) -> Grid | TargetError:
     lattice, whole = seen[0], len(board.points)
     found = match(lattice.places, board)
     if len(seen) > 1 and found.hits > 0.5 * whole and match(seen[1].places, board).hits > 0.5 * whole:
@@ -144,7 +133,7 @@ def _numbered(
     chosen = discs.some(lattice.indices[named])
     ids = oriented(found.ids[named], chosen.centres, board)
     order = np.argsort(ids)
-    return _Grid(ids[order], chosen.some(order), dark)
+    return Grid(ids[order], chosen.some(order), dark)
 
 
 def _relative(fits: Fits) -> Array:
@@ -156,8 +145,8 @@ def _relative(fits: Fits) -> Array:
 def _inside(fits: Fits, picture: GreyPicture) -> NDArray[np.bool_]:
     """Discs that the edge of the picture does not cut."""
     height, width = picture.values.shape
-    room = np.linalg.norm(fits.shapes, axis=2) + 0.5 * fits.blur_px[:, None]
-    return ((fits.centres > room) & (fits.centres < np.array([width - 1, height - 1]) - room)).all(axis=1)
+    half = np.linalg.norm(fits.shapes, axis=2) + 0.5 * fits.blur_px[:, None]
+    return ((fits.centres > half) & (fits.centres < np.array([width - 1, height - 1]) - half)).all(axis=1)
 
 
 def _most_misfit(median: float) -> float:
@@ -172,7 +161,7 @@ def _runs_out(picture: GreyPicture, discs: Discs, lattice: Lattice) -> bool:
     return answers.runs_out(picture, centres, float(np.median(step.min(axis=1))))
 
 
-def _unrefined(picture: GreyPicture, grid: _Grid) -> Found:
+def _unrefined(picture: GreyPicture, grid: Grid) -> Found:
     """Centroids of the thresholded discs: for following a board live; a few discs are fitted for the sharpness."""
     n = len(grid.ids)
     sample = np.unique(np.linspace(0, n - 1, min(n, _SAMPLE)).astype(int))
@@ -189,60 +178,7 @@ def _unrefined(picture: GreyPicture, grid: _Grid) -> Found:
 def _fitted(
     picture: GreyPicture, discs: Discs, sample: NDArray[np.int64] | None = None, *, room: Array | None = None
 ) -> Fits:
-    reach = _reach(discs)
+    reach = reach_px(discs)
     if sample is not None:
         discs, reach = discs.some(sample), reach[sample]
     return fit_ellipses(picture.values, discs.centres, discs.shapes, reach=reach, room=room, clip=picture.clip)
-
-
-def _room(grid: _Grid, board: Board) -> Array:
-    """Pixels from the outermost circles' edges to the end of a sheet with a narrow margin; infinite inside."""
-    columns, rows = board.grid
-    row, column = np.divmod(grid.ids, columns)
-    ring = 2 if board.kind == "acircles" else 1
-    outer = (row < ring) | (row >= rows - ring) | (column == 0) | (column == columns - 1)
-    distance = np.linalg.norm(grid.discs.centres[None] - grid.discs.centres[:, None], axis=2)
-    np.fill_diagonal(distance, np.inf)
-    pitch = distance.min(axis=1) * (np.sqrt(2) if board.kind == "acircles" else 1.0)
-    return np.where(outer, MARGIN[board.kind] * pitch, np.inf)
-
-
-def _reach(discs: Discs) -> Array:
-    """Half of the way from each disc's edge to the nearest other disc's edge, pixels, at least 1.5."""
-    n = len(discs)
-    away = discs.centres[None] - discs.centres[:, None]
-    distance = np.linalg.norm(away, axis=2)
-    np.fill_diagonal(distance, np.inf)
-    near = np.argsort(distance, axis=1)[:, : min(4, n - 1)]
-    row = np.arange(n)[:, None]
-    apart = distance[row, near]
-    direction = away[row, near] / apart[..., None]
-    inverse = np.linalg.inv(discs.shapes)
-    own = 1 / np.linalg.norm(np.einsum("nij,nkj->nki", inverse, direction), axis=2)
-    others = 1 / np.linalg.norm(np.einsum("nkij,nkj->nki", inverse[near], direction), axis=2)
-    return np.asarray(np.maximum(0.5 * (apart - own - others).min(axis=1) + 0.5, 1.5))
-
-
-def _completed(grid: _Grid, board: Board) -> _Grid:
-    """With the marks that were not found, where their neighbours predict them."""
-    missing = np.setdiff1d(np.arange(len(board.points)), grid.ids)
-    if not len(missing):
-        return grid
-    at = board.points[:, :2]
-    centres, shapes = [], []
-    for mark in missing:
-        nearest = np.argsort(np.linalg.norm(at[grid.ids] - at[mark], axis=1), kind="stable")[:_NEAREST]
-        plane = np.asarray(cv2.findHomography(at[grid.ids[nearest]], grid.discs.centres[nearest], 0)[0])
-        if plane.shape != (3, 3):
-            return grid
-        u, v, w = plane @ [*at[mark], 1.0]
-        centres.append([u / w, v / w])
-        shapes.append(grid.discs.shapes[nearest[:4]].mean(axis=0))
-    discs = Discs(
-        np.concatenate([grid.discs.centres, centres]),
-        np.concatenate([grid.discs.shapes, shapes]),
-        np.concatenate([grid.discs.contrast, np.full(len(missing), np.median(grid.discs.contrast))]),
-    )
-    ids = np.concatenate([grid.ids, missing])
-    order = np.argsort(ids)
-    return _Grid(ids[order], discs.some(order), grid.dark)

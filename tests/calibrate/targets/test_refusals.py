@@ -102,5 +102,7 @@ def test_pictures_of_the_wrong_kind():
         find_marks(np.zeros((3, 100, 100), np.uint8), DEFAULT_BOARD)
     with pytest.raises(TargetError, match="type int64"):
         find_marks(np.zeros((100, 100), np.int64), DEFAULT_BOARD)
+    with pytest.raises(TargetError, match="channel 3"):
+        find_marks(np.zeros((100, 100, 3), np.uint8), DEFAULT_BOARD, channel=3)
     with pytest.raises(TargetError, match="not finite"):
         find_marks(np.full((100, 100), np.nan, np.float32), DEFAULT_BOARD)
