@@ -1,0 +1,6 @@
+def bring() -> None:
+    """x."""
+
+
+def give() -> None:
+    """x."""
