@@ -64,7 +64,7 @@ def parse_calibration(data: bytes, name: str) -> CalibrationFile:
     Raises:
         CalibrationError: syntax as ``name:line:column``, content as ``name: key``.
     """
-    mapping = _load(data, name)
+    mapping = load_mapping(data, name)
     return CalibrationFile(_named(name, lambda: model.from_mapping(mapping)), identity(data), data, mapping)
 
 
@@ -75,7 +75,7 @@ def read_cameras(path: Path) -> CamerasFile:
 
 def parse_cameras(data: bytes, name: str) -> CamerasFile:
     """What :func:`parse_calibration` does, for a file whose projector may be missing."""
-    mapping = _load(data, name)
+    mapping = load_mapping(data, name)
     return CamerasFile(_named(name, lambda: model.cameras_from_mapping(mapping)), identity(data), data, mapping)
 
 
@@ -156,7 +156,8 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _load(data: bytes, name: str) -> dict[str, Any]:
+def load_mapping(data: bytes, name: str) -> dict[str, Any]:
+    """Keys and values of a YAML file: safe, no key twice, no aliases that unfold without end; CalibrationError."""
     try:
         mapping = yaml.load(data, Loader=_Loader)  # noqa: S506  (a SafeLoader)
     except yaml.MarkedYAMLError as error:

@@ -1,4 +1,4 @@
-"""A calibration board as a page to print: the drawing in the middle, below it what it is and a ruler to check the scale."""
+"""A calibration board as a page to print: the drawing in the middle, below it its description and a ruler."""
 
 from __future__ import annotations
 

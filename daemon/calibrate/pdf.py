@@ -1,4 +1,4 @@
-"""One page of PDF with black shapes to scale, in millimetres from the upper left corner; ISO 32000-1, no compression."""
+"""One page of PDF with black shapes to scale, in millimetres from the upper left corner; see ISO 32000-1."""
 
 from __future__ import annotations
 

@@ -26,6 +26,6 @@ def main(
     sheet = board_sheet(parse_board(board), paper)
     write_atomically(pdf, sheet.data)
     typer.echo(
-        f"{pdf}: {sheet.board} on {sheet.paper}, {sheet.width_mm:g} x {sheet.height_mm:g} mm; print it at 100 %, check that "
-        "its ruler measures 100 mm, and glue it on something flat"
+        f"{pdf}: {sheet.board} on {sheet.paper}, {sheet.width_mm:g} x {sheet.height_mm:g} mm; "
+        "print it at 100 %, check that its ruler measures 100 mm, and glue it on something flat"
     )
