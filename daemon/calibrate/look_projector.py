@@ -9,7 +9,7 @@ from daemon.calibrate.look import Looked
 from daemon.calibrate.sources import Progress, Source, View, white_frame
 from pipeline import sequence as sequences
 from pipeline.errors import PictureError, TargetError
-from pipeline.multi_shot import coordinate, levels
+from pipeline.multi_shot import coordinates, levels
 from pipeline.projector_marks import Seen, projector_marks
 from pipeline.targets.board import Board
 from pipeline.targets.marks import BoardView, Marks
@@ -53,7 +53,7 @@ def has_fringes(sequence: sequences.Sequence | None) -> bool:
 def add_with_fringes(looked: Looked, view: View, sequence: sequences.Sequence, board: Board) -> None:
     """Search a view of all frames of a sequence for both cameras and the projector."""
     looked.sizes.setdefault("projector", sequence.size)
-    marks = looked.add(view, white_frame(sequence), board)
+    marks = looked.add(view, 0, board, sequence)
     if not marks:
         return
     name = looked.views[-1].name
@@ -69,6 +69,6 @@ def _projector(marks: dict[str, Marks], view: View, sequence: sequences.Sequence
     seen = {}
     for device, pictures in (("left", view.left), ("right", view.right)):
         if device in marks:
-            x, y = (coordinate(pictures, sequence, axis, encoding=view.encoding) for axis in ("x", "y"))
+            x, y = coordinates(pictures, sequence, encoding=view.encoding)
             seen[device] = Seen(marks[device], x, y)
     return projector_marks(board, seen).marks

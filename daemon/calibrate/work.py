@@ -17,7 +17,7 @@ from daemon.calibrate.layout import layout_advice
 from daemon.calibrate.look import Looked, look, require
 from daemon.calibrate.look_projector import look_with_projector
 from daemon.calibrate.merge import with_old_colors
-from daemon.calibrate.report import Report, report_html
+from daemon.calibrate.report.build import Report, report_html
 from daemon.calibrate.sources import Progress, Source
 from daemon.calibration_file import CamerasFile
 from pipeline.bundle import Options, Solution, calibrate
