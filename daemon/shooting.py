@@ -7,7 +7,7 @@ so that lost, late and queued frames can delay a picture but never exchange two.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol
 
 import numpy as np
@@ -123,7 +123,7 @@ class Shooting:
             "cameras triggered, and do their clocks agree?"
         )
 
-    def each(self, pictures: Sequence[Picture], *, pairs: int = 1) -> Iterator[tuple[int, Pair]]:
+    def each(self, pictures: Iterable[Picture], *, pairs: int = 1) -> Iterator[tuple[int, Pair]]:
         """Show the pictures in turn: index of the picture, and each of its pairs as soon as it is there."""
         for index, picture in enumerate(pictures):
             self.show(picture)
