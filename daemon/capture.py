@@ -52,7 +52,7 @@ class Order:
 
     Args:
         sequence: what is shown; response: of the projector, for pictures that are given as light.
-        pairs: of each picture; hold_s: how long the last picture stays afterwards, for the next order.
+        pairs: how often it is gone through; hold_s: how long the last picture stays afterwards, for the next order.
     """
 
     sequence: Sequence
@@ -264,12 +264,10 @@ class Capture:
                 kept.remove(path)
 
     def _write(self, order: Order, shooting: Shooting, sink: Sink) -> None:
-        """Frame i of the k-th pass gets the number ``k * frames + i``, so that each pass is one view."""
+        """The pairs in the order of their numbers: frame i of the k-th pass is ``k * frames + i``, a pass is a view."""
         frames = order.sequence.frames
-        passes = [0] * len(frames)
-        for index, pair in shooting.each((f.picture(order.response) for f in frames), pairs=order.pairs):
-            number = passes[index] * len(frames) + index
-            passes[index] += 1
+        pictures = (frame.picture(order.response) for _ in range(order.pairs) for frame in frames)
+        for number, pair in enumerate(shooting.each(pictures)):
             item = PairItem(replace(pair.left, trigger=number), replace(pair.right, trigger=number))
             end_ns = self._now_ns() + round(1e9 * _DISK_S)
             while not sink.offer(item):

@@ -123,12 +123,11 @@ class Shooting:
             "cameras triggered, and do their clocks agree?"
         )
 
-    def each(self, pictures: Iterable[Picture], *, pairs: int = 1) -> Iterator[tuple[int, Pair]]:
-        """Show the pictures in turn: index of the picture, and each of its pairs as soon as it is there."""
-        for index, picture in enumerate(pictures):
+    def each(self, pictures: Iterable[Picture]) -> Iterator[Pair]:
+        """Show the pictures in turn; the pair of each as soon as it is there."""
+        for picture in pictures:
             self.show(picture)
-            for _ in range(pairs):
-                yield index, self.pair()
+            yield self.pair()
 
     def forget(self) -> None:
         """Somebody else may have shown a picture; the next one is shown whatever it is."""

@@ -44,7 +44,7 @@ class CalibrateMethods:
     def capture(self, params: dict[str, Any]) -> dict[str, Any]:
         """Begin to capture.
 
-        Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs`` of each (1); ``hold_s``,
+        Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs`` of each (1), one a pass; ``hold_s``,
         how long the last picture stays for the next capture (0); ``name`` of the sequence; ``response`` of the
         projector, levels and red, green, blue as in a calibration file, for fringes (none: as they are).
         """

@@ -26,7 +26,6 @@ def shooting(bench: Bench, **options: object) -> Shooting:
     lost=st.sampled_from([0.0, 0.1, 0.4]),
     late_ms=st.sampled_from([0.0, 30.0, 150.0]),
     jitter_us=st.sampled_from([0.0, 900.0]),
-    pairs=st.integers(1, 3),
     levels=st.lists(st.integers(1, 250), min_size=1, max_size=12),
     seed=st.integers(0, 10_000),
 )
@@ -39,7 +38,6 @@ def test_every_pair_shows_the_picture_asked_for_and_both_frames_are_of_one_trigg
     lost: float,
     late_ms: float,
     jitter_us: float,
-    pairs: int,
     levels: list[int],
     seed: int,
 ) -> None:
@@ -54,12 +52,12 @@ def test_every_pair_shows_the_picture_asked_for_and_both_frames_are_of_one_trigg
         jitter_us=jitter_us,
         seed=seed,
     )
-    taken = list(shooting(bench, patience_s=60.0).each([picture(value) for value in levels], pairs=pairs))
-    assert [index for index, _ in taken] == [index for index in range(len(levels)) for _ in range(pairs)]
-    for index, pair in taken:
+    taken = list(shooting(bench, patience_s=60.0).each(picture(value) for value in levels))
+    assert len(taken) == len(levels)
+    for value, pair in zip(levels, taken, strict=True):
         assert pair.left.trigger == pair.right.trigger
-        assert level(pair) == {levels[index]}
-    numbers = [pair.seq for _, pair in taken]
+        assert level(pair) == {value}
+    numbers = [pair.seq for pair in taken]
     assert numbers == sorted(set(numbers)), "no pair is handed out twice"
 
 

@@ -22,7 +22,7 @@ from daemon.recorder import Recorder
 from daemon.recording.reader import TakeReader
 from daemon.service import Service
 from daemon.status import State
-from tests.daemon.lit_rig import FreeProjector, devices
+from tests.calibrate.live.lit_rig import FreeProjector, UnmeasuringService, devices
 from tests.daemon.rigs import Collector, config, rig_of, wait_until
 
 
@@ -63,7 +63,7 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     made, projector, _ = devices()
     sink = Collector()
     rig, settings = rig_of(made), config(path, "recording: {min_free_mb: 10}\n")
-    service = Service(settings, rig, {"stream": sink})
+    service = UnmeasuringService(settings, rig, {"stream": sink})
     (path / "run").mkdir()
     capture = Capture(
         service,

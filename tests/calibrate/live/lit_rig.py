@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from daemon.service import Service
 from drivers.errors import DriverError
 from drivers.protocols import ProjectorInfo
+from pipeline.cloud import Cloud
 from sim.devices import RigDevices, open_rig
 from sim.world import SimWorld
 from tests.daemon.rigs import SMALL, open_rig_size
@@ -61,3 +63,20 @@ def devices(rate_hz: float = 200.0) -> tuple[RigDevices, FreeProjector, SimWorld
     world = SimWorld(Lit(size, projector), projector, size, "rgb8", rate_hz=rate_hz, exposure_us=500.0)  # type: ignore[arg-type]
     made = RigDevices(world.cameras, projector, world, plain.options, plain.calibration, plain.pattern, plain.volume)
     return made, projector, world
+
+
+class FlatReconstructor:
+    """Gives a cloud without any point, and compiles nothing."""
+
+    def reconstruct(self, left: Any, right: Any, *, every: int = 1, follow: bool = False) -> Cloud:  # noqa: ARG002
+        shape = left.shape[:2]
+        xyz, sigma = np.full((*shape, 3), np.nan, np.float32), np.full(shape, np.nan, np.float32)
+        dark = np.zeros(shape, np.uint8)
+        return Cloud(xyz, sigma, dark, (dark, dark), np.full(shape, -1, np.int16))
+
+
+class UnmeasuringService(Service):
+    """The daemon without its pipeline."""
+
+    def _warm(self) -> Any:
+        return FlatReconstructor()
