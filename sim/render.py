@@ -190,9 +190,15 @@ def _light_at(
         out = lighting.shade(
             now.table, hits.points, hits.normals, hits.which, lit, lamp, light, shift, standoff, optics.ambient
         )
+        now.darken(out, hits, camera.centre, angle_of_a_ray(camera, optics))
         return np.asarray(out.reshape(rows, columns, 3))
 
     return np.concatenate(in_bands(band, lattice.rows))
+
+
+def angle_of_a_ray(camera: CameraModel, optics: Optics) -> float:
+    """Angle between neighbouring rays, radians."""
+    return float(1 / (np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) * optics.supersampling))
 
 
 def truths(

@@ -162,6 +162,8 @@ def _sampled(
         # The renderer's own shading under a light of one everywhere is the share of light that comes back.
         gain = lighting.shade(*surface, lit, lamp, unit, shift, standoff, 0.0)
         dark = lighting.shade(*surface, np.zeros_like(lit), lamp, black, shift, standoff, optics.ambient)
+        for part in (gain, dark):
+            now.darken(part, hits, camera.centre, render.angle_of_a_ray(camera, optics))
         uv = np.where(lit[:, None], pixels_of(lamp, hits.points), 0.0).astype(np.float32)
         return tuple(part.reshape(height, columns, -1) for part in (uv, gain, dark))  # type: ignore[return-value]
 

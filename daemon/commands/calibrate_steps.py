@@ -1,0 +1,5 @@
+def cameras() -> None:
+    """x."""
+
+
+projector = color = everything = cameras
