@@ -88,7 +88,6 @@ def adjust(
     diameter = told or diameter_mm or centroid.diameter_mm(state, data)
     shift = centroid.offsets(state, data, diameter)
     sigma = first_sigma(state, data, shift)
-    result: Adjusted | None = None
     for turn in range(_ROUNDS):
         used = data.with_sigma(sigma).some(kept)
         loss = "cauchy" if turn == 0 and options.loss != "squared" else options.loss
@@ -115,7 +114,6 @@ def adjust(
             if still and (now == kept).all():
                 break
             kept = now if turn < _ROUNDS - 3 else kept & now
-    assert result is not None
     return result
 
 

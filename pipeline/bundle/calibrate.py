@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.bundle.adjust import Adjusted, adjust
+from pipeline.bundle.advice import missing, refuse_degenerate
 from pipeline.bundle.freedom import freedom
 from pipeline.bundle.joint import assemble
 from pipeline.bundle.mono import Mono, mono
@@ -17,6 +18,7 @@ from pipeline.bundle.placing import Placed, place
 from pipeline.bundle.solution import Rejection, Solution
 from pipeline.bundle.state import State
 from pipeline.bundle.summary import summarise
+from pipeline.bundle.trust import refuse_uncertain
 from pipeline.bundle.views import bad_views, few_marks
 from pipeline.camera_model import CameraModel
 from pipeline.errors import CalibrationError
@@ -59,6 +61,9 @@ def calibrate(
     start = start or {}
     data, rejected = few_marks(gather(board, views, devices), views, devices, options)
     _enough(data, views, options, rejected)
+    advice = missing(board, views, sizes, start=start)
+    if options.check:
+        refuse_degenerate(advice)
     monos = [
         mono(data.of(number), board.points, len(views), sizes[name], options, name=name, start=start.get(name))
         for number, name in enumerate(devices)
@@ -66,7 +71,10 @@ def calibrate(
     placed = place(board, views, devices, data, monos, options)
     rejected += placed.rejected
     adjusted, numbers, more = _settled(board, views, devices, placed, options, monos)
-    return summarise(board, views, devices, sizes, adjusted, numbers, rejected + more, options)
+    solution = summarise(board, views, devices, sizes, adjusted, numbers, rejected + more, options)
+    if options.check:
+        refuse_uncertain(solution, sizes, options, advice)
+    return solution
 
 
 def _enough(data: Observations, views: Sequence[BoardView], options: Options, rejected: list[Rejection]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.bundle.options import Options
-from pipeline.bundle.state import INTRINSICS, PER_DEVICE, POSE
+from pipeline.bundle.state import INTRINSICS, POSE
 from pipeline.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -91,6 +91,5 @@ def freedom(
         if options.aspect is not None and key == "fy" and f"{device}.fx" not in held:
             column[at - 1] = 1 / options.aspect
         columns.append(column)
-    assert len(names) == PER_DEVICE * len(devices)
     basis = np.stack(columns, axis=1) if columns else np.zeros((len(names), 0))
     return Freedom(basis, options.board_refined, nominal, pitch_mm)

@@ -66,9 +66,7 @@ def vote(
     shared = sorted(set(reference) & set(poses))
     if not shared:
         return None
-    candidates = [
-        [relative(reference[v], poses[v], s, flipped=flipped) for s in symmetries] for v in shared
-    ]
+    candidates = [[relative(reference[v], poses[v], s, flipped=flipped) for s in symmetries] for v in shared]
     turns = np.array([[c[0] for c in row] for row in candidates])
     shifts = np.array([[c[1] for c in row] for row in candidates])
     size = float(np.median([np.linalg.norm(poses[v][1]) for v in shared]))

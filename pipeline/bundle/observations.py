@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +69,7 @@ class Observations:
         begins = np.flatnonzero(np.diff(key, prepend=key[0] - 1))
         ends = [*begins[1:].tolist(), len(key)]
         return [
-            (int(self.device[b]), int(self.view[b]), slice(int(b), int(e)))
-            for b, e in zip(begins, ends, strict=True)
+            (int(self.device[b]), int(self.view[b]), slice(int(b), int(e))) for b, e in zip(begins, ends, strict=True)
         ]
 
     def with_sigma(self, sigma: Array) -> Observations:
@@ -89,7 +89,7 @@ def gather(board: Board, views: Sequence[BoardView], devices: Sequence[str]) -> 
         CalibrationError: a mark's number is not on the board, or a number is not finite.
     """
     count = len(board.points)
-    rows: list[tuple[Array, ...]] = []
+    rows: list[tuple[NDArray[Any], ...]] = []
     for number, view in enumerate(views):
         for device, name in enumerate(devices):
             marks = view.marks.get(name)

@@ -29,6 +29,8 @@ class Options:
         most_marks, most_views: largest shares of the marks and of the views that may be left out.
         least_views: fewest views that are accepted.
         least_marks: fewest marks of one device in one view; with less the device's picture is left out.
+        most_focal_sigma: largest standard deviation of a focal length, as a share of it.
+        most_centre_sigma: largest standard deviation of a principal point, as a share of the picture's width.
         check: whether a degenerate set of views is refused; a guided session asks for numbers while it is not complete.
     """
 
@@ -47,6 +49,8 @@ class Options:
     most_views: float = 0.34
     least_views: int = 3
     least_marks: int = 8
+    most_focal_sigma: float = 3e-3
+    most_centre_sigma: float = 1e-2
     check: bool = True
 
     def __post_init__(self) -> None:

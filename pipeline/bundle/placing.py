@@ -56,7 +56,7 @@ def place(
     known = symmetries(board)
     placed = Placed(data, [(np.eye(3), np.zeros(3))], [{v: m.pose(v) for v in m.seen} for m in monos], [])
     for number, device in enumerate(devices):
-        _face_up(placed, number, device, views, monos[number], known, devices)
+        _face_up(placed, number, device, views, monos[number], known)
     proper = [s for s in known if not s.mirrored]
     for number in range(1, len(devices)):
         reference, found = _first_vote(placed, number, proper)
@@ -69,7 +69,7 @@ def place(
         turn, shift = placed.devices[reference]
         placed.devices.append((found.rotation @ turn, found.rotation @ shift + found.translation))
         _repair(placed, reference, number, found, devices, views)
-    _leave_out(placed, devices, views, options)
+    _leave_out(placed, views, options)
     if len(devices) > 1 and devices[:2] == ["left", "right"]:
         _refuse_swapped(placed.devices[1])
     return placed
@@ -81,8 +81,7 @@ def _relabelled(pose: Pose, symmetry: Symmetry) -> Pose:
 
 
 def _face_up(
-    placed: Placed, number: int, device: str, views: Sequence[BoardView], own: Mono, known: list[Symmetry],
-    devices: Sequence[str]
+    placed: Placed, number: int, device: str, views: Sequence[BoardView], own: Mono, known: list[Symmetry]
 ) -> None:  # fmt: skip
     """A view whose numbering shows the board from behind is mirrored; where the grid allows it is renumbered."""
     behind = [view for view in own.seen if not own.front[view]]
@@ -98,9 +97,7 @@ def _face_up(
     for view in behind:
         if mirrored is None:
             _drop(placed, view, number)
-            placed.rejected.append(
-                Rejection(views[view].name, device, (), "its numbering shows the board from behind (a mirrored picture)")
-            )
+            placed.rejected.append(Rejection(views[view].name, device, (), "its numbering shows the board from behind"))
             continue
         placed.data = placed.data.renumbered(number, view, mirrored.permutation)
         placed.poses[number][view] = _relabelled(placed.poses[number][view], mirrored)
@@ -178,7 +175,7 @@ def _drop(placed: Placed, view: int, number: int) -> None:
     placed.data = placed.data.some((placed.data.view != view) | (placed.data.device != number))
 
 
-def _leave_out(placed: Placed, devices: Sequence[str], views: Sequence[BoardView], options: Options) -> None:
+def _leave_out(placed: Placed, views: Sequence[BoardView], options: Options) -> None:
     gone = [r for r in placed.rejected if not r.repaired]
     placed.left_out = len({r.view for r in gone})
     if placed.left_out > options.most_views * len(views):

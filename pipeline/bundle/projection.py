@@ -61,9 +61,7 @@ def image_with_slopes(intrinsics: Array, points: Array) -> tuple[Array, Array, A
     # Derivatives of the distorted normalised point by k1, k2, p1, p2, k3.
     dx = np.stack([x * r2, x * r2**2, 2 * xy, r2 + 2 * x * x, x * r2**3], axis=-1)
     dy = np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * xy, y * r2**3], axis=-1)
-    of_u = np.concatenate(
-        [np.stack([xd, zero, yd, one, zero], -1), fx[:, None] * dx + skew[:, None] * dy], axis=-1
-    )
+    of_u = np.concatenate([np.stack([xd, zero, yd, one, zero], -1), fx[:, None] * dx + skew[:, None] * dy], axis=-1)
     of_v = np.concatenate([np.stack([zero, yd, zero, zero, one], -1), fy[:, None] * dy], axis=-1)
     ux, uy = fx * xx + skew * both, fx * both + skew * yy
     vx, vy = fy * both, fy * yy
@@ -95,9 +93,7 @@ def project_with_slopes(state: State, device: Index, view: Index, mark: Index) -
     on_board = np.einsum("nij,nj->ni", view_turn, state.points[mark])
     world = on_board + state.view_translations[view]
     turned = np.einsum("nij,nj->ni", turn, world)
-    pixels, of_intrinsics, of_place = image_with_slopes(
-        state.intrinsics[device], turned + state.translations[device]
-    )
+    pixels, of_intrinsics, of_place = image_with_slopes(state.intrinsics[device], turned + state.translations[device])
     of_world = of_place @ turn
     of_device = np.concatenate([of_intrinsics, -of_place @ cross_matrices(turned), of_place], axis=-1)
     of_view = np.concatenate([-of_world @ cross_matrices(on_board), of_world], axis=-1)

@@ -18,6 +18,7 @@ from pipeline.bundle.state import PER_DEVICE, PER_VIEW, State
 
 Array = NDArray[np.float64]
 
+_FIRST_DAMPING, _MOST_DAMPING = 1e-4, 1e12
 _STILL = 1e-6
 """A step that moves no unknown by more than this share of its standard deviation (all others held) is the last."""
 
@@ -144,31 +145,23 @@ def fit(
     cost = cost_of(state, data, offsets, free, loss, scale)
     if not np.isfinite(cost):
         return Fit(state, cost, 0, False)
-    damping, steps = 1e-4, 0
-    d, k = free.basis.shape
+    damping, steps = _FIRST_DAMPING, 0
     while steps < most_steps:
         matrix, right, _ = normal_equations(state, data, offsets, free, loss, scale)
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled, gradient = matrix / np.outer(size, size), right / size
-        taken = False
-        while damping < 1e12:
+        while True:
             steps += 1
             step = _solved(scaled, gradient, damping)
-            if step is None:
-                damping *= 10
-                continue
-            full = np.concatenate([free.basis @ (step[:k] / size[:k]), step[k:] / size[k:]])
-            tried = state.stepped(full)
+            small = float(np.abs(step).max(initial=0.0)) < _STILL
+            tried = state.stepped(_full(step / size, free.basis))
             new = cost_of(tried, data, offsets, free, loss, scale)
             if new <= cost:
-                taken = True
                 break
-            if np.abs(step).max(initial=0.0) < _STILL:
-                return Fit(state, cost, steps, True)
+            if small or damping > _MOST_DAMPING:
+                return Fit(state, cost, steps, small)
             damping *= 5
-        if not taken:
-            return Fit(state, cost, steps, False)
-        small = np.abs(step).max(initial=0.0) < _STILL or cost - new < 1e-12 * cost
+        small = small or cost - new < 1e-12 * cost
         state, cost = tried, new
         damping = max(damping / 8, 1e-14)
         if small:
@@ -176,12 +169,20 @@ def fit(
     return Fit(state, cost, steps, False)
 
 
-def _solved(matrix: Array, right: Array, damping: float) -> Array | None:
-    damped = matrix.copy()
-    damped.flat[:: len(matrix) + 1] += damping
-    try:
-        factor = np.linalg.cholesky(damped)
-    except np.linalg.LinAlgError:
-        return None
-    step = np.linalg.solve(factor.T, np.linalg.solve(factor, right))
-    return step if np.isfinite(step).all() else None
+def _full(step: Array, basis: Array) -> Array:
+    """A step of all unknowns from one of the independent directions."""
+    k = basis.shape[1]
+    return np.concatenate([basis @ step[:k], step[k:]])
+
+
+def _solved(matrix: Array, right: Array, damping: float) -> Array:
+    """The damped step; more damping where the matrix is singular to rounding."""
+    while True:
+        damped = matrix.copy()
+        damped.flat[:: len(matrix) + 1] += damping
+        try:
+            factor = np.linalg.cholesky(damped)
+        except np.linalg.LinAlgError:
+            damping *= 10
+            continue
+        return np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))

@@ -88,7 +88,7 @@ def derived(state: State, devices: Sequence[str], covariance: Array) -> tuple[di
     """
     names = names_of(devices)
     values: dict[str, float] = {}
-    for number, device in enumerate(devices):
+    for number in range(len(devices)):
         turn = _rotation_vector(state.rotations[number])
         numbers = [*state.intrinsics[number], *turn, *state.translations[number]]
         values |= dict(zip(names[PER_DEVICE * number : PER_DEVICE * (number + 1)], map(float, numbers), strict=True))
@@ -112,9 +112,7 @@ def derived(state: State, devices: Sequence[str], covariance: Array) -> tuple[di
 def _rotation_vector(rotation: Array) -> Array:
     cosine = np.clip((np.trace(rotation) - 1) / 2, -1, 1)
     angle = float(np.arccos(cosine))
-    axis = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
+    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     if angle < 1e-7:
         return axis / 2
     if np.pi - angle < 1e-4:
