@@ -36,7 +36,7 @@ class CalibrateMethods:
         """Every method by its name, with the parameters that it takes."""
         return {
             "calibrate.capture": (self.capture, ("frames", "pairs", "hold_s", "name", "response")),
-            "calibrate.status": (lambda _: self._capture.status(), ()),
+            "calibrate.status": (self.status, ()),
             "calibrate.cancel": (lambda _: self._capture.cancel(), ()),
             "calibrate.next_pose": (self.next_pose, ()),
         }
@@ -44,9 +44,10 @@ class CalibrateMethods:
     def capture(self, params: dict[str, Any]) -> dict[str, Any]:
         """Begin to capture.
 
-        Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs`` of each (1), one a pass; ``hold_s``,
-        how long the last picture stays for the next capture (0); ``name`` of the sequence; ``response`` of the
-        projector, levels and red, green, blue as in a calibration file, for fringes (none: as they are).
+        Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs``, how often they are gone
+        through (1); ``hold_s``, how long the last picture stays for the next capture (0); ``name`` of the sequence;
+        ``response`` of the projector, levels and red, green, blue as in a calibration file, for fringes (none: as they
+        are).
         """
         order = Order(
             sequence=self._sequence(params),
@@ -55,6 +56,11 @@ class CalibrateMethods:
             response=_response(params),
         )
         return self._capture.start(order)
+
+    def status(self, _: dict[str, Any]) -> dict[str, Any]:
+        """How far the newest capture is, and the size of the projector's pictures."""
+        projector = self._service.projector
+        return self._capture.status() | {"projector": None if projector is None else list(projector.size)}
 
     def next_pose(self, _: dict[str, Any]) -> dict[str, Any]:
         """Move the board of a simulated rig on."""
