@@ -116,9 +116,10 @@ def guide(
             pending = None
             if session.state is not State.DONE:
                 shooter.next_pose()
-    complete = session is not None and session.state is State.DONE and session.advice.enough
-    lacks = "; ".join(session.advice.missing) if session is not None else "no picture came"
-    return Outcome(folder, kept.views, complete, lacks)
+    if session is None:
+        return Outcome(folder, 0, False, "no picture came")
+    complete = session.state is State.DONE and not session.missing
+    return Outcome(folder, kept.views, complete, "; ".join(session.missing))
 
 
 def _capture(

@@ -60,7 +60,8 @@ class Limits:
     Args:
         steady_px: marks that move less (median over the marks, worst camera) stand still; steady_s: for how long.
         blurred_px: an edge with a larger sigma is not sharp. saturated: largest share of clipped pixels.
-        wanted: views after which the session ends if the advice misses nothing; most: after which it ends anyway.
+        wanted: views after which the session ends if the advice misses nothing; most: after which it ends anyway. Where
+            both are the same, poses do not matter and nothing is advised.
     """
 
     steady_px: float = 0.5
@@ -130,6 +131,16 @@ class Session:
         self._still: deque[Sight] = deque()
         self._pending: dict[str, Marks] | None = None
 
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What the views lack, in sentences."""
+        return self.advice.missing if self.limits.most > self.limits.wanted else ()
+
+    @property
+    def usual_distance_mm(self) -> float | None:
+        """Median distance of the views so far, as :mod:`pipeline.bundle.looks` estimates it."""
+        return float(np.median([look.distance_mm for look in self._looks])) if self._looks else None
+
     def look(self, sight: Sight) -> Told:
         """Take a look at the board; while ``capturing`` there is none."""
         if self.state is State.DONE:
@@ -186,14 +197,15 @@ class Session:
         self.views.append(view)
         self._pending = None
         self.advice = missing(self.board, self.views, self.sizes)
-        enough = len(self.views) >= self.limits.wanted and self.advice.enough
+        enough = len(self.views) >= self.limits.wanted and not self.missing
         self.state = State.DONE if enough or len(self.views) >= self.limits.most else State.LOOKING
         text = self._ending() if self.state is State.DONE else f"taken; next: {self.advice.next_pose.text}"
         return Told(self.state, text, accepted=view)
 
     def _ending(self) -> str:
-        lacks = f"; still missing: {'; '.join(self.advice.missing)}" if self.advice.missing else ""
-        return f"{len(self.views)} views are taken{lacks}"
+        count = len(self.views)
+        lacks = f"; still missing: {'; '.join(self.missing)}" if self.missing else ""
+        return f"{count} view{'' if count == 1 else 's'} {'is' if count == 1 else 'are'} taken{lacks}"
 
     def _problem(self, sight: Sight) -> str:
         """Why this look cannot become a view; empty: it can."""
