@@ -132,7 +132,7 @@ def calibration_bytes(
 
 
 # Optional parts that a new calibration may leave out on purpose: they must not come back from the old file.
-_NOT_KEPT = {"response", "color", "projector"}
+_NOT_KEPT = {"response", "registration", "color", "lateral", "balance", "projector"}
 
 
 def _keep_unknown(new: dict[str, Any], old: Mapping[str, Any]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.camera_model import CameraModel
+from pipeline.sequence import camera_sequence
 from pipeline.targets import printed
 from pipeline.targets.board import Board
 from sim.box.light import Counts, Stage
@@ -98,12 +99,12 @@ def render_views(
     Args:
         layout: the rig. board: on its own, nothing else is there. poses: see :func:`session_poses`.
         optics: light, lenses and sensor; with 4 x 4 rays a pixel at least. The standard ones if None.
-        pictures: what the projector shows one after the other, (H, W, 3) uint8; a white picture if None.
+        pictures: what the projector shows one after the other, (H, W, 3) uint8; if None, white that clips nothing.
         encoding: of the cameras.
     """
     optics = fine(optics or Optics())
-    columns, rows = layout.projector_size
-    shown = [np.full((rows, columns, 3), 255, np.uint8)] if pictures is None else list(pictures)
+    white = [frame.picture() for frame in camera_sequence(layout.projector_size).frames]
+    shown = white if pictures is None else list(pictures)
     counts = []
     for pose in poses:
         stage = Stage(layout, board_scene(board, pose), optics, encoding=encoding)

@@ -117,7 +117,7 @@ def _write_json(path: Path, mapping: Any) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Render, write, and tell in one line what there is."""
-    chosen = _parser().parse_args(arguments)
+    chosen = _parser().parse_intermixed_args(arguments)
     try:
         board = parse_board(chosen.board)
         # The rig's layout and optics check their own values.

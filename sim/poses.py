@@ -18,6 +18,8 @@ MOST_TILT_DEG = 45.0
 # Distance from the border of each device's picture that every mark keeps, as a share of the picture's width, and how
 # far beyond the measuring volume the board goes, as a share of the volume's half depth.
 _MARGIN, _BEYOND = 0.01, 1.2
+# Of a hundredth of the stand-off each: further away the cameras' fields drift apart.
+_STEPS = 30
 _CORNERS = np.array([(-1, -1), (1, 1), (1, -1), (-1, 1), (0, -1), (0, 1), (-1, 0), (1, 0)], float)
 
 
@@ -83,10 +85,17 @@ def _pose(k: int, seed: int, layout: RigLayout, board: Board, tilt_deg: float) -
     axis = 2 * np.pi * 0.381966 * k + rng.uniform(-0.2, 0.2)
     tilt = 0.0 if k == 0 else np.radians(tilt_deg) * (1.0, 0.75, 0.5)[k % 3] * rng.uniform(0.93, 1.0)
     roll = rng.uniform(-0.12, 0.12) + (0.0, 0.15, -0.15)[k % 3]
-    turn = rotation_about((np.cos(axis), np.sin(axis), 0.0), tilt) @ rotation_about((0.0, 0.0, 1.0), roll)
     half = _BEYOND * layout.depth_mm / 2
     depth = half * ((2 * ((k * 0.618034 + 0.5) % 1.0) - 1) + rng.uniform(-0.1, 0.1))
-    place = _nearest_fit(depth, turn, layout, board)
+    lean = rotation_about((np.cos(axis), np.sin(axis), 0.0), tilt)
+    for share in (1.0, 0.6, 0.3, 0.0):
+        # A large board is held straighter, or none of the pictures holds all of it.
+        turn = lean @ rotation_about((0.0, 0.0, 1.0), share * roll)
+        place = _nearest_fit(depth, turn, layout, board)
+        if place is not None:
+            break
+    else:
+        raise ValueError(f"session_poses: the board {board} does not fit into the pictures at any distance")
     # Nobody's hand goes to the last pixel; the first pose stays in the middle.
     reach = 0.0 if k == 0 else rng.uniform(0.9, 1.0)
     corner = _CORNERS[k % len(_CORNERS)]
@@ -96,12 +105,12 @@ def _pose(k: int, seed: int, layout: RigLayout, board: Board, tilt_deg: float) -
     return BoardPose((x, y, z), _rotation_vector(turn))
 
 
-def _nearest_fit(depth: float, turn: Array, layout: RigLayout, board: Board) -> Array:
-    """The place in the middle of all pictures, as near to a depth as the board fits in, going away from the rig."""
+def _nearest_fit(depth: float, turn: Array, layout: RigLayout, board: Board) -> Array | None:
+    """The place in the middle of all pictures where the board fits in, at a depth or a little further away."""
     rig = layout.calibration()
     corners = _corners(turn, layout, board)
     rotation, origin = layout.stage_pose()
-    for step in range(200):
+    for step in range(_STEPS):
         place = np.array([0.0, 0.0, depth + 0.01 * step * layout.standoff_mm])
         for _ in range(4):
             away = np.zeros(2)
@@ -112,7 +121,7 @@ def _nearest_fit(depth: float, turn: Array, layout: RigLayout, board: Board) -> 
             place[:2] += np.nan_to_num(away)
         if _fits(place, corners, layout):
             return place
-    raise ValueError(f"session_poses: the board {board} does not fit into the pictures at any distance")
+    return None
 
 
 def _furthest(place: Array, direction: Array, turn: Array, layout: RigLayout, board: Board) -> Array:

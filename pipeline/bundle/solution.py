@@ -62,10 +62,10 @@ class Solution:
         devices: by name, the first at the identity.
         poses: (R, t), board to world, of every view; None for views left out.
         views: names of all views, in the order given.
-        sigma: standard deviation by name: ``left.fx`` (px), ``right.k1``, ``right.rotation_x`` (radians, about the
-            device's own axes), ``right.translation_x`` (mm), and of derived figures ``baseline_mm``, ``angle_deg``,
+        sigma: standard deviation by name: ``left.fx`` (px), ``right.k1``, ``right.rotation_x`` (radians, a
+            component of the rotation vector), ``right.translation_x`` (mm), and of derived figures ``baseline_mm``, ``angle_deg``,
             ``projector.baseline_mm``, ``projector.angle_deg``. Held parameters have 0.
-        values: the same names and their values (rotations as rotation vectors).
+        values: the same names and their values.
         covariance: (p, p) of ``names``, the poses of the boards marginalised.
         names: of the rows of ``covariance``.
         residuals: by (view's name, device).

@@ -58,7 +58,7 @@ def summarise(
     misfit = residuals(state, data, adjusted.offsets)
     models = {name: state.model(k, name, sizes[name]) for k, name in enumerate(devices)}
     count = PER_DEVICE * len(devices)
-    values, sigma = derived(state, devices, adjusted.covariance[:count, :count])
+    values, sigma, covariance = derived(state, devices, adjusted.covariance[:count, :count])
     epipolar = float("nan")
     if list(devices[:2]) == ["left", "right"]:
         epipolar = epipolar_px(models["left"], models["right"], data, adjusted.offsets)
@@ -80,7 +80,7 @@ def summarise(
         views=tuple(view.name for view in views),
         sigma=sigma,
         values=values,
-        covariance=adjusted.covariance[:count, :count],
+        covariance=covariance,
         names=tuple(names_of(devices)),
         residuals=parts,
         rejected=(*rejected, *single),

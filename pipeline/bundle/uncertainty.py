@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.bundle.freedom import Freedom, names_of
 from pipeline.bundle.observations import Observations
 from pipeline.bundle.solve import normal_equations, residuals
-from pipeline.bundle.state import PER_DEVICE, PER_VIEW, State
+from pipeline.bundle.state import PER_DEVICE, PER_VIEW, State, cross_matrices
 from pipeline.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -78,8 +78,12 @@ def noise_floor(squares: Array, sigma: Array, redundancy: float) -> tuple[float,
     return float(np.sqrt(high)), 1.0
 
 
-def derived(state: State, devices: Sequence[str], covariance: Array) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and standard deviations of all parameters of the devices, of baselines and angles between axes.
+def derived(
+    state: State, devices: Sequence[str], covariance: Array
+) -> tuple[dict[str, float], dict[str, float], Array]:
+    """Values and standard deviations of the devices' parameters, baselines and angles, and the parameters' covariance.
+
+    Rotations are told as rotation vectors, so the covariance of small turns is carried over to those.
 
     Args:
         state: the solution.
@@ -88,11 +92,15 @@ def derived(state: State, devices: Sequence[str], covariance: Array) -> tuple[di
     """
     names = names_of(devices)
     values: dict[str, float] = {}
+    carry = np.eye(len(names))
     for number in range(len(devices)):
-        turn = _rotation_vector(state.rotations[number])
-        numbers = [*state.intrinsics[number], *turn, *state.translations[number]]
-        values |= dict(zip(names[PER_DEVICE * number : PER_DEVICE * (number + 1)], map(float, numbers), strict=True))
-    sigma = {name: float(np.sqrt(max(covariance[k, k], 0.0))) for k, name in enumerate(names)}
+        at = PER_DEVICE * number
+        vector = rotation_vector(state.rotations[number])
+        carry[at + 10 : at + 13, at + 10 : at + 13] = turn_to_vector(vector)
+        numbers = [*state.intrinsics[number], *vector, *state.translations[number]]
+        values |= dict(zip(names[at : at + PER_DEVICE], map(float, numbers), strict=True))
+    carried = carry @ covariance @ carry.T
+    sigma = {name: float(np.sqrt(max(carried[k, k], 0.0))) for k, name in enumerate(names)}
     for number, device in enumerate(devices[1:], start=1):
         prefix = "" if device == "right" else f"{device}."
         at = PER_DEVICE * number
@@ -106,13 +114,23 @@ def derived(state: State, devices: Sequence[str], covariance: Array) -> tuple[di
         values[f"{prefix}angle_deg"] = float(np.degrees(np.arctan2(sine, r[2, 2])))
         spread = float(np.sqrt(by @ covariance[at + 10 : at + 13, at + 10 : at + 13] @ by))
         sigma[f"{prefix}angle_deg"] = float(np.degrees(spread))
-    return values, sigma
+    return values, sigma, carried
 
 
-def _rotation_vector(rotation: Array) -> Array:
-    cosine = np.clip((np.trace(rotation) - 1) / 2, -1, 1)
-    angle = float(np.arccos(cosine))
-    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+def turn_to_vector(vector: Array) -> Array:
+    """Derivative (3, 3) of the rotation vector by a small turn from the left (inverse of SO(3)'s left Jacobian)."""
+    angle = float(np.linalg.norm(vector))
+    cross = cross_matrices(vector[None])[0]
+    factor = 1 / 12 if angle < 1e-4 else 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    return np.asarray(np.eye(3) - cross / 2 + factor * cross @ cross)
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """Axis times angle, (3,) radians, of a rotation matrix."""
+    axis = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    angle = float(np.arctan2(np.linalg.norm(axis), np.trace(rotation) - 1))
     if angle < 1e-7:
         return axis / 2
     if np.pi - angle < 1e-4:
