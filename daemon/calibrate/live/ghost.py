@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.bundle.advice import Pose
-from pipeline.bundle.looks import _USUAL_FOCAL as USUAL_FOCAL
 from pipeline.targets.board import Board
 
 Array = NDArray[np.float64]
 
+USUAL_FOCAL = 3.0
+"""Focal length in picture widths, the one that :mod:`pipeline.bundle.looks` assumes for a single view."""
 _USUAL_SHARE = 0.6
 """Part of the picture's width that the board fills where nothing is known yet."""
 

@@ -14,7 +14,7 @@ from daemon.calibrate.live.devices import DeviceShooter
 from daemon.calibrate.live.guide import Find, Outcome, Watcher, guide
 from daemon.calibrate.live.session import Limits
 from daemon.calibrate.live.shots import Shooter
-from daemon.calibrate.live.terminal import Several, terminal
+from daemon.calibrate.live.terminal import Bars, Lines, Several, terminal
 from daemon.calibrate.live.viewer import Kind as ViewKind
 from daemon.calibrate.live.viewer import viewer
 from daemon.clock import SystemClock
@@ -29,6 +29,10 @@ from pipeline.targets.board import Board
 What = Literal["cameras", "projector", "color", "all"]
 _ASK_S = 1.0
 _STILL_PX = 0.3
+
+
+def unsaid(text: str) -> None:
+    """A sentence that nobody wants to hear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,7 @@ def run_session(
     view: ViewKind = "none",
     find: Find | None = None,
     watcher: Watcher | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = unsaid,
     progress: Callable[[int, int], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, Outcome]:
@@ -108,8 +112,9 @@ def run_session(
         shooter = open_shooter(config, rig, progress=progress, say=say, stopped=stopped)
         stack.callback(shooter.close)
         shown = stack.enter_context(viewer(view, say))
-        own: Watcher = watcher if watcher is not None else stack.enter_context(terminal())
-        watching: Watcher = own if shown is None else Several(own, shown)
+        watching = watcher if watcher is not None else _entered(terminal(), stack)
+        if shown is not None:
+            watching = Several(watching, shown)
         for phase in phases(what, shooter.size, views=views):
             if stopped():
                 break
@@ -127,12 +132,17 @@ def run_session(
     return outcomes
 
 
+def _entered(bars: Lines | Bars, stack: ExitStack) -> Watcher:
+    stack.enter_context(bars)
+    return bars
+
+
 def open_shooter(
     config: RigConfig,
     rig: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = unsaid,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Shooter:
     """The running daemon of this rig, or else its devices."""
