@@ -148,7 +148,7 @@ def main(arguments: Sequence[str]) -> int:
 def _write_color(folder: Path, layout: RigLayout, optics: Optics, encoding: str, seed: int) -> None:
     from pipeline.color_calibration import color_sequence
 
-    sequence = color_sequence(layout.projector_size)
+    sequence = color_sequence(layout.projector_size, check=layout.pattern())
     write_capture(folder, layout, sequence, [build_scene("plane")], optics, encoding=encoding, seed=seed)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.bundle.adjust import Adjusted, adjust
 from pipeline.bundle.advice import missing, refuse_degenerate
-from pipeline.bundle.freedom import freedom
+from pipeline.bundle.freedom import freedom, names_of
 from pipeline.bundle.joint import assemble
 from pipeline.bundle.mono import Mono, mono
 from pipeline.bundle.observations import Observations, gather
@@ -70,11 +70,24 @@ def calibrate(
     ]
     placed = place(board, views, devices, data, monos, options)
     rejected += placed.rejected
+    _hold_poses(placed, devices, options, start)
     adjusted, numbers, more = _settled(board, views, devices, placed, options, monos)
     solution = summarise(board, views, devices, sizes, adjusted, numbers, rejected + more, options)
     if options.check:
         refuse_uncertain(solution, sizes, options, advice)
     return solution
+
+
+def _hold_poses(placed: Placed, devices: Sequence[str], options: Options, start: Mapping[str, CameraModel]) -> None:
+    """Devices whose pose is held stand where the start says, not where the views say."""
+    names = names_of(devices)
+    for number, name in enumerate(devices[1:], start=1):
+        pose = {known for known in names if known.startswith((f"{name}.rotation_", f"{name}.translation_"))}
+        held = {known for known in pose if known in options.fixed or name in options.fixed}
+        if held and name in start and devices[0] in start:
+            first, own = start[devices[0]], start[name]
+            turn = own.rotation @ first.rotation.T
+            placed.devices[number] = (turn, own.translation - turn @ first.translation)
 
 
 def _enough(data: Observations, views: Sequence[BoardView], options: Options, rejected: list[Rejection]) -> None:

@@ -80,7 +80,7 @@ def mono(
     nothing = np.zeros((len(data), 2))
     if start is not None:
         best = fit(_begin(maps, points, intrinsics_of(start)), rough, nothing,
-                   freedom([name], options, points, 1.0, hold=INTRINSICS), loss="cauchy", most_steps=30)  # fmt: skip
+                   freedom([name], _plain(options), points, 1.0, hold=INTRINSICS), loss="cauchy", most_steps=30)  # fmt: skip
     else:
         best = _search(maps, rough, points, size, options, name)
         for held in _STAGES:

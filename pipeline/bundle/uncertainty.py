@@ -127,9 +127,7 @@ def turn_to_vector(vector: Array) -> Array:
 
 def rotation_vector(rotation: Array) -> Array:
     """Axis times angle, (3,) radians, of a rotation matrix."""
-    axis = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
+    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     angle = float(np.arctan2(np.linalg.norm(axis), np.trace(rotation) - 1))
     if angle < 1e-7:
         return axis / 2

@@ -66,7 +66,10 @@ def measure_offsets(
         crosstalk: (3, 3) of this camera; response: of the projector, as just measured.
         shown: the response that the fringes were pre-distorted for; None = they were shown as they are.
     """
-    where, slopes, red, blue = [], [], [], []
+    where: list[Array] = []
+    slopes: list[Array] = []
+    red: list[Array] = []
+    blue: list[Array] = []
     v, u = np.mgrid[0 : area.shape[0], 0 : area.shape[1]].astype(np.float32)
     weights, sum_u, sum_v = blocks(area.astype(np.float32), u, v, side=_SIDE)
     used = weights > 0.4 * _SIDE**2
@@ -156,8 +159,8 @@ def _powers(places: Array, degree: int, along: int | None = None) -> Array:
 
 def _coefficients(terms: Array, values: Array) -> Array:
     """Least squares without far outliers."""
-    keep = np.ones(len(values), bool)
-    solution = np.zeros(terms.shape[1])
+    keep: Mask = np.ones(len(values), bool)
+    solution: Array = np.zeros(terms.shape[1])
     for _ in range(4):
         solution = np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0]
         away = np.abs(values - terms @ solution)
@@ -265,8 +268,9 @@ def _fit_color(
         priors += [_PRIOR_SHIFT, _PRIOR_SHIFT, _PRIOR_MAGNIFICATION, _PRIOR_CUBIC_PX / corner]
     priors += [_PRIOR_OFFSET] * 2 + [_PRIOR_STRETCH] * 4
     scale = np.array(priors)
-    sigma, robust = 0.02, np.ones(len(values))
-    solution = np.zeros(len(scale))
+    sigma = 0.02
+    robust: Array = np.ones(len(values))
+    solution: Array = np.zeros(len(scale))
     for _ in range(8):
         weight = relative * np.sqrt(robust) / sigma
         system = np.concatenate([terms * scale * weight[:, None], np.eye(len(scale))])

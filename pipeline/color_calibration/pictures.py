@@ -118,7 +118,8 @@ def white_area(pictures: Pictures, full: F32) -> Mask:
                 f"view, expected at least {LEAST_PEAK:.0f}; lengthen the exposure, or put a white board into the light "
                 "(are red and blue swapped, or is the projector dark?)"
             )
-    area = eroded((full > WHITE_SHARE * top).all(axis=2), _MARGIN_PX)
+    bright = np.asarray((full > WHITE_SHARE * top).all(axis=2))
+    area = eroded(bright, _MARGIN_PX)
     if area.mean() < LEAST_AREA:
         raise PictureError(
             f"{pictures.side} camera: only {100 * area.mean():.2g} % of the picture are evenly white, expected at "

@@ -50,6 +50,17 @@ def test_plain_pictures_are_paired_by_their_numbers(tmp_path):
     assert 20_000 < picture.max() < 65_535
 
 
+def test_a_session_for_the_colours_is_one_view_of_a_white_board(tmp_path):
+    assert capture.main([str(tmp_path), "--scale", "0.0625", "--color"]) == 0
+    frames = sequence.from_mapping(json.loads((tmp_path / "capture.json").read_text())["sequence"])
+    assert frames.name == "color"
+    assert [path.name for path in tmp_path.glob("view_*")] == ["view_00"]
+    assert len(list((tmp_path / "view_00").glob("left_*.png"))) == len(frames)
+    white = cv2.imread(str(tmp_path / "view_00" / "left_01.png"))
+    assert np.median(white) > 100
+    assert white.max() < 255
+
+
 def test_white_pictures_are_as_bright_as_they_may_be(tmp_path):
     assert capture.main([str(tmp_path), *SMALL, "gamma=1.0"]) == 0
     picture = cv2.imread(str(tmp_path / "view_00" / "left_00.png"))
