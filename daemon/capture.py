@@ -25,7 +25,7 @@ from daemon.mailbox import Mailbox
 from daemon.pairing import Pair
 from daemon.recording.raw_image import ENCODINGS
 from daemon.service import Service
-from daemon.shooting import CaptureCancelledError, Shooting, settling_ns
+from daemon.shooting import CaptureCancelledError, Shooting, patience_s, settling_ns
 from daemon.sinks import PairItem, Sink
 from drivers.protocols import SIDES
 from pipeline.calibration import Response
@@ -201,7 +201,14 @@ class Capture:
         projector, refresh_hz = service.rig.projector, service.projector.refresh_hz if service.projector else 0.0
         tolerance_ns = round(1000 * service.config.pairing.tolerance_us)
         settle_ns = settling_ns(projector, refresh_hz, tolerance_ns=tolerance_ns)
-        return Shooting(projector, box, clock=service.clock, settle_ns=settle_ns, cancelled=self._give_up)
+        return Shooting(
+            projector,
+            box,
+            clock=service.clock,
+            settle_ns=settle_ns,
+            patience_s=patience_s(rendered=service.rig.next_pose is not None),
+            cancelled=self._give_up,
+        )
 
     def _give_up(self) -> bool:
         abandoned = self._now_ns() - self._asked_ns > ABANDONED_S * 1e9

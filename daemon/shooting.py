@@ -52,6 +52,11 @@ def settling_ns(projector: Projector, refresh_hz: float, *, tolerance_ns: int) -
     return latency_ns + tolerance_ns + max(_LEAST_MARGIN_NS, round(_MARGIN_FRAMES * period_ns))
 
 
+def patience_s(*, rendered: bool) -> float:
+    """How long to wait for a pair: rendered pictures take long, triggers do not."""
+    return 60.0 if rendered else 5.0
+
+
 class Shooting:
     """Shows pictures and waits for the pairs that show them; used by one thread.
 

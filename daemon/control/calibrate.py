@@ -58,17 +58,17 @@ class CalibrateMethods:
         return self._capture.start(order)
 
     def status(self, _: dict[str, Any]) -> dict[str, Any]:
-        """How far the newest capture is, and the size of the projector's pictures."""
-        projector = self._service.projector
-        return self._capture.status() | {"projector": None if projector is None else list(projector.size)}
+        """How far the newest capture is, the size of the projector's pictures, and whether a hand is simulated."""
+        projector, hand = self._service.projector, self._service.rig.next_pose is not None
+        size = None if projector is None else list(projector.size)
+        return self._capture.status() | {"projector": size, "hand": hand}
 
     def next_pose(self, _: dict[str, Any]) -> dict[str, Any]:
         """Move the board of a simulated rig on."""
         move = self._service.rig.next_pose
         if move is None:
             raise RpcError(FAILED, "no simulated hand holds the board of this rig: move it yourself")
-        move()
-        return {"moved": True}
+        return {"pose": move()}
 
     def refuse_while_capturing(self) -> None:
         """RpcError while the projector belongs to a capture."""

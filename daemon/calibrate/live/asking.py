@@ -18,7 +18,7 @@ from pipeline.sequence import Sequence
 HOLD_S = 20.0
 """So long the daemon keeps the last picture between two captures; longer pauses only cost the time to begin again."""
 _POLL_S = 0.03
-_LONGEST_SILENCE_S = 30.0
+_LONGEST_SILENCE_S = 120.0
 
 
 class DaemonShooter:
@@ -33,7 +33,9 @@ class DaemonShooter:
 
     def __init__(self, client: ControlClient, *, cancelled: Callable[[], bool] = lambda: False) -> None:
         self._client, self._cancelled = client, cancelled
-        size = client.call("calibrate.status").get("projector")
+        told = client.call("calibrate.status")
+        size, self._has_hand = told.get("projector"), bool(told.get("hand"))
+        self._pose: Any = None
         if size is None:
             raise DaemonError(f"the daemon at {client.endpoint} is still starting; try again when it is running")
         self._size = int(size[0]), int(size[1])
@@ -62,12 +64,17 @@ class DaemonShooter:
             raise DaemonError(str(told["problem"]))
         return _read(Path(told["file"]), len(sequence))
 
+    @property
+    def has_hand(self) -> bool:
+        """Whether a simulated hand holds the board, not a person."""
+        return self._has_hand
+
     def next_pose(self) -> bool:
-        """Let the simulated hand move the board on; False where a person has to."""
-        try:
-            return bool(self._client.call("calibrate.next_pose")["moved"])
-        except ControlError:
+        """Let the simulated hand move the board on; False once it has shown all its poses, or where there is none."""
+        if not self._has_hand:
             return False
+        before, self._pose = self._pose, self._client.call("calibrate.next_pose")["pose"]
+        return self._pose is None or self._pose != before
 
     def close(self) -> None:
         """Let the daemon measure again."""

@@ -16,7 +16,7 @@ from daemon.mailbox import Mailbox
 from daemon.pairing import Pair, PairingSettings
 from daemon.pairing_desk import PairingDesk
 from daemon.rig import next_pose
-from daemon.shooting import Shooting, settling_ns
+from daemon.shooting import Shooting, patience_s, settling_ns
 from drivers.errors import DriverError
 from drivers.protocols import SIDES, Clock, Frame, Side
 from pipeline.calibration import Response
@@ -52,6 +52,8 @@ class DeviceShooter:
             max_wait_ns=round(1e6 * config.pairing.max_wait_ms),
             resync_after=config.pairing.resync_after,
         )
+        self._move = next_pose(devices)
+        self._pose: Any = None
         box: Mailbox[Pair] = Mailbox(4)
         desk = PairingDesk(limits, paired=lambda pair: _put(box, pair), lone=_pass_over, clock=clock)
         try:
@@ -59,7 +61,14 @@ class DeviceShooter:
             self._size: tuple[int, int] = projector.size
             self._open_cameras(desk, clock)
             settle_ns = settling_ns(devices.projector, projector.refresh_hz, tolerance_ns=limits.tolerance_ns)
-            self._shooting = Shooting(devices.projector, box, clock=clock, settle_ns=settle_ns, cancelled=cancelled)
+            self._shooting = Shooting(
+                devices.projector,
+                box,
+                clock=clock,
+                settle_ns=settle_ns,
+                patience_s=patience_s(rendered=self._move is not None),
+                cancelled=cancelled,
+            )
         except BaseException:
             self.close()
             raise
@@ -89,12 +98,17 @@ class DeviceShooter:
             raise DriverError("; ".join([*gone, str(error)])) from error
         return Shots(pairs[0].left.encoding, tuple((pair.left.image, pair.right.image) for pair in pairs))
 
+    @property
+    def has_hand(self) -> bool:
+        """Whether a simulated hand holds the board, not a person."""
+        return self._move is not None
+
     def next_pose(self) -> bool:
-        """Let the simulated hand move the board on; False where a person has to."""
-        move = next_pose(self._devices)
-        if move is not None:
-            move()
-        return move is not None
+        """Let the simulated hand move the board on; False once it has shown all its poses, or where there is none."""
+        if self._move is None:
+            return False
+        before, self._pose = self._pose, self._move()
+        return self._pose is None or self._pose != before
 
     def close(self) -> None:
         """Go dark and close the devices."""

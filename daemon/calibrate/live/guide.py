@@ -21,6 +21,7 @@ from pipeline.sequence import Sequence
 from pipeline.targets.board import Board
 
 Find = Callable[[Picture, Board], Found]
+_MOST_LOOKS = 20
 MOST_FAILURES = 5
 """Looks in a row that may fail before the session ends."""
 
@@ -91,7 +92,7 @@ def guide(
     kept = SessionFolder(folder, sequence)
     session: Session | None = None
     pending: Shots | None = None
-    failures = 0
+    failures = stuck = 0
     while not stopped() and (session is None or session.state is not State.DONE):
         try:
             shots = shooter.shoot(white)
@@ -114,11 +115,19 @@ def guide(
         if told.accepted is not None and pending is not None:
             kept.add(pending)
             pending = None
-            if session.state is not State.DONE:
-                shooter.next_pose()
+            stuck = 0
+            if session.state is not State.DONE and shooter.has_hand and not shooter.next_pose():
+                break
+        elif shooter.has_hand:
+            # Nobody is there to do as told: a pose that does not become a view is left.
+            stuck += 1
+            if stuck >= _MOST_LOOKS:
+                stuck = 0
+                if not shooter.next_pose():
+                    break
     if session is None:
         return Outcome(folder, 0, False, "no picture came")
-    complete = session.state is State.DONE and not session.missing
+    complete = kept.views >= session.limits.wanted and not session.missing
     return Outcome(folder, kept.views, complete, "; ".join(session.missing))
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -29,6 +30,8 @@ from pipeline.targets.board import Board
 What = Literal["cameras", "projector", "color", "all"]
 _ASK_S = 1.0
 _STILL_PX = 0.3
+_HAND_S = 0.2
+"""A simulated hand is still at once."""
 
 
 def unsaid(text: str) -> None:
@@ -105,7 +108,8 @@ def run_session(
     if find is None:
         from pipeline.targets.find import find_marks
 
-        find = find_marks
+        # Whoever solves looks again, and better.
+        find = partial(find_marks, refine=False)
     place = folder or new_folder(base_dir / "calibration-sessions", what)
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as stack:
@@ -126,7 +130,7 @@ def run_session(
                 find=find,
                 watcher=watching,
                 clock=SystemClock(),
-                limits=phase.limits,
+                limits=replace(phase.limits, steady_s=_HAND_S) if shooter.has_hand else phase.limits,
                 stopped=stopped,
             )
     return outcomes

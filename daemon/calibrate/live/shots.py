@@ -52,8 +52,12 @@ class Shooter(Protocol):
             DriverError, DaemonError: no pairs came, or the projector failed; it may be tried again.
         """
 
+    @property
+    def has_hand(self) -> bool:
+        """Whether a simulated hand holds the board, not a person."""
+
     def next_pose(self) -> bool:
-        """Let the simulated hand move the board on; False where a person has to."""
+        """Let the simulated hand move the board on; False once it has shown all its poses, or where there is none."""
 
     def close(self) -> None:
         """Let go of everything; the last picture does not stay."""

@@ -28,9 +28,10 @@ class Hand:
         self.pose, self.moves = 0, 0
         self._world = world
 
-    def next_pose(self) -> None:
+    def next_pose(self) -> int:
         self.pose = (self.pose + 1) % len(VIEWS)
         self.moves += 1
+        return self.pose
 
     def close(self) -> None:
         self._world.close()
