@@ -1,5 +1,5 @@
 def cameras() -> None:
-    """x."""
+    """X."""
 
 
 projector = color = everything = cameras

@@ -104,7 +104,7 @@ def run_session(
     Raises:
         ConfigError, DriverError, DaemonError: nothing can be captured.
     """
-    config, base_dir = load_rig(rig), rig.resolve().parent
+    config, base_dir = load_rig(rig, complete=False), rig.resolve().parent
     if find is None:
         from pipeline.targets.find import find_marks
 

@@ -83,3 +83,8 @@ def find(picture: Any, board: Board) -> Seen:
     pose, side, check = (int(value) for value in picture[0, 0])
     assert check == 77
     return Seen(VIEWS[pose].marks[("left", "right")[side]])
+
+
+def open_rig(options: dict[str, Any], base_dir: Any, *, progress: Any = None) -> HandDevices:  # noqa: ARG001
+    """For the registry of drivers."""
+    return hand_devices()
