@@ -28,6 +28,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 _SATURATION = 254.0
 _TURN = 2 * np.pi
+_AXES: tuple[Axis, ...] = ("x", "y")
 _WORST_CONDITION = 50.0
 _FEWEST_PIXELS = 200
 
@@ -129,10 +130,13 @@ def gray(picture: NDArray[Any], encoding: str, *, channels: tuple[int, ...] = (0
     if encoding == "mono16":
         plane = picture / 257.0
     elif encoding == "rgb8":
-        chosen = picture if channels == (0, 1, 2) else picture[..., list(channels)]
-        return chosen.sum(axis=-1, dtype=np.float64) / chosen.shape[-1], np.asarray(
-            (chosen >= _SATURATION).any(axis=-1)
-        )
+        # Plane by plane: sums along an axis of three are several times slower.
+        planes = [picture[..., c] for c in channels]
+        total, clipped = planes[0].astype(np.uint16), planes[0] >= _SATURATION
+        for one in planes[1:]:
+            total += one
+            clipped |= one >= _SATURATION
+        return total / float(len(planes)), np.asarray(clipped)
     else:
         plane = picture.astype(np.float64)
     return plane, np.asarray(plane >= _SATURATION)
@@ -275,10 +279,9 @@ def absolute_phase(
     return np.where(known, absolute, np.nan)
 
 
-def coordinate(
+def coordinates(
     pictures: Items[NDArray[Any]],
     sequence: Sequence,
-    axis: Axis,
     *,
     encoding: str = "rgb8",
     channels: tuple[int, ...] = (0, 1, 2),
@@ -286,29 +289,62 @@ def coordinate(
     noise: NoiseModel | None = None,
     min_amplitude: float = 5.0,
     certainty: float = 3.0,
-) -> Coordinate:
-    """Projector column or row of every pixel, from one camera's pictures of a sequence.
+    axes: tuple[Axis, ...] = _AXES,
+) -> tuple[Coordinate, ...]:
+    """Projector column and row of every pixel, from one camera's pictures of a sequence.
 
     Args:
         pictures: raw, one for each frame of the sequence.
-        axis: ``x`` for columns, ``y`` for rows.
         channels: of the camera; lit: of the projector; see :func:`gray` and :func:`levels`.
         noise: of a sample as :func:`gray` gives it; None = estimated from the pictures (:func:`noise_of`).
         min_amplitude, certainty: see :func:`absolute_phase`.
+        axes: ``x`` for columns, ``y`` for rows; one result each.
 
     Raises:
         PatternError: the sequence has no fringes for this; PictureError: a picture does not fit.
     """
-    found = levels(sequence, axis, lit=lit)
     if len(pictures) != len(sequence):
         raise PictureError(f"{len(pictures)} pictures of a sequence of {len(sequence)} frames; expected one each")
-    if not found:
-        raise PatternError(f"sequence {sequence.name!r} has no three shifts of a fringe along {axis} in {lit}")
-    sets = [_set(pictures, level, encoding, channels) for level in found]
+    found = {axis: levels(sequence, axis, lit=lit) for axis in axes}
+    for axis, ones in found.items():
+        if not ones:
+            raise PatternError(
+                f"sequence {sequence.name!r} has no three shifts of a fringe along {axis} in {', '.join(lit)}"
+            )
+    sets = {axis: [_set(pictures, one, encoding, channels) for one in ones] for axis, ones in found.items()}
     if noise is None:
-        # The other axis serves: its fringes are as fine, and their mean is the same.
-        other = levels(sequence, "y" if axis == "x" else "x", lit=lit)[-1:]
-        noise = noise_of([*sets, *(_set(pictures, level, encoding, channels) for level in other)])
+        noise = noise_of([one for ones in sets.values() for one in ones])
+    return tuple(
+        _coordinate(sets[axis], found[axis], noise, min_amplitude=min_amplitude, certainty=certainty) for axis in axes
+    )
+
+
+def coordinate(pictures: Items[NDArray[Any]], sequence: Sequence, axis: Axis, **options: Any) -> Coordinate:
+    """One of :func:`coordinates`."""
+    return coordinates(pictures, sequence, axes=(axis,), **options)[0]
+
+
+def evenly_lit(
+    pictures: Items[NDArray[Any]], sequence: Sequence, *, lit: tuple[str, ...] = CHANNELS
+) -> NDArray[np.float32]:
+    """The scene without fringes, in the raw pictures' own layout and counts, float32.
+
+    The mean of the finest fringes of both axes: as good as a white picture of so many exposures, so marks are better
+    found here than in one white picture. Where a sample of the pictures is saturated it is too dark.
+    """
+    finest = [found[-1] for axis in _AXES if (found := levels(sequence, axis, lit=lit))]
+    if not finest or len(pictures) != len(sequence):
+        raise PictureError(f"{len(pictures)} pictures of sequence {sequence.name!r}: no even light comes of them")
+    total = np.zeros(pictures[finest[0].frames[0]].shape, np.float32)
+    for level in finest:
+        for number, share in zip(level.frames, _solution_of(np.array(level.shifts))[0], strict=True):
+            total += np.float32(share / len(finest)) * pictures[number]
+    return total
+
+
+def _coordinate(
+    sets: list[WrappedPhase], found: tuple[Level, ...], noise: NoiseModel, *, min_amplitude: float, certainty: float
+) -> Coordinate:
     phase = absolute_phase(
         sets, [level.periods for level in found], noise, min_amplitude=min_amplitude, certainty=certainty
     )

@@ -25,7 +25,7 @@ F64: TypeAlias = NDArray[np.float64]
 FEWEST_SAMPLES = 300
 LARGEST_RESIDUAL_PX = 8.0
 """Median beyond which the points' fringe orders are in doubt: nothing to be refined."""
-_FEWEST_CELLS = 9
+_FEWEST_CELLS = 16
 _CELLS = 12
 _FEWEST_IN_CELL = 8
 _ROUNDS = 12
@@ -206,12 +206,12 @@ def moved(projector: CameraModel, changes: Mapping[str, float]) -> CameraModel:
 
     turn = rotation_of(np.array([of("rotation_x"), of("rotation_y"), of("rotation_z")]))
     rotation = turn @ projector.rotation
-    centre = projector.centre + [of("x_mm"), of("y_mm"), of("z_mm")]
+    centre = projector.centre + np.array([of("x_mm"), of("y_mm"), of("z_mm")])
     matrix = projector.matrix.copy()
     matrix[:2, :2] *= 1 + of("focal")
     matrix[1, 1] *= 1 + of("aspect")
     matrix[:2, 2] += of("cx"), of("cy")
-    distortion = projector.distortion + [of("k1"), of("k2"), of("p1"), of("p2"), 0.0]
+    distortion = projector.distortion + np.array([of("k1"), of("k2"), of("p1"), of("p2"), 0.0])
     return CameraModel(projector.size, matrix, distortion, rotation, -rotation @ centre, projector.name)
 
 

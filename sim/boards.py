@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.camera_model import CameraModel
+from pipeline.sequence import Sequence as Frames
 from pipeline.sequence import camera_sequence
 from pipeline.targets import printed
 from pipeline.targets.board import Board
@@ -56,10 +57,10 @@ def board_shape(board: Board, *, at_mm: Triple = (0.0, 0.0, 0.0), turn: Triple =
     return paper.placed((float(a), float(b), float(c)), turn=turn, albedo=PAPER_ALBEDO)
 
 
-def board_scene(board: Board, pose: BoardPose | None = None) -> Scene:
-    """A scene with nothing but a board, at rest."""
+def board_scene(board: Board, pose: BoardPose | None = None, *, beside: Sequence[Shape] = ()) -> Scene:
+    """A scene at rest: a board, and other things if there are any, such as what throws a shadow or a second board."""
     pose = pose or BoardPose()
-    return Scene("board", (board_shape(board, at_mm=pose.at_mm, turn=pose.turn),))
+    return Scene("board", (board_shape(board, at_mm=pose.at_mm, turn=pose.turn), *beside))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,25 +91,28 @@ def render_views(
     board: Board,
     poses: Sequence[BoardPose],
     optics: Optics | None = None,
-    pictures: Sequence[NDArray[np.uint8]] | None = None,
+    frames: Frames | Sequence[NDArray[np.uint8]] | None = None,
     *,
     encoding: str = "rgb8",
+    beside: Sequence[Shape] = (),
 ) -> RenderedViews:
     """Render a board at each pose under each picture of the projector.
 
     Args:
-        layout: the rig. board: on its own, nothing else is there. poses: see :func:`session_poses`.
+        layout: the rig. board: what is held into its field. poses: see :func:`session_poses`.
         optics: light, lenses and sensor; with 4 x 4 rays a pixel at least. The standard ones if None.
-        pictures: what the projector shows one after the other, (H, W, 3) uint8; if None, white that clips nothing.
+        frames: what the projector shows one after the other: a sequence (sent as it is, the response being unknown),
+            or pictures, (H, W, 3) uint8; if None, white that clips nothing.
         encoding: of the cameras.
+        beside: other things on the stage.
     """
     optics = fine(optics or Optics())
-    white = [frame.picture() for frame in camera_sequence(layout.projector_size).frames]
-    shown = white if pictures is None else list(pictures)
+    frames = camera_sequence(layout.projector_size) if frames is None else frames
+    pictures = [frame.picture() for frame in frames.frames] if isinstance(frames, Frames) else list(frames)
     counts = []
     for pose in poses:
-        stage = Stage(layout, board_scene(board, pose), optics, encoding=encoding)
-        counts.append(tuple(stage.counts(picture) for picture in shown))
+        stage = Stage(layout, board_scene(board, pose, beside=beside), optics, encoding=encoding)
+        counts.append(tuple(stage.counts(picture) for picture in pictures))
     return RenderedViews(layout, board, optics, encoding, tuple(poses), tuple(counts))
 
 

@@ -55,7 +55,10 @@ class SimWorld:
         dark_dn: counts of a picture without projector light.
         queue_frames: room in each camera's queue.
         keep_entries: whether the ledger keeps every event, not just counts.
+        note: on the pictures, for what the cameras say of themselves.
     """
+
+    _slack = 1.0  # By how much of a period a trigger that comes late may stand nearer to the next one.
 
     def __init__(
         self,
@@ -72,6 +75,7 @@ class SimWorld:
         dark_dn: float = 4.0,
         queue_frames: int = 8,
         keep_entries: bool = False,
+        note: str = "simulated: pictures come from a rendered loop",
     ) -> None:
         self._pictures, self._projector, self._encoding = pictures, projector, encoding
         self._plan, self._rate_hz, self._clock = plan or FaultPlan.none(), rate_hz, clock or SystemClock()
@@ -85,6 +89,7 @@ class SimWorld:
                 queue_frames=queue_frames,
                 dropped=self._note_dropped,
                 started=self._wake,
+                note=note,
             )
             for side in SIDES
         }
@@ -153,11 +158,12 @@ class SimWorld:
 
     def _run(self) -> None:
         period_ns = round(1e9 / self._rate_hz)
+        slack_ns = round(self._slack * period_ns)
         due_ns = self._clock.monotonic_ns() + period_ns
         while not self._stop.wait(max(0, due_ns - self._clock.monotonic_ns()) / 1e9):
             self.step()
             # A machine that was asleep goes on from now, instead of giving all missed triggers at once.
-            due_ns = max(due_ns, self._clock.monotonic_ns() - period_ns) + period_ns
+            due_ns = max(due_ns, self._clock.monotonic_ns() - slack_ns) + period_ns
 
     def _number(self, index: int, off: int = 0) -> int:
         return (self._first_number + index + off) % TRIGGER_MODULUS
@@ -227,8 +233,11 @@ class LiveWorld(SimWorld):
     A trigger that cannot be rendered in time is given later. Args as of :class:`SimWorld`, with a live scene.
     """
 
+    _slack = 0.1
+
     def __init__(self, scene: LiveScene, projector: Lamp, size: tuple[int, int], encoding: str, **options: Any) -> None:
-        super().__init__(scene, projector, size, encoding, **options)
+        note = "simulated: pictures are rendered of what the projector shows"
+        super().__init__(scene, projector, size, encoding, note=note, **options)
         self._scene = scene
 
     @property

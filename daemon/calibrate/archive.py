@@ -20,6 +20,7 @@ WORSE_BY = 1.1
 """An error that grew by less than a tenth is chance: another set of views gives as much."""
 FLOOR_PX = 0.01
 """Differences below this do not show in any measurement."""
+FLOOR_RAD = 0.002
 COVERAGE_BY = 0.1
 _ERRORS = {
     "rms_stereo_px": "the marks' reprojection error",
@@ -69,6 +70,10 @@ def better_reasons(new: Mapping[str, Any], old: CamerasFile, *, loses_projector:
             reasons.append(
                 f"the marks would cover {100 * now:.0f} % instead of {100 * was:.0f} % of the {side} picture"
             )
+    for side in ("left", "right"):
+        was, now = _phase_error(before, side), _phase_error(new, side)
+        if was is not None and now is not None and now > max(WORSE_BY * was, was + FLOOR_RAD):
+            reasons.append(f"the {side} phase error would grow from {was:.4f} to {now:.4f} rad")
     if _number(before, "rms_stereo_px") is not None and _number(new, "rms_stereo_px") is None:
         reasons.append("its errors are known, those of the new one are not")
     if loses_projector:
@@ -93,28 +98,34 @@ def store(
         CalibrationError: something that is no calibration stands there, and ``force`` is not given.
     """
     created = (created or datetime.now(UTC)).astimezone(UTC)
-    notes: list[str] = []
-    old: CamerasFile | None = None
-    try:
-        old = present(path)
-    except CalibrationError as error:
-        if not force:
-            raise CalibrationError(f"{error}; it is left as it is, --force moves it aside") from error
-        notes.append(f"what stood in {path} was no calibration that can be read")
-    if old is not None:
-        loses = old.cameras.projector is not None and calibration.projector is None
-        reasons = better_reasons(quality, old, loses_projector=loses)
-        if reasons and not force:
-            raise KeptError(
-                f"{path} is better and was left as it is: {'; '.join(reasons)}. Write elsewhere with --out, or "
-                "replace it with --force"
-            )
-        notes += [f"replaced by --force although {reason}" for reason in reasons]
+    old, notes = refuse_worse(path, calibration, quality=quality, force=force)
     data = calibration_bytes(calibration, created=created, quality=quality, keep=old.mapping if old else None)
     file = parse_cameras(data, str(path))
     kept = keep_dated(path, old) if path.exists() else None
     write_atomically(path, data)
     return Stored(path, file.identity, kept, notes)
+
+
+def refuse_worse(
+    path: Path, calibration: Calibration | Cameras, *, quality: Mapping[str, Any], force: bool
+) -> tuple[CamerasFile | None, list[str]]:
+    """The calibration that stands in that place, and notes; KeptError or CalibrationError as :func:`store` has it."""
+    try:
+        old = present(path)
+    except CalibrationError as error:
+        if not force:
+            raise CalibrationError(f"{error}; it is left as it is, --force moves it aside") from error
+        return None, [f"what stood in {path} was no calibration that can be read"]
+    if old is None:
+        return None, []
+    loses = old.cameras.projector is not None and calibration.projector is None
+    reasons = better_reasons(quality, old, loses_projector=loses)
+    if reasons and not force:
+        raise KeptError(
+            f"{path} is better and was left as it is: {'; '.join(reasons)}. Write elsewhere with --out, or replace it "
+            "with --force"
+        )
+    return old, [f"replaced by --force although {reason}" for reason in reasons]
 
 
 def keep_dated(path: Path, old: CamerasFile | None) -> Path:
@@ -139,6 +150,14 @@ def _stamp(created: Any, path: Path) -> datetime:
         return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
     except ValueError:
         return datetime.fromtimestamp(path.stat().st_mtime, UTC)
+
+
+def _phase_error(quality: Mapping[str, Any], side: str) -> float | None:
+    """Phase error with the colours of that file, of one camera."""
+    colors = quality.get("color")
+    camera = colors.get(side) if isinstance(colors, Mapping) else None
+    errors = camera.get("phase_error_rad") if isinstance(camera, Mapping) else None
+    return _number({"last": errors[-1]}, "last") if isinstance(errors, list) and errors else None
 
 
 def _number(quality: Mapping[str, Any], key: str) -> float | None:

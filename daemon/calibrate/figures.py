@@ -50,21 +50,23 @@ def view_figures(solution: Solution) -> list[ViewFigures]:
 
 def _epipolar(solution: Solution, name: str, pose: tuple[Array, Array]) -> float:
     """Mean distance of the marks, as points, from their partners' epipolar lines."""
-    pair = [solution.residuals.get((name, device)) for device in ("left", "right")]
-    if pair[0] is None or pair[1] is None:
-        return float("nan")
-    both = np.intersect1d(pair[0].ids, pair[1].ids)
-    if not len(both):
-        return float("nan")
-    world = solution.board_points[both] @ pose[0].T + pose[1]
-    pixels = []
-    for device, residuals in zip(("left", "right"), pair, strict=True):
-        assert residuals is not None  # noqa: S101
-        place = np.argsort(residuals.ids)[np.searchsorted(np.sort(residuals.ids), both)]
+    world = solution.board_points @ pose[0].T + pose[1]
+    places: list[dict[int, Array]] = []
+    for device in ("left", "right"):
+        residuals = solution.residuals.get((name, device))
+        if residuals is None:
+            return float("nan")
+        points = solution.devices[device].project(world)
+        # The adjustment may have renumbered the marks: a mark is the one whose picture is nearest to its prediction.
+        predicted = residuals.pixels - residuals.misfit
+        marks = np.linalg.norm(predicted[:, None] - points[None], axis=2).argmin(axis=1)
         # The picture of the mark's point, moved by what was measured beside the prediction: no centroid any more.
-        pixels.append(solution.devices[device].project(world) + residuals.misfit[place])
-    left, right = (solution.devices[device] for device in ("left", "right"))
-    return float(epipolar_distances(left, right, pixels[0], pixels[1]).mean())
+        places.append(dict(zip(marks.tolist(), points[marks] + residuals.misfit, strict=True)))
+    both = sorted(places[0].keys() & places[1].keys())
+    if not both:
+        return float("nan")
+    in_left, in_right = (np.array([seen[mark] for mark in both]) for seen in places)
+    return float(epipolar_distances(solution.devices["left"], solution.devices["right"], in_left, in_right).mean())
 
 
 def coverage(solution: Solution, device: str) -> float:

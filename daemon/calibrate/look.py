@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from collections.abc import Sequence as Items
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,8 @@ import numpy as np
 from daemon.calibrate.pictures import Picture, unpacked
 from daemon.calibrate.sources import Source, View, white_frame
 from pipeline.errors import TargetError
+from pipeline.multi_shot import evenly_lit
+from pipeline.sequence import Sequence
 from pipeline.targets.board import Board
 from pipeline.targets.find import Found, find_marks
 from pipeline.targets.marks import BoardView, Marks
@@ -60,14 +63,21 @@ class Looked:
         """Pictures in which the marks were not found."""
         return [seen for seen in self.seen if seen.found is None]
 
-    def add(self, view: View, frame: int, board: Board) -> dict[str, Marks]:
-        """Search both pictures of a view; the marks of those where they were found."""
+    def add(self, view: View, frame: int, board: Board, sequence: Sequence | None = None) -> dict[str, Marks]:
+        """Search both pictures of a view; the marks of those where they were found.
+
+        Args:
+            view: with all its frames, or the one that is looked at.
+            frame: number of the picture to look at.
+            sequence: of fringes; their mean is looked at instead, which has less noise than one white picture.
+        """
         marks: dict[str, Marks] = {}
         name = self._free_name(view.name)
         for device, file, pictures in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
             if not pictures:
                 continue
-            picture = unpacked(pictures[frame], view.encoding)
+            raw = pictures[frame] if sequence is None else evenly_lit(pictures, sequence)
+            picture = unpacked(raw, view.encoding)
             size = (picture.shape[1], picture.shape[0])
             known = self.sizes.setdefault(device, size)
             if known != size:
@@ -88,7 +98,7 @@ class Looked:
         return next(n for n in (name, *(f"{name} ({k})" for k in range(2, 10_000))) if n not in taken)
 
 
-def look(sources: Sequence[Source], board: Board, progress: Progress) -> Looked:
+def look(sources: Items[Source], board: Board, progress: Progress) -> Looked:
     """Find the marks in all views of all sources, on the brightest even picture of each view.
 
     Raises:
@@ -123,8 +133,9 @@ def require(looked: Looked, least: int) -> None:
 def thumbnail(picture: Picture) -> bytes:
     """A small JPEG of a picture, at most 520 pixels wide."""
     grey = picture[..., ::-1] if picture.ndim == 3 else picture
-    if grey.dtype == np.uint16:
-        grey = (grey >> 8).astype(np.uint8)
+    if grey.dtype != np.uint8:
+        most = float(np.quantile(grey, 0.999)) if grey.dtype == np.uint16 else 255.0
+        grey = np.clip(grey * (255.0 / max(most, 1.0)), 0, 255).astype(np.uint8)
     shrink = THUMBNAIL_PX / grey.shape[1]
     small: Any = grey
     if shrink < 1:

@@ -29,9 +29,10 @@ def with_old_colors(new: Cameras, old: CamerasFile | None) -> tuple[Cameras, lis
     if new.projector is None:
         if before.projector is not None:
             notes.append("the projector of the old file does not fit the new cameras: run fringed calibrate projector")
-    elif new.response is None and before.response is not None and before.projector is not None:
-        new = replace(new, response=before.response)
-        notes.append("the response of the projector in the old file stays")
+    elif new.response is None and before.projector is not None and before.projector.size == new.projector.size:
+        if before.response is not None:
+            notes.append("the response of the projector in the old file stays")
+        new = replace(new, response=before.response, registration=before.registration)
     return new, notes
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from daemon.bounded import read_at_most
 from daemon.calibrate.errors import SourceError
 from daemon.calibrate.picture_size import picture_size
-from pipeline.raw import BAYER
 
 Picture = NDArray[Any]
 
@@ -75,13 +74,16 @@ _DEMOSAIC = {
     "bayer_gbrg8": cv2.COLOR_BayerGR2RGB,
     "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
 }
-assert _DEMOSAIC.keys() == BAYER.keys()  # noqa: S101
 
 
 def unpacked(raw: Picture, encoding: str) -> Picture:
     """A sensor's picture as grey or red-green-blue pixels; a mosaic is demosaiced, which is enough to find marks."""
     code = _DEMOSAIC.get(encoding)
-    return raw if code is None else np.asarray(cv2.cvtColor(raw, code))
+    if code is None:
+        return raw
+    if raw.dtype == np.float32:  # a mean of pictures; OpenCV demosaics integers only
+        return np.asarray(cv2.cvtColor(np.clip(np.rint(raw * 256), 0, 65535).astype(np.uint16), code))
+    return np.asarray(cv2.cvtColor(raw, code))
 
 
 def as_raw(picture: Picture, encoding: str, name: str) -> Picture:

@@ -22,6 +22,8 @@ from pipeline.targets.normal_step import add_row, decompose, solve
 PARAMETERS = 12
 _N = 12
 _LEAST_SIGMA = 0.25
+_FULL_STEPS = 6
+"""From here on steps are halved: samples that enter and leave can make full ones swing."""
 _INSIDE_SLOPE = 0.02
 """How well the slope of light inside a disc is known beforehand, as a share of the contrast over the radius: shade
 changes it in proportion to the ground. Decides only where a disc is so small that its pixels cannot tell."""
@@ -113,7 +115,7 @@ def _fit(
             break
         solve(normal, right, _N)
         moved = right[0] * right[0] + right[1] * right[1]
-        small = 1 if _move(p, right) else 0
+        small = 1 if _move(p, right, 1.0 if step < _FULL_STEPS else 0.5) else 0
     column = np.zeros(_N)
     for k in range(2):
         column[:] = 0.0
@@ -127,10 +129,10 @@ def _fit(
 
 
 @serial
-def _move(p: Any, step: Any) -> bool:
-    """Take a step, no longer than is sensible; True when it was so small that the next would not matter."""
+def _move(p: Any, step: Any, most: float) -> bool:
+    """Take ``most`` of a step, or what of it is sensible; True when it was so small that the next would not matter."""
     radius = np.sqrt(p[2] * p[4] - p[3] * p[3])
-    factor = 1.0
+    factor = most
     for k in range(5):
         limit = 0.25 * radius + 0.2
         if abs(step[k]) * factor > limit:
@@ -140,7 +142,7 @@ def _move(p: Any, step: Any) -> bool:
     for k in range(_N):
         p[k] += factor * step[k]
     p[5] = max(p[5], _LEAST_SIGMA)
-    done = factor == 1.0 and abs(step[0]) < 2e-3 and abs(step[1]) < 2e-3 and abs(step[5]) < 0.02
+    done = factor == most and abs(step[0]) < 2e-3 and abs(step[1]) < 2e-3 and abs(step[5]) < 0.02
     return done and abs(step[2]) + abs(step[3]) + abs(step[4]) < 0.02
 
 

@@ -93,7 +93,7 @@ def _views(solution: Solution) -> str:
     return figure(
         view_bars([view.name for view in figures], series, "px"),
         "Root mean square of the distances between marks and their predicted places, and the mean distance of marks "
-        "from the epipolar lines of their partners. A view that stands out was moved during the exposure, or is blurred.",
+        "from the epipolar lines of their partners. A view that stands out was moved, or is blurred.",
     )
 
 
@@ -147,8 +147,9 @@ def _parameters(report: Report) -> str:
     before = values_of(report.before) if report.before is not None else {}
     head = ["parameter", "value", "standard deviation"]
     head += [f"before ({report.before_name})", "change", "in standard deviations"] if before else []
-    rows, out = [], []
-    names = [n for n in ("baseline_mm", "angle_deg") if n in solution.values]
+    rows: list[list[str]] = []
+    out: list[int] = []
+    names: list[str] = [n for n in ("baseline_mm", "angle_deg") if n in solution.values]
     for device in solution.devices:
         names += [f"{device}.{key}" for key in INTRINSICS]
         names += [f"{device}.{key}" for key in POSE] if device != next(iter(solution.devices)) else []

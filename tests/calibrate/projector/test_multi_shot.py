@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pipeline.errors import PatternError, PictureError
-from pipeline.multi_shot import absolute_phase, coordinate, gray, levels, noise_of, unwrapped, wrapped_phase
+from pipeline.multi_shot import absolute_phase, coordinate, evenly_lit, gray, levels, noise_of, unwrapped, wrapped_phase
 from pipeline.noise import NoiseModel
 from pipeline.raw import BAYER, mosaic_of
 from pipeline.sequence import Fringe, Sequence, Uniform, projector_sequence
@@ -191,6 +191,17 @@ def test_saturated_and_dark_pixels_are_unknown() -> None:
     clipped = np.stack([p[2] >= 254 for p in bright[-6:]]).any(axis=0)
     assert clipped.any()
     assert not got.good[2, clipped].any()
+
+
+def test_a_scene_without_fringes_comes_of_the_same_pictures() -> None:
+    at = _columns(500)
+    shade = np.linspace(0.3, 1.0, 500)
+    pictures = [np.rint(257 * shade * p).astype(np.uint16) for p in _pictures(at, gamma=2.2)]
+    flat = evenly_lit(pictures, SEQUENCE) / (257 * shade)
+    assert flat.shape == (6, 500)
+    assert flat.std() < 0.02
+    with pytest.raises(PictureError, match="no even light"):
+        evenly_lit(pictures[:3], SEQUENCE)
 
 
 def test_only_the_fringes_of_the_asked_channels_count() -> None:

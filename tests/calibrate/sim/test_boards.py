@@ -8,13 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.sequence import Fringe, Uniform
+from pipeline.sequence import Sequence as Frames
 from pipeline.targets.board import DEFAULT_BOARD, parse_board
 from sim import boards, render
 from sim.ink import Ink
 from sim.optics import Optics
 from sim.poses import BoardPose, middle, session_poses
 from sim.scenes import Scene
-from sim.shapes import rectangle
+from sim.shapes import rectangle, sphere
 
 # Even light from everywhere: the picture is albedo and nothing else.
 EVEN = Optics.ideal(psf_px=0.5, ambient=1.0)
@@ -126,6 +128,17 @@ def test_a_seed_is_a_noise_of_its_own(quarter):
     (left, _), (same, _) = views.pictures(1, 0)[0], views.pictures(1, 0)[0]
     assert np.array_equal(left, same)
     assert first.max() < 255
+
+
+def test_a_sequence_is_shown_frame_by_frame_and_other_things_may_stand_beside(quarter):
+    sequence = Frames("any", (Uniform(quarter.projector_size, (0, 0, 0)), Fringe(quarter.projector_size, 12.0)))
+    views = boards.render_views(quarter, DEFAULT_BOARD, [TILTED], frames=sequence)
+    ((black, fringe),) = views.counts
+    assert black[0].max() < 20 < fringe[0].max()
+    hand = sphere(30).placed((0, 0, -60))
+    hidden = boards.render_views(quarter, DEFAULT_BOARD, [TILTED], frames=sequence, beside=[hand]).counts[0][1]
+    changed = np.abs(hidden[0] - fringe[0]).max(axis=-1) > 3
+    assert 0.005 < changed.mean() < 0.2
 
 
 def test_ink_that_is_no_ink_is_refused():

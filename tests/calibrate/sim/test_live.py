@@ -143,6 +143,17 @@ def test_the_board_stays_until_it_is_moved_on_and_stays_at_the_last_pose(opened)
     assert rig.trigger.poses == 3
 
 
+def test_a_loop_of_a_board_shows_its_first_pose(opened, tmp_path):
+    loop = opened({**BOARD, "live": False, "frames": 1, "cache_dir": str(tmp_path)})
+    live = opened(BOARD)
+    picture = live.options.layout.pattern().picture()
+    for ours, theirs in zip(shot(live, picture), shot(loop, picture), strict=True):
+        assert np.abs(ours.astype(int) - theirs).max() <= 1
+    notes = [rig.cameras["left"].note for rig in (live, loop)]
+    assert "what the projector shows" in notes[0]
+    assert "loop" in notes[1]
+
+
 def test_a_board_may_move_on_by_itself(opened):
     rig = opened({**BOARD, "hold": 2})
     white = pictures_of(rig)[0]
