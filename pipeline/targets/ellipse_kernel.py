@@ -1,6 +1,6 @@
 """The compiled fit of a blurred ellipse to the picture around one disc.
 
-Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with the planes P (ground) and Q (ground minus
+Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with the planes P (ground), Q (ground minus
 disc), S = Phi(-(d + kappa sigma^2 / 2) / sigma), d the distance to the ellipse along its normal n, kappa its curvature.
 That is a sharp ellipse under light that changes linearly, blurred by a Gaussian: for a plane times an indicator s,
 ``G * (Q s) = Q (G * s) + sigma^2 grad Q . grad (G * s)`` is exact, and the curvature enters to first order (a blurred
@@ -53,9 +53,9 @@ def fit_all(
         clip: samples from here on are clipped.
         steps: most Gauss-Newton steps.
         parameters: (n, 12) out; where ``parameters[i, 5] > 0`` on entry all twelve are taken as the start.
-        results: (n, 10) out: variance of u, of v, covariance; mean squared residual over the expected noise, each sample
-            counted as it tells of the edge's place; samples; sum of squared residuals and samples inside; the same
-            outside; 1 where the fit converged.
+        results: (n, 10) out: variance of u, of v, covariance; mean squared residual over the expected noise, each
+            sample counted as it tells of the edge's place; samples; sum of squared residuals and samples inside; the
+            same outside; 1 where the fit converged.
     """
     for i in range(len(starts)):
         _fit(picture, starts[i], shapes[i], reach[i], noise, blur, clip, steps, parameters[i], results[i])
@@ -83,7 +83,11 @@ def _begin(picture: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
             if f < 0.6:
                 inside += picture[v, u]
                 n_inside += 1
-            elif f > 1.0 and (f - 1.0) * np.sqrt(determinant) > min(1.5, 0.5 * reach) and f < 1.0 + reach / np.sqrt(determinant):
+            elif (
+                f > 1.0
+                and (f - 1.0) * np.sqrt(determinant) > min(1.5, 0.5 * reach)
+                and f < 1.0 + reach / np.sqrt(determinant)
+            ):
                 outside += picture[v, u]
                 n_outside += 1
     if n_inside < 1 or n_outside < 6:
@@ -166,7 +170,7 @@ def _normal_equations(
     out[3:9] = 0.0
     edges = 0.0
     determinant = p[2] * p[4] - p[3] * p[3]
-    if not determinant > 0.25 or not (p[2] > 0.0 and p[4] > 0.0) or not p[9] != 0.0:
+    if not determinant > 0.25 or not (p[2] > 0.0 and p[4] > 0.0) or p[9] == 0.0:
         return False
     radius = np.sqrt(determinant)
     sigma = p[5]

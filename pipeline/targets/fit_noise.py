@@ -45,7 +45,7 @@ def together(values: Grey, centres: Array, halves: Array) -> float:
         centres: (n, 2) pixels, middles of blocks in which nothing but noise and a plane of light is expected.
         halves: (n,) half sides of the blocks, pixels; blocks under 4 are not used.
     """
-    blocks = []
+    blocks: list[Array] = []
     for (u, v), half in zip(np.round(centres).astype(int), np.floor(halves).astype(int), strict=True):
         if half < _LEAST_HALF or min(u, v) < half:
             continue
@@ -57,10 +57,10 @@ def together(values: Grey, centres: Array, halves: Array) -> float:
     if not blocks:
         return 1.0
     variance = np.array([block.var() for block in blocks])
-    products = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
-    for block, own in zip(blocks, variance, strict=True):
+    products: Array = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
+    for kept, own in zip(blocks, variance, strict=True):
         if own <= _TOO_LIVELY * np.median(variance):
-            products += _products(block)
+            products += _products(kept)
     whole = products[_LAGS, _LAGS]
     return float(np.clip(products.sum() / whole, 1.0, 25.0)) if whole > 0 else 1.0
 
