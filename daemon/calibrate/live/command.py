@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,9 @@ def solve(step: What, folders: list[Path], board: str, options: dict[str, Any]) 
     if step == "color":
         steps.color(views=folders, **options)
         return
-    command = {"cameras": steps.cameras, "projector": steps.projector, "all": steps.everything}[step]
+    command: Callable[..., None] = {"cameras": steps.cameras, "projector": steps.projector, "all": steps.everything}[
+        step
+    ]
     command(views=folders, board=board, **options)
 
 
