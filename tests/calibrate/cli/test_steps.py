@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import xml.etree.ElementTree as Xml
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,7 @@ def field_error_px(found: CameraModel, true: CameraModel, *, near: float = 900, 
 
 def report_is_whole(path: Path, *words: str) -> None:
     text = path.read_text(encoding="utf-8")
-    root = Xml.fromstring(text.removeprefix("<!DOCTYPE html>"))  # noqa: S314 - our own file
+    root = ET.fromstring(text.removeprefix("<!DOCTYPE html>"))
     said = " ".join(root.itertext())
     for word in words:
         assert word in said, word
@@ -84,8 +84,8 @@ def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(pictures:
     assert invoke(command) == 0
     first = out.read_bytes()
     assert invoke(command) == 0
-    kept = [path for path in pictures.glob("calibration.2*.yaml")]
-    assert [path.read_bytes() for path in kept] == [first] or out.read_bytes() == first
+    kept = list(pictures.glob("calibration.2*.yaml"))
+    assert [path.read_bytes() for path in kept] == [first]
     report_is_whole(pictures / "calibration.report.html", "before (", "in standard deviations")
 
 
