@@ -104,11 +104,10 @@ def test_fringes_for_geometry_are_no_colours(
     assert "no sequence of even colours" in capsys.readouterr().err
 
 
-def test_everything_at_once(tmp_path: Path, session_folder: Path, capture_folder: Path, color_folder: Path) -> None:
+def test_everything_at_once(tmp_path: Path, capture_folder: Path, color_folder: Path) -> None:
     out = tmp_path / "calibration.yaml"
     views = ["--views", str(capture_folder), "--views", str(color_folder)]
-    plain = ["--left", str(session_folder / "L" / "*.png"), "--right", str(session_folder / "R" / "*.png")]
-    assert invoke(["calibrate", "all", *views, *plain, "--board", BOARD, "--out", str(out)]) == 0
+    assert invoke(["calibrate", "all", *views, "--board", BOARD, "--out", str(out)]) == 0
     rig = read_calibration(out).calibration
     assert rig.response is not None
     assert np.abs(rig.left_color.crosstalk - MIX["left"]).max() < 0.01

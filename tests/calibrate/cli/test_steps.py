@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,30 @@ def test_projector_and_cameras_are_solved_together(
         assert field_error_px(device, wanted) < 1.0
     assert rig.baseline_mm == pytest.approx(true.baseline_mm, rel=5e-4)
     report_is_whole(out.with_name("calibration.report.html"), "projector.fx", "coverage, projector")
+
+
+def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
+    tmp_path: Path, capture_folder: Path, true_rig: Cameras
+) -> None:
+    out = tmp_path / "calibration.yaml"
+    command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
+    assert invoke(command) == 0
+    file = read_cameras(out)
+    assert file.cameras.projector is None
+    assert file.cameras.baseline_mm == pytest.approx(true_rig.baseline_mm, rel=1e-3)
+
+
+@pytest.mark.shared
+def test_the_real_chessboard_pairs_are_calibrated(tmp_path: Path, shared_data: Callable[..., Path]) -> None:
+    folder = shared_data("chessboard_stereo")
+    out = tmp_path / "calibration.yaml"
+    pairs = ["--left", str(folder / "left*.jpg"), "--right", str(folder / "right*.jpg")]
+    assert invoke(["calibrate", "cameras", *pairs, "--board", "chessboard:9x6:25", "--out", str(out)]) == 0
+    quality = read_cameras(out).mapping["quality"]
+    assert quality["views_used"] + quality["views_rejected"] == 14
+    assert quality["views_used"] >= 13
+    assert quality["rms_stereo_px"] < 0.25
+    report_is_whole(tmp_path / "calibration.report.html", "left01", "baseline")
 
 
 def test_the_calibration_measures_the_true_distances(
