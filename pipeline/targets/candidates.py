@@ -143,8 +143,13 @@ def _none() -> Discs:
     return Discs(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0))
 
 
+def merged(one: Discs, other: Discs) -> Discs:
+    """The candidates of ``one``, and those of ``other`` that are not among them."""
+    return _distinct([one, other])
+
+
 def _distinct(levels: list[Discs]) -> Discs:
-    """Candidates of all levels, of several with one centre only the one of the finest level."""
+    """Candidates of all levels; of several with one centre only that of the first."""
     kept = levels[0] if levels else _none()
     for coarse in levels[1:]:
         if len(kept) and len(coarse):

@@ -13,7 +13,8 @@ from pipeline.targets.grey import GreyPicture
 from pipeline.targets.marks import Marks
 
 _STRONG_EDGES = 0.003
-_BLURRED_PX = 4.0
+BLURRED_PX = 4.0
+"""Sigma of the edges from which on a picture without marks is called blurred."""
 _SATURATED = 0.1
 
 
@@ -57,8 +58,8 @@ def nothing(board: Board, picture: GreyPicture) -> TargetError:
             "are lost in it; lower the exposure or the light"
         )
     sigma = edge_sigma_px(picture)
-    if sigma > _BLURRED_PX:
-        return too_blurred(sigma, _BLURRED_PX)
+    if sigma > BLURRED_PX:
+        return too_blurred(sigma, BLURRED_PX)
     return TargetError(
         f"no marks found: the picture shows nothing of the board {board}; bring the whole board into the picture, "
         "with even light and without fringes on it"

@@ -126,13 +126,8 @@ def _squares(discs: Discs, near: NDArray[np.int64], apart: Array) -> list[tuple[
         square = (np.abs(cosine) < _RIGHT_ANGLE) & (
             np.minimum.outer(length, length) > _SIDES * np.maximum.outer(length, length)
         )
-        turns = (
-            np.cross(
-                np.append(vectors, np.zeros((len(vectors), 1)), axis=1)[:, None],
-                np.append(vectors, np.zeros((len(vectors), 1)), axis=1),
-            )[..., 2]
-            > 0
-        )
+        x, y = vectors.T
+        turns = np.outer(x, y) > np.outer(y, x)
         for a, b in zip(*np.nonzero(square & turns), strict=True):
             error = np.linalg.norm((vectors - vectors[a] - vectors[b]) @ inverse[index], axis=1)
             c = int(error.argmin())

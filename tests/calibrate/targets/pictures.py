@@ -49,7 +49,8 @@ def clean(board, device, pose, *, blur_px=0.7, shade=(0.0, 0.0), light=200.0, da
     normal = rotation[:, 2]
     depth = (normal @ translation) / (rays @ normal)
     at = (rays * depth[..., None] - translation) @ rotation[:, :2]
-    step = float(np.median(depth)) / device.matrix[0, 0] / (1.5 * ss)
+    # Pixels of the drawing as large as the samples are apart: linear interpolation then keeps every edge in its place.
+    step = float(np.median(depth)) / device.matrix[0, 0] / ss
     paper, origin = raster(board, step)
     places = ((at - origin) / step).astype(np.float32)
     fine = cv2.resize(places, (width * ss, height * ss), interpolation=cv2.INTER_LINEAR)
