@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import subprocess
+import sys
 from pathlib import Path
-from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
@@ -18,15 +18,15 @@ EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "calibrate-sim.yaml
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_everything_is_calibrated_from_start_to_file(
-    fringed: Callable[..., CompletedProcess[str]], tmp_path: Path
-) -> None:
+def test_everything_is_calibrated_from_start_to_file(tmp_path: Path) -> None:
     data = yaml.safe_load(EXAMPLE.read_text())
     data["simulation"] |= {"poses": 6, "rate_hz": 50.0}
     data |= {"control": {"endpoint": f"ipc://{tmp_path}/c"}, "stream": {"endpoints": [f"ipc://{tmp_path}/s"]}}
     rig, out = tmp_path / "rig.yaml", tmp_path / "calibration.yaml"
     rig.write_text(yaml.safe_dump(data))
-    done = fringed("calibrate", "all", str(rig), "--out", str(out), timeout_s=350)
+    program = "from daemon.entry import main; main()"
+    command = [sys.executable, "-c", program, "calibrate", "all", str(rig), "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=350, check=False)
     assert done.returncode == 0, done.stderr
     found, truth = read_calibration(out).calibration, RigLayout().scaled(0.25).calibration()
     assert found.baseline_mm == pytest.approx(truth.baseline_mm, rel=5e-4)
