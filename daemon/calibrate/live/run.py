@@ -118,6 +118,8 @@ def run_session(
     with ExitStack() as stack:
         shooter = open_shooter(config, rig, progress=progress, say=say, stopped=stopped)
         stack.callback(shooter.close)
+        for note in shooter.notes:
+            say(note)
         shown = stack.enter_context(viewer(view, say))
         watching = watcher if watcher is not None else _entered(terminal(), stack)
         if shown is not None:

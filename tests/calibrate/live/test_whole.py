@@ -38,4 +38,4 @@ def test_everything_is_calibrated_from_start_to_file(tmp_path: Path) -> None:
     (session,) = (tmp_path / "calibration-sessions").iterdir()
     assert sorted(path.name for path in session.iterdir()) == ["board", "color"]
     assert len(list((session / "board").glob("view_*"))) == 6
-    assert "no daemon is running" in done.stderr and "view 6 of 12 taken" in done.stderr
+    assert "no daemon is running" in done.stderr and "view 6 of 12 is taken" in done.stderr
