@@ -65,6 +65,11 @@ class DaemonShooter:
         return _read(Path(told["file"]), len(sequence))
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What the person should know, in sentences."""
+        return ("the daemon measures with its old calibration until it is started anew",)
+
+    @property
     def has_hand(self) -> bool:
         """Whether a simulated hand holds the board, not a person."""
         return self._has_hand

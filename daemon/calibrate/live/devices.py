@@ -99,6 +99,16 @@ class DeviceShooter:
         return Shots(pairs[0].left.encoding, tuple((pair.left.image, pair.right.image) for pair in pairs))
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What the person should know, in sentences."""
+        if getattr(self._devices.projector, "latency_s", None) is not None:
+            return ()
+        return (
+            "the projector's latency is not known, so every picture is waited for the longer; "
+            "`fringed projector latency RIG --write` measures it",
+        )
+
+    @property
     def has_hand(self) -> bool:
         """Whether a simulated hand holds the board, not a person."""
         return self._move is not None

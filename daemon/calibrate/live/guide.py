@@ -20,6 +20,7 @@ from pipeline.errors import TargetError
 from pipeline.sequence import Sequence
 from pipeline.targets.board import Board
 
+Probe = tuple[Sequence, Callable[[Shots], str]]
 Find = Callable[[Picture, Board], Found]
 _MOST_LOOKS = 20
 MOST_FAILURES = 5
@@ -74,6 +75,7 @@ def guide(
     watcher: Watcher,
     clock: Clock,
     limits: Limits | None = None,
+    probe: Probe | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Outcome:
     """Capture a sequence at pose after pose of the board.
@@ -82,7 +84,9 @@ def guide(
     is on the disk as soon as it is accepted, so whatever ends the session, nothing of it is lost.
 
     Args:
-        folder: of this session, new. find: finds the marks. stopped: asked between looks.
+        folder: of this session, new. find: finds the marks.
+        probe: pictures that are taken before each capture, and what says what is wrong with them.
+        stopped: asked between looks.
 
     Raises:
         DriverError, DaemonError: the devices failed too often in a row, or the folder cannot be used.
@@ -110,7 +114,11 @@ def guide(
         told = session.look(sight)
         watcher.seen(Scene(pictures, sight, told, session))
         if told.capture:
-            pending, told = _capture(shooter, sequence, session, board, find, clock, watcher.capturing)
+            problem = _problem(shooter, probe)
+            if problem:
+                told = session.failed(problem)
+            else:
+                pending, told = _capture(shooter, sequence, session, board, find, clock, watcher.capturing)
             watcher.seen(Scene(pictures, sight, told, session))
         if told.accepted is not None and pending is not None:
             kept.add(pending)
@@ -129,6 +137,15 @@ def guide(
         return Outcome(folder, 0, False, "no picture came")
     complete = kept.views >= session.limits.wanted and not session.missing
     return Outcome(folder, kept.views, complete, "; ".join(session.missing))
+
+
+def _problem(shooter: Shooter, probe: Probe | None) -> str:
+    if probe is None:
+        return ""
+    try:
+        return probe[1](shooter.shoot(probe[0]))
+    except (DriverError, DaemonError) as error:
+        return str(error)
 
 
 def _capture(

@@ -12,7 +12,8 @@ from typing import Literal
 
 from daemon.calibrate.live.asking import DaemonShooter
 from daemon.calibrate.live.devices import DeviceShooter
-from daemon.calibrate.live.guide import Find, Outcome, Watcher, guide
+from daemon.calibrate.live.exposure import exposure_problem, full_light
+from daemon.calibrate.live.guide import Find, Outcome, Probe, Watcher, guide
 from daemon.calibrate.live.session import Limits
 from daemon.calibrate.live.shots import Shooter
 from daemon.calibrate.live.terminal import Bars, Lines, Several, terminal
@@ -44,12 +45,13 @@ class Phase:
 
     Args:
         name: ``board`` (poses of the board) or ``color`` (the board at one place); of its folder, too.
-        sequence: captured at every pose.
+        sequence: captured at every pose. probe: taken before it, see :func:`daemon.calibrate.live.guide.guide`.
     """
 
     name: str
     sequence: Sequence
     limits: Limits
+    probe: Probe | None = None
 
 
 def phases(what: What, size: tuple[int, int], *, views: int) -> list[Phase]:
@@ -69,8 +71,9 @@ def phases(what: What, size: tuple[int, int], *, views: int) -> list[Phase]:
         return [Phase("board", projector_sequence(size), still)]
     from pipeline.color_calibration import color_sequence
 
-    color = Phase("color", color_sequence(size), once)
-    return [color] if what == "color" else [Phase("board", projector_sequence(size), still), color]
+    color = Phase("color", color_sequence(size), once, (full_light(size), exposure_problem))
+    # Colours first: at the beginning the board faces the rig, and fills the pictures best.
+    return [color] if what == "color" else [color, Phase("board", projector_sequence(size), still)]
 
 
 def run_session(
@@ -115,6 +118,8 @@ def run_session(
     with ExitStack() as stack:
         shooter = open_shooter(config, rig, progress=progress, say=say, stopped=stopped)
         stack.callback(shooter.close)
+        for note in shooter.notes:
+            say(note)
         shown = stack.enter_context(viewer(view, say))
         watching = watcher if watcher is not None else _entered(terminal(), stack)
         if shown is not None:
@@ -131,6 +136,7 @@ def run_session(
                 watcher=watching,
                 clock=SystemClock(),
                 limits=replace(phase.limits, steady_s=_HAND_S) if shooter.has_hand else phase.limits,
+                probe=phase.probe,
                 stopped=stopped,
             )
     return outcomes

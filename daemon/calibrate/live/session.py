@@ -67,7 +67,7 @@ class Limits:
     steady_px: float = 0.5
     steady_s: float = 1.0
     blurred_px: float = 3.0
-    saturated: float = 0.02
+    saturated: float = 0.05
     wanted: int = 12
     most: int = 24
 
@@ -144,7 +144,7 @@ class Session:
     def look(self, sight: Sight) -> Told:
         """Take a look at the board; while ``capturing`` there is none."""
         if self.state is State.DONE:
-            return Told(self.state, self._ending())
+            return Told(self.state, f"{len(self.views)} views are taken")
         if self.state is State.CHECKING:
             return self._check(sight)
         motion = self._motion(sight)
@@ -199,13 +199,10 @@ class Session:
         self.advice = missing(self.board, self.views, self.sizes)
         enough = len(self.views) >= self.limits.wanted and not self.missing
         self.state = State.DONE if enough or len(self.views) >= self.limits.most else State.LOOKING
-        text = self._ending() if self.state is State.DONE else f"taken; next: {self.advice.next_pose.text}"
+        text = f"taken; next: {self.advice.next_pose.text}"
+        if self.state is State.DONE:
+            text = f"taken; still missing: {'; '.join(self.missing)}" if self.missing else "taken; nothing is missing"
         return Told(self.state, text, accepted=view)
-
-    def _ending(self) -> str:
-        count = len(self.views)
-        lacks = f"; still missing: {'; '.join(self.missing)}" if self.missing else ""
-        return f"{count} view{'' if count == 1 else 's'} {'is' if count == 1 else 'are'} taken{lacks}"
 
     def _problem(self, sight: Sight) -> str:
         """Why this look cannot become a view; empty: it can."""

@@ -53,6 +53,10 @@ class Shooter(Protocol):
         """
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What the person should know, in sentences."""
+
+    @property
     def has_hand(self) -> bool:
         """Whether a simulated hand holds the board, not a person."""
 

@@ -26,7 +26,7 @@ class Lines:
         """Say what to do, once."""
         text = scene.told.text
         if scene.told.accepted is not None:
-            text = f"view {len(scene.session.views)} of {scene.session.limits.wanted} {text}"
+            text = f"view {len(scene.session.views)} of {scene.session.limits.wanted} is {text}"
         self._say(text)
 
     def capturing(self, done: int, of: int) -> None:
@@ -69,6 +69,8 @@ class Bars:
         session, told = scene.session, scene.told
         count = f"{len(session.views)} of {session.limits.wanted} views, {session.refused} not taken"
         self._bars.update(self._views, completed=len(session.views), total=session.limits.wanted, description=count)
+        if told.accepted is not None:
+            self._bars.console.bell()  # whoever holds the board may not see the screen
         name = "hold" if session.state in (State.LOOKING, State.STEADYING) else str(session.state)
         self._bars.update(self._now, completed=told.steady, total=1, description=told.text, name=name)
 

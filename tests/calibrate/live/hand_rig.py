@@ -47,7 +47,7 @@ class HandPictures:
         pictures = []
         for side in (0, 1):
             width, height = SIZES[("left", "right")[side]]
-            picture = np.full((height // 8, width // 8, 3), self.projector.level, np.uint8)
+            picture = np.full((height // 8, width // 8, 3), min(self.projector.level, 250), np.uint8)
             picture[0, 0] = (self.hand.pose, side, 77)  # type: ignore[attr-defined]
             picture.setflags(write=False)
             pictures.append(picture)

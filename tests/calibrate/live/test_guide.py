@@ -218,6 +218,6 @@ def test_a_terminal_and_a_log_tell_the_same(tmp_path: Path, capsys: pytest.Captu
             )  # fmt: skip
     told = capsys.readouterr().err
     assert "a new pose: hold the board still\nhold still\n" in told
-    assert "picture 4 of 4\n" in told and "view 3 of 3 3 views are taken" in told
+    assert "picture 4 of 4\n" in told and "view 3 of 3 is taken; nothing is missing\n" in told
     assert "3 of 3 views" in told
     assert json.loads((tmp_path / "bars" / "capture.json").read_text())["encoding"] == "rgb8"

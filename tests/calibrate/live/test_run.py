@@ -36,7 +36,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_without_a_daemon_the_devices_are_used_and_every_phase_gets_its_folder(rig: Path) -> None:
     said: list[str] = []
     outcomes = run_session("all", rig, BOARD, rig.parent / "s", views=3, find=find, say=said.append)
-    assert list(outcomes) == ["board", "color"] and outcomes["color"].views == 1
+    assert list(outcomes) == ["color", "board"] and outcomes["color"].views == 1
     assert outcomes["board"].views >= 3
     assert said == ["no daemon is running: the rig's devices are used directly"]
     names = {}

@@ -62,7 +62,8 @@ def test_poses_that_are_held_still_are_taken_one_after_the_other_until_there_is_
         assert "next: " in told.text
     told = held(session, VIEWS[5], clock)
     assert session.state is State.DONE and len(session.views) == 6
-    assert told.text.startswith("6 views are taken; still missing: ")
+    assert told.text.startswith("taken; still missing: ")
+    assert session.look(sight(VIEWS[6], clock.next())).text == "6 views are taken"
     assert [view.name for view in session.views] == [f"view_{n:02d}" for n in range(6)]
 
 
