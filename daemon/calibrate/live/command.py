@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -69,10 +68,8 @@ def solve(step: What, folders: list[Path], board: str, options: dict[str, Any]) 
     if step == "color":
         steps.color(views=folders, **options)
         return
-    command: Callable[..., None] = {"cameras": steps.cameras, "projector": steps.projector, "all": steps.everything}[
-        step
-    ]
-    command(views=folders, board=board, **options)
+    commands: dict[str, Any] = {"cameras": steps.cameras, "projector": steps.projector, "all": steps.everything}
+    commands[step](views=folders, board=board, **options)
 
 
 def tell_rest(step: What, outcomes: dict[str, Outcome]) -> None:
