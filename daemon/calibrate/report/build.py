@@ -17,6 +17,8 @@ from pipeline.bundle import Solution
 from pipeline.calibration import Cameras
 
 _EMPTY = np.empty((0, 2))
+MOST_PICTURES = 60
+"""Pictures in a report; each takes some 50 kilobytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +194,8 @@ def _table(report: Report, before: Mapping[str, float], heading: str, names: Seq
 def _pictures(report: Report) -> str:
     scale = _common_scale(report.solution)
     out = []
-    for seen in report.seen:
+    shown, rest = _worst(report)
+    for seen in shown:
         residuals = report.solution.residuals.get((seen.view, seen.device))
         used, misfit = (residuals.pixels, residuals.misfit) if residuals is not None else (_EMPTY, _EMPTY)
         left_out = _EMPTY
@@ -202,10 +205,23 @@ def _pictures(report: Report) -> str:
             left_out = marks.pixels[~kept] if residuals is None or len(used) < len(marks) else _EMPTY
         svg = view_picture(seen.size, seen.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
         out.append(figure(svg, _caption(seen, used, misfit)))
-    return (
-        f"<p>Green: marks used; red lines: from each to where the calibrated model puts it, drawn {scale:g} times as "
-        f'long; amber crosses: marks left out.</p><div class="grid">{"".join(out)}</div>'
+    text = (
+        f"Green: marks used; red lines: from each to where the calibrated model puts it, drawn {scale:g} times as "
+        "long; amber crosses: marks left out."
     )
+    text += f" The worst views are shown, {rest} pictures are not." if rest else ""
+    return f'<p>{text}</p><div class="grid">{"".join(out)}</div>'
+
+
+def _worst(report: Report) -> tuple[list[Seen], int]:
+    """The pictures to show, in order: all of them, or the ones of the worst views; and how many are not shown."""
+    if len(report.seen) <= MOST_PICTURES:
+        return list(report.seen), 0
+    errors = {view.name: max(view.rms.values(), default=np.inf) for view in view_figures(report.solution)}
+    views = sorted({seen.view for seen in report.seen}, key=lambda name: -errors.get(name, np.inf))
+    chosen = set(views[: MOST_PICTURES // 2])
+    shown = [seen for seen in report.seen if seen.view in chosen]
+    return shown, len(report.seen) - len(shown)
 
 
 def _caption(seen: Seen, used: np.ndarray, misfit: np.ndarray) -> str:

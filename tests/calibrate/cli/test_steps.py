@@ -110,14 +110,27 @@ def test_projector_and_cameras_are_solved_together(
 
 
 def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
-    tmp_path: Path, capture_folder: Path, true_rig: Cameras
+    tmp_path: Path, capture_folder: Path, true_rig: Cameras, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "calibration.yaml"
     command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
+    monkeypatch.setattr("daemon.calibrate.report.build.MOST_PICTURES", 4)
     assert invoke(command) == 0
+    page = (tmp_path / "calibration.report.html").read_text()
+    assert page.count("<image") == 4
+    assert "The worst views are shown, 6 pictures are not." in page
     file = read_cameras(out)
     assert file.cameras.projector is None
     assert file.cameras.baseline_mm == pytest.approx(true_rig.baseline_mm, rel=1e-3)
+
+
+def test_a_distance_on_the_board_sets_the_scale(tmp_path: Path, capture_folder: Path, true_rig: Cameras) -> None:
+    out = tmp_path / "calibration.yaml"
+    command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
+    # The marks 0 and 62 are sqrt(8^2 + 6^2) = 10 pitches of 24 mm apart; the ruler says one per cent more.
+    assert invoke([*command, "--distance", "0-62:242.4"]) == 0
+    assert read_cameras(out).cameras.baseline_mm == pytest.approx(1.01 * true_rig.baseline_mm, rel=1e-3)
+    assert invoke([*command, "--distance", "0:62:242.4"]) == 2
 
 
 @pytest.mark.shared
