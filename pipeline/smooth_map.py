@@ -43,7 +43,7 @@ class SmoothMap:
         terms = 10 if len(source) >= _CUBIC_FROM else 6 if len(source) >= _QUADRATIC_FROM else 1
         design = _powers((source - origin) / scale)[:, :terms] / sigma[:, None]
         error = (target - mapped(matrix, source)) / sigma[:, None]
-        return SmoothMap(matrix, np.linalg.lstsq(design, error, rcond=None)[0], origin, scale)
+        return SmoothMap(matrix, np.asarray(np.linalg.lstsq(design, error, rcond=None)[0]), origin, scale)
 
     def __call__(self, points: F64) -> F64:
         """Where points (..., 2) go."""

@@ -9,7 +9,7 @@ and corrects it. The cameras stay as they are: they are the metric reference.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -31,6 +31,8 @@ _FEWEST_IN_CELL = 8
 _ROUNDS = 12
 _TEST_EVERY = 4
 _SUPPORTED = 0.5
+_NOTICED_PX = 0.02
+_SIGNIFICANT = 3.0
 
 DEFAULT_PRIOR: Mapping[str, float] = MappingProxyType(
     {
@@ -125,8 +127,10 @@ class Refined:
         calibration: the given one with the projector corrected.
         before, after: residuals of samples that were not used for the correction.
         changes: by how much each parameter was changed; units as in :data:`DEFAULT_PRIOR`.
-        sigma: standard deviation of each change, the prior included.
-        prior: what it was before anything was seen.
+        sigma: standard deviation of each change, the prior included; several that act alike (a turn and a shift of the
+            principal point) are each uncertain and yet well known together: see the covariance, in the same order.
+        effect_px: root mean square of what each change does to the observed coordinates.
+        prior: standard deviation of each parameter before anything was seen.
     """
 
     calibration: Calibration
@@ -134,8 +138,9 @@ class Refined:
     after: Spread
     changes: dict[str, float]
     sigma: dict[str, float]
+    effect_px: dict[str, float]
     prior: dict[str, float]
-    covariance: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    covariance: F64
 
     @property
     def before_px(self) -> float:
@@ -149,12 +154,13 @@ class Refined:
 
     @property
     def changed(self) -> tuple[str, ...]:
-        """Parameters that the samples say more of than was known before, and that did change (2 sigma)."""
-        return tuple(
-            name
-            for name, value in self.changes.items()
-            if self.sigma[name] < _SUPPORTED * self.prior[name] and abs(value) > 2 * self.sigma[name]
-        )
+        """Parameters whose change moves what the projector shows by more than 0.02 px."""
+        return tuple(name for name, effect in self.effect_px.items() if effect > _NOTICED_PX)
+
+    @property
+    def supported(self) -> tuple[str, ...]:
+        """Parameters of which the samples, each by itself, say at least twice as much as was known before."""
+        return tuple(name for name, sigma in self.sigma.items() if sigma < _SUPPORTED * self.prior[name])
 
     @property
     def better(self) -> bool:
@@ -168,7 +174,8 @@ def refine_projector(
     """The projector that agrees best with the samples, and departs least from the calibrated one.
 
     A maximum a posteriori fit by Gauss-Newton steps with Tukey's weights. What the samples do not support stays where
-    it was: a parameter is held by its prior. Every fourth sample is kept apart and only judges.
+    it was: a parameter is held by its prior, and a mixture of parameters (an eigenvector of what the samples say) is
+    only changed where the samples show it at 3 standard deviations. Every fourth sample is kept apart and only judges.
 
     Args:
         prior: parameters that may change and their standard deviations; see :data:`DEFAULT_PRIOR`, :data:`LENS_PRIOR`.
@@ -184,15 +191,22 @@ def refine_projector(
     samples = samples.some(fine)
     _check(calibration.projector, samples)
     test = np.arange(len(samples)) % _TEST_EVERY == _TEST_EVERY - 1
-    values, covariance = _solved(calibration.projector, samples.some(~test), prior)
-    projector = moved(calibration.projector, dict(zip(prior, values, strict=True)))
-    judges = samples.some(test)
+    used, judges = samples.some(~test), samples.some(test)
+    values, covariance = _solved(calibration.projector, used, prior)
+    changes = dict(zip(prior, values.tolist(), strict=True))
+    projector = moved(calibration.projector, changes)
+    start = residuals(calibration.projector, judges)
+    effects = {
+        name: float(np.sqrt(np.mean((residuals(moved(calibration.projector, {name: value}), judges) - start) ** 2)))
+        for name, value in changes.items()
+    }
     return Refined(
         replace(calibration, projector=projector),
         spread(calibration.projector, judges),
         spread(projector, judges),
-        dict(zip(prior, values.tolist(), strict=True)),
+        changes,
         dict(zip(prior, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        effects,
         dict(prior),
         covariance,
     )
@@ -277,18 +291,17 @@ def _solved(start: CameraModel, samples: Samples, prior: Mapping[str, float]) ->
         values = values + step
         if np.abs(step).max() < 1e-7:
             break
-    covariance = np.linalg.inv(normal) * np.outer(known, known)
     final = moved(start, dict(zip(names, values * known, strict=True)))
     medians, noise = _cells(final, samples, residuals(final, samples))
     # Neighbours that err alike tell less than they seem to: the scatter of the cells says how much less.
     excess = float((medians**2).sum() / max(float((noise**2).sum()), 1e-18)) if len(medians) > len(values) else 1.0
-    least = np.linalg.inv(np.diag(known**-2.0) + _data_part(covariance, known) / max(excess, 1.0))
-    return values * known, np.asarray(least)
-
-
-def _data_part(covariance: F64, known: F64) -> F64:
-    """The information that came from the samples: all of it less the prior's."""
-    return np.asarray(np.linalg.inv(covariance) - np.diag(known**-2.0))
+    told, mixtures = np.linalg.eigh((normal - np.eye(len(values))) / max(excess, 1.0))
+    told = np.maximum(told, 1e-12)
+    shares = mixtures.T @ values
+    # Without its prior a share would be (told + 1) / told as large, with a standard deviation of 1 / sqrt(told).
+    shares[np.abs(shares) * (told + 1) / np.sqrt(told) < _SIGNIFICANT] = 0.0
+    covariance = (mixtures / (told + 1)) @ mixtures.T
+    return (mixtures @ shares) * known, np.asarray(covariance * np.outer(known, known))
 
 
 def _slopes(function: Callable[[F64], F64], at: F64, step: float = 1e-4) -> F64:

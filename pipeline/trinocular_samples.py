@@ -13,13 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud
+from pipeline.cloud import Cloud, Volume
 from pipeline.errors import CalibrationError
 from pipeline.multi_shot import Coordinate
 from pipeline.pattern import ColorFringe
 from pipeline.phase import PhaseMap
+from pipeline.raw import checked, mosaic_of
+from pipeline.reconstruct import Reconstructor
+from pipeline.settings import Settings
 from pipeline.triangulate import triangulate
 from pipeline.trinocular import Samples
+from pipeline.view import View
 
 F64: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -53,6 +57,38 @@ def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, ev
     known &= np.isfinite(column) & (sigma > 0)
     axis = np.full(int(known.sum()), 0 if pattern.axis == "x" else 1)
     return Samples(points[known], column[known], axis, sigma[known])
+
+
+class PairSampler:
+    """Samples of single-shot pairs of scenes at rest: built once for a rig, then called for every pair.
+
+    Args:
+        calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
+        encoding: of the raw pictures.
+        settings: of the reconstruction.
+        every: see :func:`samples_of_cloud`.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        pattern: ColorFringe,
+        volume: Volume,
+        *,
+        encoding: str = "rgb8",
+        settings: Settings | None = None,
+        every: int = 6,
+    ) -> None:
+        self._made = Reconstructor(calibration, pattern, volume, encoding=encoding, settings=settings)
+        mosaic = mosaic_of(encoding)
+        self._view = View.of(calibration, pattern, volume, self._made.settings, calibration.left_color, mosaic)
+        self._every = every
+
+    def __call__(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Samples:
+        """Samples of a pair of raw pictures, as :meth:`pipeline.reconstruct.Reconstructor.reconstruct` takes them."""
+        cloud = self._made.reconstruct(left, right)
+        picture = checked(left, "left", self._made.encoding, self._made.calibration.left.size)
+        return samples_of_cloud(cloud, self._view.decode(picture), self._made.pattern, every=self._every)
 
 
 def samples_of_phases(

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.calibrate.report.charts import coverage_share
 from pipeline.bundle import Solution
 from pipeline.bundle.figures import epipolar_distances
 from pipeline.calibration import Cameras
@@ -69,12 +68,6 @@ def _epipolar(solution: Solution, name: str, pose: tuple[Array, Array]) -> float
     return float(epipolar_distances(solution.devices["left"], solution.devices["right"], in_left, in_right).mean())
 
 
-def coverage(solution: Solution, device: str) -> float:
-    """Share of the picture's cells that hold a used mark of some view."""
-    pixels = [r.pixels for (_, name), r in solution.residuals.items() if name == device]
-    return coverage_share(solution.devices[device].size, np.concatenate(pixels) if pixels else np.empty((0, 2)))
-
-
 def values_of(cameras: Cameras) -> dict[str, float]:
     """Parameters by the names of :attr:`pipeline.bundle.Solution.values`."""
     out: dict[str, float] = {"baseline_mm": cameras.baseline_mm}
@@ -94,10 +87,10 @@ def device_values(device: CameraModel) -> dict[str, float]:
     return dict(zip((*INTRINSICS, *POSE), map(float, [*inner, *turn, *device.translation]), strict=True))
 
 
-def quality_of(solution: Solution, *, board: str, extra: Mapping[str, Any]) -> dict[str, Any]:
-    """The ``quality`` part of the calibration file."""
+def quality_of(solution: Solution, *, board: str, coverage: Mapping[str, float]) -> dict[str, Any]:
+    """The ``quality`` part of the calibration file; ``coverage``: share of each device's picture that saw marks."""
     quality: dict[str, Any] = dict(solution.quality())
-    quality |= {f"coverage_{device}": round(coverage(solution, device), 3) for device in solution.devices}
+    quality |= {f"coverage_{device}": round(share, 3) for device, share in coverage.items()}
     quality["board"] = board
     if solution.diameter_mm:
         quality["diameter_mm"] = round(solution.diameter_mm, 4)
@@ -111,4 +104,4 @@ def quality_of(solution: Solution, *, board: str, extra: Mapping[str, Any]) -> d
         | ({"epipolar_px": round(view.epipolar_px, 4)} if np.isfinite(view.epipolar_px) else {})
         for view in view_figures(solution)
     ]
-    return quality | dict(extra)
+    return quality

@@ -17,10 +17,14 @@ from pipeline.multi_shot import evenly_lit
 from pipeline.sequence import Sequence
 from pipeline.targets.board import Board
 from pipeline.targets.find import Found, find_marks
+from pipeline.targets.found import edge_sigma_px, too_blurred
+from pipeline.targets.grey import to_grey
 from pipeline.targets.marks import BoardView, Marks
 
 Progress = Callable[[int, int], None]
 THUMBNAIL_PX = 520
+BLURRED_PX = 4.0
+"""Sigma of a picture's strongest edges from where on nothing else is said about it."""
 _JPEG_QUALITY = 72
 
 
@@ -149,4 +153,8 @@ def _found(picture: Picture, board: Board) -> tuple[Found | None, str]:
     try:
         return find_marks(picture, board), ""
     except TargetError as error:
+        # In a picture out of focus some marks melt together, and what is found then is misleading.
+        sigma = edge_sigma_px(to_grey(picture))
+        if sigma > BLURRED_PX and "saturated" not in str(error):
+            error = too_blurred(sigma, BLURRED_PX)
         return None, str(error).rstrip(".")

@@ -37,7 +37,7 @@ class Calibrated:
         cameras: with the projector, if that was a part of it; solution: with residuals and standard deviations.
         board, sources: what was looked at; looked: what was seen.
         quality: for the file; notes: what was done; advice: what would make it better; sentences.
-        before: the file that it is compared with.
+        coverage: share of each device's picture that saw marks; before: the file that it is compared with.
     """
 
     cameras: Cameras
@@ -48,6 +48,7 @@ class Calibrated:
     quality: dict[str, Any]
     notes: list[str] = field(default_factory=list)
     advice: list[str] = field(default_factory=list)
+    coverage: dict[str, float] = field(default_factory=dict)
     before: CamerasFile | None = None
 
 
@@ -106,16 +107,16 @@ def calibrated(
     devices = solution.devices
     found = Cameras(devices["left"], devices["right"], projector=devices.get("projector"))
     found, notes = with_old_colors(found, before)
-    quality = quality_of(solution, board=str(board), extra={})
-    quality["pictures_without_marks"] = len(looked.problems)
     wanted = missing(board, looked.views, looked.sizes, solution=solution)
+    quality = quality_of(solution, board=str(board), coverage=wanted.coverage)
+    quality["pictures_without_marks"] = len(looked.problems)
     layout, figures = layout_advice(found, solution)
     quality |= figures
     advice = [f"add {wish}" for wish in wanted.missing]
     if advice:
         advice.append(f"the pose that would help most: {wanted.next_pose.text}")
     notes += _refined(solution, options)
-    return Calibrated(found, solution, board, sources, looked, quality, notes, advice + layout, before)
+    return Calibrated(found, solution, board, sources, looked, quality, notes, advice + layout, wanted.coverage, before)
 
 
 def finish(
@@ -151,6 +152,7 @@ def html(result: Calibrated, *, title: str, created: datetime) -> bytes:
             solution=result.solution,
             seen=result.looked.seen,
             cameras=result.cameras,
+            coverage=result.coverage,
             before=None if before is None else before.cameras,
             before_name=when,
             notes=result.notes,

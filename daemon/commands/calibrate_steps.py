@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -29,6 +29,9 @@ Force = Annotated[bool, typer.Option("--force", help="Also over a calibration th
 FreeSkew = Annotated[bool, typer.Option("--skew/--no-skew", help="Find the skew of the pixels' axes.")]
 FreeK3 = Annotated[bool, typer.Option("--k3/--no-k3", help="Find the third radial coefficient.")]
 Refine = Annotated[bool, typer.Option("--refine-board", help="Find the marks' places on the board, too.")]
+Poses = Annotated[int, typer.Option(min=3, help="Live: places of the board that are wanted.")]
+Show = Annotated[Literal["none", "web", "native"], typer.Option("--view", help="Live: a view in Rerun.")]
+Session = Annotated[Path | None, typer.Option(help="Live: folder for the pictures.", show_default="beside rig.yaml")]
 
 DEFAULT_BOARD = "circles:11x9:32:20"
 DEFAULT_OUT = Path("calibration.yaml")
@@ -46,13 +49,15 @@ def cameras(
     skew: FreeSkew = True,
     k3: FreeK3 = True,
     refine_board: Refine = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
 ) -> None:
     """Calibrate both cameras together, from pictures of a board at ten or more places."""
-    options = {"board": board, "out": out, "report": report, "force": force}
+    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
+    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
     if rig is not None:
-        return _live(
-            "cameras", rig, left, right, views, options | {"skew": skew, "k3": k3, "refine_board": refine_board}
-        )
+        return _live("cameras", rig, left, right, views, options)
     _geometry("cameras", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
     return None
 
@@ -69,16 +74,18 @@ def projector(
     skew: FreeSkew = True,
     k3: FreeK3 = True,
     refine_board: Refine = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
 ) -> None:
     """Calibrate projector and cameras together, from fringes in both directions on a board at ten or more places.
 
     Views without fringes (--left and --right, or another --views) help with the cameras.
     """
-    options = {"board": board, "out": out, "report": report, "force": force}
+    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
+    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
     if rig is not None:
-        return _live(
-            "projector", rig, left, right, views, options | {"skew": skew, "k3": k3, "refine_board": refine_board}
-        )
+        return _live("projector", rig, left, right, views, options)
     _geometry("projector", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
     return None
 
@@ -89,10 +96,14 @@ def color(
     calibration: Annotated[Path, typer.Option(help="The calibration to put the colours into.")] = DEFAULT_OUT,
     out: Annotated[Path | None, typer.Option(help="Write here instead.", show_default="--calibration")] = None,
     force: Force = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
 ) -> None:
     """Calibrate black level, crosstalk, lateral colour and the projector's response, from a white board at rest."""
     if rig is not None:
-        return _live("color", rig, None, None, views, {"calibration": calibration, "out": out, "force": force})
+        options: dict[str, Any] = {"calibration": calibration, "out": out, "force": force}
+        return _live("color", rig, None, None, views, options | {"poses": poses, "view": view, "session": session})
     from daemon.calibrate.color import colored
     from daemon.commands.progress import rendering
 
@@ -116,11 +127,15 @@ def everything(
     skew: FreeSkew = True,
     k3: FreeK3 = True,
     refine_board: Refine = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
 ) -> None:
     """Calibrate cameras, projector and colours: --views for the board with fringes, and --views for the colours."""
-    options = {"board": board, "out": out, "report": report, "force": force}
+    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
+    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
     if rig is not None:
-        return _live("all", rig, left, right, views, options | {"skew": skew, "k3": k3, "refine_board": refine_board})
+        return _live("all", rig, left, right, views, options)
     _geometry("all", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
     return None
 

@@ -11,7 +11,7 @@ from pipeline.bundle import centroid
 from pipeline.bundle.freedom import Freedom
 from pipeline.bundle.observations import Observations
 from pipeline.bundle.options import Options
-from pipeline.bundle.solve import Fit, fit, residuals
+from pipeline.bundle.solve import MOST_STEPS, Fit, fit, residuals
 from pipeline.bundle.state import State
 from pipeline.bundle.uncertainty import full_covariance, noise_of
 from pipeline.errors import CalibrationError
@@ -145,6 +145,11 @@ def adjust(
             if still and (now == kept).all():
                 break
             kept = now if turn < _ROUNDS - 3 else kept & now
+    if not result.fit.converged and result.fit.steps >= MOST_STEPS:
+        raise CalibrationError(
+            f"the search did not settle within {MOST_STEPS} steps: the views contradict each other or determine too "
+            "little; hold k3 and the tangential terms, or add views"
+        )
     return result
 
 

@@ -28,6 +28,7 @@ from pipeline.targets.marks import BoardView
 Array = NDArray[np.float64]
 
 DEVICES = ("left", "right", "projector")
+_MOST_REFINED = 600
 
 
 def calibrate(
@@ -58,8 +59,15 @@ def calibrate(
     devices = [name for name in DEVICES if name in sizes]
     if not devices or len(devices) != len(sizes):
         raise CalibrationError(f"devices {', '.join(sizes) or 'none'}: expected some of {', '.join(DEVICES)}")
+    names = [view.name for view in views]
+    if len(set(names)) < len(names):
+        raise CalibrationError(f"view {max(names, key=names.count)} is there twice: give every view its own name")
+    if options.board_refined and len(board.points) > _MOST_REFINED:
+        raise CalibrationError(
+            f"board {board} has {len(board.points)} marks; at most {_MOST_REFINED} can be refined, take a coarser board"
+        )
     start = start or {}
-    data, rejected = few_marks(gather(board, views, devices), views, devices, options)
+    data, rejected = few_marks(gather(board, views, devices), board, views, devices, options)
     _enough(data, views, options, rejected)
     advice = missing(board, views, sizes, start=start)
     if options.check:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.bundle.observations import Observations
-from pipeline.bundle.state import cross_matrices
+from pipeline.bundle.projection import image_with_slopes
+from pipeline.bundle.state import cross_matrices, intrinsics_of
 from pipeline.camera_model import CameraModel
 
 Array = NDArray[np.float64]
@@ -52,6 +53,28 @@ def epipolar_px(left: CameraModel, right: CameraModel, data: Observations, offse
         return float("nan")
     in_left, in_right = np.array([first[key] for key in both]), np.array([second[key] for key in both])
     return float(epipolar_distances(left, right, in_left, in_right).mean())
+
+
+def difference_px(one: CameraModel, other: CameraModel, *, turned: bool = True) -> Array:
+    """How far two models of one device put the same ray apart, (rows, columns, 2) px, on a grid over the picture.
+
+    Args:
+        one: whose pixels are looked at.
+        other: of the same size.
+        turned: whether the best small rotation is taken out first: a shifted principal point is nearly a turned
+            device, and the poses found with each model make up for it.
+    """
+    width, height = one.size
+    u, v = np.meshgrid(np.linspace(0, width - 1, 21), np.linspace(0, height - 1, 17))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
+    rays = _homogeneous(one.normalise(pixels))
+    seen, _, of_ray = image_with_slopes(intrinsics_of(other), rays)
+    away = seen - pixels
+    if turned:
+        by_turn = np.cross(rays[:, None], of_ray).reshape(-1, 3)
+        turn = np.linalg.lstsq(by_turn, -away.ravel(), rcond=None)[0]
+        away = away + (by_turn @ turn).reshape(-1, 2)
+    return np.asarray(away.reshape(17, 21, 2))
 
 
 def _homogeneous(points: Array) -> Array:

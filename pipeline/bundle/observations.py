@@ -100,7 +100,9 @@ def gather(board: Board, views: Sequence[BoardView], devices: Sequence[str]) -> 
                     f"view {view.name}, {name}: mark {int(marks.ids.max())} is not on the board {board}, which has "
                     f"{count} marks; give the board that was shown"
                 )
-            if not (np.isfinite(marks.pixels).all() and (marks.sigma_px >= 0).all()):
+            if not (
+                np.isfinite(marks.pixels).all() and (marks.sigma_px >= 0).all() and np.isfinite(marks.sigma_px).all()
+            ):
                 raise CalibrationError(f"view {view.name}, {name}: a mark has pixels or sigma_px that are no numbers")
             order = np.argsort(marks.ids)
             n = len(marks)

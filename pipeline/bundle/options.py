@@ -15,7 +15,10 @@ class Options:
     """Choices of :func:`pipeline.bundle.calibrate`.
 
     Args:
-        skew: whether the skew of each device is found; else it stays at its start value (0 without one).
+        skew: whether the skew of each device is found; else it stays at its start value (0 without one). Free by
+            default: it costs the other parameters hardly any certainty, and a real skew that is not modelled (axes
+            of a projector's optics, a tilted sensor) would bend the residuals; its standard deviation tells whether
+            it is there.
         k3: whether the third radial coefficient is found.
         tangential: whether p1 and p2 are found.
         aspect: fixed fy / fx, or None: both focal lengths are found.
@@ -23,6 +26,8 @@ class Options:
         loss: of a residual in units of its standard deviation; ``squared`` is plain least squares.
         loss_scale: residual, in standard deviations, from where on the loss grows more slowly than the square.
         board_refined: find the marks' places on the board, too (Strobl and Hirzinger, 2011; Albarelli et al., 2009).
+            Each mark must have the same number in all views: do not turn a board upside down that looks the same then.
+            The scale stays that of the mean pitch over the whole board, unless a known distance is told.
         known_distance: (mark, mark, mm), a distance on the board measured with a ruler: fixes the scale of everything.
         mark_limit: a mark is left out when its residual is more than this many standard deviations.
         view_limit: a view is left out when its rms residual is more than this many times the usual one.

@@ -163,11 +163,12 @@ def _repair(
             f"{found.turns_deg[view]:.1f} degrees and {found.shifts[view]:.1%} of the distance; it moved between the "
             "pictures, or marks are wrong"
         )
-        others = [k for k in range(number) if view in placed.poses[k]]
-        placed.rejected.append(Rejection(views[view].name, devices[number] if len(others) > 1 else "", (), reason))
+        # A third device may agree with the reference; without one nobody knows which of the two is wrong.
+        third = any(view in placed.poses[k] for k in range(len(devices)) if k not in (number, reference))
+        placed.rejected.append(Rejection(views[view].name, devices[number] if third else "", (), reason))
         _drop(placed, view, number)
-        if len(others) == 1:
-            _drop(placed, view, others[0])
+        if not third:
+            _drop(placed, view, reference)
 
 
 def _drop(placed: Placed, view: int, number: int) -> None:

@@ -18,6 +18,7 @@ from pipeline.bundle.state import PER_DEVICE, PER_VIEW, State
 
 Array = NDArray[np.float64]
 
+MOST_STEPS = 60
 _FIRST_DAMPING, _MOST_DAMPING = 1e-4, 1e12
 _STILL = 1e-6
 """A step that moves no unknown by more than this share of its standard deviation (all others held) is the last."""
@@ -137,7 +138,7 @@ def fit(
     *,
     loss: str = "huber",
     scale: float = 3.0,
-    most_steps: int = 60,
+    most_steps: int = MOST_STEPS,
 ) -> Fit:
     """Minimise the loss from a start.
 

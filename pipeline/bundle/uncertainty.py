@@ -48,11 +48,12 @@ def full_covariance(state: State, data: Observations, offsets: Array, free: Free
     spread[d:, k:] = np.eye(len(reduced) - k)
     covariance = spread @ reduced @ spread.T
     redundancy = np.array([2.0 * (data.device == device).sum() for device in range(state.devices)])
+    if free.points:
+        # The marks' own unknowns belong to all devices: the share is taken from each alike.
+        return covariance, redundancy * max(1 - (len(reduced) - len(free.gauge())) / (2 * len(data)), 1e-3)
     for (device, view), block in blocks.items():
         index = np.r_[PER_DEVICE * device : PER_DEVICE * (device + 1), d + PER_VIEW * view : d + PER_VIEW * (view + 1)]
         redundancy[device] -= float((block * covariance[np.ix_(index, index)]).sum())
-    if free.points:
-        redundancy -= 3 * len(state.points) / state.devices
     return covariance, redundancy
 
 

@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.bundle.adjust import Adjusted
 from pipeline.bundle.observations import Observations
 from pipeline.bundle.options import Options
 from pipeline.bundle.solution import Rejection
 from pipeline.bundle.solve import residuals
+from pipeline.targets.board import Board
 from pipeline.targets.marks import BoardView
 
-_SIGNIFICANT = 1.5
-"""A picture's residuals are bad only when also this many times the noise of the device."""
+Array = NDArray[np.float64]
 
 
 def few_marks(
-    data: Observations, views: Sequence[BoardView], devices: Sequence[str], options: Options
+    data: Observations, board: Board, views: Sequence[BoardView], devices: Sequence[str], options: Options
 ) -> tuple[Observations, list[Rejection]]:
-    """Leave out pictures with too few marks."""
+    """Leave out pictures with too few marks, or with marks in a single line."""
     rejected, good = list[Rejection](), np.ones(len(data), dtype=bool)
     for device, view, where in data.groups():
         count = where.stop - where.start
@@ -28,9 +29,18 @@ def few_marks(
             good[where] = False
             reason = f"{count} marks found, at least {options.least_marks} are needed"
             rejected.append(Rejection(views[view].name, devices[device], (), reason))
+        elif _width(board.points[data.mark[where], :2]) < 0.25 * board.pitch_mm:
+            good[where] = False
+            reason = f"the {count} marks found lie in one line, which has no pose"
+            rejected.append(Rejection(views[view].name, devices[device], (), reason))
     seen = set(np.unique(data.view).tolist())
     rejected += [Rejection(view.name, "", (), "no marks") for k, view in enumerate(views) if k not in seen]
     return data.some(good), rejected
+
+
+def _width(points: Array) -> float:
+    """Standard deviation of points (n, 2) across their longest direction."""
+    return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points)))
 
 
 def bad_views(
@@ -71,7 +81,7 @@ def bad_views(
     return [(view, None, Rejection(names[view], "", (), reason))]
 
 
-def _all_lengths(adjusted: Adjusted) -> dict[tuple[int, int], tuple[np.ndarray, int]]:
+def _all_lengths(adjusted: Adjusted) -> dict[tuple[int, int], tuple[Array, int]]:
     """(device, view) -> lengths of the residuals in px with those left out, and how many those are."""
     used, out = adjusted.data, adjusted.out
     misfit = np.linalg.norm(residuals(adjusted.state, used, adjusted.offsets), axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -11,10 +12,10 @@ from numpy.typing import NDArray
 from pipeline.errors import TargetError
 from pipeline.targets import found as answers
 from pipeline.targets.board import Board
-from pipeline.targets.candidates import Discs, find_discs
+from pipeline.targets.candidates import Discs, find_discs, merged
 from pipeline.targets.ellipse_fit import Fits, fit_ellipses
 from pipeline.targets.found import Found
-from pipeline.targets.grey import GreyPicture
+from pipeline.targets.grey import Grey, GreyPicture
 from pipeline.targets.lattice import Lattice, lattices
 from pipeline.targets.marks import Marks
 from pipeline.targets.match import clear, extent, match, oriented
@@ -26,6 +27,10 @@ _LEAST_SHARE = 0.75
 """Share of the marks that must be found before the others are looked for."""
 _BLURRED = 0.45
 """Largest sigma of the edges, in the least half axis of the circles' images."""
+_LEAST_SEEN = 0.1
+"""Share of the marks that must have been seen for a second look that reckons with shadows."""
+_BOARD_OF_ITS_OWN = 0.4
+"""Share of the marks from which on a full smaller grid is taken for another board, not for a part of this one."""
 _SAMPLE = 16
 _MISFIT = 0.12
 _MISFIT_OVER_MEDIAN = 8.0
@@ -56,13 +61,14 @@ def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> 
         if blur > limit:
             raise answers.too_blurred(blur, limit)
         good &= fits.misfit < _most_misfit(float(np.median(fits.misfit[good])))
-        good &= np.abs(fits.contrast) > 0.25 * np.median(np.abs(fits.contrast[good]))
+        contrast = _relative(fits)
+        good &= contrast > 0.4 * np.median(contrast[good])
+        good &= _inside(fits, picture)
         # A start that was predicted, or found, is never far wrong: what moved away is another edge.
         good &= np.linalg.norm(fits.centres - grid.discs.centres, axis=1) < 0.5 * grid.discs.radii
     if good.sum() < _LEAST_SHARE * len(board.points):
         raise answers.too_few(board, int(good.sum()), picture)
     marks = Marks(grid.ids, fits.centres, fits.sigma_px, fits.areas_px).some(good)
-    contrast = np.abs(fits.contrast) / np.maximum(np.maximum(fits.level, fits.level - fits.contrast), 1e-12)
     return Found(marks, blur, float(np.clip(np.median(contrast[good]), 0, 1)), picture.saturated)
 
 
@@ -72,22 +78,44 @@ def _grid(picture: GreyPicture, board: Board) -> _Grid:
     Raises:
         TargetError: none of them shows the board alone and whole enough to number its marks.
     """
-    levels = (1, 0) if picture.values.size > _LARGE else (0,)
-    best: tuple[int, TargetError] | None = None
-    for level in levels:
-        for dark in (True, False):
-            discs = find_discs(picture.values, dark=dark, first_level=level)
-            seen = lattices(discs)
-            if not seen:
-                continue
-            answer = _numbered(picture, board, discs, seen, dark=dark)
-            if isinstance(answer, _Grid):
-                return answer
-            if best is None or len(seen[0]) > best[0]:
-                best = len(seen[0]), answer
+    best: tuple[int, TargetError, float] | None = None
+    for dark, level, shadow in _attempts(picture):
+        if shadow and (best is None or best[0] < _LEAST_SEEN * len(board.points)):
+            continue
+        discs = find_discs(picture.values, dark=dark, first_level=level)
+        if shadow:
+            discs = merged(discs, find_discs(_logarithm(picture.values), dark=dark, first_level=level))
+            discs = Discs(discs.centres, discs.shapes, np.ones(len(discs)))
+        seen = lattices(discs)
+        if not seen:
+            continue
+        answer = _numbered(picture, board, discs, seen, dark=dark)
+        if isinstance(answer, _Grid):
+            return answer
+        if best is None or len(seen[0]) > best[0]:
+            best = len(seen[0]), answer, float(np.median(discs.radii[seen[0].indices]))
+    sigma = answers.edge_sigma_px(picture)
+    if best is not None and sigma > max(answers.BLURRED_PX, _BLURRED * best[2]):
+        raise answers.too_blurred(sigma, max(answers.BLURRED_PX, _BLURRED * best[2]))
     if best is None or best[0] < max(6, 0.05 * len(board.points)):
         raise answers.nothing(board, picture)
     raise best[1]
+
+
+def _attempts(picture: GreyPicture) -> Iterator[tuple[bool, int, bool]]:
+    """Polarity, first level of the pyramid, and whether a sharp shadow is reckoned with; the likely ones first."""
+    levels = (1, 0) if picture.values.size > _LARGE else (0,)
+    for shadow in (False, True):
+        for level in levels:
+            for dark in (True, False):
+                yield dark, level, shadow
+
+
+def _logarithm(values: Grey) -> Grey:
+    """In the logarithm a disc stands out as much in the shade as in the light, and so does the edge of the shadow."""
+    low, high = np.quantile(values[::4, ::4], [0.001, 0.999])
+    floor = low - 0.02 * (high - low)
+    return np.asarray(np.log(np.maximum(values - floor, 0.005 * (high - low))), dtype=np.float32)
 
 
 def _numbered(
@@ -107,13 +135,28 @@ def _numbered(
     if other and surplus > max(2, 0.4 * min(board.grid)):
         return answers.wrong_size(board, columns, rows)
     if found.hits < _LEAST_SHARE * whole or not clear(found, board):
-        full = len(lattice) >= 0.95 * columns * rows
-        if other and full and min(columns, rows) >= 2 and len(lattice) >= 9:
+        full = len(lattice) >= 0.95 * columns * rows and len(lattice) >= _BOARD_OF_ITS_OWN * whole
+        if other and full and min(columns, rows) > 2:
             return answers.wrong_size(board, columns, rows)
         return answers.too_few(board, found.hits, picture)
     named = found.ids >= 0
     chosen = discs.some(lattice.indices[named])
-    return _Grid(oriented(found.ids[named], chosen.centres, board), chosen, dark)
+    ids = oriented(found.ids[named], chosen.centres, board)
+    order = np.argsort(ids)
+    return _Grid(ids[order], chosen.some(order), dark)
+
+
+def _relative(fits: Fits) -> Array:
+    """Light minus dark over light, (n,): the same in shade and in light."""
+    light = np.maximum(fits.level, fits.level - fits.contrast)
+    return np.abs(fits.contrast) / np.maximum(light, 1e-12)
+
+
+def _inside(fits: Fits, picture: GreyPicture) -> NDArray[np.bool_]:
+    """Discs that the edge of the picture does not cut."""
+    height, width = picture.values.shape
+    room = np.linalg.norm(fits.shapes, axis=2) + 0.5 * fits.blur_px[:, None]
+    return ((fits.centres > room) & (fits.centres < np.array([width - 1, height - 1]) - room)).all(axis=1)
 
 
 def _most_misfit(median: float) -> float:
@@ -129,8 +172,7 @@ def _unrefined(picture: GreyPicture, grid: _Grid) -> Found:
     blur = contrast = float("nan")
     if fits.good.any():
         blur = float(np.median(fits.blur_px[fits.good]))
-        light = np.maximum(fits.level, fits.level - fits.contrast)
-        contrast = float(np.clip(np.median((np.abs(fits.contrast) / np.maximum(light, 1e-12))[fits.good]), 0, 1))
+        contrast = float(np.clip(np.median(_relative(fits)[fits.good]), 0, 1))
     areas = np.pi * grid.discs.radii**2
     marks = Marks(grid.ids, grid.discs.centres, np.full(n, _SIGMA_UNREFINED_PX), areas)
     return Found(marks, blur, contrast, picture.saturated)
@@ -168,17 +210,17 @@ def _completed(grid: _Grid, board: Board) -> _Grid:
     centres, shapes = [], []
     for mark in missing:
         nearest = np.argsort(np.linalg.norm(at[grid.ids] - at[mark], axis=1), kind="stable")[:_NEAREST]
-        plane, _ = cv2.findHomography(at[grid.ids[nearest]], grid.discs.centres[nearest], 0)
-        if plane is None:
-            continue
+        plane = np.asarray(cv2.findHomography(at[grid.ids[nearest]], grid.discs.centres[nearest], 0)[0])
+        if plane.shape != (3, 3):
+            return grid
         u, v, w = plane @ [*at[mark], 1.0]
         centres.append([u / w, v / w])
         shapes.append(grid.discs.shapes[nearest[:4]].mean(axis=0))
-    if len(centres) < len(missing):
-        return grid
     discs = Discs(
         np.concatenate([grid.discs.centres, centres]),
         np.concatenate([grid.discs.shapes, shapes]),
         np.concatenate([grid.discs.contrast, np.full(len(missing), np.median(grid.discs.contrast))]),
     )
-    return _Grid(np.concatenate([grid.ids, missing]), discs, grid.dark)
+    ids = np.concatenate([grid.ids, missing])
+    order = np.argsort(ids)
+    return _Grid(ids[order], discs.some(order), grid.dark)

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 _FIRST_STEPS, _LAST_STEPS = 15, 8
 _BLUR, _BLUR_ALIKE = np.array([1.0, 1.0]), np.array([1.0, 0.3])
 _NEAREST = 9
+_SAMPLE = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +75,9 @@ def fit_crossings(picture: GreyPicture, corners: Array, at: Array, *, reach: flo
         parameters[~good] = first[~good]
         fit_corners(values, starts, windows, noise, blur, picture.clip, _LAST_STEPS, parameters, results)
         good = results[:, 9] > 0
-    alike = together(values, starts[:24] + steps[:24].sum(axis=2) / 2, 0.25 * side[:24])
+    # In the middle of a black square is nothing but noise; a light one may hold a marker.
+    black = np.flatnonzero(good & (parameters[:, 8] < 0))[:_SAMPLE]
+    alike = together(values, starts[black] + steps[black].sum(axis=2) / 2, 0.25 * side[black])
     variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * alike
     contrast = 2 * np.abs(parameters[:, 8])
     flat = np.maximum(results[:, 6] + results[:, 8], 1)

@@ -1,7 +1,7 @@
 """The compiled fit of a blurred crossing of two edges to the picture around a chessboard's corner.
 
 Model: ``I = P + Q S + sigma^2 grad Q . grad S``, ``S = erf(d1 / (sqrt(2) sigma)) erf(d2 / (sqrt(2) sigma))`` with the
-planes P (mean of light and dark) and Q (half their difference) and the distances d1, d2 to two lines through the corner.
+planes P (mean of light and dark), Q (half their difference) and the distances d1, d2 to two lines through the corner.
 That is exact for right angles and a Gaussian blur, and for other angles wrong only in a way that is the same on
 opposite sides, which does not move the corner.
 
@@ -53,7 +53,9 @@ def fit_corners(
 
 
 @serial
-def _fit(picture: Any, start: Any, window: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any) -> None:
+def _fit(
+    picture: Any, start: Any, window: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
+) -> None:
     out[:] = 0.0
     height, width = picture.shape
     room = window + 1.0

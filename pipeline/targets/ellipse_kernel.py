@@ -1,6 +1,6 @@
 """The compiled fit of a blurred ellipse to the picture around one disc.
 
-Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with the planes P (ground) and Q (ground minus
+Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with the planes P (ground), Q (ground minus
 disc), S = Phi(-(d + kappa sigma^2 / 2) / sigma), d the distance to the ellipse along its normal n, kappa its curvature.
 That is a sharp ellipse under light that changes linearly, blurred by a Gaussian: for a plane times an indicator s,
 ``G * (Q s) = Q (G * s) + sigma^2 grad Q . grad (G * s)`` is exact, and the curvature enters to first order (a blurred
@@ -22,6 +22,7 @@ from pipeline.targets.normal_step import add_row, decompose, solve
 PARAMETERS = 12
 _N = 12
 _LEAST_SIGMA = 0.25
+_FAR = 1e-5
 _FULL_STEPS = 6
 """From here on steps are halved: samples that enter and leave can make full ones swing."""
 _INSIDE_SLOPE = 0.02
@@ -53,9 +54,9 @@ def fit_all(
         clip: samples from here on are clipped.
         steps: most Gauss-Newton steps.
         parameters: (n, 12) out; where ``parameters[i, 5] > 0`` on entry all twelve are taken as the start.
-        results: (n, 10) out: variance of u, of v, covariance; mean squared residual over the expected noise, each sample
-            counted as it tells of the edge's place; samples; sum of squared residuals and samples inside; the same
-            outside; 1 where the fit converged.
+        results: (n, 10) out: variance of u, of v, covariance; mean squared residual over the expected noise, each
+            sample counted as it tells of the edge's place; samples; sum of squared residuals and samples inside; the
+            same outside; 1 where the fit converged.
     """
     for i in range(len(starts)):
         _fit(picture, starts[i], shapes[i], reach[i], noise, blur, clip, steps, parameters[i], results[i])
@@ -83,7 +84,11 @@ def _begin(picture: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
             if f < 0.6:
                 inside += picture[v, u]
                 n_inside += 1
-            elif f > 1.0 and (f - 1.0) * np.sqrt(determinant) > min(1.5, 0.5 * reach) and f < 1.0 + reach / np.sqrt(determinant):
+            elif (
+                f > 1.0
+                and (f - 1.0) * np.sqrt(determinant) > min(1.5, 0.5 * reach)
+                and f < 1.0 + reach / np.sqrt(determinant)
+            ):
                 outside += picture[v, u]
                 n_outside += 1
     if n_inside < 1 or n_outside < 6:
@@ -165,8 +170,9 @@ def _normal_equations(
     right[:] = 0.0
     out[3:9] = 0.0
     edges = 0.0
+    ground = np.zeros(6)
     determinant = p[2] * p[4] - p[3] * p[3]
-    if not determinant > 0.25 or not (p[2] > 0.0 and p[4] > 0.0) or not p[9] != 0.0:
+    if not determinant > 0.25 or not (p[2] > 0.0 and p[4] > 0.0) or p[9] == 0.0:
         return False
     radius = np.sqrt(determinant)
     sigma = p[5]
@@ -208,17 +214,7 @@ def _normal_equations(
             residual = value - model
             # dI/dd = Q phi / sigma; the edge moves by n . (dc + dE w).
             edge = -q * bell / sigma
-            row[0], row[1] = edge * nx, edge * ny
-            row[2], row[3], row[4] = edge * nx * wx, edge * (nx * wy + ny * wx), edge * ny * wy
-            row[5] = q * bell * (0.5 * kappa - d / (sigma * sigma))
-            row[6], row[7], row[8] = 1.0, sx, sy
-            row[9] = -share
-            row[10] = -share * sx + sigma * bell * nx / radius
-            row[11] = -share * sy + sigma * bell * ny / radius
             weight = 1.0 / (noise[0] + noise[1] * max(model, 0.0))
-            add_row(normal, right, row, residual, weight, _N)
-            out[3] += bell * bell * weight * residual * residual
-            edges += bell * bell
             out[4] += 1.0
             if share > 0.98:
                 out[5] += residual * residual
@@ -226,6 +222,34 @@ def _normal_equations(
             elif share < 0.02:
                 out[7] += residual * residual
                 out[8] += 1.0
+            if bell < _FAR and share < 0.5:
+                # Ground alone: three parameters, most of the samples.
+                ground[0] += weight
+                ground[1] += weight * sx
+                ground[2] += weight * sy
+                ground[3] += weight * sx * sx
+                ground[4] += weight * sx * sy
+                ground[5] += weight * sy * sy
+                right[6] += weight * residual
+                right[7] += weight * residual * sx
+                right[8] += weight * residual * sy
+                continue
+            row[0], row[1] = edge * nx, edge * ny
+            row[2], row[3], row[4] = edge * nx * wx, edge * (nx * wy + ny * wx), edge * ny * wy
+            row[5] = q * bell * (0.5 * kappa - d / (sigma * sigma))
+            row[6], row[7], row[8] = 1.0, sx, sy
+            row[9] = -share
+            row[10] = -share * sx + sigma * bell * nx / radius
+            row[11] = -share * sy + sigma * bell * ny / radius
+            add_row(normal, right, row, residual, weight, _N)
+            out[3] += bell * bell * weight * residual * residual
+            edges += bell * bell
+    normal[6, 6] += ground[0]
+    normal[7, 6] += ground[1]
+    normal[8, 6] += ground[2]
+    normal[7, 7] += ground[3]
+    normal[8, 7] += ground[4]
+    normal[8, 8] += ground[5]
     if out[4] < _N + 4 or not edges > 0.0:
         return False
     out[3] *= out[4] / (edges * (out[4] - _N))

@@ -9,7 +9,8 @@ from pipeline.targets.grey import Grey
 
 Array = NDArray[np.float64]
 
-_LAGS = 2
+_FAR_FROM = 8
+"""Half side of a block from which on neighbours two pixels apart are counted too."""
 _LEAST_HALF = 4
 _LEAST_SAMPLES = 30
 _MOST_BLOCKS = 12
@@ -45,35 +46,35 @@ def together(values: Grey, centres: Array, halves: Array) -> float:
         centres: (n, 2) pixels, middles of blocks in which nothing but noise and a plane of light is expected.
         halves: (n,) half sides of the blocks, pixels; blocks under 4 are not used.
     """
-    blocks = []
+    found = []
     for (u, v), half in zip(np.round(centres).astype(int), np.floor(halves).astype(int), strict=True):
         if half < _LEAST_HALF or min(u, v) < half:
             continue
         block = values[v - half : v + half + 1, u - half : u + half + 1]
         if block.shape == (2 * half + 1, 2 * half + 1):
-            blocks.append(_flat(block.astype(np.float64)))
-        if len(blocks) >= _MOST_BLOCKS:
+            found.append(_sums(_flat(block.astype(np.float64)), 2 if half >= _FAR_FROM else 1))
+        if len(found) >= _MOST_BLOCKS:
             break
-    if not blocks:
+    if not found:
         return 1.0
-    variance = np.array([block.var() for block in blocks])
-    products = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
-    for block, own in zip(blocks, variance, strict=True):
-        if own <= _TOO_LIVELY * np.median(variance):
-            products += _products(block)
-    whole = products[_LAGS, _LAGS]
-    return float(np.clip(products.sum() / whole, 1.0, 25.0)) if whole > 0 else 1.0
+    whole, variance = np.array(found).T
+    calm = variance <= _TOO_LIVELY * np.median(variance)
+    total = float(variance[calm].sum())
+    return float(np.clip(whole[calm].sum() / total, 1.0, 25.0)) if total > 0 else 1.0
 
 
-def _products(block: Array) -> Array:
-    found = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
+def _sums(block: Array, lags: int) -> tuple[float, float]:
+    """Sum of the autocovariance over the lags, and the variance; both as if no plane had been taken away."""
     height, width = block.shape
-    for dv in range(-_LAGS, _LAGS + 1):
-        for du in range(-_LAGS, _LAGS + 1):
+    total = 0.0
+    for dv in range(-lags, lags + 1):
+        for du in range(-lags, lags + 1):
             a = block[max(dv, 0) : height + min(dv, 0), max(du, 0) : width + min(du, 0)]
             b = block[max(-dv, 0) : height + min(-dv, 0), max(-du, 0) : width + min(-du, 0)]
-            found[dv + _LAGS, du + _LAGS] = (a * b).mean()
-    return found
+            total += float((a * b).mean())
+    # The plane's three parameters take 3 / n of the power out of every lag.
+    taken = 3 / block.size
+    return total / (1 - taken * (2 * lags + 1) ** 2), float((block * block).mean()) / (1 - taken)
 
 
 def _flat(block: Array) -> Array:

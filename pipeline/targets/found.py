@@ -13,7 +13,8 @@ from pipeline.targets.grey import GreyPicture
 from pipeline.targets.marks import Marks
 
 _STRONG_EDGES = 0.003
-_BLURRED_PX = 4.0
+BLURRED_PX = 4.0
+"""Sigma of the edges from which on a picture without marks is called blurred."""
 _SATURATED = 0.1
 
 
@@ -53,12 +54,12 @@ def nothing(board: Board, picture: GreyPicture) -> TargetError:
     """The error for a picture without any part of the board: saturated, out of focus, or empty."""
     if picture.saturated > _SATURATED:
         return TargetError(
-            f"no marks found: {picture.saturated:.0%} of the picture is saturated (limit {_SATURATED:.0%}), the marks are "
-            "lost in it; lower the exposure or the light"
+            f"no marks found: {picture.saturated:.0%} of the picture is saturated (limit {_SATURATED:.0%}), the marks "
+            "are lost in it; lower the exposure or the light"
         )
     sigma = edge_sigma_px(picture)
-    if sigma > _BLURRED_PX:
-        return too_blurred(sigma, _BLURRED_PX)
+    if sigma > BLURRED_PX:
+        return too_blurred(sigma, BLURRED_PX)
     return TargetError(
         f"no marks found: the picture shows nothing of the board {board}; bring the whole board into the picture, "
         "with even light and without fringes on it"
@@ -68,8 +69,8 @@ def nothing(board: Board, picture: GreyPicture) -> TargetError:
 def too_blurred(sigma: float, limit: float) -> TargetError:
     """The error for a picture that is out of focus or moved."""
     return TargetError(
-        f"picture too blurred: its edges have a sigma of {sigma:.1f} px (limit {limit:.1f} px); focus, or hold the board "
-        "still, or expose shorter"
+        f"picture too blurred: its edges have a sigma of {sigma:.1f} px (limit {limit:.1f} px); focus, or hold the "
+        "board still, or expose shorter"
     )
 
 

@@ -1,4 +1,4 @@
-"""The corners of a ChArUco board in a picture; it may be covered in part, because its markers tell which corner is which."""
+"""The corners of a ChArUco board in a picture; part of it is enough, because its markers tell which corner is which."""
 
 from __future__ import annotations
 
@@ -71,7 +71,9 @@ def _interpolated(
     seen = [place for place, good in zip(places, known, strict=True) if good]
     for legacy in (False, True):
         detector = cv2.aruco.CharucoDetector(charuco(board, legacy=legacy))
-        corners, ids, _, _ = detector.detectBoard(image, seen, numbers[known].astype(np.int32)[:, None])
+        corners, ids, _, _ = detector.detectBoard(
+            image, markerCorners=seen, markerIds=numbers[known].astype(np.int32)[:, None]
+        )
         if ids is not None and len(ids) > len(best[1]):
             best = corners.reshape(-1, 2).astype(np.float64), ids.ravel().astype(np.int64)
         if len(best[1]) >= _LEAST_MARKS:

@@ -7,11 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
 from pipeline.trinocular import moved, refine_projector, spread
-from pipeline.trinocular_samples import samples_of_cloud
-from pipeline.view import View
+from pipeline.trinocular_samples import PairSampler
 from sim.optics import Optics
 from sim.render import render_pair
 from sim.rig import RigLayout
@@ -26,9 +23,7 @@ def test_one_pair_brings_a_knocked_projector_back() -> None:
     true, pattern = layout.calibration_for(optics), layout.pattern()
     knocked = replace(true, projector=moved(true.projector, KNOCK))
     pair = render_pair(layout, build("spheres"), pattern, optics, seed=3)
-    cloud = Reconstructor(knocked, pattern, layout.volume()).reconstruct(pair.left, pair.right)
-    view = View.of(knocked, pattern, layout.volume(), Settings(), knocked.left_color, None)
-    samples = samples_of_cloud(cloud, view.decode(pair.left), pattern, every=3)
+    samples = PairSampler(knocked, pattern, layout.volume(), every=3)(pair.left, pair.right)
     assert len(samples) > 5000
     assert spread(true.projector, samples).systematic_px < 0.02
     got = refine_projector(knocked, samples)

@@ -68,8 +68,8 @@ def solve(step: What, folders: list[Path], board: str, options: dict[str, Any]) 
     if step == "color":
         steps.color(views=folders, **options)
         return
-    command = {"cameras": steps.cameras, "projector": steps.projector, "all": steps.everything}[step]
-    command(views=folders, board=board, **options)
+    commands: dict[str, Any] = {"cameras": steps.cameras, "projector": steps.projector, "all": steps.everything}
+    commands[step](views=folders, board=board, **options)
 
 
 def tell_rest(step: What, outcomes: dict[str, Outcome]) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
 import numpy as np
 
-from daemon.calibrate.figures import INTRINSICS, POSE, coverage, values_of, view_figures
+from daemon.calibrate.figures import INTRINSICS, POSE, values_of, view_figures
 from daemon.calibrate.look import Seen
 from daemon.calibrate.report.charts import COLORS, coverage_map, histogram, vector_scale, view_bars, view_picture
 from daemon.calibrate.report.page import Card, figure, items, page, table
@@ -25,6 +25,7 @@ class Report:
     Args:
         title, created, board, sources: for the head of the page.
         solution: with its residuals; seen: the pictures.
+        coverage: share of each device's picture that saw marks.
         cameras: as they are written to the file; before: those of the file that was there, ``before_name`` its date.
         notes: sentences about what was done; advice: sentences about what would make it better.
     """
@@ -36,6 +37,7 @@ class Report:
     solution: Solution
     seen: Sequence[Seen]
     cameras: Cameras
+    coverage: Mapping[str, float]
     before: Cameras | None = None
     before_name: str = ""
     notes: Sequence[str] = field(default_factory=list)
@@ -60,10 +62,11 @@ def report_html(report: Report) -> bytes:
         ("Parameters", _parameters(report)),
         ("Pictures", _pictures(report)),
     ]
-    return page(report.title, [line for line in lines if line], _cards(solution), sections)
+    return page(report.title, [line for line in lines if line], _cards(report), sections)
 
 
-def _cards(solution: Solution) -> list[Card]:
+def _cards(report: Report) -> list[Card]:
+    solution = report.solution
     cards = [Card("reprojection error, both cameras", f"{solution.rms_stereo:.3f}", "px rms")]
     if np.isfinite(solution.epipolar_px):
         cards.append(Card("epipolar error", f"{solution.epipolar_px:.3f}", "px mean"))
@@ -75,8 +78,7 @@ def _cards(solution: Solution) -> list[Card]:
     if np.isfinite(solution.baseline_mm):
         sigma = solution.sigma.get("baseline_mm", float("nan"))
         cards.append(Card("baseline", f"{solution.baseline_mm:.2f}", f"± {sigma:.2g} mm"))
-    for device in solution.devices:
-        share = coverage(solution, device)
+    for device, share in report.coverage.items():
         level = "good" if share > 0.7 else "warn" if share > 0.45 else "bad"
         cards.append(Card(f"coverage, {device}", f"{100 * share:.0f}", "%", level))
     return cards

@@ -9,11 +9,12 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bundle.looks import CELLS
+
 Array = NDArray[np.float64]
 
 BLUE, RED, AMBER, GREY, LINE = "#1668b0", "#c8372d", "#e39a1c", "#66727f", "#dde3e9"
 COLORS = {"left": BLUE, "right": "#b0541a", "projector": "#6a3fa0"}
-_CELLS = 12
 
 
 def vector_scale(misfits: Sequence[Array], width: int) -> float:
@@ -60,13 +61,13 @@ def view_picture(
 def coverage_map(size: tuple[int, int], pixels: Array, misfit: Array, *, scale: float, color: str) -> str:
     """Where marks were seen, all views together, and the mean residual of each cell as an arrow."""
     width, height = size
-    cell = width / _CELLS
-    rows = max(1, round(height / cell))
-    column = np.clip((pixels[:, 0] / cell).astype(int), 0, _CELLS - 1)
+    columns, rows = (2 * count for count in CELLS)
+    cell = width / columns
+    column = np.clip((pixels[:, 0] / cell).astype(int), 0, columns - 1)
     row = np.clip((pixels[:, 1] / (height / rows)).astype(int), 0, rows - 1)
-    counts = np.zeros((rows, _CELLS))
+    counts = np.zeros((rows, columns))
     np.add.at(counts, (row, column), 1)
-    sums = np.zeros((rows, _CELLS, 2))
+    sums = np.zeros((rows, columns, 2))
     np.add.at(sums, (row, column), misfit)
     most = max(1.0, float(np.quantile(counts, 0.9)))
     thin = width / 500
@@ -76,7 +77,7 @@ def coverage_map(size: tuple[int, int], pixels: Array, misfit: Array, *, scale: 
     ]
     tall = height / rows
     for r in range(rows):
-        for c in range(_CELLS):
+        for c in range(columns):
             place = f'x="{c * cell:.1f}" y="{r * tall:.1f}" width="{cell:.1f}" height="{tall:.1f}"'
             if counts[r, c]:
                 opacity = 0.08 + 0.3 * min(1.0, counts[r, c] / most)
@@ -95,16 +96,6 @@ def coverage_map(size: tuple[int, int], pixels: Array, misfit: Array, *, scale: 
         out.append(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{2.2 * thin:.1f}" fill="{RED}"/>')
     out.append(f'<path d="{arrows}" stroke="{RED}" stroke-width="{1.8 * thin:.2f}" fill="none"/></svg>')
     return "".join(out)
-
-
-def coverage_share(size: tuple[int, int], pixels: Array) -> float:
-    """Share of a picture's cells (12 over its width) that hold a mark."""
-    width, height = size
-    cell = width / _CELLS
-    rows = max(1, round(height / cell))
-    column = np.clip((pixels[:, 0] / cell).astype(int), 0, _CELLS - 1)
-    row = np.clip((pixels[:, 1] / (height / rows)).astype(int), 0, rows - 1)
-    return len(np.unique(row * _CELLS + column)) / (rows * _CELLS) if len(pixels) else 0.0
 
 
 def histogram(misfit: Array, sigma_px: float, *, color: str) -> str:
@@ -140,7 +131,7 @@ def histogram(misfit: Array, sigma_px: float, *, color: str) -> str:
         f'<path d="{curve}" fill="none" stroke="{RED}" stroke-width="1.4" stroke-dasharray="5 3"/>',
         f'<path d="M0 {y(0):.1f}H{width:g}" stroke="{GREY}"/>',
     ]
-    for value in _ticks(reach):
+    for value in _ticks(0.9 * reach):
         out.append(f'<path d="M{x(value):.1f} {y(0):.1f}v4" stroke="{GREY}"/>')
         out.append(_text(x(value), height - 6, f"{value:g}", "middle"))
     return "".join([*out, "</svg>"])
@@ -153,7 +144,7 @@ def view_bars(names: Sequence[str], series: Sequence[tuple[str, str, Sequence[fl
     width, chart, foot, margin = 1080.0, 200.0, 74.0, 52.0
     pitch = (width - margin) / max(1, len(names))
     each = min(26.0, 0.8 * pitch / max(1, len(series)))
-    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {chart + foot:g}" role="img">']
+    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 -8 {width:g} {chart + foot + 8:g}" role="img">']
     for value in _ticks(top):
         if value < 0:
             continue

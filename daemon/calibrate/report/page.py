@@ -18,15 +18,15 @@ h2 { font-size: 18px; margin: 38px 0 10px; padding-bottom: 6px; border-bottom: 1
 h3 { font-size: 15px; margin: 18px 0 6px; }
 p { margin: 6px 0 10px; max-width: 80ch; }
 .dim, figcaption { color: var(--dim); }
-.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(165px, 1fr)); gap: 10px; margin: 20px 0; }
+.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(180px, 1fr)); gap: 10px; margin: 20px 0; }
 .card { border: 1px solid var(--line); border-radius: 8px; padding: 10px 14px; background: var(--soft); }
-.card b { display: block; font-size: 24px; font-weight: 600; font-variant-numeric: tabular-nums; }
+.card b { display: block; font-size: 23px; font-weight: 600; white-space: nowrap; font-variant-numeric: tabular-nums; }
 .card b small { font-size: 14px; font-weight: 400; color: var(--dim); }
 .card span { color: var(--dim); font-size: 13px; }
 .good b { color: var(--green); } .warn b { color: var(--amber); } .bad b { color: var(--red); }
 .grid { display: grid; grid-template-columns: repeat(4, 1fr); gap: 14px; }
 @media (max-width: 900px) { .grid { grid-template-columns: repeat(2, 1fr); } }
-.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(380px, 1fr)); gap: 20px; }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(320px, 1fr)); gap: 20px; }
 figure { margin: 0; }
 figcaption { font-size: 13px; padding-top: 4px; }
 svg { display: block; width: 100%; height: auto; border-radius: 4px; }

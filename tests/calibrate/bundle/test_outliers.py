@@ -51,13 +51,17 @@ def test_single_wrong_marks_are_named(clean, far):
 
 def test_a_board_that_moved_between_the_pictures_is_left_out_with_the_reason(clean):
     views, sizes, _, without = clean
-    layout_pose = session(sigma=0.03, pose_seed=9)[0][4]
+    other = session(sigma=0.03, pose_seed=9)[0][4]
     wrong = list(views)
-    wrong[4] = BoardView("view_04", wrong[4].marks | {"right": layout_pose.marks["right"]})
+    wrong[4] = BoardView("view_04", wrong[4].marks | {"right": other.marks["right"]})
     solution = calibrate(DEFAULT_BOARD, wrong, sizes)
-    assert [(r.view, r.ids) for r in solution.rejected] == [("view_04", ())]
+    assert [(r.view, r.device, r.ids) for r in solution.rejected] == [("view_04", "right", ())]
     assert "moved" in solution.rejected[0].reason
     close(solution, without, sigmas=2)
+    pairs = [BoardView(v.name, {d: v.marks[d] for d in ("left", "right")}) for v in wrong]
+    two = calibrate(DEFAULT_BOARD, pairs, {d: sizes[d] for d in ("left", "right")})
+    assert [(r.view, r.device, r.ids) for r in two.rejected] == [("view_04", "", ())]
+    assert two.views_rejected == 1 and two.poses[4] is None
 
 
 @pytest.mark.parametrize("by_px", [1.0, 4.0])
@@ -84,10 +88,23 @@ def test_a_picture_with_few_marks_and_an_empty_view_are_named(clean):
     views, sizes, _, _ = clean
     few = views[3].marks["right"]
     wrong = [*views, BoardView("empty", {})]
+    row = views[8].marks["left"]
+    wrong[8] = BoardView("view_08", views[8].marks | {"left": row.some(row.ids // 11 == 4)})
     wrong[3] = BoardView("view_03", views[3].marks | {"right": few.some(np.arange(len(few)) < 5)})
     solution = calibrate(DEFAULT_BOARD, wrong, sizes)
-    assert {(r.view, r.device) for r in solution.rejected} == {("view_03", "right"), ("empty", "")}
+    assert {(r.view, r.device) for r in solution.rejected} == {
+        ("view_03", "right"),
+        ("view_08", "left"),
+        ("empty", ""),
+    }
+    assert "lie in one line" in {r.view: r.reason for r in solution.rejected}["view_08"]
     assert solution.views_used == 12 and solution.views_rejected == 1 and solution.poses[12] is None
+
+
+def test_two_views_of_one_name_are_refused(clean):
+    views, sizes, _, _ = clean
+    with pytest.raises(CalibrationError, match="view_03 is there twice"):
+        calibrate(DEFAULT_BOARD, [*views, views[3]], sizes)
 
 
 def test_more_bad_views_than_the_limit_is_an_error(clean):

@@ -1,6 +1,6 @@
 """Pictures of printed boards as cameras and a projector of a known rig see them: exact geometry, quick, no renderer.
 
-Every pixel is the mean of nine rays to the board's plane, blurred a little more, with noise. Distances in mm.
+Every pixel is the mean of four rays to the board's plane, blurred a little more, with noise. Distances in mm.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pipeline.targets.printed import raster
 
 SIZE = (400, 320)
 PROJECTOR = (480, 384)
-SUB = 3
+SUB = 2
 STEP_MM = 0.5
 WHITE, DARK = 190.0, 12.0
 
@@ -75,12 +75,10 @@ def draw(
     blur: float = 0.6,
 ) -> np.ndarray:
     """One picture, (H, W) uint8. With ``light`` (h, w), 0..1, the projector shows that picture, else even white."""
-    albedo, plane, world = _geometry(device, board, pose)
+    albedo, at = _geometry(device, board, pose, projector if light is not None else None)
     shade = albedo
-    if light is not None and projector is not None:
-        at = projector.project(world.reshape(-1, 3)).reshape(*world.shape[:2], 2).astype(np.float32)
+    if light is not None and at is not None:
         shade = albedo * cv2.remap(light.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-    del plane
     height, width = device.size[1], device.size[0]
     counts = DARK + WHITE * shade.reshape(height, SUB, width, SUB).mean(axis=(1, 3))
     counts = cv2.GaussianBlur(counts, (0, 0), blur)
@@ -88,14 +86,14 @@ def draw(
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-_SEEN: dict[tuple[int, str, bytes], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+_SEEN: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray | None]] = {}
 
 
 def _geometry(
-    device: CameraModel, board: Board, pose: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Albedo, place on the board and world point of every ray, (SUB H, SUB W, ...); the last one is remembered."""
-    key = (id(device), str(board), pose[0].tobytes() + pose[1].tobytes())
+    device: CameraModel, board: Board, pose: tuple[np.ndarray, np.ndarray], projector: CameraModel | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Albedo and projector pixel of every ray, (SUB H, SUB W, ...); the last one is remembered."""
+    key = (id(device), id(projector), str(board), pose[0].tobytes() + pose[1].tobytes())
     if key not in _SEEN:
         _SEEN.clear()
         width, height = device.size
@@ -116,7 +114,10 @@ def _geometry(
         sheet, origin = raster(board, STEP_MM)
         at = ((plane[..., :2] - origin) / STEP_MM).astype(np.float32)
         albedo = cv2.remap(sheet, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0.25)
-        _SEEN[key] = albedo, plane, world
+        lit = None
+        if projector is not None:
+            lit = projector.project(world.reshape(-1, 3)).reshape(*world.shape[:2], 2).astype(np.float32)
+        _SEEN[key] = albedo, lit
     return _SEEN[key]
 
 

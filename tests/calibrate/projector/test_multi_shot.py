@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pipeline.errors import PatternError, PictureError
-from pipeline.multi_shot import absolute_phase, coordinate, evenly_lit, gray, levels, noise_of, unwrapped, wrapped_phase
+from pipeline.multi_shot import coordinate, evenly_lit, gray, levels
+from pipeline.n_step import absolute_phase, noise_of, unwrapped, wrapped_phase
 from pipeline.noise import NoiseModel
 from pipeline.raw import BAYER, mosaic_of
 from pipeline.sequence import Fringe, Sequence, Uniform, projector_sequence

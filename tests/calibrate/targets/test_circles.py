@@ -1,0 +1,249 @@
+"""Circles of simulated pictures: where they are, how well that is known, and what must not change it."""
+
+import numpy as np
+import pytest
+
+from pipeline.targets.board import DEFAULT_BOARD, parse_board
+from pipeline.targets.find import find_marks
+from pipeline.targets.match import symmetries
+
+from .pictures import Pose, camera, centres, clean, noisy, truth
+
+DEVICE = camera()
+TILTED = Pose(25, -35, 8)
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    return clean(DEFAULT_BOARD, DEVICE, TILTED)
+
+
+def errors(found, board, device, pose, places=truth):
+    """Found minus true places (n, 2), in that numbering which the board allows and the picture asks for."""
+    expected = places(board, device, pose)
+    trials = [found.marks.pixels - expected[np.array(s)][found.marks.ids] for s in symmetries(board)]
+    return min(trials, key=lambda error: np.abs(error).max())
+
+
+FAR = (0.0, 0.0, 1800.0)
+POSES = [
+    Pose(),
+    Pose(45),
+    Pose(0, 45),
+    Pose(-30, 30, 35, FAR),
+    Pose(60, 0, 10),
+    Pose(20, 10, 90, FAR),
+    Pose(-15, 20, 180),
+]
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_every_circle_is_found_where_the_full_model_has_its_centroid(pose):
+    light = clean(DEFAULT_BOARD, DEVICE, pose, shade=(0.5, -0.3))
+    error, sigma = [], []
+    for seed in range(3):
+        found = find_marks(noisy(light, seed), DEFAULT_BOARD)
+        assert sorted(found.marks.ids) == list(range(99))
+        error.append(errors(found, DEFAULT_BOARD, DEVICE, pose))
+        sigma.append(found.marks.sigma_px)
+    error, sigma = np.array(error), np.array(sigma)
+    assert np.sqrt((error**2).mean()) < 0.008
+    assert np.sqrt((error**2).mean()) < 1.2 * np.sqrt((sigma**2).mean())
+    assert np.sqrt((error**2).mean()) > 0.8 * np.sqrt((sigma**2).mean())
+    assert np.abs(error.mean(axis=(0, 1))).max() < 0.001
+
+
+@pytest.mark.parametrize("noise", [1.0, 3.0, 8.0])
+def test_the_standard_deviation_follows_the_noise(tilted, noise):
+    error, sigma = [], []
+    for seed in range(6):
+        picture = noisy(tilted, seed, full_well=10_000 / noise**2, read_dn=0.8 * noise)
+        found = find_marks(picture, DEFAULT_BOARD)
+        assert len(found.marks) == 99
+        error.append(errors(found, DEFAULT_BOARD, DEVICE, TILTED))
+        sigma.append(found.marks.sigma_px)
+    ratio = np.sqrt(np.mean(np.square(error)) / np.mean(np.square(sigma)))
+    assert 1 / 1.2 < ratio < 1.2
+    assert np.mean(sigma) == pytest.approx(0.0034 * noise, rel=0.25)
+
+
+def test_the_bias_of_the_circles_centres_is_what_the_centroid_corrects():
+    """At 45 degrees the centre of a circle is 0.04 px away from the centroid of its image, in one direction."""
+    pose = Pose(0, 45)
+    found = find_marks(noisy(clean(DEFAULT_BOARD, DEVICE, pose)), DEFAULT_BOARD)
+    without = errors(found, DEFAULT_BOARD, DEVICE, pose, centres).mean(axis=0)
+    corrected = errors(found, DEFAULT_BOARD, DEVICE, pose).mean(axis=0)
+    assert np.linalg.norm(without) > 0.03
+    assert np.linalg.norm(corrected) < 0.002
+
+
+def test_areas_give_the_diameter(tilted):
+    from pipeline.targets import disc
+
+    marks = find_marks(noisy(tilted), parse_board("circles:11x9:32")).marks
+    rotation, translation = TILTED.of(DEFAULT_BOARD)
+    ids = marks.ids if errors_without_turn(marks) else 98 - marks.ids
+    diameter = disc.diameter_mm(marks.areas_px, DEVICE, rotation, translation, DEFAULT_BOARD.points[ids])
+    assert diameter == pytest.approx(20, abs=0.02)
+
+
+def errors_without_turn(marks):
+    return np.abs(marks.pixels - truth(DEFAULT_BOARD, DEVICE, TILTED)[marks.ids]).max() < 1
+
+
+@pytest.mark.parametrize("shade", [(1.7, 0.0), (-1.2, 0.7)])
+def test_a_gradient_of_light_does_not_move_the_circles(shade):
+    found = find_marks(noisy(clean(DEFAULT_BOARD, DEVICE, TILTED, shade=shade, light=110)), DEFAULT_BOARD)
+    error = errors(found, DEFAULT_BOARD, DEVICE, TILTED)
+    assert len(error) == 99
+    assert np.abs(error.mean(axis=0)).max() < 0.002
+
+
+@pytest.mark.parametrize("blur_px", [0.35, 1.5, 3.0, 4.0])
+def test_blur_costs_certainty_but_no_truth(blur_px):
+    found = find_marks(noisy(clean(DEFAULT_BOARD, DEVICE, Pose(20, 20), blur_px=blur_px)), DEFAULT_BOARD)
+    error = errors(found, DEFAULT_BOARD, DEVICE, Pose(20, 20))
+    assert len(error) == 99
+    assert np.sqrt((error**2).mean()) < 1.3 * np.sqrt((found.marks.sigma_px**2).mean())
+    assert np.abs(error.mean(axis=0)).max() < (0.002 if blur_px < 4 else 0.01)
+    assert found.sharpness_px == pytest.approx(np.hypot(blur_px, np.sqrt(1 / 12)), rel=0.1)
+
+
+@pytest.mark.parametrize("shadow", [0.5, 0.35, 0.2])
+def test_a_sharp_shadow_over_a_part_of_the_board(tilted, shadow):
+    """Circles that the edge of the shadow crosses are left out: their light is not even."""
+    v, u = np.mgrid[0:410, 0:512]
+    found = find_marks(noisy(np.where(u + 0.7 * v < 370, shadow, 1.0) * tilted), DEFAULT_BOARD)
+    error = np.linalg.norm(errors(found, DEFAULT_BOARD, DEVICE, TILTED), axis=1)
+    assert len(error) >= 80
+    assert np.median(error) < 0.01 and error.max() < 0.1
+
+
+def test_moving_the_picture_by_whole_pixels_moves_the_marks_by_as_much(tilted):
+    picture = noisy(tilted)
+    marks = find_marks(picture, DEFAULT_BOARD).marks
+    for right, down in ((1, 0), (0, 1), (7, 5)):
+        moved = find_marks(np.pad(picture, ((down, 0), (right, 0)), mode="edge"), DEFAULT_BOARD).marks
+        assert (moved.ids == marks.ids).all()
+        assert np.abs(moved.pixels - marks.pixels - (right, down)).max() < 0.003
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.4, 20.0), (3.0, -30.0), (1e-3, 0.0)])
+def test_gain_and_offset_of_the_picture_change_nothing(tilted, gain, offset):
+    picture = noisy(tilted).astype(np.float32)
+    marks = find_marks(picture, DEFAULT_BOARD).marks
+    other = find_marks(picture * np.float32(gain) + np.float32(offset), DEFAULT_BOARD).marks
+    assert (other.ids == marks.ids).all()
+    assert np.abs(other.pixels - marks.pixels).max() < 0.003
+    assert other.sigma_px == pytest.approx(marks.sigma_px, rel=0.25)
+
+
+def test_light_circles_on_a_dark_ground(tilted):
+    marks = find_marks(noisy(tilted), DEFAULT_BOARD).marks
+    inverse = find_marks(255 - noisy(tilted), DEFAULT_BOARD).marks
+    assert (inverse.ids == marks.ids).all()
+    assert np.abs(inverse.pixels - marks.pixels).max() < 0.005
+
+
+def test_other_types_and_colour_give_the_same_marks(tilted):
+    picture = noisy(tilted)
+    marks = find_marks(picture, DEFAULT_BOARD).marks
+    colour = np.stack([picture] * 3, axis=2)
+    for other in (picture.astype(np.uint16) * 256, picture.astype(np.float32) / 255, colour):
+        assert np.abs(find_marks(other, DEFAULT_BOARD).marks.pixels - marks.pixels).max() < 0.003
+    clipped = colour.copy()
+    clipped[..., 0] = np.clip(3.0 * picture, 0, 255).astype(np.uint8)
+    found = find_marks(clipped, DEFAULT_BOARD)
+    assert np.abs(found.marks.pixels - marks.pixels).max() < 0.003
+    assert 0.05 < found.saturated < 0.34
+    assert np.abs(find_marks(colour, DEFAULT_BOARD, channel=2).marks.pixels - marks.pixels).max() < 1e-6
+
+
+def test_a_clipped_ground_costs_no_truth(tilted):
+    found = find_marks(noisy(tilted, gain=2.0), DEFAULT_BOARD)
+    error = errors(found, DEFAULT_BOARD, DEVICE, TILTED)
+    assert found.saturated > 0.3
+    assert len(error) == 99
+    assert np.abs(error.mean(axis=0)).max() < 0.005
+    assert np.sqrt((error**2).mean()) < 0.012
+
+
+def test_noise_that_demosaicing_has_smeared_is_counted(tilted):
+    rng = np.random.default_rng(3)
+    error, sigma = [], []
+    for _ in range(4):
+        white = rng.standard_normal(tilted.shape)
+        smeared = sum(np.roll(white, shift, (0, 1)) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))) / 2
+        found = find_marks((tilted + 3.0 * smeared).astype(np.float32), DEFAULT_BOARD)
+        error.append(errors(found, DEFAULT_BOARD, DEVICE, TILTED))
+        sigma.append(found.marks.sigma_px)
+    assert np.sqrt(np.mean(np.square(error)) / np.mean(np.square(sigma))) == pytest.approx(1, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    "text", ["circles:11x9:32:20", "acircles:7x13:36:14", "circles:8x8:32:20", "acircles:6x12:36:14"]
+)
+def test_no_turn_of_the_board_mirrors_its_numbers_and_rows_run_right_or_down(text):
+    board = parse_board(text)
+    for turn in range(0, 360, 30):
+        pose = Pose(15, 10, turn, FAR)
+        found = find_marks(noisy(clean(board, DEVICE, pose, ss=2)), board, refine=False)
+        assert len(found.marks) == len(board.points)
+        assert np.abs(errors(found, board, DEVICE, pose)).max() < 0.3
+        basis = np.column_stack([board.points[found.marks.ids, :2], np.ones(len(found.marks))])
+        right, down = np.linalg.lstsq(basis, found.marks.pixels, rcond=None)[0][:2]
+        assert right[0] * down[1] - right[1] * down[0] > 0
+        if len(symmetries(board)) == 2:
+            assert right.sum() > 0
+        elif len(symmetries(board)) == 4:
+            assert right[0] > abs(right[1]) * 0.99
+
+
+def test_two_cameras_number_the_board_alike():
+    for turn in (0, 85, 95, 170):
+        pixels = []
+        for y_deg, x_mm in ((20, -150), (0, 150)):
+            pose = Pose(10, y_deg, turn, (x_mm * 0.1, 0, 1800))
+            found = find_marks(noisy(clean(DEFAULT_BOARD, DEVICE, pose, ss=2)), DEFAULT_BOARD, refine=False)
+            pixels.append(found.marks.pixels[np.argsort(found.marks.ids)])
+        moved = pixels[0] - pixels[0].mean(axis=0) - pixels[1] + pixels[1].mean(axis=0)
+        assert np.abs(moved).max() < 40
+
+
+def test_covered_circles_are_left_out_and_the_others_keep_their_numbers(tilted):
+    picture = noisy(tilted)
+    expected = find_marks(picture, DEFAULT_BOARD).marks
+    for mark in (0, 16, 50, 51):
+        u, v = np.round(expected.pixels[expected.ids == mark][0]).astype(int)
+        picture[v - 9 : v + 10, u : u + 12] = 120
+    found = find_marks(picture, DEFAULT_BOARD).marks
+    assert 93 <= len(found) <= 95
+    assert not set(found.ids) & {0, 16, 50, 51}
+    same = expected.pixels[np.searchsorted(expected.ids, found.ids)]
+    assert np.median(np.abs(found.pixels - same)) < 0.002 and np.abs(found.pixels - same).max() < 0.02
+
+
+def test_following_live_costs_little_and_is_good_to_a_tenth_of_a_pixel(tilted):
+    picture = noisy(tilted)
+    quick, best = find_marks(picture, DEFAULT_BOARD, refine=False), find_marks(picture, DEFAULT_BOARD)
+    assert (quick.marks.ids == best.marks.ids).all()
+    assert np.abs(quick.marks.pixels - best.marks.pixels).max() < 0.1
+    assert quick.sharpness_px == pytest.approx(best.sharpness_px, rel=0.1)
+    assert quick.contrast == pytest.approx(best.contrast, abs=0.05)
+    assert best.contrast > 0.9
+
+
+@pytest.mark.parametrize(("width", "height", "focal"), [(256, 204, 850.0), (333, 301, 1100.0)])
+def test_small_pictures_and_odd_sizes(width, height, focal):
+    device = camera(width, height, focal)
+    for pose in (Pose(), Pose(30, 30)):
+        found = find_marks(noisy(clean(DEFAULT_BOARD, device, pose)), DEFAULT_BOARD)
+        error = errors(found, DEFAULT_BOARD, device, pose)
+        assert len(error) == 99 and np.sqrt((error**2).mean()) < 0.015
+
+
+def test_five_megapixels():
+    device = camera(2592, 1944, 8600.0)
+    found = find_marks(noisy(clean(DEFAULT_BOARD, device, TILTED, ss=1, blur_px=1.2)), DEFAULT_BOARD)
+    assert len(found.marks) == 99
+    assert np.abs(errors(found, DEFAULT_BOARD, device, TILTED)).max() < 0.05

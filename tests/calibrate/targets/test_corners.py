@@ -1,0 +1,99 @@
+"""Chessboards and ChArUco boards of simulated pictures: where their corners are, and which is which."""
+
+import numpy as np
+import pytest
+
+from pipeline.targets.board import parse_board
+from pipeline.targets.find import find_marks
+from pipeline.targets.match import symmetries
+
+from .pictures import Pose, camera, clean, noisy, truth
+
+DEVICE = camera()
+FAR = (0.0, 0.0, 1800.0)
+CHESS, CHARUCO = parse_board("chessboard:9x6:34"), parse_board("charuco:10x7:34:24:DICT_4X4_50")
+
+
+def errors(found, board, pose):
+    """Found minus true places, in the board's own numbering: colours or markers tell it."""
+    return found.marks.pixels - truth(board, DEVICE, pose)[found.marks.ids]
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=str)
+@pytest.mark.parametrize(
+    "pose", [Pose(), Pose(40, 10), Pose(-20, 40, 30, FAR), Pose(10, 10, 90, FAR), Pose(15, -15, 180)]
+)
+def test_every_corner_is_found_where_the_full_model_has_it(board, pose):
+    light = clean(board, DEVICE, pose, shade=(0.6, -0.4))
+    error, sigma = [], []
+    for seed in range(3):
+        found = find_marks(noisy(light, seed), board)
+        assert list(found.marks.ids) == list(range(len(board.points)))
+        assert found.marks.areas_px is None
+        error.append(errors(found, board, pose))
+        sigma.append(found.marks.sigma_px)
+    error, sigma = np.array(error), np.array(sigma)
+    assert np.sqrt((error**2).mean()) < 0.02
+    assert np.sqrt((error**2).mean() / (sigma**2).mean()) == pytest.approx(1, abs=0.3)
+    assert np.abs(error.mean(axis=(0, 1))).max() < 0.003
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=str)
+def test_moving_the_picture_and_its_gain_change_nothing(board):
+    pose = Pose(20, -25, 8)
+    picture = noisy(clean(board, DEVICE, pose, ss=2))
+    marks = find_marks(picture, board).marks
+    moved = find_marks(np.pad(picture, ((3, 0), (8, 0)), mode="edge"), board).marks
+    assert (moved.ids == marks.ids).all()
+    assert np.abs(moved.pixels - marks.pixels - (8, 3)).max() < 0.01
+    scaled = find_marks(picture.astype(np.float32) * 0.01 - 0.3, board).marks
+    assert np.abs(scaled.pixels - marks.pixels).max() < 0.02
+
+
+def test_a_board_that_looks_the_same_after_a_turn_has_rows_that_run_right_or_down():
+    for text, ways in (("chessboard:7x5:34", 2), ("chessboard:6x6:34", 4), ("chessboard:8x5:34", 1)):
+        board = parse_board(text)
+        assert len(symmetries(board)) == ways
+        for turn in range(0, 360, 60):
+            pose = Pose(10, 10, turn + 5)
+            found = find_marks(noisy(clean(board, DEVICE, pose, ss=2)), board, refine=False)
+            expected = truth(board, DEVICE, pose)
+            trials = [
+                np.abs(found.marks.pixels - expected[np.array(s)][found.marks.ids]).max() for s in symmetries(board)
+            ]
+            assert min(trials) < 0.5
+            basis = np.column_stack([board.points[found.marks.ids, :2], np.ones(len(found.marks))])
+            right = np.linalg.lstsq(basis, found.marks.pixels, rcond=None)[0][0]
+            assert ways != 2 or right.sum() > 0
+            assert ways != 4 or right[0] > 0.7 * np.linalg.norm(right)
+
+
+def test_a_part_of_a_charuco_board_is_enough():
+    pose = Pose(20, -25, 8)
+    picture = noisy(clean(CHARUCO, DEVICE, pose))
+    picture[:, 230:] = 90
+    found = find_marks(picture, CHARUCO)
+    assert 6 <= len(found.marks) < 40
+    assert np.abs(errors(found, CHARUCO, pose)).max() < 0.1
+
+
+def test_the_drawing_of_older_opencv_versions_is_read():
+    import cv2
+
+    from pipeline.targets.aruco import charuco
+
+    board = parse_board("charuco:7x6:30:20:DICT_5X5_50")
+    image = charuco(board, legacy=True).generateImage((7 * 40, 6 * 40))
+    picture = cv2.GaussianBlur(cv2.copyMakeBorder(image, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255), (0, 0), 0.8)
+    found = find_marks(picture, board)
+    assert len(found.marks) == 30
+    assert np.abs(found.marks.pixels - (board.points[:, :2] / 30 * 40 + 79.5)).max() < 0.05
+
+
+def test_following_live():
+    for board in (CHESS, CHARUCO):
+        picture = noisy(clean(board, DEVICE, Pose(20, -25, 8)))
+        quick, best = find_marks(picture, board, refine=False), find_marks(picture, board)
+        assert (quick.marks.ids == best.marks.ids).all()
+        assert np.abs(quick.marks.pixels - best.marks.pixels).max() < 0.5
+        assert best.sharpness_px == pytest.approx(0.76, rel=0.1) and best.contrast > 0.9

@@ -1,0 +1,100 @@
+"""Each kind of picture that cannot be used has an error of its own, which says what to do."""
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.errors import TargetError
+from pipeline.targets.board import DEFAULT_BOARD, parse_board
+from pipeline.targets.find import find_marks
+
+from .pictures import Pose, camera, clean, noisy
+
+DEVICE = camera()
+CHESS, CHARUCO = parse_board("chessboard:9x6:34"), parse_board("charuco:10x7:34:24:DICT_4X4_50")
+ALL = [DEFAULT_BOARD, parse_board("acircles:5x12:50"), CHESS, CHARUCO]
+FAR = Pose(10, 20, 5)
+
+
+def side_by_side(board):
+    """Two of the same board next to each other."""
+    one = noisy(clean(board, DEVICE, Pose(10, 20, 5, (0, 0, 2000)), ss=3))
+    return np.hstack([one[:, 40:-40], one[:, 40:-40]])
+
+
+def empty(seed=0):
+    rng = np.random.default_rng(seed)
+    light = cv2.resize(rng.uniform(40, 200, (6, 8)).astype(np.float32), (512, 410), interpolation=cv2.INTER_CUBIC)
+    cv2.rectangle(light, (100, 80), (300, 200), 60.0, -1)
+    return noisy(light)
+
+
+@pytest.mark.parametrize("board", ALL, ids=str)
+def test_empty(board):
+    for picture in (empty(), np.full((410, 512), 90, np.uint8), noisy(np.full((410, 512), 120.0))):
+        with pytest.raises(TargetError, match="no marks found: the picture shows nothing of the board"):
+            find_marks(picture, board)
+
+
+@pytest.mark.parametrize("board", ALL, ids=str)
+def test_too_blurred(board):
+    with pytest.raises(TargetError, match=r"too blurred: its edges have a sigma of [\d.]+ px .* focus"):
+        find_marks(noisy(clean(board, DEVICE, FAR, blur_px=14, ss=2)), board)
+
+
+@pytest.mark.parametrize("board", ALL[:2], ids=str)
+def test_only_some_marks(board):
+    picture = noisy(clean(board, DEVICE, FAR, ss=2))
+    picture[:, :256] = 100
+    rng = np.random.default_rng(0)
+    picture[100:300, 256:400] = rng.integers(80, 120, (200, 144))
+    with pytest.raises(TargetError, match=r"only \d+ of the \d+ marks .* whole board"):
+        find_marks(picture, board)
+
+
+@pytest.mark.parametrize(
+    ("shown", "told", "seen"),
+    [
+        ("circles:11x9:32:20", "circles:10x9:32:20", "11x9"),
+        ("circles:10x9:32:20", "circles:11x9:32:20", "10x9"),
+        ("circles:7x7:40:20", "circles:11x9:32:20", "7x7"),
+        ("acircles:5x12:50", "acircles:4x11:50", "5x12"),
+        ("chessboard:8x6:34", "chessboard:9x6:34", "8x6"),
+        ("chessboard:9x6:34", "chessboard:8x5:34", "9x6"),
+        ("charuco:9x7:34:24:DICT_4X4_50", "charuco:10x7:34:24:DICT_4X4_50", "8x6"),
+    ],
+)
+def test_another_size_is_named(shown, told, seen):
+    with pytest.raises(TargetError, match=f"wrong board: the picture shows a grid of {seen} marks"):
+        find_marks(noisy(clean(parse_board(shown), DEVICE, FAR, ss=2)), parse_board(told))
+
+
+@pytest.mark.parametrize("board", ALL, ids=str)
+def test_two_boards(board):
+    with pytest.raises(TargetError, match="two boards"):
+        find_marks(side_by_side(board), board)
+
+
+@pytest.mark.parametrize("board", [ALL[1], CHARUCO], ids=str)
+def test_mirrored(board):
+    picture = noisy(clean(board, DEVICE, FAR, ss=2))
+    find_marks(picture, board)
+    for flipped in (picture[:, ::-1], picture[::-1]):
+        with pytest.raises(TargetError, match=r"mirrored .* flip"):
+            find_marks(flipped, board)
+
+
+@pytest.mark.parametrize("board", ALL, ids=str)
+def test_saturated(board):
+    light = clean(board, DEVICE, FAR, ss=2, dark=0.3)
+    with pytest.raises(TargetError, match=r"saturated.* lower the exposure"):
+        find_marks(noisy(light, gain=8.0), board)
+
+
+def test_pictures_of_the_wrong_kind():
+    with pytest.raises(TargetError, match="shape"):
+        find_marks(np.zeros((3, 100, 100), np.uint8), DEFAULT_BOARD)
+    with pytest.raises(TargetError, match="type int64"):
+        find_marks(np.zeros((100, 100), np.int64), DEFAULT_BOARD)
+    with pytest.raises(TargetError, match="not finite"):
+        find_marks(np.full((100, 100), np.nan, np.float32), DEFAULT_BOARD)
