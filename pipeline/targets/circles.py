@@ -35,7 +35,7 @@ _SAMPLE = 16
 _MISFIT = 0.12
 _MISFIT_OVER_MEDIAN = 8.0
 _NEAREST = 12
-_SIGMA_UNREFINED_PX = 0.1
+_SIGMA_UNREFINED_PX = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

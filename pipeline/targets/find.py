@@ -23,7 +23,7 @@ def find_marks(picture: NDArray[Any], board: Board, *, refine: bool = True, chan
         picture: (H, W) or (H, W, 3), uint8, uint16 or float32; fringe light off.
         board: what is printed on the board; dark on light or light on dark.
         refine: fit every mark for its best place and its standard deviation; False is several times faster and good
-            to about a tenth of a pixel, for following a board live.
+            to some tenths of a pixel, for following a board live.
         channel: use this colour alone, 0 to 2 (lateral colour); None = the mean of the colours that are not clipped.
 
     Returns:

@@ -20,10 +20,19 @@ BOARDS = [
 
 @pytest.mark.parametrize(
     ("text", "ways"),
-    [("circles:11x9:1", 2), ("circles:7x7:1", 4), ("acircles:4x11:1", 1), ("acircles:4x10:1", 2), ("acircles:7x13:1", 1),
-     ("chessboard:9x6:1", 1), ("chessboard:9x7:1", 2), ("chessboard:8x8:1", 4), ("chessboard:7x7:1", 2),
-     ("charuco:6x5:2:1:D", 1)],
-)  # fmt: skip
+    [
+        ("circles:11x9:1", 2),
+        ("circles:7x7:1", 4),
+        ("acircles:4x11:1", 1),
+        ("acircles:4x10:1", 2),
+        ("acircles:7x13:1", 1),
+        ("chessboard:9x6:1", 1),
+        ("chessboard:9x7:1", 2),
+        ("chessboard:8x8:1", 4),
+        ("chessboard:7x7:1", 2),
+        ("charuco:6x5:2:1:D", 1),
+    ],
+)
 def test_in_how_many_ways_a_board_looks_the_same(text, ways):
     board = parse_board(text)
     found = symmetries(board)
