@@ -9,12 +9,12 @@ from typing import Any
 
 from drivers.protocols import Camera, Clock, Projector, Side
 from sim import files
-from sim.live import LiveScene
+from sim.live import LiveScene, LiveWorld
 from sim.loop import Progress, loops_of
 from sim.options import SimOptions, from_mapping
 from sim.projector import LiveProjector, SimProjector
 from sim.render import picture_sent
-from sim.world import LiveWorld, Pictures, SimWorld
+from sim.world import Pictures, SimWorld
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +25,7 @@ class RigDevices:
         cameras: ``left`` and ``right``, closed.
         projector: closed.
         trigger: gives triggers by itself once a camera has started (``rate_hz`` above 0), else by ``step()``;
-            ``close()`` ends it and all devices. That of a live rig is a :class:`sim.world.LiveWorld`.
+            ``close()`` ends it and all devices. That of a live rig is a :class:`sim.live.LiveWorld`.
         options: as checked.
         calibration, pattern, volume: plain mappings of the three files of such a rig.
     """

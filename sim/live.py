@@ -9,15 +9,17 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
+from typing import Any
 
 from sim.box.light import Stage
 from sim.grain import GrainPool, deviation_of
-from sim.knock import Disturbance, TrueRig
+from sim.knock import Device, Disturbance, TrueRig
 from sim.options import BOARD_SCENE, SimOptions
 from sim.projector import LiveProjector
 from sim.render import Picture
 from sim.sensor import Light
 from sim.staging import optics_of, poses_of, scene_of
+from sim.world import Lamp, SimWorld
 
 # Bytes of rendered stages and of lit pictures that are kept for the next time.
 _STAGE_BYTES, _LIT_BYTES = 600 << 20, 400 << 20
@@ -123,3 +125,51 @@ class LiveScene:
             )
         self._stages.move_to_end(situation)
         return self._stages[situation]
+
+
+class LiveWorld(SimWorld):
+    """A world whose pictures are rendered when they are needed: what the projector shows now is what the cameras see.
+
+    A trigger that cannot be rendered in time is given later. Args as of :class:`SimWorld`, with a live scene.
+    """
+
+    _slack = 0.1
+
+    def __init__(self, scene: LiveScene, projector: Lamp, size: tuple[int, int], encoding: str, **options: Any) -> None:
+        note = "simulated: pictures are rendered of what the projector shows"
+        super().__init__(scene, projector, size, encoding, note=note, **options)
+        self._scene = scene
+
+    @property
+    def pose(self) -> int:
+        """Number of the board's pose at the next trigger."""
+        return self._scene.pose(self.triggers)
+
+    @property
+    def poses(self) -> int:
+        """Number of poses that the board goes through; 1 where there is no board."""
+        return self._scene.poses
+
+    def step(self) -> int:
+        """Give one trigger; returns its number. It is given when its pictures are ready, not before."""
+        with self._lock:
+            self._scene.prepare(self.triggers)
+            return super().step()
+
+    def next_pose(self) -> int:
+        """Move the board to its next pose, as a person's hand does; the next trigger sees it there.
+
+        Returns:
+            The number of the pose; after the last one the board stays.
+        """
+        return self._scene.next_pose(self.triggers)
+
+    def disturb(self, side: Device, **change: Any) -> None:
+        """Something happens to a device from the next trigger on, and adds to what has happened before.
+
+        Args:
+            side: ``left``, ``right`` or ``projector``.
+            change: ``turn_deg=(x, y, z)``, ``shift_px=(u, v)``, ``crosstalk=0.03``, see
+                :class:`sim.knock.Disturbance`.
+        """
+        self._scene.disturb(Disturbance(side, at=self.triggers, **change))
