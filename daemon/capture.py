@@ -159,8 +159,9 @@ class Capture:
         thread = self._thread
         if thread is not None:
             thread.join(timeout_s)
-        for path in self._kept[self._small]:
-            path.unlink(missing_ok=True)
+        if self._small != self._large:
+            for path in self._kept[self._small]:
+                path.unlink(missing_ok=True)
 
     def _busy(self) -> bool:
         return self._progress.job > 0 and not self._progress.outcome

@@ -111,7 +111,8 @@ class Shooting:
         if self._shown is None:
             raise DriverError("no picture is shown; show() comes first")
         since_ns = max(self._lit_ns, self._clock.realtime_ns())
-        end_ns = self._clock.monotonic_ns() + self._patience_ns + max(0, since_ns - self._clock.realtime_ns())
+        settling = min(max(0, since_ns - self._clock.realtime_ns()), self._settle_ns)
+        end_ns = self._clock.monotonic_ns() + self._patience_ns + settling
         early = 0
         while self._clock.monotonic_ns() < end_ns:
             if self._cancelled():
@@ -123,6 +124,7 @@ class Shooting:
                 self._check()
                 return pair
             early += 1
+        self.forget()  # a clock that was set back would otherwise hold up every later picture too
         raise DriverError(
             f"no pair of pictures came within {self._patience_ns / 1e9:g} s ({early} were exposed too early); are both "
             "cameras triggered, and do their clocks agree?"

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 USUAL_FOCAL = 3.0
 """Focal length in picture widths, the one that :mod:`pipeline.bundle.looks` assumes for a single view."""
+_MARGIN = 0.03
 _USUAL_SHARE = 0.6
 """Part of the picture's width that the board fills where nothing is known yet."""
 
@@ -35,6 +36,17 @@ def outline(board: Board, pose: Pose, size: tuple[int, int], *, distance_mm: flo
     at = seen / np.linalg.norm(seen) * distance_mm * pose.distance
     points = flat @ _turned(pose, at).T + at
     return np.asarray(points[:, :2] / points[:, 2:] * focal + centre)
+
+
+def within(corners: Array, size: tuple[int, int]) -> Array:
+    """An outline moved, and made smaller where that is not enough, until all of it is in the picture."""
+    room = np.array(size) * (1 - 2 * _MARGIN)
+    extent = np.ptp(corners, axis=0)
+    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
+    smaller = middle + (corners - middle) * min(1.0, float((room / extent).min()))
+    low, high = smaller.min(axis=0), smaller.max(axis=0)
+    edge = np.array(size) * _MARGIN
+    return np.asarray(smaller + np.maximum(edge - low, 0.0) - np.maximum(high - (np.array(size) - edge), 0.0))
 
 
 def _turned(pose: Pose, at: Array) -> Array:

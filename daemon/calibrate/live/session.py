@@ -25,6 +25,7 @@ from pipeline.targets.board import Board
 from pipeline.targets.marks import BoardView, Marks
 
 _LEAST_MARKS = 12
+_NUMBERED_PX = 2.0
 
 
 class State(StrEnum):
@@ -241,7 +242,11 @@ class Session:
 
 
 def moved_px(before: Mapping[str, Marks], after: Mapping[str, Marks]) -> float | None:
-    """Median distance of the marks that both have, in the camera where it is largest; None if one has too few."""
+    """How far the marks moved in the camera where that is most; None if there are too few to tell.
+
+    The median over the marks of the same number. Boards that look alike after half a turn may be numbered the other way
+    round in the next picture; then what counts is how far the worst marks but 5 % are from any mark of the other look.
+    """
     worst = 0.0
     for side, marks in before.items():
         other = after.get(side)
@@ -250,5 +255,12 @@ def moved_px(before: Mapping[str, Marks], after: Mapping[str, Marks]) -> float |
         _, here, there = np.intersect1d(marks.ids, other.ids, return_indices=True)
         if len(here) < min(_LEAST_MARKS, len(marks)):
             return None
-        worst = max(worst, float(np.median(np.linalg.norm(marks.pixels[here] - other.pixels[there], axis=1))))
+        same = float(np.median(np.linalg.norm(marks.pixels[here] - other.pixels[there], axis=1)))
+        worst = max(worst, same if same < _NUMBERED_PX else min(same, _from_any_px(marks, other)))
     return worst if before else None
+
+
+def _from_any_px(marks: Marks, other: Marks) -> float:
+    """Distance from each mark to the nearest one of the other look, both ways; 95th percentile."""
+    gaps = np.linalg.norm(marks.pixels[:, None] - other.pixels[None], axis=2)
+    return float(max(np.percentile(gaps.min(axis=1), 95), np.percentile(gaps.min(axis=0), 95)))

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.calibrate.live.ghost import outline
+from daemon.calibrate.live.ghost import outline, within
 from daemon.calibrate.live.guide import Scene
 from daemon.errors import DaemonError
 from daemon.mailbox import Mailbox
@@ -105,13 +105,14 @@ class Shown:
             self._advice(scene)
         if scene.told.motion_px is not None:
             self._figure("motion_px", scene.told.motion_px)
-        self._recording.log("now", rr.TextDocument(f"# {scene.told.text}", media_type="text/markdown"))
+        self._recording.log("now", rr.TextDocument(f"### {scene.told.text}", media_type="text/markdown"))
 
     def _ghost(self, scene: Scene) -> None:
         session = scene.session
         size = session.sizes["left"]
         scale = min(1.0, WIDTH_PX / size[0])
         wished = outline(session.board, session.advice.next_pose, size, distance_mm=session.usual_distance_mm)
+        wished = within(wished, size)
         strips = self._rr.LineStrips2D([wished * scale], colors=[_NEXT], radii=[2.0])
         self._recording.log("pictures/left/next", strips)
 
@@ -185,7 +186,7 @@ def _blueprint() -> Any:
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="now", name="now"),
         rrb.TextDocumentView(origin="advice", name="views"),
-        row_shares=[0.4, 0.6],
+        row_shares=[0.45, 0.55],
     )
     figures = [
         rrb.TimeSeriesView(origin=f"figures/{name}", name=title)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.calibrate.live.ghost import USUAL_FOCAL, outline
+from daemon.calibrate.live.ghost import USUAL_FOCAL, outline, within
 from pipeline.bundle.advice import Pose, missing
 from pipeline.bundle.looks import looks
 from pipeline.targets.board import DEFAULT_BOARD
@@ -54,3 +54,15 @@ def test_the_first_ghost_is_in_the_middle_and_of_a_usual_size() -> None:
     assert np.ptp(corners[:, 0]) == pytest.approx(0.6 * SIZE[0], rel=0.1)
     assert corners[:4].mean(axis=0) == pytest.approx([511.5, 409.5], abs=1)
     assert USUAL_FOCAL * SIZE[0] > SIZE[0]
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(u=st.floats(-0.5, 1.5), v=st.floats(-0.5, 1.5), tilt=st.floats(-45, 45), distance_mm=st.floats(400.0, 3000.0))
+def test_an_outline_is_brought_into_the_picture_and_one_that_is_in_it_stays(
+    u: float, v: float, tilt: float, distance_mm: float
+) -> None:
+    corners = outline(BOARD, Pose(tilt, 10.0, (u, v), 1.0, ""), SIZE, distance_mm=distance_mm)
+    inside = within(corners, SIZE)
+    edge = 0.03 * np.array(SIZE)
+    assert (inside >= edge - 1e-6).all() and (inside <= np.array(SIZE) - edge + 1e-6).all()
+    assert within(inside, SIZE) == pytest.approx(inside, abs=1e-6)

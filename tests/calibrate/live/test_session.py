@@ -163,3 +163,12 @@ def test_motion_is_that_of_the_worse_camera_and_of_marks_seen_twice() -> None:
     assert moved_px(marks, away) == pytest.approx(3 * np.sqrt(2))
     assert moved_px(marks, {"left": marks["left"]}) is None
     assert moved_px({}, {}) is None
+
+
+def test_a_board_that_is_numbered_the_other_way_round_has_not_moved_and_one_that_slid_by_a_pitch_has() -> None:
+    marks = VIEWS[0].marks["left"]
+    turned = replace(marks, ids=marks.ids[::-1].copy())
+    assert moved_px({"left": marks}, {"left": turned}) == 0.0
+    pitch = marks.pixels[1] - marks.pixels[0]
+    slid = moved_px({"left": marks}, {"left": replace(turned, pixels=turned.pixels + pitch)})
+    assert slid is not None and slid > 5.0

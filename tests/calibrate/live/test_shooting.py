@@ -90,6 +90,18 @@ def test_an_unknown_latency_costs_time_and_no_truth() -> None:
     assert slow.now_ns - fast.now_ns > 400 * MS
 
 
+def test_a_clock_that_was_set_back_costs_one_attempt() -> None:
+    bench = Bench()
+    shoot = shooting(bench, patience_s=1.0)
+    shoot.show(picture(1))
+    shoot._lit_ns += 3_600_000_000_000
+    with pytest.raises(DriverError, match="were exposed too early"):
+        shoot.pair()
+    assert bench.monotonic_ns() < 3_000 * MS
+    shoot.show(picture(1))
+    assert level(shoot.pair()) == {1}
+
+
 def test_cameras_that_see_no_trigger_are_told() -> None:
     bench = Bench(lost=1.0)
     shoot = shooting(bench, patience_s=1.0)
