@@ -153,8 +153,11 @@ def _distinct(levels: list[Discs]) -> Discs:
     kept = levels[0] if levels else _none()
     for coarse in levels[1:]:
         if len(kept) and len(coarse):
-            apart = np.linalg.norm(coarse.centres[:, None] - kept.centres, axis=2)
-            alone = (apart > 0.5 * np.maximum(coarse.radii[:, None], kept.radii)).all(axis=1)
+            radii, known = coarse.radii, kept.radii
+            alone = np.empty(len(coarse), dtype=bool)
+            for index, centre in enumerate(coarse.centres):
+                apart = np.hypot(*(kept.centres - centre).T)
+                alone[index] = (apart > 0.5 * np.maximum(radii[index], known)).all()
             coarse = coarse.some(alone)
         kept = Discs(*(np.concatenate([getattr(kept, k), getattr(coarse, k)]) for k in Discs.__slots__))
     order = np.argsort(-kept.contrast, kind="stable")[:_MOST]

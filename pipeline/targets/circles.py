@@ -36,6 +36,7 @@ _SAMPLE = 16
 _MISFIT = 0.12
 _MISFIT_OVER_MEDIAN = 8.0
 _NEAREST = 12
+_ASIDE_PX, _ASIDE_OVER_MEDIAN = 0.25, 7.0
 _SIGMA_UNREFINED_PX = 0.2
 
 
@@ -67,6 +68,7 @@ def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> 
         good &= _inside(fits, picture)
         # A start that was predicted, or found, is never far wrong: what moved away is another edge.
         good &= np.linalg.norm(fits.centres - grid.discs.centres, axis=1) < 0.5 * grid.discs.radii
+        good[good] = _among_neighbours(board.points[grid.ids[good], :2], fits.centres[good])
     if good.sum() < _LEAST_SHARE * len(board.points):
         raise answers.too_few(board, int(good.sum()), picture)
     marks = Marks(grid.ids, fits.centres, fits.sigma_px, fits.areas_px).some(good)
@@ -137,7 +139,7 @@ def _numbered(
         return answers.wrong_size(board, columns, rows)
     if found.hits < _LEAST_SHARE * whole or not clear(found, board):
         full = len(lattice) >= 0.95 * columns * rows and len(lattice) >= _BOARD_OF_ITS_OWN * whole
-        if other and full and min(columns, rows) > 2:
+        if other and full and min(columns, rows) > 2 and not _runs_out(picture, discs, lattice):
             return answers.wrong_size(board, columns, rows)
         return answers.too_few(board, found.hits, picture)
     named = found.ids >= 0
@@ -163,6 +165,13 @@ def _inside(fits: Fits, picture: GreyPicture) -> NDArray[np.bool_]:
 def _most_misfit(median: float) -> float:
     """Limit of the residuals: pictures that a camera has sharpened fit badly everywhere, a covered disc alone does."""
     return min(max(_MISFIT_OVER_MEDIAN * median, 0.05), max(_MISFIT, 2.5 * median))
+
+
+def _runs_out(picture: GreyPicture, discs: Discs, lattice: Lattice) -> bool:
+    centres = discs.centres[lattice.indices]
+    step = np.linalg.norm(centres[:, None] - centres, axis=2)
+    np.fill_diagonal(step, np.inf)
+    return answers.runs_out(picture, centres, float(np.median(step.min(axis=1))))
 
 
 def _unrefined(picture: GreyPicture, grid: _Grid) -> Found:
@@ -225,11 +234,10 @@ def _completed(grid: _Grid, board: Board) -> _Grid:
     centres, shapes = [], []
     for mark in missing:
         nearest = np.argsort(np.linalg.norm(at[grid.ids] - at[mark], axis=1), kind="stable")[:_NEAREST]
-        plane = np.asarray(cv2.findHomography(at[grid.ids[nearest]], grid.discs.centres[nearest], 0)[0])
-        if plane.shape != (3, 3):
+        guess = _predicted(at[mark], at[grid.ids[nearest]], grid.discs.centres[nearest])
+        if not np.isfinite(guess).all():
             return grid
-        u, v, w = plane @ [*at[mark], 1.0]
-        centres.append([u / w, v / w])
+        centres.append(guess)
         shapes.append(grid.discs.shapes[nearest[:4]].mean(axis=0))
     discs = Discs(
         np.concatenate([grid.discs.centres, centres]),
@@ -239,3 +247,23 @@ def _completed(grid: _Grid, board: Board) -> _Grid:
     ids = np.concatenate([grid.ids, missing])
     order = np.argsort(ids)
     return _Grid(ids[order], discs.some(order), grid.dark)
+
+
+def _predicted(place: Array, known: Array, pixels: Array) -> Array:
+    """Where a place of the board is in the picture, from the plane through some places; NaN where they tell none."""
+    plane = np.asarray(cv2.findHomography(known, pixels, 0)[0])
+    if plane.shape != (3, 3):
+        return np.full(2, np.nan)
+    u, v, w = plane @ [*place, 1.0]
+    return np.array([u / w, v / w])
+
+
+def _among_neighbours(at: Array, pixels: Array) -> NDArray[np.bool_]:
+    """Marks that are where their neighbours predict them, (n,); the edge of a shadow can draw a disc aside."""
+    if len(at) <= _NEAREST:
+        return np.ones(len(at), dtype=bool)
+    away = np.empty(len(at))
+    for index in range(len(at)):
+        nearest = np.argsort(np.linalg.norm(at - at[index], axis=1), kind="stable")[1 : _NEAREST + 1]
+        away[index] = np.linalg.norm(_predicted(at[index], at[nearest], pixels[nearest]) - pixels[index])
+    return away < max(_ASIDE_PX, _ASIDE_OVER_MEDIAN * float(np.nanmedian(away)))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.targets.corner_kernel import PARAMETERS, fit_corners
+from pipeline.targets.ellipse_fit import LEAST_SIGMA_PX
 from pipeline.targets.fit_noise import noise_line, together
 from pipeline.targets.grey import GreyPicture, picture_noise
 
@@ -84,7 +85,7 @@ def fit_crossings(picture: GreyPicture, corners: Array, at: Array, *, reach: flo
     misfit = np.sqrt((results[:, 5] + results[:, 7]) / flat) / np.maximum(contrast, 1e-12)
     return CornerFits(
         starts + parameters[:, :2],
-        np.sqrt(np.maximum(variance, 0)),
+        np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)),
         parameters[:, 4],
         contrast,
         parameters[:, 5] + 0.5 * contrast,

@@ -25,6 +25,8 @@ _BLUR_ALIKE = np.array([1.0, 0.2])
 """The same in shares of the median over the discs of the picture."""
 
 
+LEAST_SIGMA_PX = 5e-4
+"""No centre is claimed to be better known than this: then the model of the edge is wrong by more."""
 _TAIL = 2.0
 """Sigmas of blur within which an edge is felt."""
 _LEAST_REACH = 1.5
@@ -111,4 +113,6 @@ def _fits(values: Grey, starts: Array, parameters: Array, results: Array, good: 
     spread = np.linspace(0, good.sum() - 1, min(int(good.sum()), 24)).astype(int)
     alike = together(values, centres[good][spread], (inner / np.sqrt(2))[good][spread])
     variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * alike
-    return Fits(centres, shapes, np.sqrt(np.maximum(variance, 0)), p[:, 5], p[:, 9], p[:, 6], misfit, good)
+    return Fits(
+        centres, shapes, np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)), p[:, 5], p[:, 9], p[:, 6], misfit, good
+    )

@@ -22,8 +22,9 @@ def find_marks(picture: NDArray[Any], board: Board, *, refine: bool = True, chan
     Args:
         picture: (H, W) or (H, W, 3), uint8, uint16 or float32; fringe light off.
         board: what is printed on the board; dark on light or light on dark.
-        refine: fit every mark for its best place and its standard deviation; False is several times faster and good
-            to some tenths of a pixel, for following a board live.
+        refine: fit every mark for its best place and its standard deviation; False is faster and good to some tenths
+            of a pixel, for following a board live; it neither refuses blur (see ``sharpness_px``) nor looks for a
+            second chessboard.
         channel: use this colour alone, 0 to 2 (lateral colour); None = the mean of the colours that are not clipped.
 
     Returns:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.errors import TargetError
 from pipeline.targets.board import Board
@@ -60,9 +61,10 @@ def nothing(board: Board, picture: GreyPicture) -> TargetError:
     sigma = edge_sigma_px(picture)
     if sigma > BLURRED_PX:
         return too_blurred(sigma, BLURRED_PX)
+    small = "; a marker is read from about 4 pixels a cell on" if board.kind == "charuco" else ""
     return TargetError(
         f"no marks found: the picture shows nothing of the board {board}; bring the whole board into the picture, "
-        "with even light and without fringes on it"
+        f"with even light and without fringes on it{small}"
     )
 
 
@@ -93,6 +95,13 @@ def wrong_size(board: Board, columns: int, rows: int) -> TargetError:
         f"wrong board: the picture shows a grid of {columns}x{rows} marks and {wanted} was told ({board}); "
         "tell the board that is used, or show all of its marks"
     )
+
+
+def runs_out(picture: GreyPicture, pixels: NDArray[np.float64], pitch_px: float) -> bool:
+    """Whether a grid ends less than about a pitch before the edge of the picture, so that it may go on outside."""
+    height, width = picture.values.shape
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    return bool((low < 1.1 * pitch_px).any() or (high > np.array([width, height]) - 1 - 1.1 * pitch_px).any())
 
 
 def two_boards(board: Board) -> TargetError:

@@ -43,7 +43,7 @@ def to_grey(picture: NDArray[Any], *, channel: int | None = None) -> GreyPicture
         channel: take this colour alone, 0 to 2.
 
     Raises:
-        TargetError: a picture of another shape or type, or with values that are not finite.
+        TargetError: a picture of another shape or type, or with values that are not finite; no such channel.
     """
     picture = np.asarray(picture)
     colour = picture.ndim == 3 and picture.shape[2] == 3
@@ -59,6 +59,8 @@ def to_grey(picture: NDArray[Any], *, channel: int | None = None) -> GreyPicture
         raise TargetError(f"picture of type {picture.dtype}: expected uint8, uint16 or float32")
     if picture.dtype.kind == "f" and not np.isfinite(picture).all():
         raise TargetError("picture holds values that are not finite; the marks need a picture of whole counts")
+    if channel is not None and not 0 <= channel <= 2:
+        raise TargetError(f"channel {channel}: expected 0, 1 or 2")
     top = _top(picture)
     if not colour:
         values = np.ascontiguousarray(picture, dtype=np.float32)

@@ -26,23 +26,31 @@ _SIGMA_UNREFINED_PX = 0.1
 _FITS_SQUARES = 0.3
 _FIT_SHARE = 0.7
 _MOST_COLUMNS = 40
+_FEW_SHARE = 0.7
+_SMALL = 3_000_000
+_NEAR_SQUARES = 1.6
+_NEAREST = 16
 
 
 def find_charuco(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
     """The corners of a ChArUco board; see :func:`pipeline.targets.find.find_marks`."""
     image = eight_bit(picture)
     places, numbers = _markers(image, board)
+    if refine and len(numbers) < _FEW_SHARE * len(charuco(board).getIds()) and image.size < _SMALL:
+        places, numbers = max((places, numbers), _markers(image, board, scale=2), key=lambda found: len(found[1]))
     if len(np.unique(numbers)) + 1 < len(numbers):
         raise answers.two_boards(board)
     corners, ids = _interpolated(image, board, places, numbers)
     if len(numbers) >= _LEAST_MARKERS:
         _check_layout(board, places, numbers)
+    # The markers begin in the white squares; the fit must not see them.
+    reach = min(0.42, 0.9 * 0.5 * (1 - board.marker_mm / board.pitch_mm) * np.sqrt(2))
+    if refine:
+        corners, ids = _extended(picture, board, (places, numbers), (corners, ids), reach)
     if not _spans(ids, board):
         raise _reason(picture, image, board, len(ids))
     at = board.points[ids, :2] / board.pitch_mm
-    # The markers begin in the white squares; the fit must not see them.
-    free = 0.5 * (1 - board.marker_mm / board.pitch_mm) * np.sqrt(2)
-    fits = fit_crossings(picture, corners, at, reach=min(0.42, 0.9 * free))
+    fits = fit_crossings(picture, corners, at, reach=reach)
     if not refine:
         return answer(picture, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
     side = _side(corners, at)
@@ -54,10 +62,14 @@ def find_charuco(picture: GreyPicture, board: Board, *, refine: bool = True) -> 
     return answer(picture, ids[good], fits.centres[good], fits.sigma_px[good], fits)
 
 
-def _markers(image: Eight, board: Board) -> tuple[list[Any], NDArray[np.int64]]:
+def _markers(image: Eight, board: Board, *, scale: int = 1) -> tuple[list[Any], NDArray[np.int64]]:
+    """Corners (1, 4, 2) and numbers of the markers; small ones are read better in a larger copy."""
     detector = cv2.aruco.ArucoDetector(charuco(board).getDictionary())
+    if scale > 1:
+        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     places, numbers, _ = detector.detectMarkers(image)
-    return list(places), np.empty(0, np.int64) if numbers is None else numbers.ravel().astype(np.int64)
+    places = [((place + 0.5) / scale - 0.5).astype(np.float32) for place in places]
+    return places, np.empty(0, np.int64) if numbers is None else numbers.ravel().astype(np.int64)
 
 
 def _interpolated(
@@ -79,6 +91,61 @@ def _interpolated(
         if len(best[1]) >= _LEAST_MARKS:
             break
     return best
+
+
+def _extended(
+    picture: GreyPicture,
+    board: Board,
+    markers: tuple[list[Any], NDArray[np.int64]],
+    found: tuple[Array, NDArray[np.int64]],
+    reach: float,
+) -> tuple[Array, NDArray[np.int64]]:
+    """Also the corners whose markers were not read: predicted from what is near, kept where the picture confirms them.
+
+    Markers are harder to read than corners to see: where they are small or blurred few are read, and all corners are
+    there.
+    """
+    corners, ids = found
+    drawn = {
+        int(number): np.asarray(place)[:, :2] / board.pitch_mm - 1
+        for number, place in zip(charuco(board).getIds().ravel(), charuco(board).getObjPoints(), strict=True)
+    }
+    read = [(drawn[int(n)], place.reshape(4, 2)) for place, n in zip(*markers, strict=True) if int(n) in drawn]
+    if len(read) < 2:
+        return found
+    marked, seen = (np.concatenate(part).astype(np.float64) for part in zip(*read, strict=True))
+    every = board.points[:, :2] / board.pitch_mm
+    white = (np.indices(board.grid[::-1]).sum(axis=0) % 2 == 1).ravel()
+    for _ in range(max(board.grid)):
+        known = np.concatenate([every[ids], marked]), np.concatenate([corners, seen])
+        missing = np.setdiff1d(np.arange(len(every)), ids)
+        near = [k for k in missing if (np.linalg.norm(known[0] - every[k], axis=1) < _NEAR_SQUARES).sum() >= 2]
+        if not near:
+            break
+        guesses = np.array([_predicted(every[k], *known) for k in near])
+        finite = np.isfinite(guesses).all(axis=1)
+        trial, guesses = np.array(near)[finite], guesses[finite]
+        if not len(trial):
+            break
+        whole = np.concatenate([corners, guesses]), np.concatenate([ids, trial])
+        fits = fit_crossings(picture, whole[0], every[whole[1]], reach=reach)
+        good = usable(fits, whole[0], _side(whole[0], every[whole[1]])) & (fits.light_first == white[whole[1]])
+        good = good[len(ids) :]
+        if not good.any():
+            break
+        corners = np.concatenate([corners, fits.centres[len(ids) :][good]])
+        ids = np.concatenate([ids, trial[good]])
+    return corners, ids
+
+
+def _predicted(place: Array, known: Array, pixels: Array) -> Array:
+    """Where a place of the board is, from the plane through what is nearest to it."""
+    nearest = np.argsort(np.linalg.norm(known - place, axis=1), kind="stable")[:_NEAREST]
+    plane = np.asarray(cv2.findHomography(known[nearest], pixels[nearest], 0)[0])
+    if plane.shape != (3, 3):
+        return np.full(2, np.nan)
+    u, v, w = plane @ [*place, 1.0]
+    return np.array([u / w, v / w])
 
 
 def _spans(ids: NDArray[np.int64], board: Board) -> bool:

@@ -77,6 +77,23 @@ def test_a_part_of_a_charuco_board_is_enough():
     assert np.abs(errors(found, CHARUCO, pose)).max() < 0.1
 
 
+def test_corners_whose_markers_cannot_be_read_are_found_all_the_same():
+    """The markers of the middle are painted over; the corners of their squares are not."""
+    pose = Pose(20, -25, 8)
+    picture = noisy(clean(CHARUCO, DEVICE, pose))
+    whole = find_marks(picture, CHARUCO).marks
+    rotation, translation = pose.of(CHARUCO)
+    for row in range(1, 6):
+        for column in range(1, 9):
+            if (row + column) % 2:
+                at = np.array([[column - 0.5, row - 0.5, 0]]) * CHARUCO.pitch_mm @ rotation.T + translation
+                u, v = np.round(DEVICE.project(at)[0]).astype(int)
+                picture[v - 10 : v + 11, u - 9 : u + 10] = 150
+    found = find_marks(picture, CHARUCO)
+    assert list(found.marks.ids) == list(whole.ids) == list(range(54))
+    assert np.abs(errors(found, CHARUCO, pose)).max() < 0.1
+
+
 def test_the_drawing_of_older_opencv_versions_is_read():
     import cv2
 

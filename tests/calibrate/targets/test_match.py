@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.targets.board import parse_board
@@ -44,6 +44,7 @@ def test_in_how_many_ways_a_board_looks_the_same(text, ways):
         assert np.allclose(np.linalg.norm(turned[:, None] - turned, axis=2), apart)
 
 
+@settings(deadline=None, max_examples=60)
 @given(st.sampled_from(BOARDS[:4]), st.integers(0, 3), st.integers(-9, 9), st.integers(-9, 9), st.integers(0, 4))
 def test_a_turned_shifted_and_incomplete_lattice_is_numbered_as_the_board(text, turn, right, down, missing):
     board = parse_board(text)
