@@ -29,6 +29,9 @@ Force = Annotated[bool, typer.Option("--force", help="Also over a calibration th
 FreeSkew = Annotated[bool, typer.Option("--skew/--no-skew", help="Find the skew of the pixels' axes.")]
 FreeK3 = Annotated[bool, typer.Option("--k3/--no-k3", help="Find the third radial coefficient.")]
 Refine = Annotated[bool, typer.Option("--refine-board", help="Find the marks' places on the board, too.")]
+Distance = Annotated[
+    str | None, typer.Option("--distance", help="Scale from a distance on the board: MARK-MARK:MM such as 0-98:409.2.")
+]
 Poses = Annotated[int, typer.Option(min=3, help="Live: places of the board that are wanted.")]
 Show = Annotated[Literal["none", "web", "native"], typer.Option("--view", help="Live: a view in Rerun.")]
 Session = Annotated[Path | None, typer.Option(help="Live: folder for the pictures.", show_default="beside rig.yaml")]
@@ -49,16 +52,27 @@ def cameras(
     skew: FreeSkew = True,
     k3: FreeK3 = True,
     refine_board: Refine = False,
+    distance: Distance = None,
     poses: Poses = 12,
     view: Show = "none",
     session: Session = None,
 ) -> None:
     """Calibrate both cameras together, from pictures of a board at ten or more places."""
     options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
-    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
+    options |= {
+        "skew": skew,
+        "k3": k3,
+        "refine_board": refine_board,
+        "distance": distance,
+        "poses": poses,
+        "view": view,
+        "session": session,
+    }
     if rig is not None:
         return _live("cameras", rig, left, right, views, options)
-    _geometry("cameras", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
+    _geometry(
+        "cameras", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board, distance)
+    )
     return None
 
 
@@ -74,6 +88,7 @@ def projector(
     skew: FreeSkew = True,
     k3: FreeK3 = True,
     refine_board: Refine = False,
+    distance: Distance = None,
     poses: Poses = 12,
     view: Show = "none",
     session: Session = None,
@@ -83,10 +98,20 @@ def projector(
     Views without fringes (--left and --right, or another --views) help with the cameras.
     """
     options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
-    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
+    options |= {
+        "skew": skew,
+        "k3": k3,
+        "refine_board": refine_board,
+        "distance": distance,
+        "poses": poses,
+        "view": view,
+        "session": session,
+    }
     if rig is not None:
         return _live("projector", rig, left, right, views, options)
-    _geometry("projector", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
+    _geometry(
+        "projector", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board, distance)
+    )
     return None
 
 
@@ -127,16 +152,27 @@ def everything(
     skew: FreeSkew = True,
     k3: FreeK3 = True,
     refine_board: Refine = False,
+    distance: Distance = None,
     poses: Poses = 12,
     view: Show = "none",
     session: Session = None,
 ) -> None:
     """Calibrate cameras, projector and colours: --views for the board with fringes, and --views for the colours."""
     options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
-    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
+    options |= {
+        "skew": skew,
+        "k3": k3,
+        "refine_board": refine_board,
+        "distance": distance,
+        "poses": poses,
+        "view": view,
+        "session": session,
+    }
     if rig is not None:
         return _live("all", rig, left, right, views, options)
-    _geometry("all", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
+    _geometry(
+        "all", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board, distance)
+    )
     return None
 
 
@@ -217,10 +253,18 @@ def _sources(left: str | None, right: str | None, views: list[Path] | None) -> l
     return found
 
 
-def _options(skew: bool, k3: bool, refine_board: bool) -> Options:
+def _options(skew: bool, k3: bool, refine_board: bool, distance: str | None) -> Options:
+    import re
+
     from pipeline.bundle import Options
 
-    return Options(skew=skew, k3=k3, board_refined=refine_board)
+    known = None
+    if distance is not None:
+        match = re.fullmatch(r"(\d{1,4})-(\d{1,4}):(\d+(?:\.\d+)?)", distance)
+        if match is None:
+            raise typer.BadParameter(f"--distance {distance}: expected two marks and mm, such as 0-98:409.2")
+        known = (int(match[1]), int(match[2]), float(match[3]))
+    return Options(skew=skew, k3=k3, board_refined=refine_board, known_distance=known)
 
 
 def _live(

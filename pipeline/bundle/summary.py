@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bundle import centroid
 from pipeline.bundle.adjust import Adjusted, to_scale
 from pipeline.bundle.figures import epipolar_px, rms
 from pipeline.bundle.freedom import names_of
@@ -20,6 +21,9 @@ from pipeline.targets.board import Board
 from pipeline.targets.marks import BoardView
 
 Array = NDArray[np.float64]
+
+_OTHER_CIRCLES = 0.2
+"""Largest deviation of the circles' diameter: exposure and blur make a few per cent."""
 
 
 def summarise(
@@ -47,6 +51,7 @@ def summarise(
     Raises:
         CalibrationError: too many marks did not fit.
     """
+    _refuse_other_circles(board, adjusted)
     adjusted = to_scale(adjusted, options)
     state, data = adjusted.state, adjusted.data
     share = len(adjusted.out) / max(len(adjusted.out) + len(data), 1)
@@ -101,6 +106,17 @@ def summarise(
         scale=_scale(board, options),
         board_sigma_mm=np.sqrt(np.maximum(np.diag(tail), 0)).reshape(-1, 3) if len(tail) else None,
     )
+
+
+def _refuse_other_circles(board: Board, adjusted: Adjusted) -> None:
+    """Circles of another size than told, relative to their pitch, belong to another board."""
+    measured = centroid.diameter_mm(adjusted.state, adjusted.data)
+    told = board.diameter_mm if board.round else 0.0
+    if told and measured and abs(measured / told - 1) > _OTHER_CIRCLES:
+        raise CalibrationError(
+            f"the circles measure {measured:.1f} mm if their pitch is {board.pitch_mm:g} mm, but {board} says "
+            f"{told:g} mm: give the board that was shown"
+        )
 
 
 def _scale(board: Board, options: Options) -> str:

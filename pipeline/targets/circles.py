@@ -19,6 +19,7 @@ from pipeline.targets.grey import Grey, GreyPicture
 from pipeline.targets.lattice import Lattice, lattices
 from pipeline.targets.marks import Marks
 from pipeline.targets.match import clear, extent, match, oriented
+from pipeline.targets.printed import MARGIN
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> 
     if not refine:
         return _unrefined(picture, grid)
     grid = _completed(grid, board)
-    fits = _fitted(picture, grid.discs)
+    fits = _fitted(picture, grid.discs, room=_room(grid, board))
     good = fits.good & (fits.contrast > 0 if grid.dark else fits.contrast < 0)
     if good.any():
         blur = float(np.median(fits.blur_px[good]))
@@ -161,7 +162,7 @@ def _inside(fits: Fits, picture: GreyPicture) -> NDArray[np.bool_]:
 
 def _most_misfit(median: float) -> float:
     """Limit of the residuals: pictures that a camera has sharpened fit badly everywhere, a covered disc alone does."""
-    return min(max(_MISFIT_OVER_MEDIAN * median, 0.03), max(_MISFIT, 2.5 * median))
+    return min(max(_MISFIT_OVER_MEDIAN * median, 0.05), max(_MISFIT, 2.5 * median))
 
 
 def _unrefined(picture: GreyPicture, grid: _Grid) -> Found:
@@ -178,11 +179,25 @@ def _unrefined(picture: GreyPicture, grid: _Grid) -> Found:
     return Found(marks, blur, contrast, picture.saturated)
 
 
-def _fitted(picture: GreyPicture, discs: Discs, sample: NDArray[np.int64] | None = None) -> Fits:
+def _fitted(
+    picture: GreyPicture, discs: Discs, sample: NDArray[np.int64] | None = None, *, room: Array | None = None
+) -> Fits:
     reach = _reach(discs)
     if sample is not None:
         discs, reach = discs.some(sample), reach[sample]
-    return fit_ellipses(picture.values, discs.centres, discs.shapes, reach=reach, clip=picture.clip)
+    return fit_ellipses(picture.values, discs.centres, discs.shapes, reach=reach, room=room, clip=picture.clip)
+
+
+def _room(grid: _Grid, board: Board) -> Array:
+    """Pixels from the outermost circles' edges to the end of a sheet with a narrow margin; infinite inside."""
+    columns, rows = board.grid
+    row, column = np.divmod(grid.ids, columns)
+    ring = 2 if board.kind == "acircles" else 1
+    outer = (row < ring) | (row >= rows - ring) | (column == 0) | (column == columns - 1)
+    distance = np.linalg.norm(grid.discs.centres[None] - grid.discs.centres[:, None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    pitch = distance.min(axis=1) * (np.sqrt(2) if board.kind == "acircles" else 1.0)
+    return np.where(outer, MARGIN[board.kind] * pitch, np.inf)
 
 
 def _reach(discs: Discs) -> Array:

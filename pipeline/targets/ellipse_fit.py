@@ -25,6 +25,11 @@ _BLUR_ALIKE = np.array([1.0, 0.2])
 """The same in shares of the median over the discs of the picture."""
 
 
+_TAIL = 2.0
+"""Sigmas of blur within which an edge is felt."""
+_LEAST_REACH = 1.5
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fits:
     """What was fitted, one row a disc; ``good`` tells which rows hold a fit.
@@ -55,13 +60,17 @@ class Fits:
         return np.pi * np.linalg.det(self.shapes)
 
 
-def fit_ellipses(values: Grey, centres: Array, shapes: Array, *, reach: Array, clip: float = np.inf) -> Fits:
+def fit_ellipses(
+    values: Grey, centres: Array, shapes: Array, *, reach: Array, room: Array | None = None, clip: float = np.inf
+) -> Fits:
     """Fit every disc.
 
     Args:
         values: (H, W) float32.
         centres, shapes: (n, 2) and (n, 2, 2), where to begin: within about a quarter of the radius.
         reach: (n,) pixels beyond the edge that belong to the disc's surroundings alone.
+        room: (n,) pixels between the edge and whatever else may be there, such as the end of the paper; the blur
+            of that is kept out of the fit. None = nothing else is near.
         clip: samples from here on are clipped: they tell only that the light was at least that.
     """
     n = len(centres)
@@ -76,6 +85,8 @@ def fit_ellipses(values: Grey, centres: Array, shapes: Array, *, reach: Array, c
         noise = _noise(parameters[good], results[good])
         sigma = float(np.median(parameters[good, 5]))
         parameters[~good] = 0
+        if room is not None:
+            reach = np.maximum(np.minimum(reach, room - _TAIL * sigma), _LEAST_REACH)
         fit_all(values, starts, shapes, reach, noise, sigma * _BLUR_ALIKE, clip, _LAST_STEPS, parameters, results)
         good = results[:, 9] > 0
     return _fits(values, starts, parameters, results, good)

@@ -18,7 +18,7 @@ from pipeline.targets.board import Board
 
 Array = NDArray[np.float64]
 
-_MARGIN = {"circles": 0.375, "acircles": 0.375, "chessboard": 0.5, "charuco": 0.5}
+MARGIN = {"circles": 0.375, "acircles": 0.375, "chessboard": 0.5, "charuco": 0.5}
 """White between the outermost black and the edge of the paper, in pitches. The finders need about this much."""
 _MOST_PIXELS = 1 << 27
 _STRIPS = 16
@@ -56,7 +56,7 @@ def shapes(board: Board, *, paper_mm: tuple[float, float] | None = None) -> Prin
     discs, squares = _discs(board), _squares(board)
     low = np.concatenate([discs[:, :2] - discs[:, 2:], squares[:, :2]]).min(axis=0)
     high = np.concatenate([discs[:, :2] + discs[:, 2:], squares[:, 2:]]).max(axis=0)
-    margin = np.full(2, _MARGIN[board.kind] * board.pitch_mm)
+    margin = np.full(2, MARGIN[board.kind] * board.pitch_mm)
     if paper_mm is not None:
         margin = (np.asarray(paper_mm, dtype=np.float64) - (high - low)) / 2
         if not (margin >= 0).all():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from html import escape
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from pipeline.bundle import Solution
 from pipeline.calibration import Cameras
 
 _EMPTY = np.empty((0, 2))
+MOST_PICTURES = 60
+"""Pictures in a report; each takes some 50 kilobytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,40 +150,52 @@ def _residuals(solution: Solution) -> str:
 def _parameters(report: Report) -> str:
     solution = report.solution
     before = values_of(report.before) if report.before is not None else {}
-    head = ["parameter", "value", "standard deviation"]
-    head += [f"before ({report.before_name})", "change", "in standard deviations"] if before else []
+    first = next(iter(solution.devices))
+    groups: list[tuple[str, list[tuple[str, str]]]] = []
+    for device in solution.devices:
+        keys = INTRINSICS if device == first else (*INTRINSICS, *POSE)
+        groups.append((device, [(f"{device}.{key}", key) for key in keys]))
+    groups.append(("rig", [(name, name) for name in ("baseline_mm", "angle_deg") if name in solution.values]))
+    tables = [_table(report, before, heading, names) for heading, names in groups if names]
+    text = (
+        "<p>One standard deviation, from the residuals and the geometry of all views together. fx, fy, skew, cx, cy in "
+        "pixels; rotations as a rotation vector in radians; translations in mm.</p>"
+    )
+    if before:
+        text += (
+            f"<p>Before: {escape(report.before_name)}. Red: changed by more than five standard deviations; something "
+            "was moved, refocused or replaced.</p>"
+        )
+    wide = " wide" if before else ""
+    return f'{text}<div class="tables{wide}">{"".join(tables)}</div>'
+
+
+def _table(report: Report, before: Mapping[str, float], heading: str, names: Sequence[tuple[str, str]]) -> str:
+    """Values and standard deviations of some parameters, (name, shown name), beside those before."""
     rows: list[list[str]] = []
     out: list[int] = []
-    names: list[str] = [n for n in ("baseline_mm", "angle_deg") if n in solution.values]
-    for device in solution.devices:
-        names += [f"{device}.{key}" for key in INTRINSICS]
-        names += [f"{device}.{key}" for key in POSE] if device != next(iter(solution.devices)) else []
-    for name in names:
-        value, sigma = solution.values.get(name), solution.sigma.get(name, 0.0)
+    for name, shown in names:
+        value, sigma = report.solution.values.get(name), report.solution.sigma.get(name, 0.0)
         if value is None:
             continue
-        row = [name, _rounded(value, sigma), f"{sigma:.2g}" if sigma > 0 else "held"]
+        row = [shown, _rounded(value, sigma), f"{sigma:.2g}" if sigma > 0 else "held"]
+        was = before.get(name)
         if before:
-            was = before.get(name)
-            row += [_rounded(was, sigma), f"{value - was:+.3g}"] if was is not None else ["", ""]
+            row += [_rounded(was, sigma), _rounded(value - was, sigma, sign="+")] if was is not None else ["", ""]
             ratio = abs(value - was) / sigma if was is not None and sigma > 0 else None
             row.append(f"{ratio:.1f}" if ratio is not None else "")
             if ratio is not None and ratio > 5:
                 out.append(len(rows))
         rows.append(row)
-    text = (
-        "<p>One standard deviation, from the residuals and the geometry of all views together. fx, fy, skew, cx, cy in "
-        "pixels; rotations as a rotation vector in radians; translations in mm.</p>"
-    )
-    if out:
-        text += "<p>Red: changed by more than five standard deviations; something was moved, refocused or replaced.</p>"
-    return text + table(head, rows, out=out)
+    head = ["", "value", "std. dev."] + (["before", "change", "in std. dev."] if before else [])
+    return f"<div><h3>{escape(heading)}</h3>{table(head, rows, out=out)}</div>"
 
 
 def _pictures(report: Report) -> str:
     scale = _common_scale(report.solution)
     out = []
-    for seen in report.seen:
+    shown, rest = _worst(report)
+    for seen in shown:
         residuals = report.solution.residuals.get((seen.view, seen.device))
         used, misfit = (residuals.pixels, residuals.misfit) if residuals is not None else (_EMPTY, _EMPTY)
         left_out = _EMPTY
@@ -190,10 +205,23 @@ def _pictures(report: Report) -> str:
             left_out = marks.pixels[~kept] if residuals is None or len(used) < len(marks) else _EMPTY
         svg = view_picture(seen.size, seen.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
         out.append(figure(svg, _caption(seen, used, misfit)))
-    return (
-        f"<p>Green: marks used; red lines: from each to where the calibrated model puts it, drawn {scale:g} times as "
-        f'long; amber crosses: marks left out.</p><div class="grid">{"".join(out)}</div>'
+    text = (
+        f"Green: marks used; red lines: from each to where the calibrated model puts it, drawn {scale:g} times as "
+        "long; amber crosses: marks left out."
     )
+    text += f" The worst views are shown, {rest} pictures are not." if rest else ""
+    return f'<p>{text}</p><div class="grid">{"".join(out)}</div>'
+
+
+def _worst(report: Report) -> tuple[list[Seen], int]:
+    """The pictures to show, in order: all of them, or the ones of the worst views; and how many are not shown."""
+    if len(report.seen) <= MOST_PICTURES:
+        return list(report.seen), 0
+    errors = {view.name: max(view.rms.values(), default=np.inf) for view in view_figures(report.solution)}
+    views = sorted({seen.view for seen in report.seen}, key=lambda name: -errors.get(name, np.inf))
+    chosen = set(views[: MOST_PICTURES // 2])
+    shown = [seen for seen in report.seen if seen.view in chosen]
+    return shown, len(report.seen) - len(shown)
 
 
 def _caption(seen: Seen, used: np.ndarray, misfit: np.ndarray) -> str:
@@ -218,8 +246,8 @@ def _common_scale(solution: Solution) -> float:
     return vector_scale([r.misfit for r in solution.residuals.values()], width)
 
 
-def _rounded(value: float, sigma: float) -> str:
+def _rounded(value: float, sigma: float, sign: str = "") -> str:
     """A value to a tenth of its standard deviation."""
     if not sigma > 0:
-        return f"{value:.6g}"
-    return f"{value:.{max(0, min(12, 1 - int(np.floor(np.log10(sigma)))))}f}"
+        return f"{value:{sign}.6g}"
+    return f"{value:{sign}.{max(0, min(12, 1 - int(np.floor(np.log10(sigma)))))}f}"

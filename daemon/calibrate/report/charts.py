@@ -22,7 +22,7 @@ def vector_scale(misfits: Sequence[Array], width: int) -> float:
     lengths = np.concatenate([np.linalg.norm(misfit, axis=1) for misfit in misfits] or [np.empty(0)])
     if not len(lengths) or not (long := float(np.quantile(lengths, 0.95))) > 0:
         return 1.0
-    raw = 0.035 * width / long
+    raw = 0.05 * width / long
     power = 10.0 ** np.floor(np.log10(raw))
     return float(power * max(n for n in (1, 2, 5) if n * power <= raw * (1 + 1e-9)))
 
@@ -37,7 +37,7 @@ def view_picture(
         used, misfit: (n, 2) marks and measured minus predicted; left_out: (m, 2) marks that were not used.
     """
     width, height = size
-    thin = width / 420
+    thin = width / 300
     href = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}" if jpeg else ""
     picture = f'<image href="{href}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>' if jpeg else ""
     ends = used - scale * misfit
@@ -52,7 +52,7 @@ def view_picture(
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-0.5 -0.5 {width} {height}" role="img">'
         f'<rect x="-0.5" y="-0.5" width="{width}" height="{height}" fill="#10151b"/>{picture}'
-        f'<path d="{dots}" stroke="{color}" stroke-width="{3.2 * thin:.2f}" stroke-linecap="round" fill="none"/>'
+        f'<path d="{dots}" stroke="{color}" stroke-width="{2.6 * thin:.2f}" stroke-linecap="round" fill="none"/>'
         f'<path d="{lines}" stroke="#ff4d3d" stroke-width="{1.1 * thin:.2f}" fill="none"/>'
         f'<path d="{crosses}" stroke="{AMBER}" stroke-width="{1.3 * thin:.2f}" fill="none"/></svg>'
     )

@@ -24,8 +24,9 @@ p { margin: 6px 0 10px; max-width: 80ch; }
 .card b small { font-size: 14px; font-weight: 400; color: var(--dim); }
 .card span { color: var(--dim); font-size: 13px; }
 .good b { color: var(--green); } .warn b { color: var(--amber); } .bad b { color: var(--red); }
-.grid { display: grid; grid-template-columns: repeat(4, 1fr); gap: 14px; }
-@media (max-width: 900px) { .grid { grid-template-columns: repeat(2, 1fr); } }
+.grid { display: grid; grid-template-columns: repeat(2, 1fr); gap: 16px; }
+.tables { display: grid; grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); gap: 0 36px; }
+.wide { grid-template-columns: repeat(auto-fit, minmax(540px, 1fr)); }
 .pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(320px, 1fr)); gap: 20px; }
 figure { margin: 0; }
 figcaption { font-size: 13px; padding-top: 4px; }

@@ -8,6 +8,8 @@ from pipeline.errors import CalibrationError
 from pipeline.targets.board import DEFAULT_BOARD
 from tests.calibrate.bundle.sessions import session
 
+PAIR = ("left", "right")
+
 
 def bent() -> np.ndarray:
     """Bent by 1.5 mm, and each mark printed somewhat elsewhere."""
@@ -43,7 +45,7 @@ def test_exact_marks_of_a_bent_board_give_rig_and_board():
 
 
 def test_a_ruler_fixes_the_scale():
-    views, sizes, _ = session(points=1.01 * bent())
+    views, sizes, _ = session(points=1.01 * bent(), devices=PAIR)
     length = float(np.linalg.norm(1.01 * (bent()[98] - bent()[0])))
     options = Options(board_refined=True, known_distance=(0, 98, length))
     solution = calibrate(DEFAULT_BOARD, views, sizes, options=options)
@@ -58,7 +60,7 @@ def test_a_ruler_fixes_the_scale():
 
 
 def test_refining_the_board_of_noisy_views_removes_the_bias_of_a_bent_one():
-    views, sizes, truth = session(points=bent(), sigma=0.02, n=16)
+    views, sizes, truth = session(points=bent(), sigma=0.02, n=16, devices=PAIR)
     plain = calibrate(DEFAULT_BOARD, views, sizes)
     refined = calibrate(DEFAULT_BOARD, views, sizes, options=Options(board_refined=True))
 
@@ -74,7 +76,7 @@ def test_refining_the_board_of_noisy_views_removes_the_bias_of_a_bent_one():
 
 
 def test_a_flat_board_stays_flat():
-    views, sizes, _ = session(sigma=0.02)
+    views, sizes, _ = session(sigma=0.02, devices=PAIR)
     refined = calibrate(DEFAULT_BOARD, views, sizes, options=Options(board_refined=True))
     away = refined.board_points - DEFAULT_BOARD.points
     assert np.sqrt(((away / refined.board_sigma_mm) ** 2).mean()) < 1.6

@@ -5,11 +5,12 @@ import pytest
 
 from pipeline.bundle import Options, calibrate
 from pipeline.bundle.state import intrinsics_of
+from pipeline.errors import CalibrationError
 from pipeline.targets import disc
 from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
 from pipeline.targets.marks import BoardView, Marks
 from sim.rig import RigLayout
-from tests.calibrate.bundle.sessions import session
+from tests.calibrate.bundle.sessions import poses, session
 
 
 def agree(solution, truth, *, intrinsic: float = 1e-6, pose: float = 1e-6) -> None:
@@ -82,8 +83,6 @@ def test_centroids_of_circles_are_not_taken_for_their_centres(told):
     """With the offset of each circle predicted the rig is exact; the circles' diameter comes from their areas."""
     views, sizes, truth = session(devices=("left", "right"))
     round_views = []
-    from tests.calibrate.bundle.sessions import poses
-
     places = poses(12, 0, DEFAULT_BOARD, RigLayout())
     for view, (r, t) in zip(views, places, strict=True):
         marks = {}
@@ -97,6 +96,8 @@ def test_centroids_of_circles_are_not_taken_for_their_centres(told):
     agree(solution, truth, intrinsic=1e-4, pose=1e-7)
     assert abs(solution.diameter_mm - 20) < 1e-5
     assert solution.offsets_px > 0.05
+    with pytest.raises(CalibrationError, match=r"circles measure 20\.0 mm if their pitch is 32 mm"):
+        calibrate(Board("circles", 11, 9, 32.0, 14.0), round_views, sizes)
     ignored = [
         BoardView(v.name, {d: Marks(m.ids, m.pixels, m.sigma_px) for d, m in v.marks.items()}) for v in round_views
     ]

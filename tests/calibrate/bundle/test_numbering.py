@@ -1,9 +1,11 @@
 """Numbering that was mixed up is repaired where the geometry tells; mirrored and swapped pictures are refused."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
-from pipeline.bundle import calibrate
+from pipeline.bundle import Solution, calibrate
 from pipeline.bundle.symmetry import symmetries
 from pipeline.errors import CalibrationError
 from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
@@ -11,6 +13,12 @@ from pipeline.targets.marks import BoardView, Marks
 from tests.calibrate.bundle.sessions import session
 
 SQUARE = Board("circles", 9, 9, 34.0)
+
+
+@cache
+def as_numbered(board: Board) -> Solution:
+    views, sizes, _ = session(board, sigma=0.03)
+    return calibrate(board, views, sizes)
 
 
 def renumbered(view: BoardView, device: str, permutation) -> BoardView:
@@ -56,7 +64,7 @@ def test_symmetries_map_the_marks_onto_themselves(text, count):
 @pytest.mark.parametrize("device", ["left", "right", "projector"])
 def test_one_view_numbered_otherwise_is_repaired(board, turn, device):
     views, sizes, _ = session(board, sigma=0.03)
-    straight = calibrate(board, views, sizes)
+    straight = as_numbered(board)
     views[5] = renumbered(views[5], device, by_name(board, turn))
     solution = calibrate(board, views, sizes)
     assert {r.view for r in solution.rejected} == {"view_05"} and all(r.repaired for r in solution.rejected)

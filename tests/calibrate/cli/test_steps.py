@@ -73,9 +73,7 @@ def test_cameras_are_calibrated_as_the_manual_writes_it(
     # Both cameras together, against the world of the left one: what a measurement feels.
     assert abs(file.cameras.baseline_mm - true_rig.baseline_mm) < 5 * sigma["baseline_mm"]
     assert quality["epipolar_px"] < 0.05
-    report_is_whole(
-        report, "Coverage", "Residuals", "left.fx", "right.translation_x", "Errors of every view", "00, left"
-    )
+    report_is_whole(report, "Coverage", "Residuals", "translation_x", "std. dev.", "Errors of every view", "00, left")
     assert sorted(path.name for path in pictures.iterdir()) == ["L", "R", "calibration.yaml", "report.html"]
 
 
@@ -87,7 +85,7 @@ def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(pictures:
     assert invoke(command) == 0
     kept = list(pictures.glob("calibration.2*.yaml"))
     assert [path.read_bytes() for path in kept] == [first]
-    report_is_whole(pictures / "calibration.report.html", "before (", "in standard deviations")
+    report_is_whole(pictures / "calibration.report.html", "Before: 2", "in std. dev.")
 
 
 def test_projector_and_cameras_are_solved_together(
@@ -108,18 +106,31 @@ def test_projector_and_cameras_are_solved_together(
     for device, wanted in ((rig.right, true.right), (rig.projector, true.projector)):
         assert field_error_px(device, wanted) < 1.0
     assert rig.baseline_mm == pytest.approx(true.baseline_mm, rel=5e-4)
-    report_is_whole(out.with_name("calibration.report.html"), "projector.fx", "coverage, projector")
+    report_is_whole(out.with_name("calibration.report.html"), "coverage, projector")
 
 
 def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
-    tmp_path: Path, capture_folder: Path, true_rig: Cameras
+    tmp_path: Path, capture_folder: Path, true_rig: Cameras, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "calibration.yaml"
     command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
+    monkeypatch.setattr("daemon.calibrate.report.build.MOST_PICTURES", 4)
     assert invoke(command) == 0
+    page = (tmp_path / "calibration.report.html").read_text()
+    assert page.count("<image") == 4
+    assert "The worst views are shown, 6 pictures are not." in page
     file = read_cameras(out)
     assert file.cameras.projector is None
     assert file.cameras.baseline_mm == pytest.approx(true_rig.baseline_mm, rel=1e-3)
+
+
+def test_a_distance_on_the_board_sets_the_scale(tmp_path: Path, capture_folder: Path, true_rig: Cameras) -> None:
+    out = tmp_path / "calibration.yaml"
+    command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
+    # The marks 0 and 62 are sqrt(8^2 + 6^2) = 10 pitches of 24 mm apart; the ruler says one per cent more.
+    assert invoke([*command, "--distance", "0-62:242.4"]) == 0
+    assert read_cameras(out).cameras.baseline_mm == pytest.approx(1.01 * true_rig.baseline_mm, rel=1e-3)
+    assert invoke([*command, "--distance", "0:62:242.4"]) == 2
 
 
 @pytest.mark.shared

@@ -236,12 +236,13 @@ def test_following_live_costs_little_and_is_good_to_a_tenth_of_a_pixel(tilted):
 @pytest.mark.parametrize(("width", "height", "focal"), [(256, 204, 850.0), (333, 301, 1100.0)])
 def test_small_pictures_and_odd_sizes(width, height, focal):
     device = camera(width, height, focal)
-    for pose in (Pose(), Pose(30, 30)):
+    for pose in (Pose(), Pose(30, 30, 0, (0, 0, 1500))):
         found = find_marks(noisy(clean(DEFAULT_BOARD, device, pose)), DEFAULT_BOARD)
         error = errors(found, DEFAULT_BOARD, device, pose)
         assert len(error) == 99 and np.sqrt((error**2).mean()) < 0.015
 
 
+@pytest.mark.slow
 def test_five_megapixels():
     device = camera(2592, 1944, 8600.0)
     found = find_marks(noisy(clean(DEFAULT_BOARD, device, TILTED, ss=1, blur_px=1.2)), DEFAULT_BOARD)
