@@ -137,7 +137,7 @@ def _numbered(
         return answers.wrong_size(board, columns, rows)
     if found.hits < _LEAST_SHARE * whole or not clear(found, board):
         full = len(lattice) >= 0.95 * columns * rows and len(lattice) >= _BOARD_OF_ITS_OWN * whole
-        if other and full and min(columns, rows) > 2:
+        if other and full and min(columns, rows) > 2 and not _runs_out(picture, discs, lattice):
             return answers.wrong_size(board, columns, rows)
         return answers.too_few(board, found.hits, picture)
     named = found.ids >= 0
@@ -163,6 +163,13 @@ def _inside(fits: Fits, picture: GreyPicture) -> NDArray[np.bool_]:
 def _most_misfit(median: float) -> float:
     """Limit of the residuals: pictures that a camera has sharpened fit badly everywhere, a covered disc alone does."""
     return min(max(_MISFIT_OVER_MEDIAN * median, 0.05), max(_MISFIT, 2.5 * median))
+
+
+def _runs_out(picture: GreyPicture, discs: Discs, lattice: Lattice) -> bool:
+    centres = discs.centres[lattice.indices]
+    step = np.linalg.norm(centres[:, None] - centres, axis=2)
+    np.fill_diagonal(step, np.inf)
+    return answers.runs_out(picture, centres, float(np.median(step.min(axis=1))))
 
 
 def _unrefined(picture: GreyPicture, grid: _Grid) -> Found:

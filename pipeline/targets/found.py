@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.errors import TargetError
 from pipeline.targets.board import Board
@@ -93,6 +94,13 @@ def wrong_size(board: Board, columns: int, rows: int) -> TargetError:
         f"wrong board: the picture shows a grid of {columns}x{rows} marks and {wanted} was told ({board}); "
         "tell the board that is used, or show all of its marks"
     )
+
+
+def runs_out(picture: GreyPicture, pixels: NDArray[np.float64], pitch_px: float) -> bool:
+    """Whether a grid ends less than about a pitch before the edge of the picture, so that it may go on outside."""
+    height, width = picture.values.shape
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    return bool((low < 1.1 * pitch_px).any() or (high > np.array([width, height]) - 1 - 1.1 * pitch_px).any())
 
 
 def two_boards(board: Board) -> TargetError:

@@ -153,6 +153,10 @@ def _reason(picture: GreyPicture, image: Eight, board: Board) -> Exception:
     )
     if ok and meta is not None:
         rows, columns = (int(count) for count in meta.shape[:2])
+        places = corners.reshape(-1, 2) * scale
+        smaller = rows * columns < board.columns * board.rows
+        if smaller and answers.runs_out(picture, places, float(np.linalg.norm(places[1] - places[0]))):
+            return answers.too_few(board, len(corners), picture)
         if sorted((rows, columns)) != sorted(board.grid):
             return answers.wrong_size(board, max(columns, rows), min(columns, rows))
         return answers.too_few(board, len(corners), picture)

@@ -52,6 +52,12 @@ def test_only_some_marks(board):
         find_marks(picture, board)
 
 
+@pytest.mark.parametrize("board", [ALL[0], CHESS], ids=str)
+def test_a_board_that_runs_out_of_the_picture_is_not_another_board(board):
+    with pytest.raises(TargetError, match=r"only \d+ of the \d+ marks .* whole board"):
+        find_marks(noisy(clean(board, DEVICE, Pose(5, 5, 0, (90, 0, 1400)), ss=2)), board)
+
+
 @pytest.mark.parametrize(
     ("shown", "told", "seen"),
     [
@@ -66,7 +72,7 @@ def test_only_some_marks(board):
 )
 def test_another_size_is_named(shown, told, seen):
     with pytest.raises(TargetError, match=f"wrong board: the picture shows a grid of {seen} marks"):
-        find_marks(noisy(clean(parse_board(shown), DEVICE, FAR, ss=2)), parse_board(told))
+        find_marks(noisy(clean(parse_board(shown), DEVICE, Pose(10, 20, 5, (0, 0, 1900)), ss=2)), parse_board(told))
 
 
 @pytest.mark.parametrize("board", ALL, ids=str)
