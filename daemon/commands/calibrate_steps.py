@@ -120,6 +120,7 @@ def color(
     views: Views = None,
     calibration: Annotated[Path, typer.Option(help="The calibration to put the colours into.")] = DEFAULT_OUT,
     out: Annotated[Path | None, typer.Option(help="Write here instead.", show_default="--calibration")] = None,
+    board: Annotated[str, typer.Option("--board", help="Live: the board that is held. " + BOARD_HELP)] = DEFAULT_BOARD,
     force: Force = False,
     poses: Poses = 12,
     view: Show = "none",
@@ -127,7 +128,7 @@ def color(
 ) -> None:
     """Calibrate black level, crosstalk, lateral colour and the projector's response, from a white board at rest."""
     if rig is not None:
-        options: dict[str, Any] = {"calibration": calibration, "out": out, "force": force}
+        options: dict[str, Any] = {"calibration": calibration, "out": out, "board": board, "force": force}
         return _live("color", rig, None, None, views, options | {"poses": poses, "view": view, "session": session})
     from daemon.calibrate.color import colored
     from daemon.commands.progress import rendering

@@ -41,11 +41,14 @@ def test_the_loop_costs_no_accuracy(make_box: Callable[..., Box], encoding: str)
     truth, _ = render.truths(box.options.layout, box.stage.scene, box.options.layout.pattern())
     with Daemon(box) as daemon, closing(subscribe(daemon.stream, latest=False, timeout_s=30)) as clouds:
         wait_until(lambda: "cloud/full" in daemon.service.sinks["stream"].status()["topics"], 30, "the subscription")
+        received = []
         for _ in range(PAIRS):
             index = daemon.step_until_pair()
             wait_until(lambda index=index: daemon.witness.last_cloud == index, 30, "the cloud")
-        received = [next(clouds) for _ in range(daemon.witness.counts["clouds"])]
-    assert len(received) >= PAIRS and clouds.lost == 0
+            # Clouds before the last one may have been overtaken, as they should where the reader or the PC is slow.
+            while not received or received[-1].header.seq != daemon.service.worker.last.seq:
+                received.append(next(clouds))
+    assert len(received) >= PAIRS
     looped, pure = score(received[-1].xyz, truth), score(simulated(box, index), truth)
     title = f"\n{encoding}, {box.options.layout.camera_size[0]} x {box.options.layout.camera_size[1]}, scene mixed"
     print(title, line("loop", looped), line("simulated", pure), sep="\n")  # noqa: T201 - the table is the result

@@ -22,7 +22,7 @@ def on_status(status):
     if status["state"] == "running":
         flag.ask()
 launch.run_rig(path / "rig.yaml", flag=flag, on_status=on_status)
-heavy = ("rerun", "matplotlib", "sim", "pyarrow", "trimesh", "scipy")
+heavy = ("rerun", "matplotlib", "sim", "pyarrow", "trimesh")
 solving = ("daemon.calibrate", "pipeline.bundle", "pipeline.targets", "pipeline.color_calibration")
 loaded = [name for name in sys.modules if name.partition(".")[0] in heavy or name.startswith(solving)]
 print(states[-1], sorted(loaded))

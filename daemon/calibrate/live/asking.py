@@ -110,6 +110,8 @@ class DaemonShooter:
 def _read(path: Path, frames: int) -> Shots:
     with TakeReader(path) as take:
         pairs = sorted(take.pairs(), key=lambda pair: pair.sequence)
-        if [pair.sequence for pair in pairs] != list(range(frames)):
-            raise DaemonError(f"{path}: {len(pairs)} of {frames} pictures are there")
+        numbers = [pair.sequence for pair in pairs]
+        if numbers != list(range(frames)):
+            first = numbers[0] if numbers else 0
+            raise DaemonError(f"{path}: {len(pairs)} of {frames} pictures are there, numbered from {first}")
     return Shots(pairs[0].encoding, tuple((pair.left, pair.right) for pair in pairs))

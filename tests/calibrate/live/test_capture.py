@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import random
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,9 +59,8 @@ class Bench:
         return int(self.service.rig.pattern.picture(self.service.rig.calibration.response)[0, 0].max())
 
 
-@pytest.fixture(scope="module")
-def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    path = tmp_path_factory.mktemp("rig")
+@contextmanager
+def running(path: Path) -> Iterator[Bench]:
     made, projector, _ = devices()
     sink = Collector()
     rig, settings = rig_of(made), config(path, "recording: {min_free_mb: 10}\n")
@@ -74,16 +75,22 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     calibrate = CalibrateMethods(service, capture)
     methods = Methods(service, recorder, path=None, base_dir=path, calibrate=calibrate)
     thread = threading.Thread(target=service.run)
-    thread.start()
     bench = Bench(service, methods, capture, projector, sink, path)
     with pytest.raises(RpcError, match="still starting"):
         bench.call("calibrate.capture", frames=bench.frames(1))
+    thread.start()
     wait_until(lambda: service.state()[0] is State.RUNNING, 60)
     yield bench
     service.ask_stop()
     thread.join(20)
     capture.close()
     assert not list((path / "run").iterdir()), "what was kept in memory goes with the daemon"
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    with running(tmp_path_factory.mktemp("rig")) as bench:
+        yield bench
 
 
 @pytest.fixture
@@ -182,6 +189,31 @@ def test_only_the_last_captures_are_kept(bench: Bench) -> None:
     assert len(list(bench.path.glob("run/capture*.mcap"))) == 4
 
 
+def test_clients_that_start_and_cancel_as_they_like_never_leave_it_stuck(bench: Bench) -> None:
+    def client(seed: int) -> None:
+        rng = random.Random(seed)
+        for _ in range(25):
+            try:
+                if rng.random() < 0.6:
+                    levels = [rng.randrange(1, 250) for _ in range(rng.randrange(1, 4))]
+                    bench.call("calibrate.capture", frames=bench.frames(*levels), hold_s=rng.choice([0, 0.05]))
+                else:
+                    bench.call("calibrate.cancel")
+            except RpcError as error:
+                assert "is going on" in error.message
+            threading.Event().wait(rng.uniform(0, 0.08))
+
+    clients = [threading.Thread(target=client, args=(seed,)) for seed in range(3)]
+    for thread in clients:
+        thread.start()
+    for thread in clients:
+        thread.join(60)
+    wait_until(lambda: bench.call("calibrate.status")["state"] == "idle" and not bench.capture.active)
+    assert not [thread for thread in threading.enumerate() if thread.name == "capture"]
+    bench.call("calibrate.capture", frames=bench.frames(33))
+    assert bench.ended()["outcome"] == "done"
+
+
 @pytest.mark.parametrize(
     ("params", "path"),
     [
@@ -220,3 +252,13 @@ def test_too_much_is_refused(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_hand_is_only_where_one_is_simulated(bench: Bench) -> None:
     with pytest.raises(RpcError, match="move it yourself"):
         bench.call("calibrate.next_pose")
+
+
+def test_a_daemon_that_stops_in_the_middle_of_a_capture_stops_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    with running(tmp_path) as bench:
+        bench.call("calibrate.capture", frames=bench.frames(*range(1, 201)), pairs=4)
+        wait_until(lambda: bench.call("calibrate.status")["done"] > 3)
+    told = bench.capture.status()
+    assert told["outcome"] in ("cancelled", "failed") and told["state"] == "idle"
+    assert not list(tmp_path.glob("*/*.partial"))
+    assert bench.service.state()[0] is State.STOPPING

@@ -33,6 +33,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_without_a_daemon_the_devices_are_used_and_every_phase_gets_its_folder(rig: Path) -> None:
     said: list[str] = []
     outcomes = run_session("all", rig, BOARD, rig.parent / "s", views=3, find=find, say=said.append)
@@ -90,6 +91,7 @@ except Exit as stop:
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_was_captured_and_tells_how_to_go_on(rig: Path) -> None:
     session = rig.parent / "s"
     command = [sys.executable, "-c", _PROGRAM, str(rig), str(session)]
