@@ -23,7 +23,9 @@ def on_status(status):
         flag.ask()
 launch.run_rig(path / "rig.yaml", flag=flag, on_status=on_status)
 heavy = ("rerun", "matplotlib", "sim", "pyarrow", "trimesh")
-print(states[-1], sorted(name for name in sys.modules if name.partition(".")[0] in heavy))
+solving = ("daemon.calibrate", "pipeline.bundle", "pipeline.targets", "pipeline.color_calibration")
+loaded = [name for name in sys.modules if name.partition(".")[0] in heavy or name.startswith(solving)]
+print(states[-1], sorted(loaded))
 """
 
 

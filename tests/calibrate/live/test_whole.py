@@ -1,0 +1,94 @@
+"""The command a user types, on a simulated rig with a simulated hand: from nothing to a calibration, unattended."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from daemon.calibration_file import read_calibration, read_cameras
+from daemon.control.client import ControlClient
+from sim.rig import RigLayout
+from tests.daemon.rigs import wait_until
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "calibrate-sim.yaml"
+
+
+PROGRAM = "from daemon.entry import main; main()"
+DAEMON = """
+import sys
+from pathlib import Path
+from daemon.launch import StopFlag, run_rig
+from daemon.service import Service
+from tests.calibrate.live.lit_rig import FlatReconstructor
+Service._warm = lambda self: FlatReconstructor()
+with StopFlag().on_signals() as flag:
+    run_rig(Path(sys.argv[1]), flag=flag)
+"""
+
+
+def rig_file(tmp_path: Path) -> Path:
+    data = yaml.safe_load(EXAMPLE.read_text())
+    data["simulation"] |= {"poses": 5, "rate_hz": 50.0}
+    data |= {"control": {"endpoint": f"ipc://{tmp_path}/c"}, "stream": {"endpoints": [f"ipc://{tmp_path}/s"]}}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(data))
+    return rig
+
+
+def calibrated(what: str, rig: Path) -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable,
+        "-c",
+        PROGRAM,
+        "calibrate",
+        what,
+        str(rig),
+        "--out",
+        str(rig.parent / "calibration.yaml"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=350, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_everything_is_calibrated_from_start_to_file(tmp_path: Path) -> None:
+    done = calibrated("all", rig_file(tmp_path))
+    found, truth = read_calibration(tmp_path / "calibration.yaml").calibration, RigLayout().scaled(0.25).calibration()
+    assert found.baseline_mm == pytest.approx(truth.baseline_mm, rel=5e-4)
+    for device in ("left", "right", "projector"):
+        ours, true = getattr(found, device), getattr(truth, device)
+        assert ours.matrix[0, 0] == pytest.approx(true.matrix[0, 0], rel=2e-3)
+        assert np.abs(ours.matrix[:2, 2] - true.matrix[:2, 2]).max() < 1.5
+    assert found.response is not None and found.left_color.crosstalk[0, 1] > 0.01
+    (session,) = (tmp_path / "calibration-sessions").iterdir()
+    assert sorted(path.name for path in session.iterdir()) == ["board", "color"]
+    assert len(list((session / "board").glob("view_*"))) == 5
+    assert "no daemon is running" in done.stderr and "view 5 of 12 is taken" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_running_daemon_is_calibrated_from_and_measures_on(tmp_path: Path) -> None:
+    rig = rig_file(tmp_path)
+    with subprocess.Popen([sys.executable, "-c", DAEMON, str(rig)]) as daemon:
+        try:
+            with ControlClient(f"ipc://{tmp_path}/c", timeout_s=60.0) as client:
+                wait_until(lambda: client.call("status")["state"] == "running", 60)
+                done = calibrated("cameras", rig)
+                wait_until(lambda: client.call("status")["state"] == "running")
+                clouds = client.call("status")["clouds"]
+                wait_until(lambda: client.call("status")["clouds"] > clouds)
+        finally:
+            daemon.terminate()
+    assert daemon.returncode == 0
+    assert "the running daemon calibrate-sim is asked" in done.stderr
+    found = read_cameras(tmp_path / "calibration.yaml").cameras
+    assert found.baseline_mm == pytest.approx(RigLayout().baseline_mm, rel=5e-4)
+    assert not list(tmp_path.glob("capture*.mcap")), "nothing of the captures is left behind"
