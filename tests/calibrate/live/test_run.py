@@ -9,12 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from daemon.calibrate.live import run as run_module
 from daemon.calibrate.live.command import run as run_command
-from daemon.calibrate.live.run import What, open_shooter, phases, run_session
+from daemon.calibrate.live.run import Phase, What, open_shooter, phases, run_session
+from daemon.calibrate.live.session import Limits
+from daemon.calibrate.live.shots import unheard
 from daemon.calibrate.sources import CaptureFolder
 from daemon.config import load_rig, registry
 from daemon.control.server import ControlServer
 from daemon.errors import DaemonError
+from pipeline.sequence import camera_sequence
 from tests.calibrate.live.hand_rig import BOARD, find
 from tests.daemon.rigs import wait_until
 
@@ -33,19 +37,31 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-@pytest.mark.slow
-def test_without_a_daemon_the_devices_are_used_and_every_phase_gets_its_folder(rig: Path) -> None:
+def test_without_a_daemon_the_devices_are_used_and_every_phase_gets_its_folder(
+    rig: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def short(_: What, size: tuple[int, int], *, views: int) -> list[Phase]:
+        poses = Limits(wanted=views, most=views)
+        return [
+            Phase("color", camera_sequence(size), Limits(wanted=1, most=1)),
+            Phase("board", camera_sequence(size), poses),
+        ]
+
+    monkeypatch.setattr(run_module, "phases", short)
     said: list[str] = []
     outcomes = run_session("all", rig, BOARD, rig.parent / "s", views=3, find=find, say=said.append)
-    assert list(outcomes) == ["color", "board"] and outcomes["color"].views == 1
-    assert outcomes["board"].views >= 3
+    assert {name: outcome.views for name, outcome in outcomes.items()} == {"color": 1, "board": 3}
     assert said == ["no daemon is running: the rig's devices are used directly"]
-    names = {}
     for name, outcome in outcomes.items():
-        source = CaptureFolder(outcome.folder)
-        assert outcome.folder == rig.parent / "s" / name and source.sequence is not None
-        names[name] = source.sequence.name
-    assert names == {"board": "projector", "color": "color"}
+        assert outcome.folder == rig.parent / "s" / name
+        assert len(list(CaptureFolder(outcome.folder).views(unheard))) == outcome.views
+
+
+def test_everything_begins_with_the_colours_and_looks_at_the_exposure_before() -> None:
+    color, board = phases("all", (640, 480), views=9)
+    assert (color.name, color.sequence.name, color.limits.most) == ("color", "color", 1)
+    assert (board.name, board.sequence.name, board.limits.wanted) == ("board", "projector", 9)
+    assert color.probe is not None and len(color.probe[0]) == 3 and board.probe is None
 
 
 def test_a_session_without_a_name_is_called_by_its_time(rig: Path) -> None:
