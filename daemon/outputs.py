@@ -52,3 +52,17 @@ def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: P
         max_part_bytes=recording.max_part_mb * MEGABYTE,
         min_free_bytes=recording.min_free_mb * MEGABYTE,
     )
+
+
+def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
+    """The continuous check of the calibration, running."""
+    from daemon.selfcheck.sink import SelfCheck
+
+    return SelfCheck(
+        config.selfcheck,
+        config.path(config.selfcheck.dir, base_dir),
+        calibration=rig.calibration,
+        pattern=rig.pattern,
+        volume=rig.volume,
+        identity=rig.identity,
+    )

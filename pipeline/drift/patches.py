@@ -205,7 +205,12 @@ def _brightness(picture: Any, mosaic: Any, black: Any, top: int, left: int, rows
     """Counts over the fitted fringe in a rectangle, smoothed; the outermost pixels of ``out`` stay undefined."""
     colours = picture.shape[2]
     cosine, sine = scratch[3], scratch[4]
-    level, p, r, dark = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
+    level, p, r, dark = (
+        np.empty(3, np.float32),
+        np.empty(3, np.float32),
+        np.empty(3, np.float32),
+        np.empty(3, np.float32),
+    )
     for c in range(3):
         dark[c], level[c], p[c], r[c] = black[c], light[c, 0] - black[c], light[c, 1], light[c, 2]
     for i in range(rows):
