@@ -65,7 +65,7 @@ class KnockedLayout(RigLayout):
             moved = CameraModel(
                 device.size, matrix, device.distortion, turn @ device.rotation, turn @ device.translation, device.name
             )
-            # A left camera that was turned is no world frame any more, which a calibration refuses and a renderer bears.
+            # A turned left camera is no world frame any more, which a calibration refuses and a renderer bears.
             object.__setattr__(rig, self.knock.side, moved)
         return rig
 

@@ -3,8 +3,8 @@
 Every observable is a sequential test of its own. Its value is the median of the last ten checked pairs (two seconds at
 five checks a second): a knock must last for more than half of them, and a single bad pair changes nothing. It has
 drifted when it differs from the reference by more than the limit and by more than five standard deviations of the
-median, twice running; it is well again when it has come back to 70 % of the limit. The limit is a length or an angle that
-matters, or three times the scatter that the scene itself caused while the reference was learned, if that is more.
+median, twice running; it is well again when it has come back to 70 % of the limit. The limit is a length or an angle
+that matters, or three times the scatter that the scene itself caused while the reference was learned, if that is more.
 
 The reference is learned from the first pairs under a calibration and stays: what drifts slowly is told, too.
 """

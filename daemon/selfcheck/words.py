@@ -14,7 +14,6 @@ _NAMES = {
     "column_y_px": "trinocular residual at the top and bottom edge",
     "epipolar_px": "epipolar residual",
 }
-_UNITS = {"color": "rad", "modulation": "of the mean"}
 
 
 def told(drifted: Mapping[str, Found], guess: str = "") -> str:
@@ -44,14 +43,16 @@ def told(drifted: Mapping[str, Found], guess: str = "") -> str:
             )
     if SURFACE in drifted:
         parts.append(
-            f"fringes are seen, but only {100 * drifted[SURFACE].value:.0f} % of them give points: everything stands outside "
-            "of the measuring volume, or a camera or the projector was moved far; run fringed calibrate check"
+            f"fringes are seen, but only {100 * drifted[SURFACE].value:.0f} % of them give points: everything stands "
+            "outside of the measuring volume, or a camera or the projector was moved far; run fringed calibrate check"
         )
     return "; ".join(parts)
 
 
 def _measured(name: str, found: Found, unit: str) -> str:
     if abs(found.change) > found.limit:
-        digits = 3 if unit == "rad" else 2
-        return f"{name} {found.value:+.{digits}f} {unit}, changed by {found.change:+.{digits}f}, limit {found.limit:.{digits}f}"
+        value, change, limit = (
+            f"{number:{sign}.3f}" for number, sign in ((found.value, "+"), (found.change, "+"), (found.limit, ""))
+        )
+        return f"{name} {value} {unit}, changed by {change}, limit {limit}"
     return f"{name} {found.value:+.2f} {unit}, which this calibration does not explain"

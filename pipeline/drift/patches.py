@@ -5,8 +5,8 @@ projector and into the right camera; the projector's phase there, and the right 
 polynomials. These are smooth: the noise of single points and whatever ripples within a period are averaged out. Then
 
 *lock-in*: in either camera every raw channel is fitted, by least squares over the raw pixels of its own colour, with
-``a + a_x x + a_y y + p cos(Phi) + q sin(Phi)``, Phi from the polynomial. No demosaicing, no interpolation; slopes of the
-albedo do not leak into p and q. ``p - i q = B exp(i (r + shift))`` tells the phase r by which the light runs ahead.
+``a + a_x x + a_y y + p cos(Phi) + q sin(Phi)``, Phi from the polynomial. No demosaicing, no interpolation; slopes of
+the albedo do not leak into p and q. ``p - i q = B exp(i (r + shift))`` tells the phase r by which the light runs ahead.
 
 *texture*: counts divided by the fitted fringe leave the surface's own brightness, m = sum(I F) / sum(F F) over a 3 x 3
 binomial window, in both cameras alike. The right one is looked up where the geometry says that each left pixel's point
@@ -88,7 +88,7 @@ def _quadratic(q: Any, c: int, x: float, y: float) -> Any:
 
 @serial
 def _waves(q: Any, half_u: float, x0: float, y: float, n: int, cosine: Any, sine: Any) -> None:
-    """cos and sin of the quadratic phase along a row, by recurrence: its second difference is a constant."""
+    """Cosine and sine of the quadratic phase along a row, by recurrence: its second difference is a constant."""
     d = 1.0 / half_u
     start = _quadratic(q, 0, x0, y)
     step = _quadratic(q, 0, x0 + d, y) - start
@@ -312,7 +312,8 @@ def measure_patches(
         left, right: (H, W, 3) or, for a mosaic, (H, W, 1) uint8; mosaic: (2, 2) channel numbers.
         black: (2, 3) counts, left and right; xyz: (H, W, 3) float32, known at least at pixels with even coordinates.
         origins: (n, 2) even column and row of each patch's first pixel; columns, rows: its size.
-        projector, other: packed models; phases: (m,) phase at every projector coordinate; first: 0 when it grows along u.
+        projector, other: packed models; phases: (m,) phase at every projector coordinate.
+        first: 0 when it grows along u, else 1.
         clip: counts from which a sample is clipped.
         good: (n,) uint8, bit 1: shape and light are known, bit 2: texture too.
         shape: (n, 14): point x, y, z of the middle; roughness, rad; right pixel u, v; phase slopes of the left picture

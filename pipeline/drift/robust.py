@@ -31,17 +31,17 @@ def means(values: F64) -> tuple[F64, F64]:
 def fit(design: F64, values: F64) -> tuple[F64, F64] | None:
     """Huber regression of (n,) on (n, k): coefficients and standard deviations, or None where it is singular.
 
-    The covariance is the sandwich ``(X'WX)^-1 X'W diag(e^2) W X (X'WX)^-1`` (White, Econometrica 48, 817, 1980): it holds
-    when the residuals' spread differs from place to place.
+    The covariance is the sandwich ``(X'WX)^-1 X'W diag(e^2) W X (X'WX)^-1`` (White, Econometrica 48, 817, 1980): it
+    holds when the residuals' spread differs from place to place.
     """
     weights = np.ones(len(values))
-    solution = np.zeros(design.shape[1])
+    solution: F64 = np.zeros(design.shape[1])
     for _ in range(_PASSES):
         weighted = design * weights[:, None]
         normal = weighted.T @ design
         if np.linalg.cond(normal) > 1e10:
             return None
-        solution = np.linalg.solve(normal, weighted.T @ values)
+        solution = np.asarray(np.linalg.solve(normal, weighted.T @ values), dtype=np.float64)
         residuals = values - design @ solution
         weights = np.minimum(1.0, _TUNING * scale_of(residuals) / np.maximum(np.abs(residuals), 1e-12))
     weighted = design * weights[:, None]
