@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.camera_model import CameraModel
 from pipeline.errors import CalibrationError
+from pipeline.lateral import Lateral, Registration, lateral_of, registration_of
 
 Array = NDArray[np.float64]
 
@@ -24,14 +25,21 @@ class ColorModel:
     Args:
         black: (3,) camera counts (8-bit scale), R G B.
         crosstalk: (3, 3), answer of camera channel c to projector channel p; ones on the diagonal.
+        balance: (3,) answers of the channels to their own full light on a white surface, relative to their mean.
+        lateral: lateral colour of the lens, None = none is known.
     """
 
     black: Array = field(default_factory=lambda: np.zeros(3))
     crosstalk: Array = field(default_factory=lambda: np.eye(3))
     name: str = "color"
+    balance: Array = field(default_factory=lambda: np.ones(3))
+    lateral: Lateral | None = None
 
     def __post_init__(self) -> None:
         black, crosstalk = np.array(self.black, np.float64), np.array(self.crosstalk, np.float64)
+        balance = np.array(self.balance, np.float64)
+        if balance.shape != (3,) or not np.isfinite(balance).all() or balance.min() < 0.05 or balance.max() > 3:
+            raise CalibrationError(f"{self.name}.balance must be three numbers from 0.05 to 3, R G B, got {balance}")
         if black.shape != (3,) or not np.isfinite(black).all():
             raise CalibrationError(f"{self.name}.black must be three finite numbers, R G B")
         if crosstalk.shape != (3, 3) or not np.isfinite(crosstalk).all():
@@ -44,11 +52,17 @@ class ColorModel:
             )
         object.__setattr__(self, "black", black)
         object.__setattr__(self, "crosstalk", crosstalk)
+        object.__setattr__(self, "balance", balance)
+
+    @property
+    def mix(self) -> Array:
+        """Answer of the camera's channels to the projector's on a white surface, (3, 3): crosstalk and balance."""
+        return np.asarray(self.crosstalk * self.balance)
 
     @property
     def unmix(self) -> Array:
-        """The inverse of the crosstalk, (3, 3), applied to counts minus black."""
-        return np.asarray(np.linalg.inv(self.crosstalk))
+        """The inverse of :attr:`mix`, (3, 3), applied to counts minus black."""
+        return np.asarray(np.linalg.inv(self.mix))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +111,7 @@ class Calibration:
     left_color: ColorModel = field(default_factory=ColorModel)
     right_color: ColorModel = field(default_factory=ColorModel)
     response: Response | None = None
+    registration: Registration | None = None
 
     def __post_init__(self) -> None:
         away = max(np.abs(self.left.rotation - np.eye(3)).max(), np.abs(self.left.translation).max())
@@ -122,7 +137,9 @@ class Calibration:
 
         left = CameraModel(self.right.size, self.right.matrix, self.right.distortion, name="left")
         right, projector = move(self.left, "right"), move(self.projector, "projector")
-        return Calibration(left, right, projector, self.right_color, self.left_color, self.response)
+        return Calibration(
+            left, right, projector, self.right_color, self.left_color, self.response, self.registration
+        )
 
 
 def from_mapping(data: Mapping[str, Any]) -> Calibration:
@@ -140,6 +157,11 @@ def from_mapping(data: Mapping[str, Any]) -> Calibration:
         left_color=_color(left, "cameras.left"),
         right_color=_color(right, "cameras.right"),
         response=_response(projector),
+        registration=(
+            None
+            if projector.get("registration") is None
+            else registration_of(projector["registration"], "projector.registration")
+        ),
     )
 
 
@@ -150,12 +172,18 @@ def to_mapping(calibration: Calibration) -> dict[str, Any]:
         ("left", calibration.left, calibration.left_color),
         ("right", calibration.right, calibration.right_color),
     ):
-        colors = {"black": color.black.tolist(), "crosstalk": color.crosstalk.tolist()}
+        colors: dict[str, Any] = {"black": color.black.tolist(), "crosstalk": color.crosstalk.tolist()}
+        if (color.balance != 1).any():
+            colors["balance"] = color.balance.tolist()
+        if color.lateral is not None:
+            colors["lateral"] = color.lateral.as_mapping()
         cameras[name] = device.as_mapping() | {"color": colors}
     projector = calibration.projector.as_mapping()
     if calibration.response is not None:
         curves = dict(zip(("red", "green", "blue"), calibration.response.curves.tolist(), strict=True))
         projector["response"] = {"levels": calibration.response.levels.tolist()} | curves
+    if calibration.registration is not None:
+        projector["registration"] = calibration.registration.as_mapping()
     return {"fringed_calibration": VERSION, "cameras": cameras, "projector": projector}
 
 
@@ -190,7 +218,9 @@ def _color(data: Mapping[str, Any], name: str) -> ColorModel:
     color = _mapping(data, "color", f"{name}.")
     black = _numbers(color, "black", f"{name}.color") if "black" in color else np.zeros(3)
     crosstalk = _numbers(color, "crosstalk", f"{name}.color") if "crosstalk" in color else np.eye(3)
-    return ColorModel(black, crosstalk, f"{name}.color")
+    balance = _numbers(color, "balance", f"{name}.color") if "balance" in color else np.ones(3)
+    lateral = None if color.get("lateral") is None else lateral_of(color["lateral"], f"{name}.color.lateral")
+    return ColorModel(black, crosstalk, f"{name}.color", balance, lateral)
 
 
 def _response(data: Mapping[str, Any]) -> Response | None:

@@ -21,6 +21,7 @@ from pipeline.mosaic_fit import (
 from pipeline.normal_equations import IM, MEAN, RE, VARIANCE, solve
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
 from pipeline.row_results import angles_of_row, describe_row, row_stride
+from pipeline.straighten import DESIGN_ROWS, straighten_phasors, turned_design, units_of_row
 from pipeline.three_step import levels_of_row
 from pipeline.tiles import TILE
 
@@ -71,8 +72,8 @@ def _put_back(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any
 def decode_bayer(
     picture: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
     nominal: Any, clip: float, floor: float, gain: float, smallest: float, along: int, over: int, first: int,
-    second: int, scale: float, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any, phase_eq: Any,
-    modulation: Any, valid: Any, clipped: Any,
+    second: int, scale: float, turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any,
+    phase: Any, phase_eq: Any, modulation: Any, valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.phase.PhaseMap`; picture (H, W) uint8, mosaic (2, 2) channel numbers.
 
@@ -110,9 +111,14 @@ def decode_bayer(
                         before[(y + over - 1 - low) % over], twice)  # fmt: skip
                 means_of_row(twice, along, first, second, padded, middle, work, means)
                 equalized_row(levels, means, scale, black, unmix, ideal, re, im)
+                if turn_rows > 0:
+                    straighten_phasors(turns, turn_rows, y, re, im)
                 angles_of_row(re, im, EQUALIZED_SCALE, equalized[y], phase_eq[y])
             k = y % ring
             rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
+            if turn_rows > 0:
+                straighten_phasors(turns, turn_rows, y, units[k, :width], units[ring + k, :width])
+                units_of_row(units[k, :width], units[ring + k, :width])
             found = samples_of_row(picture[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], clip, samples[k],
                                    samples[ring + k])  # fmt: skip
             if low <= y < high:
@@ -121,6 +127,8 @@ def decode_bayer(
                 if y < edge or y >= height - edge:
                     phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
             i = y - radius
+            if turn_rows > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
+                turned_design(mosaic, rows, turns, turn_rows, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
             if low <= i and edge <= i < height - edge:
                 p, q, r = (i - 1) % ring, i % ring, (i + 1) % ring
                 for o in range(edge, width - edge, TILE):

@@ -15,6 +15,7 @@ from pipeline.equalize import advance, equalized_row, means_of_row, mirrored
 from pipeline.kernels import parallel, prange, serial
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
 from pipeline.row_results import angles_of_row, describe_row, row_stride
+from pipeline.straighten import straighten_means, straighten_phasors, units_of_row
 from pipeline.three_step import levels_of_row, pointwise_row
 from pipeline.tiles import TILE
 from pipeline.window_fit import fold, fold_far
@@ -38,8 +39,8 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
 def decode_rgb(
     picture: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
     clip: float, floor: float, gain: float, smallest: float, along: int, over: int, first: int, second: int,
-    scale: float, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any, phase_eq: Any, modulation: Any,
-    valid: Any, clipped: Any,
+    scale: float, turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any,
+    phase_eq: Any, modulation: Any, valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.phase.PhaseMap`.
 
@@ -50,6 +51,7 @@ def decode_rgb(
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
         clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
         along, over, first, second, scale: of :class:`pipeline.equalize.BoxMean`.
+        turns, turn_rows: table and step of :class:`pipeline.lateral_tables.ColorTurns`.
         phasor, equalized: (H, W) int32, packed; mean, variance, phase, phase_eq: (H, W) float32.
         modulation: (H, W) uint8; valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
     """
@@ -80,12 +82,19 @@ def decode_rgb(
                         before[(y + over - 1 - low) % over], twice)  # fmt: skip
                 means_of_row(twice, along, first, second, padded, middle, work, means)
                 equalized_row(levels, means, scale, black, unmix, ideal, w, c)
+                if turn_rows > 0:
+                    straighten_phasors(turns, turn_rows, y, w, c)
                 angles_of_row(w, c, EQUALIZED_SCALE, equalized[y], phase_eq[y])
             k = y % ring
             ur, ui = unit[k, :width], unit[ring + k, :width]
             found = pointwise_row(levels, black, solve, clip, floor, gain, ur, ui, w, c, s, a, v)
             if low <= y < high:
                 clipped[y] = found
+            if turn_rows > 0:
+                straighten_means(turns, turn_rows, y, c, s, a)
+                straighten_phasors(turns, turn_rows, y, c, s)
+                straighten_phasors(turns, turn_rows, y, ur, ui)
+                units_of_row(ur, ui)
             o = reach
             fold(ur[o - 1 : o - 1 + n], ui[o - 1 : o - 1 + n], ur[o : o + n], ui[o : o + n],
                  ur[o + 1 : o + 1 + n], ui[o + 1 : o + 1 + n],

@@ -20,6 +20,7 @@ from pipeline.calibration import ColorModel
 from pipeline.decode_bayer import decode_bayer
 from pipeline.decode_rgb import decode_rgb
 from pipeline.equalize import BoxMean
+from pipeline.lateral_tables import ColorTurns
 from pipeline.mosaic_fit import EIGHTHS
 from pipeline.noise import NoiseModel, estimate
 from pipeline.settings import Settings
@@ -70,6 +71,7 @@ class Decoder:
         shifts: of the pattern's channels, radians.
         mosaic: (2, 2) channel numbers of a Bayer sensor, or None.
         slopes: expected phase steps per pixel in this camera's picture, (x, y) radians; one of them is 0.
+        turns: angles by which lateral colour turns the channels, with the shifts that go with them; None = none.
     """
 
     def __init__(
@@ -80,7 +82,10 @@ class Decoder:
         mosaic: NDArray[np.int64] | None,
         slopes: tuple[float, float],
         settings: Settings,
+        turns: ColorTurns | None = None,
     ) -> None:
+        turns = ColorTurns.none(shifts) if turns is None else turns
+        shifts, self._turns = turns.shifts, turns
         rows = design(color, shifts)
         self._rows = rows.astype(np.float32)
         self._solve = np.linalg.inv(rows).astype(np.float32)
@@ -110,6 +115,7 @@ class Decoder:
             self._black, self._rows, self._solve, self._unmix, self._ideal, self._weights, self._radius, self._nominal,
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
             np.float32(self._settings.min_modulation), box.along, box.over, *box.drops, np.float32(box.scale),
+            self._turns.table, self._turns.step,
             planes["phasor"], planes["equalized"], planes["mean"], planes["variance"], planes["phase"],
             planes["phase_eq"], modulation, planes["valid"], planes["clipped"],
         )  # fmt: skip
@@ -142,4 +148,4 @@ def design(color: ColorModel, shifts: tuple[float, float, float]) -> NDArray[np.
     """Rows (a, p, q) of the three camera channels, (3, 3)."""
     delta = np.array(shifts)
     light = np.stack([np.ones(3), np.cos(delta), -np.sin(delta)], axis=1)
-    return np.asarray(color.crosstalk @ light)
+    return np.asarray(color.mix @ light)

@@ -12,6 +12,7 @@ from pipeline import propagate
 from pipeline.calibration import Calibration, ColorModel
 from pipeline.camera_model import CameraModel
 from pipeline.cloud import Volume
+from pipeline.lateral_tables import color_turns
 from pipeline.located import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, Located
 from pipeline.pattern import ColorFringe
 from pipeline.phase import Decoder, PhaseMap
@@ -64,7 +65,8 @@ class View:
         sign = _growth(calibration, depth, axis)
         slope = sign * 2 * np.pi / period
         slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
-        decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings)
+        turns = color_turns(calibration, pattern, color, depth.depth(0.5))
+        decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, turns=turns)
         along = table.coefficients[0].astype(np.float64)
         far, near = ((along[0] + along[1] * s) / (1 + along[2] * s) for s in table.limits.astype(np.float64))
         phases = pattern.phase

@@ -29,6 +29,7 @@ class SimCamera:
         queue_frames: frames that wait unread; a further one pushes the oldest out, which is counted.
         dropped: told of each frame that is thrown away unread, and why (``overflow`` or ``dropped``).
         started: told when the camera begins to accept triggers.
+        note: on where the pictures come from.
     """
 
     def __init__(
@@ -40,8 +41,9 @@ class SimCamera:
         queue_frames: int = 8,
         dropped: Callable[[Frame, str], None] | None = None,
         started: Callable[[], None] | None = None,
+        note: str = "simulated: pictures come from a rendered loop",
     ) -> None:
-        self.side, self.size, self.encoding = side, size, encoding
+        self.side, self.size, self.encoding, self.note = side, size, encoding, note
         self._queue: deque[Frame] = deque()
         self._queue_frames = queue_frames
         self._dropped, self._started = dropped, started
@@ -69,8 +71,7 @@ class SimCamera:
             if self._state is not CameraState.CLOSED:
                 raise DriverError(f"camera {self.side}: open() while {self._state}; close() it first")
             self._state, self._lost = CameraState.IDLE, False
-            notes = ("simulated: pictures come from a rendered loop",)
-            return CameraInfo("simulated", f"sim-{self.side}", self.size, self.encoding, notes=notes)
+            return CameraInfo("simulated", f"sim-{self.side}", self.size, self.encoding, notes=(self.note,))
 
     def start(self) -> None:
         """Begin to accept triggers."""

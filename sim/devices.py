@@ -9,11 +9,12 @@ from typing import Any
 
 from drivers.protocols import Camera, Clock, Projector, Side
 from sim import files
-from sim.loop import Loop, Progress, load_or_render
+from sim.live import LiveScene
+from sim.loop import Progress, loops_of
 from sim.options import SimOptions, from_mapping
-from sim.projector import SimProjector
+from sim.projector import LiveProjector, SimProjector
 from sim.render import picture_sent
-from sim.world import Pictures, SimWorld
+from sim.world import LiveWorld, Pictures, SimWorld
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +25,7 @@ class RigDevices:
         cameras: ``left`` and ``right``, closed.
         projector: closed.
         trigger: gives triggers by itself once a camera has started (``rate_hz`` above 0), else by ``step()``;
-            ``close()`` ends it and all devices.
+            ``close()`` ends it and all devices. That of a live rig is a :class:`sim.world.LiveWorld`.
         options: as checked.
         calibration, pattern, volume: plain mappings of the three files of such a rig.
     """
@@ -52,7 +53,9 @@ def open_rig(
     first_number: int = 0,
     keep_entries: bool = False,
 ) -> RigDevices:
-    """Make a simulated rig; renders its loop first if it is not cached. The devices are made, not opened.
+    """Make a simulated rig; renders its loop first if it is not cached, or what a live rig needs for its first trigger.
+
+    The devices are made, not opened.
 
     Args:
         options: the ``sim`` section of a rig file, or checked options.
@@ -66,21 +69,30 @@ def open_rig(
     checked = options if isinstance(options, SimOptions) else from_mapping(options, base_dir)
     layout, optics = checked.layout, checked.optics
     shown = picture_sent(layout.pattern(), optics, layout.projector_size)
-    projector = SimProjector(shown)
-    source: Pictures | Loop = load_or_render(checked, progress) if pictures is None else pictures
-    world = SimWorld(
-        source,
-        projector,
-        layout.camera_size,
-        checked.encoding,
-        plan=checked.faults,
-        rate_hz=checked.rate_hz,
-        clock=clock,
-        first_number=first_number,
-        exposure_us=optics.exposure_us,
-        dark_dn=optics.black_dn,
-        keep_entries=keep_entries,
-    )
+    settings: dict[str, Any] = {
+        "plan": checked.faults,
+        "rate_hz": checked.rate_hz,
+        "clock": clock,
+        "first_number": first_number,
+        "exposure_us": optics.exposure_us,
+        "dark_dn": optics.black_dn,
+        "keep_entries": keep_entries,
+    }
+    projector: SimProjector | LiveProjector
+    world: SimWorld
+    if checked.live and pictures is None:
+        projector = LiveProjector(shown)
+        scene = LiveScene(checked, projector)
+        if progress is not None:
+            progress(0, 1)
+        scene.prepare(0)
+        if progress is not None:
+            progress(1, 1)
+        world = LiveWorld(scene, projector, layout.camera_size, checked.encoding, **settings)
+    else:
+        projector = SimProjector(shown)
+        source = loops_of(checked, progress) if pictures is None else pictures
+        world = SimWorld(source, projector, layout.camera_size, checked.encoding, **settings)
     return RigDevices(
         world.cameras,
         projector,

@@ -13,7 +13,7 @@ import shutil
 import tempfile
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import render
-from sim.options import SimOptions
-from sim.scenes import Scene, build
+from sim.knock import TrueRig
+from sim.options import BOARD_SCENE, SimOptions
+from sim.scenes import Scene
+from sim.staging import optics_of, scene_of
 
 # To be raised whenever the same options would give other pictures.
 RENDER_VERSION = 1
@@ -45,6 +47,25 @@ class Loop:
         """Left and right picture of a trigger; after the last comes the first again."""
         i = index % len(self.left)
         return np.asarray(self.left[i]), np.asarray(self.right[i])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Switched:
+    """Loops one after the other: for each the trigger that it begins with, the first one at 0."""
+
+    loops: tuple[tuple[int, Loop], ...]
+
+    def pair(self, index: int) -> tuple[Picture, Picture]:
+        """Left and right picture of a trigger."""
+        return [loop for first, loop in self.loops if first <= max(0, index)][-1].pair(index)
+
+
+def loops_of(options: SimOptions, progress: Progress | None = None) -> Loop | Switched:
+    """The loop of these options, or one for the time before and one after each disturbance."""
+    parts = [(0, load_or_render(replace(options, disturb=()), progress))]
+    for k, knock in enumerate(options.disturb):
+        parts.append((knock.at, load_or_render(replace(options, disturb=options.disturb[: k + 1]), progress)))
+    return Switched(tuple(parts)) if options.disturb else parts[0][1]
 
 
 def load_or_render(options: SimOptions, progress: Progress | None = None) -> Loop:
@@ -76,12 +97,16 @@ def digest(options: SimOptions) -> str:
         "optics": asdict(options.optics),
         "encoding": options.encoding,
     }
+    if options.scene == BOARD_SCENE:
+        parts["board"] = [options.board, options.poses]
+    if options.disturb:
+        parts["disturb"] = [asdict(replace(knock, at=0)) for knock in options.disturb]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
-    """All pictures of the loop; a scene at rest is lit once and only the noise differs."""
-    scene = build(options.scene, seed=options.seed, mesh_file=options.mesh)
+    """All pictures of the loop, after all disturbances; a scene at rest is lit once and only the noise differs."""
+    scene = scene_of(options)
     pairs = []
     counts = None
     for index in range(options.frames):
@@ -103,8 +128,11 @@ def time_of(options: SimOptions, scene: Scene, index: int) -> float:
 
 def _counts(options: SimOptions, scene: Scene, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     t_s = time_of(options, scene, index)
-    pattern = options.layout.pattern()
-    return render.render_counts(options.layout, scene, pattern, options.optics, t_s, options.encoding)
+    pattern, optics = options.layout.pattern(), optics_of(options)
+    rig = TrueRig.of(options.layout, optics)
+    for knock in options.disturb:
+        rig = rig.after(knock)
+    return render.render_counts(options.layout, scene, pattern, optics, t_s, options.encoding, rig)
 
 
 def _frozen(pictures: list[Picture]) -> Picture:

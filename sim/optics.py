@@ -127,3 +127,8 @@ class Optics:
         rows = self.true_crosstalk()[camera]
         strongest = _PEAK_LIGHT + _VALLEY_LIGHT * float((rows.sum(axis=1) - 1).max()) + 255 * self.ambient
         return self.exposure * (self.white_dn - self.black_dn) / (WHITE_ALBEDO * strongest)
+
+
+def crosstalk_shape(camera: int) -> Array:
+    """How the crosstalk of a camera is shared out among its channels, (3, 3), for one of size 1; 0 on the diagonal."""
+    return np.array(_CROSSTALK_SHAPES[camera])

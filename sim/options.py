@@ -9,11 +9,17 @@ from pathlib import Path
 from typing import Any, get_args
 
 from drivers.protocols import Side
+from pipeline.errors import TargetError
+from pipeline.targets.board import parse_board
 from sim.faults import RANDOM_KINDS, Fault, FaultKind, FaultPlan
+from sim.knock import DEVICES, Disturbance
 from sim.optics import Optics
 from sim.rig import RigLayout
 from sim.scenes import NAMES
 from sim.sensor import ENCODINGS
+
+BOARD_SCENE = "board"
+_SCENES = (*NAMES, BOARD_SCENE)
 
 
 class OptionError(ValueError):
@@ -25,7 +31,7 @@ class SimOptions:
     """Everything a simulated rig is made of.
 
     Args:
-        scene: name, see :mod:`sim.scenes`.
+        scene: name, see :mod:`sim.scenes`, or ``board``.
         mesh: file of a triangle mesh, for the scene ``mesh``.
         seed: of textures and noise.
         frames: pictures in the loop.
@@ -35,6 +41,11 @@ class SimOptions:
         faults: what goes wrong.
         rate_hz: triggers a second; 0 = only by ``trigger.step()``.
         cache_dir: where rendered loops are kept; None = the user's cache directory.
+        live: whether pictures are rendered when they are needed, of what the projector shows then; else a loop is
+            rendered beforehand and the projector shows nothing but its pattern.
+        board: of the scene ``board``, such as ``circles:11x9:32:20``; poses: number of its poses in a live rig.
+        hold: triggers after which the board of a live rig moves on by itself; 0 = only by ``trigger.next_pose()``.
+        disturb: what happens to the rig at which trigger; the calibration is the one from before.
     """
 
     scene: str = "moving"
@@ -47,9 +58,14 @@ class SimOptions:
     faults: FaultPlan = field(default_factory=FaultPlan)
     rate_hz: float = 10.0
     cache_dir: Path | None = None
+    live: bool = False
+    board: str = ""
+    poses: int = 12
+    hold: int = 0
+    disturb: tuple[Disturbance, ...] = ()
 
     def __post_init__(self) -> None:
-        _one_of("scene", self.scene, NAMES)
+        _one_of("scene", self.scene, _SCENES)
         _one_of("encoding", self.encoding, ENCODINGS)
         if not 1 <= self.frames <= 1000:
             raise OptionError(f"sim.frames is {self.frames}, expected 1 to 1000")
@@ -59,14 +75,35 @@ class SimOptions:
             raise OptionError(f"sim.seed is {self.seed}, expected 0 or more")
         if self.scene == "mesh" and (self.mesh is None or not self.mesh.is_file()):
             raise OptionError(f"sim.mesh is {self.mesh}: scene 'mesh' needs an OBJ, PLY or STL file that exists")
+        self._check_board()
+
+    def _check_board(self) -> None:
+        if self.board and self.scene != BOARD_SCENE:
+            raise OptionError(f"sim.board is {self.board!r} and sim.scene {self.scene!r}: only scene 'board' has one")
+        if self.hold and not (self.live and self.scene == BOARD_SCENE):
+            raise OptionError(f"sim.hold is {self.hold}: only the board of a live rig moves; set sim.live: true")
+        if not 1 <= self.poses <= 1000:
+            raise OptionError(f"sim.poses is {self.poses}, expected 1 to 1000")
+        if not 0 <= self.hold <= 1_000_000:
+            raise OptionError(f"sim.hold is {self.hold}, expected 0 to 1000000 triggers")
+        try:
+            if self.board:
+                parse_board(self.board)
+        except TargetError as error:
+            raise OptionError(f"sim.board: {error}") from error
+
+
+_KINDS: dict[str, type] = {
+    "scene": str, "encoding": str, "seed": int, "frames": int, "live": bool, "board": str, "poses": int, "hold": int,
+}  # fmt: skip
 
 
 def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> SimOptions:
     """Options of plain values; relative paths start at ``base_dir``. Errors name the key."""
     known("sim", data, [item.name for item in fields(SimOptions)])
     values: dict[str, Any] = {key: value for key, value in data.items() if value is not None}
-    for key, kind in (("scene", str), ("encoding", str), ("seed", int), ("frames", int)):
-        if key in values and (not isinstance(values[key], kind) or isinstance(values[key], bool)):
+    for key, kind in _KINDS.items():
+        if key in values and (not isinstance(values[key], kind) or isinstance(values[key], bool) != (kind is bool)):
             raise OptionError(f"sim.{key} is {values[key]!r}, expected {kind.__name__}")
     for key in ("mesh", "cache_dir"):
         if key in values:
@@ -75,6 +112,8 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> SimOp
         values["layout"] = _layout(values["layout"])
     if "optics" in values:
         values["optics"] = _optics(values["optics"])
+    if "disturb" in values:
+        values["disturb"] = _disturbances(values["disturb"])
     if "faults" in values:
         values["faults"] = _faults(values["faults"], int(values.get("seed", 0)))
     return _made("sim", SimOptions, values)
@@ -98,6 +137,19 @@ def _optics(data: Mapping[str, Any]) -> Optics:
     _one_of("optics.preset", preset, tuple(presets))
     optics: Optics = _made("sim.optics", presets[preset], values)
     return optics
+
+
+def _disturbances(data: object) -> tuple[Disturbance, ...]:
+    """A list of {at, side, turn_deg, shift_px, crosstalk}, in the order of their triggers."""
+    if not isinstance(data, list | tuple):
+        raise OptionError(f"sim.disturb is {data!r:.60}, expected a list")
+    made: list[Disturbance] = []
+    for i, item in enumerate(data):
+        name = f"sim.disturb[{i}]"
+        known(name, item, [entry.name for entry in fields(Disturbance)])
+        _one_of(f"disturb[{i}].side", item.get("side"), DEVICES)
+        made.append(_made(name, Disturbance, {k: tuple(v) if isinstance(v, list) else v for k, v in item.items()}))
+    return tuple(sorted(made, key=lambda knock: knock.at))
 
 
 def _faults(data: Mapping[str, Any], seed: int) -> FaultPlan:

@@ -1,6 +1,8 @@
-"""A simulated projector: it knows whether the pattern is on, off, or something else that was never rendered."""
+"""Simulated projectors: one for a rendered loop, which has one picture, and one that shows any picture."""
 
 from __future__ import annotations
+
+import hashlib
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,3 +61,56 @@ class SimProjector:
     def close(self) -> None:
         """Go dark and let go."""
         self._open, self._lit = False, False
+
+
+class LiveProjector:
+    """Shows any picture of its size.
+
+    Until somebody opens it, it shows ``first`` (as a slide projector would that was left on).
+
+    Args:
+        first: (H, W, 3) uint8.
+    """
+
+    lit = True  # A black picture is rendered like any other.
+
+    def __init__(self, first: NDArray[np.uint8]) -> None:
+        self._black = _kept(np.zeros_like(first))
+        self._shown = _kept(first)
+        self._open = False
+
+    @property
+    def shown(self) -> tuple[NDArray[np.uint8], bytes]:
+        """The picture that is shown now, read-only, and a digest of it."""
+        return self._shown
+
+    def open(self) -> ProjectorInfo:
+        """Connect; the picture is black until :meth:`show`."""
+        self._open, self._shown = True, self._black
+        height, width = self._black[0].shape[:2]
+        return ProjectorInfo("simulated", (width, height), 0.0)
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Show a picture; the next trigger sees it."""
+        if not self._open:
+            raise DriverError("projector: show() while closed; open() comes first")
+        expected = self._black[0].shape
+        if picture.shape != expected or picture.dtype != np.uint8:
+            raise SettingRefused(
+                f"projector: picture {picture.shape} {picture.dtype} does not fit, expected {expected} uint8"
+            )
+        self._shown = _kept(picture)
+
+    def problem(self) -> str:
+        """Nothing ever is."""
+        return ""
+
+    def close(self) -> None:
+        """Go dark and let go."""
+        self._open, self._shown = False, self._black
+
+
+def _kept(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:
+    copy = np.array(picture, order="C")
+    copy.setflags(write=False)
+    return copy, hashlib.blake2b(copy.data, digest_size=16).digest()

@@ -15,11 +15,11 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
 from pipeline.camera_model import CameraModel
 from pipeline.pattern import ColorFringe
 from sim import light as lighting
 from sim import sensor
+from sim.knock import TrueRig
 from sim.lens import packed, pixel_rays
 from sim.optics import Optics
 from sim.rig import RigLayout
@@ -91,12 +91,22 @@ def render_counts(
     optics: Optics,
     t_s: float = 0.0,
     encoding: str = "rgb8",
+    rig: TrueRig | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Counts above black of both cameras without noise or rounding, in the sensor's layout."""
-    rig = layout.calibration()
+    """Counts above black of both cameras without noise or rounding, in the sensor's layout.
+
+    ``rig`` stands for that of the layout and of the optics, when something has happened to it.
+    """
+    rig = TrueRig.of(layout, optics) if rig is None else rig
     light = lighting.projected_light(picture_sent(pattern, optics, rig.projector.size), optics)
     left, right = (
-        sensor.exposed(light_on_sensor(layout, rig, scene, light, optics, t_s, device), camera, optics, encoding)
+        sensor.exposed(
+            light_on_sensor(layout, rig.projector, scene, light, optics, t_s, device),
+            camera,
+            optics,
+            encoding,
+            rig.crosstalk[camera],
+        )
         for camera, device in enumerate((rig.left, rig.right))
     )
     return left, right
@@ -132,7 +142,7 @@ def picture_sent(pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size:
 
 def light_on_sensor(
     layout: RigLayout,
-    rig: Calibration,
+    projector: CameraModel,
     scene: Scene,
     light: NDArray[np.float32],
     optics: Optics,
@@ -146,7 +156,7 @@ def light_on_sensor(
     if not scene.moves:
         lattice = _Lattice(1 / s, 0.5 / s - 0.5, 0.5 / s - 0.5, rows * s, columns * s)
         return sensor.blurred(
-            _light_at(surfaces(scene, t_s, stage), layout, rig, light, optics, camera, lattice), optics
+            _light_at(surfaces(scene, t_s, stage), layout, projector, light, optics, camera, lattice), optics
         )
     rays = np.empty((rows * s, columns * s, 3), np.float32)
     for i in range(s):
@@ -155,7 +165,7 @@ def light_on_sensor(
             instant = s * i + (j if i % 2 == 0 else s - 1 - j)
             now = surfaces(scene, t_s + (instant + 0.5) / s**2 * 1e-6 * optics.exposure_us, stage)
             lattice = _Lattice(1.0, (j + 0.5) / s - 0.5, (i + 0.5) / s - 0.5, rows, columns)
-            rays[i::s, j::s] = _light_at(now, layout, rig, light, optics, camera, lattice)
+            rays[i::s, j::s] = _light_at(now, layout, projector, light, optics, camera, lattice)
     return sensor.blurred(rays, optics)
 
 
@@ -172,13 +182,13 @@ class _Lattice(NamedTuple):
 def _light_at(
     now: Surfaces,
     layout: RigLayout,
-    rig: Calibration,
+    projector: CameraModel,
     light: NDArray[np.float32],
     optics: Optics,
     camera: CameraModel,
     lattice: _Lattice,
 ) -> NDArray[np.float32]:
-    projector, (step, left, top, _, columns) = rig.projector, lattice
+    step, left, top, _, columns = lattice
     lens, lamp = packed(camera), packed(projector)
     shift = np.array(optics.color_shift_px)
     standoff = float(np.linalg.norm(projector.centre - layout.stage_pose()[1]))
@@ -190,9 +200,15 @@ def _light_at(
         out = lighting.shade(
             now.table, hits.points, hits.normals, hits.which, lit, lamp, light, shift, standoff, optics.ambient
         )
+        now.darken(out, hits, camera.centre, angle_of_a_ray(camera, optics))
         return np.asarray(out.reshape(rows, columns, 3))
 
     return np.concatenate(in_bands(band, lattice.rows))
+
+
+def angle_of_a_ray(camera: CameraModel, optics: Optics) -> float:
+    """Angle between neighbouring rays, radians."""
+    return float(1 / (np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) * optics.supersampling))
 
 
 def truths(

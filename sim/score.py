@@ -12,6 +12,10 @@ from sim.truth import Truth
 
 RIGHT_MM = 1.0
 WRONG_MM = 6.0
+Array = NDArray[np.float64]
+_LEAST_POINTS = 100
+# Tukey's limit in medians of the error's length: 5 standard deviations of errors along one axis are 7.4 of them.
+_TUKEY, _ALIGNMENT_ROUNDS = 7.4, 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,3 +72,84 @@ def smoothed_error(
     signed = np.where(right, (xyz[..., 2] - truth.xyz[..., 2]) * ray, 0.0).astype(np.float64)
     inner = cv2.erode(right.astype(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
     return np.asarray(np.where(inner, cv2.blur(signed, (5, 5)), np.nan))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """The rigid motion that lays a cloud upon the truth: ``X_true = rotation X + translation``.
+
+    Args:
+        rotation: (3, 3); translation: (3,), mm.
+        angle_deg: of the rotation.
+        shift_mm: how far the middle of the cloud moves.
+        scale: of the cloud, that would fit best, 1 = none. It is told, not applied: a wrong scale is an error.
+    """
+
+    rotation: Array
+    translation: Array
+    angle_deg: float
+    shift_mm: float
+    scale: float
+
+    def applied(self, xyz: NDArray[np.float32]) -> NDArray[np.float32]:
+        """A cloud (..., 3) after the motion."""
+        return np.asarray(xyz.astype(np.float64) @ self.rotation.T + self.translation, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedScore:
+    """Score of a cloud in its own frame laid upon the truth, and how it had to be moved for that."""
+
+    score: Score
+    alignment: Alignment
+
+
+def aligned(xyz: NDArray[np.float32], truth: Truth, *, only: NDArray[np.bool_] | None = None) -> AlignedScore:
+    """Score the shape of a cloud that was made with any calibration of the same left camera.
+
+    A calibration's world is its own left camera, which differs from the true one by what the calibration could not
+    know (principal point against rotation, for instance). The whole cloud is moved rigidly, never scaled, to where it
+    fits best, and then judged: what remains is error of shape and size. The fit goes pixel by pixel, so a point that
+    slid along a surface counts as wrong by that way.
+
+    Args:
+        xyz: (H, W, 3) mm in the frame of the calibration. truth: of the true left camera. only: see :func:`score`.
+
+    Raises:
+        ValueError: fewer than 100 points have a truth.
+    """
+    alignment = best_motion(xyz, truth)
+    return AlignedScore(score(alignment.applied(xyz), truth, only=only), alignment)
+
+
+def best_motion(xyz: NDArray[np.float32], truth: Truth) -> Alignment:
+    """The rigid motion of a cloud to the truth (Kabsch, 1976), with Tukey's weights against wrong points."""
+    both = np.isfinite(xyz[..., 2]) & truth.hit
+    if np.count_nonzero(both) < _LEAST_POINTS:
+        raise ValueError(
+            f"{np.count_nonzero(both)} points have a truth, expected {_LEAST_POINTS} or more to align them"
+        )
+    cloud, true = xyz[both].astype(np.float64), truth.xyz[both].astype(np.float64)
+    away = true - cloud
+    rotation, translation = np.eye(3), np.median(away, axis=0)
+    scale = 1.0
+    for _ in range(_ALIGNMENT_ROUNDS):
+        error = np.linalg.norm(cloud @ rotation.T + translation - true, axis=1)
+        limit = _TUKEY * max(float(np.median(error)), 1e-6)
+        weights = np.clip(1 - (error / limit) ** 2, 0, None) ** 2
+        rotation, translation, scale = _kabsch(cloud, true, weights)
+    middle = cloud.mean(axis=0)
+    angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
+    shift = np.linalg.norm(rotation @ middle + translation - middle)
+    return Alignment(rotation, translation, float(angle), float(shift), scale)
+
+
+def _kabsch(cloud: Array, true: Array, weights: Array) -> tuple[Array, Array, float]:
+    share = (weights / weights.sum())[:, None]
+    middle, target = (share * cloud).sum(axis=0), (share * true).sum(axis=0)
+    here, there = cloud - middle, true - target
+    u, values, vt = np.linalg.svd((share * there).T @ here)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * sign) @ vt
+    scale = float((values * sign).sum() / (share * here * here).sum())
+    return rotation, target - rotation @ middle, scale

@@ -47,9 +47,15 @@ def _stretched(light: Light, chromatic: float) -> Light:
     return out
 
 
-def exposed(light: Light, camera: int, optics: Optics, encoding: str) -> Light:
-    """Counts above black without noise: (H, W, 3) for colour chips, (H, W) for mosaic and mono."""
-    mix = (optics.gain(camera) * optics.true_crosstalk()[camera]).astype(np.float32)
+def exposed(
+    light: Light, camera: int, optics: Optics, encoding: str, crosstalk: NDArray[np.float64] | None = None
+) -> Light:
+    """Counts above black without noise: (H, W, 3) for colour chips, (H, W) for mosaic and mono.
+
+    ``crosstalk`` (3, 3) stands for that of the optics, without a change of the gain.
+    """
+    crosstalk = optics.true_crosstalk()[camera] if crosstalk is None else crosstalk
+    mix = (optics.gain(camera) * crosstalk).astype(np.float32)
     counts = light @ mix.T
     if encoding == "rgb8":
         return np.asarray(counts)

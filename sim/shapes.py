@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.ink import Ink
 from sim.intersect import BOX, CYLINDER, MESH, RECTANGLE, RELIEF, SPHERE, Table, relief_height
 
 Array = NDArray[np.float64]
@@ -66,6 +67,7 @@ class Shape:
         albedo: R G B, 0..1, before the texture.
         motion: None = rests.
         mesh: file of a triangle mesh, only for that kind.
+        ink: what is printed on its front, only for a rectangle.
     """
 
     kind: int
@@ -77,6 +79,7 @@ class Shape:
     texture: Texture = field(default_factory=Texture)
     motion: Motion | None = None
     mesh: Path | None = None
+    ink: Ink | None = None
 
     def pose(self, share: float) -> tuple[Array, Array]:
         """(R, t) with ``X_stage = R X_shape + t`` at a share of the scene's period."""
@@ -100,10 +103,10 @@ class Shape:
         return replace(self, at_mm=at_mm, turn=turn, albedo=color, texture=texture or Texture(), motion=motion)
 
 
-def rectangle(width_mm: float, height_mm: float) -> Shape:
-    """A thin board in the plane z = 0, seen from both sides."""
+def rectangle(width_mm: float, height_mm: float, *, ink: Ink | None = None) -> Shape:
+    """A thin board in the plane z = 0, seen from both sides; ``ink`` is seen from the side z < 0."""
     a, b = width_mm / 2, height_mm / 2
-    return Shape(RECTANGLE, (a, b), float(np.hypot(a, b)))
+    return Shape(RECTANGLE, (a, b), float(np.hypot(a, b)), ink=ink)
 
 
 def plane() -> Shape:

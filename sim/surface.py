@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import intersect
+from sim.ink import Cells, darken
 from sim.intersect import MESH, Table
 from sim.mesh import Mesh, load
 from sim.scenes import Scene
@@ -32,6 +33,7 @@ class Surfaces:
 
     table: Table
     meshes: tuple[tuple[int, Mesh], ...]
+    prints: tuple[tuple[int, Cells], ...] = ()
 
     def hits(self, origin: Array, rays: Array) -> Hits:
         """First hits of unit rays (n, 3) from one origin (3,)."""
@@ -57,6 +59,16 @@ class Surfaces:
             seen[asked] &= ~mesh.blocks(points, (viewer - place) @ rotation)
         return np.asarray(seen)
 
+    def darken(self, light: NDArray[np.float32], hits: Hits, viewer: Array, spread: float) -> None:
+        """Take from the light that comes back from hits, (n, 3), what ink swallows; in place.
+
+        Args:
+            light, hits: of the same rays; viewer: (3,) their origin; spread: angle between neighbours, radians.
+        """
+        for index, cells in self.prints:
+            pose = self.table.rotation[index], self.table.translation[index]
+            darken(light, cells, pose, hits.points, hits.which == index, viewer, spread)
+
 
 def surfaces(scene: Scene, t_s: float, stage: tuple[Array, Array]) -> Surfaces:
     """The surfaces of a scene at a time; ``stage`` is (R, t) from stage to world."""
@@ -66,4 +78,5 @@ def surfaces(scene: Scene, t_s: float, stage: tuple[Array, Array]) -> Surfaces:
         for i, shape in enumerate(scene.shapes)
         if shape.kind == MESH and shape.mesh is not None
     )
-    return Surfaces(table, meshes)
+    prints = tuple((i, shape.ink.cells()) for i, shape in enumerate(scene.shapes) if shape.ink is not None)
+    return Surfaces(table, meshes, prints)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from drivers.protocols import SIDES, TRIGGER_MODULUS, Clock, Frame, Side
 from sim.camera import SimCamera
 from sim.clock import SystemClock
 from sim.faults import Fault, FaultKind, FaultPlan, Ledger
-from sim.projector import SimProjector
+from sim.knock import Device, Disturbance
+from sim.live import LiveScene
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -23,6 +24,17 @@ class Pictures(Protocol):
 
     def pair(self, index: int) -> tuple[Picture, Picture]:
         """Left and right picture of trigger ``index``."""
+
+
+class Lamp(Protocol):
+    """The simulated projector, as far as the world needs it."""
+
+    @property
+    def lit(self) -> bool:
+        """Whether the pictures are those of the trigger; dark ones are sent otherwise."""
+
+    def close(self) -> None:
+        """Go dark and let go."""
 
 
 class SimWorld:
@@ -43,12 +55,15 @@ class SimWorld:
         dark_dn: counts of a picture without projector light.
         queue_frames: room in each camera's queue.
         keep_entries: whether the ledger keeps every event, not just counts.
+        note: on the pictures, for what the cameras say of themselves.
     """
+
+    _slack = 1.0  # By how much of a period a trigger that comes late may stand nearer to the next one.
 
     def __init__(
         self,
         pictures: Pictures,
-        projector: SimProjector,
+        projector: Lamp,
         size: tuple[int, int],
         encoding: str,
         *,
@@ -60,6 +75,7 @@ class SimWorld:
         dark_dn: float = 4.0,
         queue_frames: int = 8,
         keep_entries: bool = False,
+        note: str = "simulated: pictures come from a rendered loop",
     ) -> None:
         self._pictures, self._projector, self._encoding = pictures, projector, encoding
         self._plan, self._rate_hz, self._clock = plan or FaultPlan.none(), rate_hz, clock or SystemClock()
@@ -73,6 +89,7 @@ class SimWorld:
                 queue_frames=queue_frames,
                 dropped=self._note_dropped,
                 started=self._wake,
+                note=note,
             )
             for side in SIDES
         }
@@ -141,11 +158,12 @@ class SimWorld:
 
     def _run(self) -> None:
         period_ns = round(1e9 / self._rate_hz)
+        slack_ns = round(self._slack * period_ns)
         due_ns = self._clock.monotonic_ns() + period_ns
         while not self._stop.wait(max(0, due_ns - self._clock.monotonic_ns()) / 1e9):
             self.step()
             # A machine that was asleep goes on from now, instead of giving all missed triggers at once.
-            due_ns = max(due_ns, self._clock.monotonic_ns() - period_ns) + period_ns
+            due_ns = max(due_ns, self._clock.monotonic_ns() - slack_ns) + period_ns
 
     def _number(self, index: int, off: int = 0) -> int:
         return (self._first_number + index + off) % TRIGGER_MODULUS
@@ -207,3 +225,51 @@ class SimWorld:
 
     def _note_dropped(self, frame: Frame, why: str) -> None:
         self.ledger.note(-1, frame.trigger, frame.side, why)
+
+
+class LiveWorld(SimWorld):
+    """A world whose pictures are rendered when they are needed: what the projector shows now is what the cameras see.
+
+    A trigger that cannot be rendered in time is given later. Args as of :class:`SimWorld`, with a live scene.
+    """
+
+    _slack = 0.1
+
+    def __init__(self, scene: LiveScene, projector: Lamp, size: tuple[int, int], encoding: str, **options: Any) -> None:
+        note = "simulated: pictures are rendered of what the projector shows"
+        super().__init__(scene, projector, size, encoding, note=note, **options)
+        self._scene = scene
+
+    @property
+    def pose(self) -> int:
+        """Number of the board's pose at the next trigger."""
+        return self._scene.pose(self.triggers)
+
+    @property
+    def poses(self) -> int:
+        """Number of poses that the board goes through; 1 where there is no board."""
+        return self._scene.poses
+
+    def step(self) -> int:
+        """Give one trigger; returns its number. It is given when its pictures are ready, not before."""
+        with self._lock:
+            self._scene.prepare(self.triggers)
+            return super().step()
+
+    def next_pose(self) -> int:
+        """Move the board to its next pose, as a person's hand does; the next trigger sees it there.
+
+        Returns:
+            The number of the pose; after the last one the board stays.
+        """
+        return self._scene.next_pose(self.triggers)
+
+    def disturb(self, side: Device, **change: Any) -> None:
+        """Something happens to a device from the next trigger on, and adds to what has happened before.
+
+        Args:
+            side: ``left``, ``right`` or ``projector``.
+            change: ``turn_deg=(x, y, z)``, ``shift_px=(u, v)``, ``crosstalk=0.03``, see
+                :class:`sim.knock.Disturbance`.
+        """
+        self._scene.disturb(Disturbance(side, at=self.triggers, **change))

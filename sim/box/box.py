@@ -9,7 +9,6 @@ from pathlib import Path
 from types import TracebackType
 
 from drivers.protocols import SIDES, Side
-from sim import scenes
 from sim.box.grab import Grabber
 from sim.box.ledger import Ledger
 from sim.box.light import Stage
@@ -18,6 +17,7 @@ from sim.box.rig import PIXEL_FORMATS, RigPlaces, write_rig
 from sim.box.world import World
 from sim.gentl.build import build
 from sim.gentl.cable import Cable, Filter
+from sim.staging import scene_of
 from sim.xserver import Head, XServer
 
 GENTL_DIR = "FRINGED_GENTL_DIR"
@@ -80,7 +80,7 @@ class Box:
         self.folder, self.gentl_dir = folder, folder / "gentl"
         self.gentl_dir.mkdir(parents=True, exist_ok=True)
         producer = build()
-        scene = scenes.build(simulation.scene, seed=simulation.seed, mesh_file=simulation.mesh)
+        scene = scene_of(simulation)
         self.stage = Stage(
             layout, scene, simulation.optics, encoding=simulation.encoding, instants_s=options.instants_s
         )

@@ -15,10 +15,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
 from pipeline.camera_model import CameraModel
 from sim import light as lighting
 from sim import render, sensor
+from sim.knock import TrueRig
 from sim.lens import packed, pixel_rays, pixels_of
 from sim.optics import Optics
 from sim.render import Picture
@@ -71,6 +71,7 @@ class Stage:
     Args:
         layout, scene, optics, encoding: as :func:`sim.render.render_pair` takes them.
         instants_s: starts of exposure in the scene's time; one is enough for a scene at rest.
+        rig: instead of that of the layout and of the optics, when something has happened to it.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class Stage:
         *,
         encoding: str = "rgb8",
         instants_s: tuple[float, ...] = (0.0,),
+        rig: TrueRig | None = None,
     ) -> None:
         if not instants_s:
             raise ValueError("instants_s is empty, expected at least one instant")
@@ -88,9 +90,11 @@ class Stage:
             raise ValueError(f"encoding is {encoding!r}, expected one of {', '.join(sensor.ENCODINGS)}")
         self.layout, self.scene, self.optics, self.encoding = layout, scene, optics or Optics(), encoding
         self.instants_s = instants_s if scene.moves else instants_s[:1]
-        rig = layout.calibration()
+        self.rig = rig = TrueRig.of(layout, self.optics) if rig is None else rig
         self._prints = [
-            tuple(_footprint(layout, rig, scene, self.optics, t_s, camera) for camera in (rig.left, rig.right))
+            tuple(
+                _footprint(layout, rig.projector, scene, self.optics, t_s, camera) for camera in (rig.left, rig.right)
+            )
             for t_s in self.instants_s
         ]
 
@@ -104,7 +108,9 @@ class Stage:
         sent = render.picture_sent(picture, self.optics, self.layout.projector_size)
         light = lighting.projected_light(sent, self.optics)
         left, right = (
-            sensor.exposed(footprint.under(light, self.optics), camera, self.optics, self.encoding)
+            sensor.exposed(
+                footprint.under(light, self.optics), camera, self.optics, self.encoding, self.rig.crosstalk[camera]
+            )
             for camera, footprint in enumerate(self._prints[instant % len(self._prints)])
         )
         return left, right
@@ -115,7 +121,7 @@ class Stage:
 
 
 def _footprint(
-    layout: RigLayout, rig: Calibration, scene: Scene, optics: Optics, t_s: float, camera: CameraModel
+    layout: RigLayout, projector: CameraModel, scene: Scene, optics: Optics, t_s: float, camera: CameraModel
 ) -> Footprint:
     """The rays of :func:`sim.render.light_on_sensor`, kept instead of lit."""
     s, (columns, rows) = optics.supersampling, camera.size
@@ -127,7 +133,7 @@ def _footprint(
             now = surfaces(scene, t_s + instant * 1e-6 * optics.exposure_us, layout.stage_pose())
             some = np.s_[i::s, j::s]
             offset = (j + 0.5) / s - 0.5, (i + 0.5) / s - 0.5
-            uv[some], gain[some], dark[some] = _sampled(now, layout, rig, optics, camera, offset)
+            uv[some], gain[some], dark[some] = _sampled(now, layout, projector, optics, camera, offset)
     return Footprint(uv, gain, _pixels(dark, optics))
 
 
@@ -142,14 +148,14 @@ def _pixels(rays: Light, optics: Optics) -> Light:
 def _sampled(
     now: Surfaces,
     layout: RigLayout,
-    rig: Calibration,
+    projector: CameraModel,
     optics: Optics,
     camera: CameraModel,
     offset: tuple[float, float],
 ) -> tuple[Light, Light, Light]:
     """One ray a pixel: projector pixel (H, W, 2), gain (H, W, 3), and light under a black picture (H, W, 3)."""
     columns, rows = camera.size
-    projector, lamp = rig.projector, packed(rig.projector)
+    lamp = packed(projector)
     shift = np.array(optics.color_shift_px)
     standoff = float(np.linalg.norm(projector.centre - layout.stage_pose()[1]))
     unit = np.ones((projector.size[1], projector.size[0], 3), np.float32)
@@ -162,6 +168,8 @@ def _sampled(
         # The renderer's own shading under a light of one everywhere is the share of light that comes back.
         gain = lighting.shade(*surface, lit, lamp, unit, shift, standoff, 0.0)
         dark = lighting.shade(*surface, np.zeros_like(lit), lamp, black, shift, standoff, optics.ambient)
+        for part in (gain, dark):
+            now.darken(part, hits, camera.centre, render.angle_of_a_ray(camera, optics))
         uv = np.where(lit[:, None], pixels_of(lamp, hits.points), 0.0).astype(np.float32)
         return tuple(part.reshape(height, columns, -1) for part in (uv, gain, dark))  # type: ignore[return-value]
 

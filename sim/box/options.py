@@ -72,10 +72,10 @@ class BoxOptions:
     @property
     def instants_s(self) -> tuple[float, ...]:
         """Times of the moving scene's instants, seconds."""
-        from sim.scenes import build
+        from sim.staging import scene_of
 
         simulation = self.simulation
-        period_s = build(simulation.scene, seed=simulation.seed, mesh_file=simulation.mesh).period_s
+        period_s = scene_of(simulation).period_s
         return tuple(period_s * k / simulation.frames for k in range(simulation.frames))
 
 

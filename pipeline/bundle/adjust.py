@@ -1,0 +1,125 @@
+"""The adjustment proper: search, circle offsets, noise of each device, marks that do not belong, again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.bundle import centroid
+from pipeline.bundle.freedom import Freedom
+from pipeline.bundle.observations import Observations
+from pipeline.bundle.options import Options
+from pipeline.bundle.solve import Fit, fit, residuals
+from pipeline.bundle.state import State
+from pipeline.bundle.uncertainty import full_covariance, promised
+from pipeline.targets.board import Board
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 12
+_STILL_PX = 2e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """The result of :func:`adjust`.
+
+    Args:
+        fit: of the last search.
+        data: the marks that were used, with the standard deviations found.
+        promise: (n,) the standard deviations that the marks came with.
+        out: the marks that were left out.
+        out_by: (m,) their residuals in standard deviations.
+        offsets: (n, 2) circle offsets, px.
+        diameter_mm: of the circles; 0 = points.
+        covariance: of all unknowns.
+        noise: by device (floor_px, factor), see :func:`pipeline.bundle.uncertainty.noise_floor`.
+    """
+
+    fit: Fit
+    data: Observations
+    promise: Array
+    out: Observations
+    out_by: Array
+    offsets: Array
+    diameter_mm: float
+    covariance: Array
+    noise: dict[int, tuple[float, float]]
+
+    @property
+    def state(self) -> State:
+        """All values."""
+        return self.fit.state
+
+
+def first_sigma(state: State, data: Observations, offsets: Array) -> Array:
+    """Standard deviations (n,) after the median residual of each device: outliers have no say in them yet."""
+    distance = np.linalg.norm(residuals(state, data, offsets), axis=1)
+    sigma = data.sigma.copy()
+    for device in range(state.devices):
+        chosen = data.device == device
+        if chosen.any():
+            # The median of the length of a normal pair is 1.1774 standard deviations.
+            scale = float(np.median(distance[chosen])) / 1.1774
+            sigma[chosen] = np.maximum(scale * sigma[chosen] / np.median(sigma[chosen]), 1e-9)
+    return sigma
+
+
+def adjust(
+    state: State, data: Observations, free: Freedom, options: Options, board: Board, *, diameter_mm: float = 0.0
+) -> Adjusted:
+    """Search until circle offsets, noise and the choice of marks stand still.
+
+    Args:
+        state: start near the solution.
+        data: all marks of the views that are used, with the standard deviations that they promise.
+        free: which unknowns move.
+        options: loss and limits.
+        board: for the circles' diameter, where it is told.
+        diameter_mm: first value, else the board's or from the areas.
+
+    Raises:
+        CalibrationError: the views do not determine all unknowns.
+    """
+    kept, promise = np.ones(len(data), dtype=bool), data.sigma
+    told = board.diameter_mm if board.round else 0.0
+    diameter = told or diameter_mm or centroid.diameter_mm(state, data)
+    shift = centroid.offsets(state, data, diameter)
+    sigma = first_sigma(state, data, shift)
+    for turn in range(_ROUNDS):
+        used = data.with_sigma(sigma).some(kept)
+        loss = "cauchy" if turn == 0 and options.loss != "squared" else options.loss
+        found = fit(state, used, shift[kept], free, loss=loss, scale=options.loss_scale)
+        state = found.state
+        diameter = told or centroid.diameter_mm(state, data.some(kept))
+        new = centroid.offsets(state, data, diameter)
+        moved = float(np.abs(new - shift).max(initial=0.0))
+        shift = new
+        if turn == 0:
+            sigma = first_sigma(state, data, shift)
+        else:
+            covariance, redundancy = full_covariance(state, used, shift[kept], free)
+            _, noise = promised(state, data.some(kept), shift[kept], promise[kept], redundancy)
+            before = sigma
+            sigma = _spread(promise, data, noise)
+            away = np.linalg.norm(residuals(state, data, shift), axis=1) / sigma
+            still = np.abs(np.log(sigma / before)).max() < 1e-3 and moved < _STILL_PX
+            result = Adjusted(
+                found, used, promise[kept], data.with_sigma(sigma).some(~kept), away[~kept], shift[kept], diameter,
+                covariance, noise,
+            )  # fmt: skip
+            now = ~(away > options.mark_limit) if options.loss != "squared" else kept
+            if still and (now == kept).all():
+                break
+            kept = now if turn < _ROUNDS - 3 else kept & now
+    return result
+
+
+def _spread(promise: Array, data: Observations, noise: dict[int, tuple[float, float]]) -> Array:
+    sigma = promise.copy()
+    for device, (floor, factor) in noise.items():
+        chosen = data.device == device
+        sigma[chosen] = np.hypot(factor * promise[chosen], floor)
+    return sigma

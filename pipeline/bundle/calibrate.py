@@ -1,0 +1,137 @@
+"""Joint calibration of up to three devices from views of a board (Zhang, 2000; Triggs et al., 2000)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.bundle.adjust import Adjusted, adjust
+from pipeline.bundle.advice import missing, refuse_degenerate
+from pipeline.bundle.freedom import freedom, names_of
+from pipeline.bundle.joint import assemble
+from pipeline.bundle.mono import Mono, mono
+from pipeline.bundle.observations import Observations, gather
+from pipeline.bundle.options import Options
+from pipeline.bundle.placing import Placed, place
+from pipeline.bundle.solution import Rejection, Solution
+from pipeline.bundle.state import State
+from pipeline.bundle.summary import summarise
+from pipeline.bundle.trust import refuse_uncertain
+from pipeline.bundle.views import bad_views, few_marks
+from pipeline.camera_model import CameraModel
+from pipeline.errors import CalibrationError
+from pipeline.targets.board import Board
+from pipeline.targets.marks import BoardView
+
+Array = NDArray[np.float64]
+
+DEVICES = ("left", "right", "projector")
+
+
+def calibrate(
+    board: Board,
+    views: Sequence[BoardView],
+    sizes: Mapping[str, tuple[int, int]],
+    *,
+    options: Options | None = None,
+    start: Mapping[str, CameraModel] | None = None,
+) -> Solution:
+    """Intrinsics and poses of all devices, with their uncertainties.
+
+    One adjustment over all marks of all devices; each view has one pose of the board, shared by the devices. Marks
+    with areas are centroids of circles and are predicted as such.
+
+    Args:
+        board: what was shown.
+        views: marks by device; a view may lack a device.
+        sizes: (width, height) by device; it names the devices to be calibrated, some of :data:`DEVICES`. The first of
+            them in that order is the world.
+        options: choices.
+        start: known devices, for first values; without them everything is found from the marks.
+
+    Raises:
+        CalibrationError: what is wrong with the views, and what to do.
+    """
+    options = options or Options()
+    devices = [name for name in DEVICES if name in sizes]
+    if not devices or len(devices) != len(sizes):
+        raise CalibrationError(f"devices {', '.join(sizes) or 'none'}: expected some of {', '.join(DEVICES)}")
+    start = start or {}
+    data, rejected = few_marks(gather(board, views, devices), views, devices, options)
+    _enough(data, views, options, rejected)
+    advice = missing(board, views, sizes, start=start)
+    if options.check:
+        refuse_degenerate(advice)
+    monos = [
+        mono(data.of(number), board.points, len(views), sizes[name], options, name=name, start=start.get(name))
+        for number, name in enumerate(devices)
+    ]
+    placed = place(board, views, devices, data, monos, options)
+    rejected += placed.rejected
+    _hold_poses(placed, devices, options, start)
+    adjusted, numbers, more = _settled(board, views, devices, placed, options, monos)
+    solution = summarise(board, views, devices, sizes, adjusted, numbers, rejected + more, options)
+    if options.check:
+        refuse_uncertain(solution, sizes, options, advice)
+    return solution
+
+
+def _hold_poses(placed: Placed, devices: Sequence[str], options: Options, start: Mapping[str, CameraModel]) -> None:
+    """Devices whose pose is held stand where the start says, not where the views say."""
+    names = names_of(devices)
+    for number, name in enumerate(devices[1:], start=1):
+        pose = {known for known in names if known.startswith((f"{name}.rotation_", f"{name}.translation_"))}
+        held = {known for known in pose if known in options.fixed or name in options.fixed}
+        if held and name in start and devices[0] in start:
+            first, own = start[devices[0]], start[name]
+            turn = own.rotation @ first.rotation.T
+            placed.devices[number] = (turn, own.translation - turn @ first.translation)
+
+
+def _enough(data: Observations, views: Sequence[BoardView], options: Options, rejected: list[Rejection]) -> None:
+    count = len(np.unique(data.view))
+    if count < options.least_views:
+        why = f" ({'; '.join(map(str, rejected[:5]))})" if rejected else ""
+        raise CalibrationError(
+            f"{count} of {len(views)} views can be used, at least {options.least_views} are needed{why}; add views of "
+            "the board, tilted by 20 to 40 degrees about both axes"
+        )
+
+
+def _settled(
+    board: Board, views: Sequence[BoardView], devices: list[str], placed: Placed, options: Options,
+    monos: Sequence[Mono]
+) -> tuple[Adjusted, NDArray[np.int64], list[Rejection]]:  # fmt: skip
+    """Adjust, leave bad views out, adjust again."""
+    data, rejected = placed.data, list[Rejection]()
+    state = assemble(monos, placed.devices, placed.poses, len(views))
+    allowed = int(options.most_views * len(views)) - placed.left_out
+    while True:
+        state_, data_ = _compact(state, data)
+        free = freedom(devices, options, board.points, board.pitch_mm)
+        adjusted = adjust(state_, data_, free, options, board)
+        numbers = np.unique(data.view)
+        worse = bad_views(adjusted, [views[k].name for k in numbers], devices, options)
+        if not worse:
+            return adjusted, numbers, rejected
+        allowed -= len({view for view, _, _ in worse})
+        rejected += [rejection for _, _, rejection in worse]
+        if allowed < 0:
+            raise CalibrationError(
+                f"more than {options.most_views:.0%} of the views do not fit the others: "
+                f"{'; '.join(map(str, rejected[:6]))}; are board, order of the pictures and numbering right?"
+            )
+        for view, device, _ in worse:
+            gone = data.view == numbers[view]
+            data = data.some(~(gone if device is None else gone & (data.device == device)))
+        _enough(data, views, options, rejected)
+
+
+def _compact(state: State, data: Observations) -> tuple[State, Observations]:
+    """Only the views that have marks, numbered without gaps."""
+    numbers = np.unique(data.view)
+    state = state.with_views(state.view_rotations[numbers], state.view_translations[numbers])
+    view = np.searchsorted(numbers, data.view).astype(np.int64)
+    return state, Observations(data.device, view, data.mark, data.pixels, data.sigma, data.area, data.ids)

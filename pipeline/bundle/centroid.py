@@ -1,0 +1,46 @@
+"""Where the centroids of all circles' images lie, relative to the images of their centres."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.bundle.observations import Observations
+from pipeline.bundle.state import State
+from pipeline.camera_model import CameraModel
+from pipeline.targets import disc
+
+Array = NDArray[np.float64]
+
+
+def offsets(state: State, data: Observations, diameter_mm: float) -> Array:
+    """Centroid of the circle's image minus image of its centre, (n, 2) px; zero for marks that are points."""
+    result = np.zeros((len(data), 2))
+    if diameter_mm <= 0:
+        return result
+    for where, model, rotation, translation in _pictures(state, data):
+        points = state.points[data.mark[where]]
+        result[where] = disc.offsets(model, rotation, translation, points, diameter_mm / 2)
+    result[~np.isfinite(data.area)] = 0.0
+    return result
+
+
+def diameter_mm(state: State, data: Observations) -> float:
+    """The diameter that explains the measured areas best (median over the pictures); 0 without areas."""
+    found = [
+        disc.diameter_mm(data.area[where], model, rotation, translation, state.points[data.mark[where]])
+        for where, model, rotation, translation in _pictures(state, data)
+    ]
+    return float(np.median(found)) if found else 0.0
+
+
+def _pictures(state: State, data: Observations) -> Iterator[tuple[slice, CameraModel, Array, Array]]:
+    """Where the marks of each picture with circles are, its device, and the board's pose to the device."""
+    models = [state.model(k, "device", (1, 1)) for k in range(state.devices)]
+    for device, view, where in data.groups():
+        if np.isfinite(data.area[where]).any():
+            turn = state.rotations[device]
+            rotation = turn @ state.view_rotations[view]
+            yield where, models[device], rotation, turn @ state.view_translations[view] + state.translations[device]

@@ -1,0 +1,58 @@
+"""Figures of merit: reprojection error and epipolar distance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.bundle.observations import Observations
+from pipeline.bundle.state import cross_matrices
+from pipeline.camera_model import CameraModel
+
+Array = NDArray[np.float64]
+
+
+def rms(misfit: Array) -> float:
+    """Root of the mean squared distance, (n, 2) px; NaN without marks."""
+    return float(np.sqrt((misfit**2).sum(axis=1).mean())) if len(misfit) else float("nan")
+
+
+def epipolar_distances(left: CameraModel, right: CameraModel, in_left: Array, in_right: Array) -> Array:
+    """Distances (2 n,) of undistorted pixels from the epipolar lines of their partners, in both pictures.
+
+    Pixels are undistorted with each camera's own matrix kept, as OpenCV's ``undistortPoints`` with ``P`` does.
+
+    Args:
+        left: the world.
+        right: with its pose.
+        in_left, in_right: (n, 2) pixels of the same points.
+    """
+    essential = cross_matrices(right.translation[None])[0] @ right.rotation
+    fundamental = np.linalg.inv(right.matrix).T @ essential @ np.linalg.inv(left.matrix)
+    a = _homogeneous(left.to_pixels(left.normalise(in_left)))
+    b = _homogeneous(right.to_pixels(right.normalise(in_right)))
+    in_right_lines, in_left_lines = a @ fundamental.T, b @ fundamental
+    top = np.abs((b * in_right_lines).sum(axis=1))
+    return np.concatenate(
+        [top / np.linalg.norm(in_left_lines[:, :2], axis=1), top / np.linalg.norm(in_right_lines[:, :2], axis=1)]
+    )
+
+
+def epipolar_px(left: CameraModel, right: CameraModel, data: Observations, offsets: Array) -> float:
+    """Mean epipolar distance over the marks that devices 0 and 1 both saw; NaN without any."""
+    first, second = {}, {}
+    for device, view, where in data.groups():
+        for mark, pixel in zip(data.mark[where].tolist(), data.pixels[where] - offsets[where], strict=True):
+            if device == 0:
+                first[view, mark] = pixel
+            elif device == 1:
+                second[view, mark] = pixel
+    both = [key for key in first if key in second]
+    if not both:
+        return float("nan")
+    in_left, in_right = np.array([first[key] for key in both]), np.array([second[key] for key in both])
+    return float(epipolar_distances(left, right, in_left, in_right).mean())
+
+
+def _homogeneous(points: Array) -> Array:
+    return np.column_stack([points, np.ones(len(points))])

@@ -1,0 +1,95 @@
+"""Which unknowns move, and how: held parameters, a fixed aspect ratio, the gauge of a refined board."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.bundle.options import Options
+from pipeline.bundle.state import INTRINSICS, POSE
+from pipeline.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+GAUGE_WEIGHT = 1e6
+"""Of the seven gauge conditions in 1/mm^2: they meet no data, so any weight gives the same board."""
+LOOSE = 0.25
+"""Standard deviation of a refined mark about its nominal place in pitches: only marks hardly ever seen feel it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Freedom:
+    """Allowed steps.
+
+    Args:
+        basis: (16 d, k): columns are the independent directions of the devices' unknowns.
+        points: whether the marks on the board move.
+        nominal: (n, 3) their nominal places.
+        pitch_mm: of the board.
+    """
+
+    basis: Array
+    points: bool
+    nominal: Array
+    pitch_mm: float
+
+    def gauge(self) -> Array:
+        """(7, 3 n): shifts, turns and the scale of the whole board, orthonormal rows.
+
+        A refined board may do anything but these: its best fit to the nominal grid (over all marks) stays where the
+        grid is, with the scale 1. So the mean printed pitch fixes the scale of the world.
+        """
+        p = self.nominal - self.nominal.mean(axis=0)
+        n, zero = len(p), np.zeros(len(p))
+        shifts = [np.tile(np.eye(3)[k], (n, 1)) for k in range(3)]
+        turns = [
+            np.stack([zero, -p[:, 2], p[:, 1]], 1),
+            np.stack([p[:, 2], zero, -p[:, 0]], 1),
+            np.stack([-p[:, 1], p[:, 0], zero], 1),
+        ]
+        rows = np.stack([a.ravel() for a in (*shifts, *turns, p)])
+        return np.asarray(np.linalg.svd(rows, full_matrices=False)[2])
+
+
+def names_of(devices: Sequence[str]) -> list[str]:
+    """Names of the devices' unknowns, as ``left.fx`` and ``right.rotation_x``, in the order of the vector."""
+    return [f"{device}.{key}" for device in devices for key in (*INTRINSICS, *POSE)]
+
+
+def freedom(
+    devices: Sequence[str], options: Options, nominal: Array, pitch_mm: float, *, hold: Sequence[str] = ()
+) -> Freedom:
+    """What the options allow; ``hold`` are more names of parameters, without device, that do not move.
+
+    Raises:
+        CalibrationError: ``options.fixed`` names something that does not exist.
+    """
+    names = names_of(devices)
+    held = {name for name in names if name.split(".")[1] in hold}
+    if not options.skew:
+        held |= {name for name in names if name.endswith(".skew")}
+    if not options.k3:
+        held |= {name for name in names if name.endswith(".k3")}
+    if not options.tangential:
+        held |= {name for name in names if name.endswith((".p1", ".p2"))}
+    held |= {f"{devices[0]}.{key}" for key in POSE}
+    for name in options.fixed:
+        matching = {known for known in names if known == name or known.startswith(f"{name}.")}
+        if not matching:
+            raise CalibrationError(f"fixed parameter {name!r}: expected a device or a parameter such as {names[0]}")
+        held |= matching
+    columns = []
+    for at, name in enumerate(names):
+        device, key = name.split(".")
+        if name in held or (options.aspect is not None and key == "fx" and f"{device}.fy" not in held):
+            continue
+        column = np.zeros(len(names))
+        column[at] = 1.0
+        if options.aspect is not None and key == "fy" and f"{device}.fx" not in held:
+            column[at - 1] = 1 / options.aspect
+        columns.append(column)
+    basis = np.stack(columns, axis=1) if columns else np.zeros((len(names), 0))
+    return Freedom(basis, options.board_refined, nominal, pitch_mm)

@@ -1,0 +1,72 @@
+"""What the user may choose about a calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from pipeline.errors import CalibrationError
+
+Loss = Literal["huber", "cauchy", "squared"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Choices of :func:`pipeline.bundle.calibrate`.
+
+    Args:
+        skew: whether the skew of each device is found; else it stays at its start value (0 without one).
+        k3: whether the third radial coefficient is found.
+        tangential: whether p1 and p2 are found.
+        aspect: fixed fy / fx, or None: both focal lengths are found.
+        fixed: parameters held at their start values, as ``right.k3``, or whole devices, as ``right``.
+        loss: of a residual in units of its standard deviation; ``squared`` is plain least squares.
+        loss_scale: residual, in standard deviations, from where on the loss grows more slowly than the square.
+        board_refined: find the marks' places on the board, too (Strobl and Hirzinger, 2011; Albarelli et al., 2009).
+        known_distance: (mark, mark, mm), a distance on the board measured with a ruler: fixes the scale of everything.
+        mark_limit: a mark is left out when its residual is more than this many standard deviations.
+        view_limit: a view is left out when its rms residual is more than this many times the usual one.
+        most_marks, most_views: largest shares of the marks and of the views that may be left out.
+        least_views: fewest views that are accepted.
+        least_marks: fewest marks of one device in one view; with less the device's picture is left out.
+        most_focal_sigma: largest standard deviation of a focal length, as a share of it.
+        most_centre_sigma: largest standard deviation of a principal point, as a share of the picture's width.
+        check: whether a degenerate set of views is refused; a guided session asks for numbers while it is not complete.
+    """
+
+    skew: bool = True
+    k3: bool = True
+    tangential: bool = True
+    aspect: float | None = None
+    fixed: tuple[str, ...] = ()
+    loss: Loss = "huber"
+    loss_scale: float = 3.0
+    board_refined: bool = False
+    known_distance: tuple[int, int, float] | None = None
+    mark_limit: float = 5.0
+    view_limit: float = 3.0
+    most_marks: float = 0.1
+    most_views: float = 0.34
+    least_views: int = 3
+    least_marks: int = 8
+    most_focal_sigma: float = 3e-3
+    most_centre_sigma: float = 1e-2
+    check: bool = True
+
+    def __post_init__(self) -> None:
+        if self.loss not in get_args(Loss):
+            raise CalibrationError(f"loss {self.loss!r}: expected one of {', '.join(get_args(Loss))}")
+        if self.aspect is not None and not 0.1 < self.aspect < 10:
+            raise CalibrationError(f"aspect {self.aspect}: expected fy / fx between 0.1 and 10")
+        for key, least in (("loss_scale", 0.1), ("mark_limit", 3.0), ("view_limit", 1.5)):
+            if not getattr(self, key) >= least:
+                raise CalibrationError(f"{key} {getattr(self, key)}: expected at least {least}")
+        for key in ("most_marks", "most_views"):
+            if not 0 <= getattr(self, key) < 1:
+                raise CalibrationError(f"{key} {getattr(self, key)}: expected a share from 0 to less than 1")
+        if self.least_views < 2 or self.least_marks < 6:
+            raise CalibrationError(
+                f"least_views {self.least_views}, least_marks {self.least_marks}: expected at least 2 and 6"
+            )
+        if self.known_distance is not None and not 0 < self.known_distance[2] < 1e6:
+            raise CalibrationError(f"known_distance {self.known_distance[2]} mm: expected more than 0 mm")

@@ -1,0 +1,61 @@
+"""Renumberings of a board that leave its grid as it is: what a finder of marks may have mixed up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.targets.board import Board
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_TURNS: tuple[tuple[str, list[list[int]]], ...] = (
+    ("as numbered", [[1, 0], [0, 1]]),
+    ("turned by 180 degrees", [[-1, 0], [0, -1]]),
+    ("turned by 90 degrees", [[0, -1], [1, 0]]),
+    ("turned by 270 degrees", [[0, 1], [-1, 0]]),
+    ("mirrored left to right", [[-1, 0], [0, 1]]),
+    ("mirrored top to bottom", [[1, 0], [0, -1]]),
+    ("mirrored at a diagonal", [[0, 1], [1, 0]]),
+    ("mirrored at the other diagonal", [[0, -1], [-1, 0]]),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Symmetry:
+    """A motion of the plane that maps the marks onto marks: ``points[permutation[m]] = turn @ points[m] + shift``.
+
+    Args:
+        name: for messages.
+        permutation: (n,) number of the mark that takes the place of mark m.
+        turn: (3, 3), with determinant +1 also for mirror images (z is turned over then).
+        shift: (3,) mm.
+        mirrored: whether the motion turns the board over.
+    """
+
+    name: str
+    permutation: Index
+    turn: Array
+    shift: Array
+    mirrored: bool
+
+
+def symmetries(board: Board) -> list[Symmetry]:
+    """All of them, the identity first; a ChArUco board has none, because its marks carry their numbers."""
+    points = board.points
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    found = []
+    for name, plane in _TURNS if board.kind != "charuco" else _TURNS[:1]:
+        mirrored = bool(np.linalg.det(plane) < 0)
+        turn = np.eye(3)
+        turn[:2, :2] = plane
+        turn[2, 2] = -1.0 if mirrored else 1.0
+        moved = (points - middle) @ turn.T + middle
+        distance = np.linalg.norm(moved[:, None] - points[None], axis=-1)
+        nearest = distance.argmin(axis=1)
+        if distance.min(axis=1).max() < 1e-6 * board.pitch_mm:
+            found.append(Symmetry(name, nearest.astype(np.int64), turn, middle - turn @ middle, mirrored))
+    return found

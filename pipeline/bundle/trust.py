@@ -1,0 +1,43 @@
+"""Whether the views determined what was asked of them: judged by the covariance of the result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pipeline.bundle.advice import Advice, what_to_add
+from pipeline.bundle.options import Options
+from pipeline.bundle.solution import Solution
+from pipeline.errors import CalibrationError
+
+_LEAST_NOISE_PX = 0.02
+"""Views that only just determine everything are refused also when their marks agree better than this by chance."""
+
+
+def refuse_uncertain(
+    solution: Solution, sizes: Mapping[str, tuple[int, int]], options: Options, advice: Advice
+) -> None:
+    """Raise if a focal length or principal point is not determined well enough.
+
+    Args:
+        solution: the result.
+        sizes: (width, height) by device.
+        options: the limits.
+        advice: what could be added.
+
+    Raises:
+        CalibrationError: which parameter, how sure it is, the limit, and what to add.
+    """
+    for name in solution.devices:
+        grown = max(1.0, _LEAST_NOISE_PX / max(solution.noise_px[name], 1e-12))
+        width = sizes[name][0]
+        for key in ("fx", "fy", "cx", "cy"):
+            sigma = solution.sigma[f"{name}.{key}"] * grown
+            value = solution.values[f"{name}.{key}"]
+            focal = key in ("fx", "fy")
+            limit = options.most_focal_sigma * value if focal else options.most_centre_sigma * width
+            if sigma > limit:
+                what = "focal length" if focal else "principal point"
+                raise CalibrationError(
+                    f"the views do not determine the {what} of {name}: {key} {value:.1f} px has a standard deviation "
+                    f"of {sigma:.2g} px (limit {limit:.2g} px); {what_to_add(advice)}"
+                )

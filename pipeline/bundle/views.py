@@ -1,0 +1,85 @@
+"""Pictures and views that are not fit for the adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.bundle.adjust import Adjusted
+from pipeline.bundle.observations import Observations
+from pipeline.bundle.options import Options
+from pipeline.bundle.solution import Rejection
+from pipeline.bundle.solve import residuals
+from pipeline.targets.marks import BoardView
+
+_SIGNIFICANT = 1.5
+"""A picture's residuals are bad only when also this many times the noise of the device."""
+
+
+def few_marks(
+    data: Observations, views: Sequence[BoardView], devices: Sequence[str], options: Options
+) -> tuple[Observations, list[Rejection]]:
+    """Leave out pictures with too few marks."""
+    rejected, good = list[Rejection](), np.ones(len(data), dtype=bool)
+    for device, view, where in data.groups():
+        count = where.stop - where.start
+        if count < options.least_marks:
+            good[where] = False
+            reason = f"{count} marks found, at least {options.least_marks} are needed"
+            rejected.append(Rejection(views[view].name, devices[device], (), reason))
+    seen = set(np.unique(data.view).tolist())
+    rejected += [Rejection(view.name, "", (), "no marks") for k, view in enumerate(views) if k not in seen]
+    return data.some(good), rejected
+
+
+def bad_views(
+    adjusted: Adjusted, names: Sequence[str], devices: Sequence[str], options: Options
+) -> list[tuple[int, int | None, Rejection]]:
+    """The worst view, if it does not fit the others: (view, device or None for all of them, why).
+
+    One at a time, because a bad view spoils the others. Its picture is judged by the median squared length of its
+    residuals (marks that were left out included), against the median of the device's pictures.
+    """
+    if options.loss == "squared":
+        return []
+    found: list[tuple[float, int, int, str]] = []
+    every = _all_lengths(adjusted)
+    for device, name in enumerate(devices):
+        own = {view: lengths for (d, view), lengths in every.items() if d == device}
+        if len(own) < 3:
+            continue
+        typical = {view: float(np.median(lengths[0])) for view, lengths in own.items()}
+        usual = float(np.median(list(typical.values())))
+        for view, (lengths, out) in own.items():
+            worse = typical[view] / max(usual, 1e-12)
+            if out > 0.3 * len(lengths):
+                reason = f"{out} of {len(lengths)} marks of {name} do not fit the other views"
+                found.append((max(worse, 1.0) + 10, view, device, reason))
+            elif worse > options.view_limit and typical[view] > 1e-6:
+                reason = (
+                    f"its residuals in {name} are {worse:.1f} times the usual (median {typical[view]:.3g} px against "
+                    f"{usual:.3g} px, limit {options.view_limit:g} times): it moved, is blurred or mis-numbered"
+                )
+                found.append((worse, view, device, reason))
+    if not found:
+        return []
+    _, view, device, reason = max(found)
+    count = sum(1 for d, v in every if v == view)
+    if count > 2 and sum(1 for _, v, _, _ in found if v == view) == 1:
+        return [(view, device, Rejection(names[view], devices[device], (), reason))]
+    return [(view, None, Rejection(names[view], "", (), reason))]
+
+
+def _all_lengths(adjusted: Adjusted) -> dict[tuple[int, int], tuple[np.ndarray, int]]:
+    """(device, view) -> lengths of the residuals in px with those left out, and how many those are."""
+    used, out = adjusted.data, adjusted.out
+    misfit = np.linalg.norm(residuals(adjusted.state, used, adjusted.offsets), axis=1)
+    result = {}
+    lengths_out = adjusted.out_by * out.sigma
+    keys = {(d, v) for d, v, _ in used.groups()} | {(d, v) for d, v, _ in out.groups()}
+    for device, view in sorted(keys):
+        a = misfit[(used.device == device) & (used.view == view)]
+        b = lengths_out[(out.device == device) & (out.view == view)]
+        result[device, view] = (np.concatenate([a, b]), len(b))
+    return result

@@ -1,0 +1,11 @@
+"""Colour of a rig from pictures of an even white surface: black, crosstalk, balance, response, lateral colour.
+
+:func:`color_sequence` says what is shown, :func:`calibrate_color` makes the models of it, :func:`phase_error` checks
+them on a fresh pattern.
+"""
+
+from pipeline.color_calibration.check import PhaseError, check_sequence, phase_error
+from pipeline.color_calibration.frames import color_sequence
+from pipeline.color_calibration.solution import ColorSolution, calibrate_color
+
+__all__ = ["ColorSolution", "PhaseError", "calibrate_color", "check_sequence", "color_sequence", "phase_error"]

@@ -1,0 +1,107 @@
+"""Lateral colour and registration as what they do to the phase: an angle for each channel at every pixel.
+
+Light of channel c at pixel x stands d_c(x) away from its place in green light, and the projector threw it s_c beside
+its column. Both turn the channel's fringe by ``eps_c = Phi(P(x - d_c) - s_c) - Phi(P(x))`` with P the projector's
+coordinate of what the pixel sees. P depends on the depth, eps_c hardly does: the middle of the volume serves, and the
+mean slope of a frequency-modulated fringe.
+
+With the turned fringes the solution (A', C', S') of the unturned equations is F (A, C, S), a matrix for every pixel:
+``F = L(delta)^-1 L(delta + eps)`` with the rows ``L_c(delta) = (1, cos delta_c, -sin delta_c)``. The mean of eps over
+the picture goes into the shifts that the decoder takes, for nothing; the rest into a table of every 16th row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Calibration, ColorModel
+from pipeline.pattern import ColorFringe
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+STEP = 16
+SMALLEST_RAD = 1e-3
+"""Angles that differ less than this over the picture are taken as constant."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColorTurns:
+    """What the decoder needs of the channels' angles.
+
+    Args:
+        shifts: of the pattern's channels with the constant part of the angles, radians.
+        table: (n, 12, W) float32 for rows 0, step, 2 step ...: last two columns of F, (3, 2) by rows, then those of its
+            inverse.
+        step: rows from one to the next; 0 = there is nothing to correct, and the table is a dummy.
+    """
+
+    shifts: Triple
+    table: F32
+    step: int
+
+    @staticmethod
+    def none(shifts: Triple) -> ColorTurns:
+        """Nothing to correct."""
+        return ColorTurns(shifts, np.zeros((2, 12, 1), np.float32), 0)
+
+    @staticmethod
+    def of(shifts: Triple, angles: F64) -> ColorTurns:
+        """From the channels' angles at every STEP-th row, (3, n, W), the last of them below the picture."""
+        constant = angles.mean(axis=(1, 2))
+        red, green, blue = (float(s) for s in np.array(shifts) + constant)
+        rest = np.moveaxis(angles - constant[:, None, None], 0, -1)
+        if np.abs(rest).max() < SMALLEST_RAD:
+            return ColorTurns.none((red, green, blue))
+        base = np.array([red, green, blue])
+        full = np.linalg.inv(_light(base)) @ _light(base + rest)
+        both = np.stack([full[..., 1:], np.linalg.inv(full)[..., 1:]], axis=-3)
+        table = np.moveaxis(both.reshape(*rest.shape[:2], 12), 1, 2)
+        return ColorTurns((red, green, blue), np.ascontiguousarray(table, np.float32), STEP)
+
+
+def color_turns(calibration: Calibration, pattern: ColorFringe, color: ColorModel, depth_mm: float) -> ColorTurns:
+    """The left camera's table for a pattern (pass ``calibration.swapped()`` for the right one).
+
+    Args:
+        color: of that camera; depth_mm: middle of the volume along its axis.
+    """
+    if color.lateral is None and calibration.registration is None:
+        return ColorTurns.none(pattern.shifts)
+    width, height = calibration.left.size
+    rows = STEP * np.arange((height - 1) // STEP + 2, dtype=np.float64)
+    v, u = np.meshgrid(rows, np.arange(width, dtype=np.float64), indexing="ij")
+    angles = channel_angles(calibration, pattern, color, depth_mm, np.stack([u, v], axis=-1))
+    return ColorTurns.of(pattern.shifts, angles)
+
+
+def channel_angles(
+    calibration: Calibration, pattern: ColorFringe, color: ColorModel, depth_mm: float, pixels: F64
+) -> F64:  # fmt: skip
+    """Angles of red, green and blue at pixels of the left camera, (..., 2) -> (3, ...), radians."""
+    camera, projector = calibration.left, calibration.projector
+    first = 0 if pattern.axis == "x" else 1
+    size, slope = projector.size, (pattern.phase[-1] - pattern.phase[0]) / (pattern.length - 1)
+
+    def seen(at: F64) -> F64:
+        rays = camera.normalise(at)
+        return projector.project(np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) * depth_mm)
+
+    here = seen(pixels)
+    away = np.zeros((3, *pixels.shape)) if color.lateral is None else color.lateral.at(camera, pixels)
+    angles = []
+    for k in range(3):
+        place = seen(pixels - away[k])
+        if calibration.registration is not None:
+            place = place - calibration.registration.at(size, place)[k]
+        angles.append(slope * (place - here)[..., first])
+    return np.nan_to_num(np.stack(angles))
+
+
+def _light(delta: F64) -> F64:
+    """Rows (1, cos, -sin) of the channels, (..., 3) -> (..., 3, 3)."""
+    return np.stack([np.ones_like(delta), np.cos(delta), -np.sin(delta)], axis=-1)

@@ -1,0 +1,71 @@
+"""Row kernels that undo the channels' angles of :mod:`pipeline.lateral_tables`; not called where there are none."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import serial
+
+DESIGN_ROWS = 8
+"""Rows of a mosaic that share one design; the angles change by less than a thousandth of a radian over them."""
+
+
+@serial
+def straighten_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
+    """Phasors (W,) of row y as if no channel were turned; ``table`` and ``step`` of ``ColorTurns``."""
+    i = y // step
+    g = np.float32((y - i * step) / step)
+    f = np.float32(1.0) - g
+    t, o = table[i], table[i + 1]
+    for j in range(re.shape[0]):
+        c, s = re[j], im[j]
+        re[j] = (f * t[8, j] + g * o[8, j]) * c + (f * t[9, j] + g * o[9, j]) * s
+        im[j] = (f * t[10, j] + g * o[10, j]) * c + (f * t[11, j] + g * o[11, j]) * s
+
+
+@serial
+def straighten_means(table: Any, step: int, y: int, re: Any, im: Any, mean: Any) -> None:
+    """Means (W,) of row y; before the phasors, which are the unstraightened ones here."""
+    i = y // step
+    g = np.float32((y - i * step) / step)
+    f, zero = np.float32(1.0) - g, np.float32(0.0)
+    t, o = table[i], table[i + 1]
+    for j in range(mean.shape[0]):
+        more = (f * t[6, j] + g * o[6, j]) * re[j] + (f * t[7, j] + g * o[7, j]) * im[j]
+        mean[j] = max(mean[j] + more, zero)
+
+
+@serial
+def units_of_row(re: Any, im: Any) -> None:
+    """Phasors (W,) to size 1."""
+    one, tiny = np.float32(1.0), np.float32(1e-12)
+    for j in range(re.shape[0]):
+        c, s = re[j], im[j]
+        inverse = one / np.float32(sqrt(c * c + s * s + tiny))
+        re[j], im[j] = c * inverse, s * inverse
+
+
+@serial
+def turned_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any) -> None:
+    """Design (a, p, q) of every column's colour about row y, in even and odd rows, out (6, W or more)."""
+    last = table.shape[2] - 1
+    i = y // step
+    g = np.float32((y - i * step) / step)
+    f = np.float32(1.0) - g
+    t, o = table[i], table[i + 1]
+    for k in range(6):
+        part = k % 3
+        for j in range(out.shape[1]):
+            color, x = mosaic[k // 3, j & 1], min(j, last)
+            if part == 0:
+                out[k, j] = rows[color, 0]
+            else:
+                m = part - 1
+                out[k, j] = (
+                    rows[color, 0] * (f * t[m, x] + g * o[m, x])
+                    + rows[color, 1] * (f * t[2 + m, x] + g * o[2 + m, x])
+                    + rows[color, 2] * (f * t[4 + m, x] + g * o[4 + m, x])
+                )

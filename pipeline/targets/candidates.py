@@ -1,0 +1,155 @@
+"""Discs in a picture: places that could be a circle of a board, in any size, under any light.
+
+On every level of a pyramid a pixel is compared with the middle of the darkest and brightest pixel around it. Such a
+threshold follows shade and illumination, and it finds discs from about 4 pixels across to half of the window; the next
+level finds discs twice as large. A region is taken for a disc when its area is that of the ellipse of its moments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.targets.grey import Grey, picture_noise
+
+Array = NDArray[np.float64]
+
+_WINDOW = 31
+_LEAST_AREA = 7
+_MOST_AXES_RATIO = 5.0
+_FILLED = 0.78, 1.12
+_LEAST_CONTRAST = 0.06
+_NOISE_LIMIT = 5.0
+_MOST = 4000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discs:
+    """Candidates.
+
+    Args:
+        centres: (n, 2) u, v, pixels.
+        shapes: (n, 2, 2) radius matrices E, pixels: the edge is at ``centre + E w`` for unit vectors w; symmetric.
+        contrast: (n,) difference to the surrounding, in the units of the picture, positive.
+    """
+
+    centres: Array
+    shapes: Array
+    contrast: Array
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def some(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Discs:
+        """Some of them."""
+        return Discs(self.centres[chosen], self.shapes[chosen], self.contrast[chosen])
+
+    @property
+    def radii(self) -> Array:
+        """(n,) geometric mean of the half axes, pixels."""
+        return np.sqrt(np.abs(np.linalg.det(self.shapes)))
+
+
+def find_discs(values: Grey, *, dark: bool = True, first_level: int = 0) -> Discs:
+    """All candidates of one polarity, strongest contrast first, none twice.
+
+    Args:
+        values: (H, W).
+        dark: dark discs on a light ground; else light ones on a dark ground.
+        first_level: levels below are skipped: discs under ``4 * 2**first_level`` pixels across are not seen.
+    """
+    level = values if dark else -values
+    found, scale = [], 1
+    for index in range(12):
+        if index >= first_level:
+            found.append(_on_level(level, scale))
+        if min(level.shape) < 2 * _WINDOW:
+            break
+        level = np.asarray(cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        scale *= 2
+    return _distinct(found)
+
+
+def _on_level(values: Grey, scale: int) -> Discs:
+    smooth = cv2.GaussianBlur(values, (0, 0), 0.7)
+    kernel = np.ones((_WINDOW, _WINDOW), np.uint8)
+    low, high = float(smooth.min()), float(smooth.max())
+    if high - low <= 0:
+        return _none()
+    # In 8 bit the running extremes are many times faster; the threshold does not need more.
+    eight = np.asarray(np.round((smooth - low) * (255 / (high - low))), dtype=np.uint8)
+    darkest, brightest = cv2.erode(eight, kernel), cv2.dilate(eight, kernel)
+    limit = max(_LEAST_CONTRAST * 255, _NOISE_LIMIT * picture_noise(values) * 255 / (high - low))
+    middle = cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0)
+    inside = ((eight < middle) & (cv2.subtract(brightest, darkest) > limit)).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(inside, connectivity=4)
+    height, width = values.shape
+    box = stats[:, :4]
+    whole = (box[:, 0] > 0) & (box[:, 1] > 0)
+    whole &= (box[:, 0] + box[:, 2] < width) & (box[:, 1] + box[:, 3] < height)
+    area = stats[:, cv2.CC_STAT_AREA]
+    chosen = whole & (area >= _LEAST_AREA) & (np.maximum(box[:, 2], box[:, 3]) <= 0.9 * _WINDOW)
+    chosen &= area > 0.3 * box[:, 2] * box[:, 3]
+    chosen[0] = False
+    if not chosen.any():
+        return _none()
+    return _measured(eight, middle, labels, chosen, count, scale, (high - low) / 255)
+
+
+def _measured(
+    eight: NDArray[np.uint8],
+    middle: NDArray[np.uint8],
+    labels: NDArray[np.int32],
+    chosen: NDArray[np.bool_],
+    count: int,
+    scale: int,
+    unit: float,
+) -> Discs:
+    """Moments of the chosen components; those that are not filled ellipses are left out."""
+    places = np.flatnonzero(chosen.take(labels.ravel()))
+    label = labels.ravel()[places]
+    v, u = np.divmod(places, labels.shape[1])
+    depth = middle.ravel()[places].astype(np.float64) - eight.ravel()[places]
+
+    def total(weight: Array | None) -> Array:
+        return np.bincount(label, weight, count)[chosen]
+
+    area, whole = total(None).astype(np.float64), total(depth)
+    centre = np.stack([total(depth * u), total(depth * v)], axis=1) / whole[:, None]
+    plain = np.stack([total(u.astype(np.float64)), total(v.astype(np.float64))], axis=1) / area[:, None]
+    index = np.zeros(count, np.intp)
+    index[chosen] = np.arange(chosen.sum())
+    du, dv = u - plain[index[label], 0], v - plain[index[label], 1]
+    second = np.empty((len(area), 2, 2))
+    second[:, 0, 0], second[:, 1, 1] = total(du * du) / area + 1 / 12, total(dv * dv) / area + 1 / 12
+    second[:, 0, 1] = second[:, 1, 0] = total(du * dv) / area
+    spread, axes = np.linalg.eigh(second)
+    filled = area / (4 * np.pi * np.sqrt(np.maximum(spread[:, 0] * spread[:, 1], 1e-12)))
+    good = (filled > _FILLED[0]) & (filled < _FILLED[1])
+    good &= spread[:, 1] < _MOST_AXES_RATIO**2 * spread[:, 0]
+    # The centroid of the depth and that of the area agree in a disc with one even tone.
+    good &= np.linalg.norm(centre - plain, axis=1) < 0.25 * np.sqrt(spread[:, 1]) + 0.3
+    half = 2 * np.sqrt(spread) * np.sqrt(filled)[:, None]
+    shapes = np.einsum("nij,nj,nkj->nik", axes, half, axes)
+    contrast = 2 * whole / area * unit
+    return Discs(((centre + 0.5) * scale - 0.5)[good], shapes[good] * scale, contrast[good])
+
+
+def _none() -> Discs:
+    return Discs(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0))
+
+
+def _distinct(levels: list[Discs]) -> Discs:
+    """Candidates of all levels, of several with one centre only the one of the finest level."""
+    kept = levels[0] if levels else _none()
+    for coarse in levels[1:]:
+        if len(kept) and len(coarse):
+            apart = np.linalg.norm(coarse.centres[:, None] - kept.centres, axis=2)
+            alone = (apart > 0.5 * np.maximum(coarse.radii[:, None], kept.radii)).all(axis=1)
+            coarse = coarse.some(alone)
+        kept = Discs(*(np.concatenate([getattr(kept, k), getattr(coarse, k)]) for k in Discs.__slots__))
+    order = np.argsort(-kept.contrast, kind="stable")[:_MOST]
+    return kept.some(order)

@@ -1,0 +1,66 @@
+"""Noise for many pictures a second: a pool of grain, read from a new place for each picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.optics import Optics
+from sim.sensor import Light, noise_variance
+
+Picture = NDArray[np.uint8] | NDArray[np.uint16]
+_PLACES = 1 << 20
+
+
+class GrainPool:
+    """Standard normal numbers for pictures of one size.
+
+    Two pictures have the same grain once in two million; the law is :func:`sim.sensor.read_out`'s.
+
+    Args:
+        values: of one picture.
+        seed: another seed, another pool.
+    """
+
+    def __init__(self, values: int, seed: int) -> None:
+        rng = np.random.default_rng([seed, 77])
+        self._grain = rng.standard_normal(values + _PLACES, dtype=np.float32)
+        self._seed = seed
+
+    def picture(self, counts: Light, deviation: Light, optics: Optics, encoding: str, *, index: int) -> Picture:
+        """The picture as the sensor gives it, read-only.
+
+        Args:
+            counts: above black, without noise; deviation: :func:`deviation_of` these counts.
+            index: number of the picture; the same one has the same grain.
+        """
+        place, sign = np.random.default_rng([self._seed, index]).integers([_PLACES, 2])
+        wide = encoding == "mono16"
+        out = np.empty(counts.shape, np.uint16 if wide else np.uint8)
+        _read_out(
+            counts.ravel(), deviation.ravel(), self._grain[place:], np.float32(1 - 2 * sign),
+            np.float32(optics.black_dn), np.float32(257 if wide else 1), out.reshape(-1),
+        )  # fmt: skip
+        out.setflags(write=False)
+        return out
+
+
+def deviation_of(counts: Light, optics: Optics) -> Light:
+    """Standard deviation of the noise of each pixel, counts."""
+    return np.sqrt(noise_variance(counts, optics))
+
+
+@njit(cache=True, nogil=True)
+def _read_out(
+    counts: Light,
+    deviation: Light,
+    grain: Light,
+    sign: np.float32,
+    black: np.float32,
+    scale: np.float32,
+    out: Picture,
+) -> None:
+    for k in range(len(counts)):
+        value = counts[k] + sign * grain[k] * deviation[k] + black
+        out[k] = np.rint(min(max(value, np.float32(0)), np.float32(255)) * scale)

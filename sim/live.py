@@ -1,0 +1,125 @@
+"""What the cameras see of what the projector really shows, rendered when it is asked for.
+
+A scene at rest is met by each camera's rays once (:class:`sim.box.light.Stage`); a new picture costs a look-up, another
+trigger under the same picture only its noise.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from sim.box.light import Stage
+from sim.grain import GrainPool, deviation_of
+from sim.knock import Disturbance, TrueRig
+from sim.options import BOARD_SCENE, SimOptions
+from sim.projector import LiveProjector
+from sim.render import Picture
+from sim.sensor import Light
+from sim.staging import optics_of, poses_of, scene_of
+
+# Bytes of rendered stages and of lit pictures that are kept for the next time.
+_STAGE_BYTES, _LIT_BYTES = 600 << 20, 400 << 20
+_BYTES_A_RAY = 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Situation:
+    """All that a stage depends on: pose of the board, instant of a moving scene, what has happened to the rig."""
+
+    pose: int
+    instant: int
+    knocks: tuple[Disturbance, ...]
+
+
+class LiveScene:
+    """Pictures of a scene under a projector that shows anything; for :class:`sim.world.SimWorld`.
+
+    Args:
+        options: scene, rig, seed; ``disturb`` is what happens by itself, ``hold`` how long a pose lasts.
+        projector: asked for its picture at every trigger.
+    """
+
+    def __init__(self, options: SimOptions, projector: LiveProjector) -> None:
+        self._options, self._projector, self._optics = options, projector, optics_of(options)
+        self._poses = len(poses_of(options)) if options.scene == BOARD_SCENE else 1
+        self._instants = options.frames if scene_of(options).moves else 1
+        self._moved, self._knocks = 0, options.disturb
+        self._lock = threading.Lock()
+        self._stages: OrderedDict[_Situation, Stage] = OrderedDict()
+        self._lit: OrderedDict[tuple[_Situation, bytes], tuple[tuple[Light, Light], ...]] = OrderedDict()
+        columns, rows = options.layout.camera_size
+        channels = 3 if options.encoding == "rgb8" else 1
+        self._values = columns * rows * channels
+        self._pool = GrainPool(self._values, options.seed)
+        rays = columns * rows * self._optics.supersampling**2
+        self._stages_kept = max(2, self._instants, _STAGE_BYTES // (2 * _BYTES_A_RAY * rays))
+        self._lit_kept = max(4, 2 * self._instants, _LIT_BYTES // (16 * self._values))
+
+    @property
+    def poses(self) -> int:
+        """Poses of the board; 1 for every other scene."""
+        return self._poses
+
+    def pose(self, index: int) -> int:
+        """Number of the pose at a trigger."""
+        held = index // self._options.hold if self._options.hold else 0
+        return min(self._moved + held, self._poses - 1)
+
+    def next_pose(self, index: int) -> int:
+        """Move the board on before trigger ``index``; returns the number of its pose then. It stays at the last one."""
+        with self._lock:
+            self._moved += 1
+            return self.pose(index)
+
+    def disturb(self, knock: Disturbance) -> None:
+        """Something happens to the rig at the trigger that the disturbance names."""
+        with self._lock:
+            self._knocks = (*self._knocks, knock)
+
+    def prepare(self, index: int) -> None:
+        """Render what trigger ``index`` will need, so that it can be given without a delay."""
+        self._counts(index)
+
+    def pair(self, index: int) -> tuple[Picture, Picture]:
+        """Left and right picture of a trigger under the picture that is shown now, each with a noise of its own."""
+        left, right = (
+            self._pool.picture(counts, deviation, self._optics, self._options.encoding, index=2 * index + camera)
+            for camera, (counts, deviation) in enumerate(self._counts(index))
+        )
+        return left, right
+
+    def _situation(self, index: int) -> _Situation:
+        with self._lock:
+            knocks = tuple(sorted((k for k in self._knocks if k.at <= index), key=lambda knock: knock.at))
+            return _Situation(self.pose(index), index % self._instants, knocks)
+
+    def _counts(self, index: int) -> tuple[tuple[Light, Light], ...]:
+        """(counts, deviation) of both cameras."""
+        picture, digest = self._projector.shown
+        situation = self._situation(index)
+        key = situation, digest
+        if key not in self._lit:
+            counts = self._stage(situation).counts(picture)
+            self._lit[key] = tuple((part, deviation_of(part, self._optics)) for part in counts)
+            while len(self._lit) > self._lit_kept:
+                self._lit.popitem(last=False)
+        self._lit.move_to_end(key)
+        return self._lit[key]
+
+    def _stage(self, situation: _Situation) -> Stage:
+        if situation not in self._stages:
+            while len(self._stages) >= self._stages_kept:
+                self._stages.popitem(last=False)
+            options, optics = self._options, self._optics
+            scene = scene_of(options, situation.pose)
+            rig = TrueRig.of(options.layout, optics)
+            for knock in situation.knocks:
+                rig = rig.after(knock)
+            t_s = scene.period_s * situation.instant / self._instants
+            self._stages[situation] = Stage(
+                options.layout, scene, optics, encoding=options.encoding, instants_s=(t_s,), rig=rig
+            )
+        self._stages.move_to_end(situation)
+        return self._stages[situation]

@@ -1,0 +1,77 @@
+"""Any calibration put to the test: what the simulated rig measures with it, against the truth.
+
+The picture shown is the fringe sent through the inverse of the response that the *calibration* knows, as a daemon
+would send it; what the cameras see of it is the true rig's affair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pipeline.calibration import Calibration
+from pipeline.pattern import ColorFringe
+from pipeline.reconstruct import Reconstructor
+from sim import render, scenes
+from sim.optics import Optics
+from sim.render import Picture
+from sim.rig import RigLayout
+from sim.score import AlignedScore, aligned
+from sim.truth import Truth
+
+SCENES = ("plane", "spheres", "face")
+
+
+def true_calibration(layout: RigLayout, optics: Optics) -> Calibration:
+    """All that there is to know of a rig, without an error."""
+    return layout.calibration_for(replace(optics, crosstalk_error=0.0, projector_error_px=(0.0, 0.0)))
+
+
+def measuring_pair(
+    calibration: Calibration,
+    layout: RigLayout,
+    scene: str,
+    optics: Optics | None = None,
+    *,
+    pattern: ColorFringe | None = None,
+    encoding: str = "rgb8",
+    seed: int = 0,
+) -> tuple[Picture, Picture, Truth]:
+    """Both pictures of a scene under the fringe that somebody with this calibration shows, and the left truth.
+
+    Args:
+        calibration: only its response matters here. layout, optics: the rig as it is.
+        scene: name, see :mod:`sim.scenes`. pattern: that of the layout if None. seed: of textures and noise.
+    """
+    optics, pattern = optics or Optics(), pattern or layout.pattern()
+    built = scenes.build(scene, seed=seed)
+    left, right = render.render_pictures(
+        layout, built, pattern.picture(calibration.response), optics, seed=seed, encoding=encoding
+    )
+    truth, _ = render.truths(layout, built, pattern, 0.5e-6 * optics.exposure_us)
+    return left, right, truth
+
+
+def judged(
+    calibration: Calibration,
+    layout: RigLayout,
+    optics: Optics | None = None,
+    *,
+    scenes: Sequence[str] = SCENES,
+    pattern: ColorFringe | None = None,
+    encoding: str = "rgb8",
+    seed: int = 0,
+) -> dict[str, AlignedScore]:
+    """Score of each scene measured with a calibration, after the best rigid motion of each cloud.
+
+    Args: as of :func:`measuring_pair`, with the names of several scenes.
+    """
+    pattern = pattern or layout.pattern()
+    reconstructor = Reconstructor(calibration, pattern, layout.volume(), encoding=encoding)
+    found = {}
+    for name in scenes:
+        left, right, truth = measuring_pair(
+            calibration, layout, name, optics, pattern=pattern, encoding=encoding, seed=seed
+        )
+        found[name] = aligned(reconstructor.reconstruct(left, right).xyz, truth)
+    return found

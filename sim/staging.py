@@ -1,0 +1,42 @@
+"""The scene of a set of options: one of those with a name, or a board at one of its session's poses."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
+from sim import scenes
+from sim.boards import board_scene, fine
+from sim.optics import Optics
+from sim.options import BOARD_SCENE, SimOptions
+from sim.poses import BoardPose, session_poses
+from sim.rig import RigLayout
+from sim.scenes import Scene
+
+
+def scene_of(options: SimOptions, pose: int = 0) -> Scene:
+    """The scene, for the scene ``board`` at pose number ``pose`` (the last one for all beyond)."""
+    if options.scene == BOARD_SCENE:
+        poses = poses_of(options)
+        return board_scene(board_of(options), poses[min(pose, len(poses) - 1)])
+    return scenes.build(options.scene, seed=options.seed, mesh_file=options.mesh)
+
+
+def optics_of(options: SimOptions) -> Optics:
+    """The optics, with as many rays a pixel as the scene wants."""
+    return fine(options.optics) if options.scene == BOARD_SCENE else options.optics
+
+
+def board_of(options: SimOptions) -> Board:
+    """The board of the scene ``board``."""
+    return parse_board(options.board) if options.board else DEFAULT_BOARD
+
+
+def poses_of(options: SimOptions) -> tuple[BoardPose, ...]:
+    """Where the board stands, one after the other."""
+    return _poses(options.poses, options.seed, options.layout, board_of(options))
+
+
+@lru_cache(maxsize=8)
+def _poses(n: int, seed: int, layout: RigLayout, board: Board) -> tuple[BoardPose, ...]:
+    return tuple(session_poses(n, seed, layout, board))

@@ -1,0 +1,128 @@
+"""Numbering that was mixed up is repaired where the geometry tells; mirrored and swapped pictures are refused."""
+
+import numpy as np
+import pytest
+
+from pipeline.bundle import calibrate
+from pipeline.bundle.symmetry import symmetries
+from pipeline.errors import CalibrationError
+from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
+from pipeline.targets.marks import BoardView, Marks
+from tests.calibrate.bundle.sessions import session
+
+SQUARE = Board("circles", 9, 9, 34.0)
+
+
+def renumbered(view: BoardView, device: str, permutation) -> BoardView:
+    old = view.marks[device]
+    return BoardView(view.name, view.marks | {device: Marks(permutation[old.ids], old.pixels, old.sigma_px)})
+
+
+def by_name(board: Board, name: str) -> np.ndarray:
+    return next(s.permutation for s in symmetries(board) if s.name == name)
+
+
+def mirrored(view: BoardView, devices, sizes, board=DEFAULT_BOARD) -> BoardView:
+    """As a finder that numbers along the picture's rows sees mirrored pictures of a grid of circles."""
+    permutation = by_name(board, "mirrored left to right")
+    marks = dict(view.marks)
+    for device in devices:
+        old = marks[device]
+        pixels = old.pixels * (-1, 1) + (sizes[device][0] - 1, 0)
+        marks[device] = Marks(permutation[old.ids], pixels, old.sigma_px)
+    return BoardView(view.name, marks)
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [("circles:11x9:32", 4), ("circles:9x9:32", 8), ("chessboard:9x6:30", 4), ("acircles:4x11:20", 2),
+     ("acircles:4x10:20", 2), ("charuco:9x6:30:22:DICT_4X4_50", 1)],
+)  # fmt: skip
+def test_symmetries_map_the_marks_onto_themselves(text, count):
+    board = parse_board(text)
+    known = symmetries(board)
+    assert len(known) == count and np.array_equal(known[0].permutation, np.arange(len(board.points)))
+    for s in known:
+        assert sorted(s.permutation) == list(range(len(board.points)))
+        assert np.abs(board.points[s.permutation] - board.points @ s.turn.T - s.shift).max() < 1e-9
+        assert np.linalg.det(s.turn) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("board", "turn"),
+    [(DEFAULT_BOARD, "turned by 180 degrees"), (SQUARE, "turned by 90 degrees"), (SQUARE, "turned by 270 degrees"),
+     (DEFAULT_BOARD, "mirrored left to right"), (DEFAULT_BOARD, "mirrored top to bottom")],
+)  # fmt: skip
+@pytest.mark.parametrize("device", ["left", "right", "projector"])
+def test_one_view_numbered_otherwise_is_repaired(board, turn, device):
+    views, sizes, _ = session(board, sigma=0.03)
+    straight = calibrate(board, views, sizes)
+    views[5] = renumbered(views[5], device, by_name(board, turn))
+    solution = calibrate(board, views, sizes)
+    assert {r.view for r in solution.rejected} == {"view_05"} and all(r.repaired for r in solution.rejected)
+    assert "numbering" in solution.rejected[0].reason
+    assert solution.views_used == 12
+    for name, value in straight.values.items():
+        assert abs(solution.values[name] - value) < 1e-3 * max(straight.sigma[name], 1e-12), name
+
+
+def test_several_views_numbered_otherwise_are_repaired():
+    views, sizes, _ = session(sigma=0.03)
+    for k in (0, 3, 4, 8):
+        views[k] = renumbered(views[k], "right", by_name(DEFAULT_BOARD, "turned by 180 degrees"))
+    solution = calibrate(DEFAULT_BOARD, views, sizes)
+    assert [r.view for r in solution.rejected] == ["view_00", "view_03", "view_04", "view_08"]
+    assert abs(solution.baseline_mm - 500) < 0.1
+
+
+@pytest.mark.parametrize("with_projector", [False, True])
+def test_swapped_left_and_right_is_refused(with_projector):
+    views, sizes, _ = session(sigma=0.03, devices=("left", "right", "projector")[: 2 + with_projector])
+    swapped = [BoardView(v.name, v.marks | {"left": v.marks["right"], "right": v.marks["left"]}) for v in views]
+    with pytest.raises(CalibrationError, match="swapped, or both cameras' pictures are mirrored"):
+        calibrate(DEFAULT_BOARD, swapped, sizes)
+
+
+def test_both_mirrored_is_refused():
+    views, sizes, _ = session(sigma=0.03, devices=("left", "right"))
+    with pytest.raises(CalibrationError, match="both cameras' pictures are mirrored"):
+        calibrate(DEFAULT_BOARD, [mirrored(v, ("left", "right"), sizes) for v in views], sizes)
+
+
+@pytest.mark.parametrize("device", ["left", "right"])
+@pytest.mark.parametrize("board", [DEFAULT_BOARD, SQUARE])
+def test_one_camera_mirrored_is_refused_by_name(device, board):
+    views, sizes, _ = session(board, sigma=0.03, devices=("left", "right"))
+    with pytest.raises(CalibrationError, match=f"the pictures of {device} are mirrored"):
+        calibrate(board, [mirrored(v, (device,), sizes, board) for v in views], sizes)
+
+
+def test_a_mirrored_projector_is_refused_by_name():
+    views, sizes, _ = session(sigma=0.03)
+    with pytest.raises(CalibrationError, match="the pictures of projector are mirrored"):
+        calibrate(DEFAULT_BOARD, [mirrored(v, ("projector",), sizes) for v in views], sizes)
+
+
+@pytest.mark.parametrize("devices", [("left",), ("left", "right")])
+def test_a_board_seen_from_behind_is_refused(devices):
+    """Marks that carry their numbers (or an asymmetric grid) show at once that the picture is mirrored."""
+    views, sizes, _ = session(sigma=0.03, devices=devices)
+    behind = [
+        BoardView(
+            v.name,
+            {d: Marks(m.ids, m.pixels * (-1, 1) + (sizes[d][0] - 1, 0), m.sigma_px) for d, m in v.marks.items()},
+        )
+        for v in views
+    ]
+    with pytest.raises(CalibrationError, match="from behind"):
+        calibrate(DEFAULT_BOARD, behind, sizes)
+
+
+def test_pictures_paired_in_another_order_are_refused():
+    views, sizes, _ = session(sigma=0.03, devices=("left", "right"))
+    shifted = [
+        BoardView(v.name, {"left": v.marks["left"], "right": views[(k + 1) % 12].marks["right"]})
+        for k, v in enumerate(views)
+    ]
+    with pytest.raises(CalibrationError, match="same order of the files"):
+        calibrate(DEFAULT_BOARD, shifted, sizes)

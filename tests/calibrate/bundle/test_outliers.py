@@ -1,0 +1,125 @@
+"""Marks and views that do not belong are found by name and left out, and the rest is as good as without them."""
+
+import numpy as np
+import pytest
+
+from pipeline.bundle import Options, calibrate
+from pipeline.errors import CalibrationError
+from pipeline.targets.board import DEFAULT_BOARD
+from pipeline.targets.marks import BoardView, Marks
+from tests.calibrate.bundle.sessions import session
+
+
+def moved(view: BoardView, device: str, ids, by) -> BoardView:
+    """The same view with some marks of one device elsewhere."""
+    old = view.marks[device]
+    pixels = old.pixels.copy()
+    pixels[np.isin(old.ids, ids)] += by
+    return BoardView(view.name, view.marks | {device: Marks(old.ids, pixels, old.sigma_px, old.areas_px)})
+
+
+def close(one, other, *, sigmas: float = 1.0) -> None:
+    for name, value in one.values.items():
+        assert abs(value - other.values[name]) <= sigmas * max(other.sigma[name], 1e-12), name
+
+
+@pytest.fixture(scope="module")
+def clean():
+    views, sizes, truth = session(sigma=0.03)
+    return views, sizes, truth, calibrate(DEFAULT_BOARD, views, sizes)
+
+
+def test_clean_marks_are_all_used(clean):
+    assert clean[3].rejected == ()
+
+
+@pytest.mark.parametrize("far", [0.4, 5.0, 300.0])
+def test_single_wrong_marks_are_named(clean, far):
+    views, sizes, _, without = clean
+    wrong = list(views)
+    planted = {(2, "left"): [17, 40], (2, "right"): [50], (7, "projector"): [3], (9, "left"): [60, 61, 62, 63]}
+    for (view, device), ids in planted.items():
+        wrong[view] = moved(wrong[view], device, ids, (far, -0.7 * far))
+    solution = calibrate(DEFAULT_BOARD, wrong, sizes)
+    assert {(r.view, r.device): list(r.ids) for r in solution.rejected} == {
+        (f"view_{view:02d}", device): ids for (view, device), ids in planted.items()
+    }
+    assert all("standard deviations" in r.reason for r in solution.rejected)
+    assert solution.views_used == 12 and solution.views_rejected == 0
+    close(solution, without)
+
+
+def test_a_board_that_moved_between_the_pictures_is_left_out_with_the_reason(clean):
+    views, sizes, truth, without = clean
+    layout_pose = session(sigma=0.03, pose_seed=9)[0][4]
+    wrong = list(views)
+    wrong[4] = BoardView("view_04", wrong[4].marks | {"right": layout_pose.marks["right"]})
+    solution = calibrate(DEFAULT_BOARD, wrong, sizes)
+    assert [(r.view, r.ids) for r in solution.rejected] == [("view_04", ())]
+    assert "moved" in solution.rejected[0].reason
+    close(solution, without, sigmas=2)
+
+
+@pytest.mark.parametrize("by_px", [1.0, 4.0])
+def test_a_picture_slightly_displaced_is_found_too(clean, by_px):
+    """A board nudged by half a millimetre between left and right: both pictures alone are perfect."""
+    views, sizes, _, without = clean
+    wrong = list(views)
+    wrong[6] = moved(wrong[6], "right", np.arange(99), (0.6 * by_px, by_px))
+    solution = calibrate(DEFAULT_BOARD, wrong, sizes)
+    assert {r.view for r in solution.rejected} == {"view_06"}
+    close(solution, without, sigmas=2)
+
+
+def test_a_projector_picture_that_does_not_fit_costs_only_itself(clean):
+    views, sizes, _, _ = clean
+    wrong = list(views)
+    wrong[6] = moved(wrong[6], "projector", np.arange(99), (40.0, 3.0))
+    solution = calibrate(DEFAULT_BOARD, wrong, sizes)
+    assert [(r.view, r.device) for r in solution.rejected] == [("view_06", "projector")]
+    assert solution.views_used == 12 and ("view_06", "left") in solution.residuals
+
+
+def test_a_picture_with_few_marks_and_an_empty_view_are_named(clean):
+    views, sizes, _, _ = clean
+    few = views[3].marks["right"]
+    wrong = [*views, BoardView("empty", {})]
+    wrong[3] = BoardView("view_03", views[3].marks | {"right": few.some(np.arange(len(few)) < 5)})
+    solution = calibrate(DEFAULT_BOARD, wrong, sizes)
+    assert {(r.view, r.device) for r in solution.rejected} == {("view_03", "right"), ("empty", "")}
+    assert solution.views_used == 12 and solution.views_rejected == 1 and solution.poses[12] is None
+
+
+def test_more_bad_views_than_the_limit_is_an_error(clean):
+    views, sizes, _, _ = clean
+    other = session(sigma=0.03, pose_seed=9)[0]
+    wrong = [BoardView(v.name, v.marks | {"right": o.marks["right"]}) for v, o in zip(views, other, strict=True)]
+    with pytest.raises(CalibrationError, match="belong together"):
+        calibrate(DEFAULT_BOARD, wrong, sizes)
+    five = [*wrong[:5], *views[5:]]
+    with pytest.raises(CalibrationError, match="5 of 12 views do not fit"):
+        calibrate(DEFAULT_BOARD, five, sizes)
+
+
+def test_too_many_bad_marks_is_an_error(clean):
+    views, sizes, _, _ = clean
+    rng = np.random.default_rng(1)
+    wrong = [
+        BoardView(
+            v.name,
+            {
+                d: Marks(m.ids, m.pixels + (rng.random((len(m), 1)) < 0.2) * rng.normal(0, 3, (len(m), 2)), m.sigma_px)
+                for d, m in v.marks.items()
+            },
+        )
+        for v in views
+    ]
+    with pytest.raises(CalibrationError, match="% of the marks do not fit"):
+        calibrate(DEFAULT_BOARD, wrong, sizes)
+
+
+def test_the_other_robust_loss_agrees(clean):
+    views, sizes, _, without = clean
+    wrong = list(views)
+    wrong[2] = moved(wrong[2], "left", [17], (3.0, 0.0))
+    close(calibrate(DEFAULT_BOARD, wrong, sizes, options=Options(loss="cauchy")), without, sigmas=1)

@@ -1,0 +1,110 @@
+"""A white board in front of two cameras, computed from the formulas alone: quick, and every fault can be set."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.calibration import Calibration, Response
+from pipeline.camera_model import CameraModel
+from pipeline.lateral import Lateral, Registration
+from pipeline.raw import BAYER
+from pipeline.sequence import Uniform
+
+CAMERA, PROJECTOR = (208, 160), (256, 200)
+MIX = np.eye(3) + 0.12 * np.array(
+    [[[0, 0.9, 0.3], [1, 0, 0.8], [0.2, 1.1, 0]], [[0, 1, 0.25], [0.8, 0, 1], [0.3, 0.9, 0]]]
+)
+# Projector pixels of camera pixels: about 1.2 of them per pixel, in perspective, and not the same in both cameras.
+HOMOGRAPHIES = (
+    np.array([[1.22, 0.02, 2.0], [-0.01, 1.21, 3.0], [1.2e-4, 2e-5, 1.0]]),
+    np.array([[1.17, -0.03, 5.0], [0.02, 1.20, 2.0], [-1.4e-4, 3e-5, 1.0]]),
+)
+
+
+def rig():
+    """Cameras and projector whose geometry only gives the principal points and focal lengths here."""
+    matrix = np.array([[690.0, 0, 103.0], [0, 690.0, 80.0], [0, 0, 1]])
+    left = CameraModel(CAMERA, matrix, name="left")
+    right = CameraModel(CAMERA, matrix, translation=np.array([-500.0, 0, 0]), name="right")
+    lamp = CameraModel(
+        PROJECTOR, np.array([[850.0, 0, 128], [0, 850.0, 100], [0, 0, 1]]), translation=np.array([-190.0, 0, 0])
+    )
+    return Calibration(left, right, lamp)
+
+
+@dataclass
+class Bench:
+    """Pictures of a board; counts are ``black + albedo (gain mix (light + glow + ambient))``."""
+
+    gamma: tuple = (2.2, 2.2, 2.2)
+    mix: np.ndarray = field(default_factory=lambda: MIX)
+    gain: tuple = (0.90, 0.90, 0.90)
+    black: float = 4.0
+    ambient: float = 5.0
+    noise: float = 1.0
+    marks: bool = False
+    lateral: Lateral | None = None
+    registration: Registration | None = None
+    encoding: str = "rgb8"
+
+    def response(self):
+        levels = np.arange(256.0)
+        return Response(levels, np.stack([(levels / 255) ** g for g in self.gamma]))
+
+    def albedo(self):
+        v, u = np.mgrid[0 : CAMERA[1], 0 : CAMERA[0]]
+        out = 0.9 - 0.15 * ((u - 100) / 104.0) ** 2
+        if self.marks:
+            out[((u % 26 - 13) ** 2 + (v % 26 - 13) ** 2) < 36] = 0.05
+        return out
+
+    def light(self, frame, side, shown=None):
+        """Light of the three channels at every pixel of a camera, 0..255."""
+        v, u = np.mgrid[0 : CAMERA[1], 0 : CAMERA[0]].astype(float)
+        pixels = np.stack([u, v], axis=-1)
+        camera = (rig().left, rig().right)[side]
+        away = np.zeros((3, *pixels.shape)) if self.lateral is None else self.lateral.at(camera, pixels)
+        drive = frame.picture(shown)
+        out = np.empty((*pixels.shape[:2], 3))
+        for k in range(3):
+            light = 255 * (drive[..., k] / 255.0) ** self.gamma[k]
+            if isinstance(frame, Uniform):
+                out[..., k] = light[0, 0]
+                continue
+            at = projected(pixels - away[k], side)
+            if self.registration is not None:
+                at = at - self.registration.at(PROJECTOR, at)[k]
+            first = 0 if frame.axis == "x" else 1
+            line = light[0] if first == 0 else light[:, 0]
+            out[..., k] = spline(line, at[..., first])
+        return out
+
+    def picture(self, frame, side, seed=0, shown=None, exposure=1.0, cap=False):
+        light = self.light(frame, side, shown) + self.ambient
+        counts = exposure * self.albedo()[..., None] * (light @ (self.mix[side] * np.array(self.gain)).T)
+        counts = (0 if cap else 1) * counts + self.black
+        counts += self.noise * np.random.default_rng([seed, side]).standard_normal(counts.shape)
+        rgb = np.clip(np.rint(counts), 0, 255).astype(np.uint8)
+        if self.encoding == "rgb8":
+            return rgb
+        v, u = np.mgrid[0 : CAMERA[1], 0 : CAMERA[0]]
+        colors = np.array(BAYER[self.encoding])[v & 1, u & 1]
+        return np.take_along_axis(rgb, colors[..., None], axis=2)[..., 0]
+
+    def shoot(self, sequence, *, seed=0, shown=None, **more):
+        return [
+            tuple(self.picture(frame, side, 1000 * seed + i, shown, **more) for side in (0, 1))
+            for i, frame in enumerate(sequence.frames)
+        ]
+
+
+def projected(pixels, side):
+    h = np.concatenate([pixels, np.ones((*pixels.shape[:-1], 1))], axis=-1) @ HOMOGRAPHIES[side].T
+    return h[..., :2] / h[..., 2:]
+
+
+def spline(line, at):
+    """A line of projector pixels, joined by quadratic splines as the pixels of a picture are by their blur."""
+    j = np.clip(np.rint(at).astype(int), 1, len(line) - 2)
+    f = at - j
+    return 0.5 * (0.5 - f) ** 2 * line[j - 1] + (0.75 - f * f) * line[j] + 0.5 * (0.5 + f) ** 2 * line[j + 1]

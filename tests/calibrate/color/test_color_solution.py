@@ -1,0 +1,199 @@
+"""What comes out for a board whose colours are known."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from pipeline.calibration import Calibration, from_mapping, to_mapping
+from pipeline.color_calibration import calibrate_color, check_sequence, color_sequence, phase_error
+from pipeline.color_calibration.crosstalk import black_from_marks
+from pipeline.errors import PatternError, PictureError
+from pipeline.lateral import ColorDisplacement, ColorOffset, Lateral, Registration
+from pipeline.pattern import ColorFringe
+from tests.calibrate.color.bench import CAMERA, MIX, PROJECTOR, Bench, projected, rig
+
+PATTERN = ColorFringe(PROJECTOR, 20)
+LATERAL = Lateral(
+    ColorDisplacement(np.array([0.05, -0.02]), -1.2e-3, 0.01), ColorDisplacement(np.array([-0.03, 0.03]), 1.5e-3, 0.0)
+)
+REGISTRATION = Registration(
+    ColorOffset(np.array([0.3, 0.1])), ColorOffset(np.array([-0.4, 0.0]), np.array([[5e-4, 0], [0, 5e-4]]))
+)
+
+
+@functools.cache
+def solved(**options):
+    bench = Bench(**options)
+    sequence = color_sequence(PROJECTOR)
+    return bench, calibrate_color(bench.shoot(sequence), sequence, encoding=bench.encoding, calibration=rig())
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_grbg8"])
+def test_crosstalk_and_response_are_found(encoding):
+    bench, found = solved(encoding=encoding)
+    for side, model in enumerate((found.left, found.right)):
+        assert np.abs(model.crosstalk - MIX[side]).max() < 0.002
+    assert np.abs(found.response.curves - bench.response().curves).max() < 0.003
+    assert found.advice == ()
+
+
+def test_channels_may_have_different_responses_and_gains():
+    bench, found = solved(gamma=(1.8, 2.2, 2.5), gain=(0.90, 0.70, 0.50))
+    assert np.abs(found.response.curves - bench.response().curves).max() < 0.004
+    expected = np.array(bench.gain) / np.mean(bench.gain)
+    assert np.abs(found.left.balance - expected).max() < 0.004
+    assert np.abs(found.right.crosstalk - MIX[1] * 1.0).max() < 0.003
+    assert any("blue is the weakest channel" in line for line in found.advice)
+
+
+def test_marks_in_view_do_not_matter_and_tell_the_black_level():
+    _, plain = solved()
+    _, found = solved(marks=True)
+    assert np.abs(found.left.crosstalk - plain.left.crosstalk).max() < 0.002
+    assert found.quality["left"]["black_from"] == "marks"
+    assert np.abs(found.left.black - 4.0).max() < 0.3
+
+
+def test_covered_lenses_tell_the_black_level():
+    bench, sequence = Bench(), color_sequence(PROJECTOR, levels=5, lateral=False)
+    dark = [tuple(bench.picture(sequence.frames[0], side, 77, cap=True) for side in (0, 1))]
+    found = calibrate_color(bench.shoot(sequence), sequence, dark=dark)
+    assert found.quality["right"]["black_from"] == "lens cap"
+    assert np.abs(found.right.black - 4.0).max() < 0.05
+    with pytest.raises(PictureError, match="cover the lens"):
+        bright = [tuple(np.full_like(p, 40) for p in dark[0])]
+        calibrate_color(bench.shoot(sequence), sequence, dark=bright)
+
+
+def test_without_any_hint_the_black_level_is_bounded_by_what_is_darkest():
+    _, found = solved()
+    assert found.quality["left"]["black_from"] == "darkest"
+    assert (found.left.black > 3.5).all()
+    assert (found.left.black < 4 + 0.9 * 0.9 * 1.3 * 5).all()
+
+
+def test_black_from_marks_asks_for_marks():
+    flat = np.ones((50, 50, 3), np.float32)
+    assert black_from_marks(5 * flat, 100 * flat, np.ones((50, 50), bool)) is None
+
+
+def phase_errors(bench, found, side=0):
+    check = check_sequence(PATTERN)
+    before = [p[side] for p in bench.shoot(check, seed=5)]
+    after = [p[side] for p in bench.shoot(check, seed=6, shown=found.response)]
+    model = (found.left, found.right)[side]
+    return (
+        phase_error(before, check, encoding=bench.encoding),
+        phase_error(after, check, encoding=bench.encoding, color=model),
+    )
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_fresh_pattern_has_an_eighth_of_the_phase_error_or_less(side):
+    before, after = phase_errors(*solved(), side)
+    assert before.systematic_rad > 0.1
+    assert after.systematic_rad < before.systematic_rad / 8
+    assert after.rms_rad < before.rms_rad / 4
+
+
+def test_unequal_gains_are_corrected_too():
+    before, after = phase_errors(*solved(gamma=(1.8, 2.2, 2.5), gain=(0.90, 0.70, 0.50)))
+    assert before.second_rad > 0.15
+    assert after.systematic_rad < before.systematic_rad / 8
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+def test_red_and_blue_are_found_where_they_are(encoding):
+    """The sum of what camera and projector do is what matters, and what the pictures tell."""
+    _, found = solved(lateral=LATERAL, registration=REGISTRATION, encoding=encoding)
+    v, u = np.mgrid[8 : CAMERA[1] : 16, 8 : CAMERA[0] : 16].astype(float)
+    pixels = np.stack([u, v], axis=-1)
+    for side, (camera, model) in enumerate(zip((rig().left, rig().right), (found.left, found.right), strict=True)):
+        for k in (0, 2):
+            true = place(pixels, LATERAL, REGISTRATION, camera, side, k)
+            mine = place(pixels, model.lateral, found.registration, camera, side, k)
+            assert np.sqrt(((true - mine) ** 2).sum(axis=-1).mean()) < 0.025
+    quality = found.quality["left"]
+    assert quality["lateral_before_px"] > 0.25
+    assert quality["lateral_after_px"] < quality["lateral_before_px"] / 4
+
+
+def place(pixels, lateral, registration, camera, side, k):
+    at = projected(pixels - lateral.at(camera, pixels)[k], side)
+    return at - registration.at(PROJECTOR, at)[k]
+
+
+def test_a_rig_without_lateral_colour_gets_none():
+    _, found = solved()
+    assert found.left.lateral is None
+    assert found.right.lateral is None
+    assert found.registration is None
+
+
+def test_without_a_calibration_lateral_colour_is_left_alone():
+    bench, sequence = Bench(lateral=LATERAL), color_sequence(PROJECTOR, levels=5)
+    assert calibrate_color(bench.shoot(sequence), sequence).left.lateral is None
+
+
+def test_several_passes_are_averaged_and_may_show_the_board_elsewhere():
+    bench, sequence = Bench(noise=3.0), color_sequence(PROJECTOR, levels=5, lateral=False)
+    once = calibrate_color(bench.shoot(sequence), sequence)
+    more = calibrate_color([p for seed in range(3) for p in bench.shoot(sequence, seed=seed)], sequence)
+    assert more.quality["left"]["crosstalk_sigma"] < once.quality["left"]["crosstalk_sigma"]
+
+
+def test_what_was_found_goes_through_a_calibration_file():
+    _, found = solved(lateral=LATERAL, registration=REGISTRATION)
+    calibration = found.applied(rig())
+    again = from_mapping(to_mapping(calibration))
+    assert isinstance(again, Calibration)
+    assert np.allclose(again.left_color.balance, found.left.balance)
+    assert again.left_color.lateral.as_mapping() == found.left.lateral.as_mapping()
+    assert again.registration.as_mapping() == found.registration.as_mapping()
+    assert np.array_equal(again.response.curves, found.response.curves)
+
+
+def sequence_and_pictures(**options):
+    sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
+    return sequence, Bench(**options).shoot(sequence)
+
+
+def test_clipped_pictures_are_refused_with_camera_frame_and_colour():
+    sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
+    with pytest.raises(PictureError, match=r"left camera, frame \d+ \(even light 255 0 0\).* in red .*shorten"):
+        calibrate_color(Bench().shoot(sequence, exposure=1.8), sequence)
+
+
+def test_dark_pictures_are_refused():
+    sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
+    with pytest.raises(PictureError, match=r"left camera: full red light gives .* lengthen the exposure"):
+        calibrate_color(Bench().shoot(sequence, exposure=0.1), sequence)
+
+
+def test_swapped_colours_are_told():
+    swapped = MIX[:, ::-1]
+    sequence, frames = sequence_and_pictures(mix=swapped + 0.3 * np.eye(3), gain=(0.6, 0.6, 0.6))
+    with pytest.raises(PictureError, match="colours of camera or projector are swapped"):
+        calibrate_color(frames, sequence)
+
+
+def test_a_missing_frame_is_told():
+    sequence, frames = sequence_and_pictures()
+    with pytest.raises(PictureError, match="do not make whole passes"):
+        calibrate_color(frames[:-1], sequence)
+
+
+def test_pictures_of_another_encoding_are_refused():
+    sequence, frames = sequence_and_pictures()
+    with pytest.raises(PictureError, match="is no bayer_rggb8 picture"):
+        calibrate_color(frames, sequence, encoding="bayer_rggb8")
+
+
+def test_a_check_needs_its_frames():
+    check = check_sequence(PATTERN)
+    pictures = [p[0] for p in Bench().shoot(check)]
+    with pytest.raises(PatternError, match="expected the frames of check_sequence"):
+        phase_error(pictures[:-1], check)
+    with pytest.raises(PictureError, match="fringes are seen on 0 pixels"):
+        phase_error(pictures, check, area=np.zeros(CAMERA[::-1], bool))

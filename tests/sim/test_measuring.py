@@ -1,0 +1,55 @@
+"""A calibration is judged by what is measured with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.calibration import Calibration
+from sim.knock import Disturbance, TrueRig
+from sim.measuring import judged, true_calibration
+from sim.optics import Optics
+from sim.rig import RigLayout
+from sim.shapes import rotation_about
+
+
+@pytest.fixture(scope="module")
+def quarter():
+    return RigLayout().scaled(0.25)
+
+
+def test_the_true_calibration_needs_no_motion_and_a_wrong_one_shows(quarter):
+    optics = Optics(gamma=2.2)
+    true = true_calibration(quarter, optics)
+    found = judged(true, quarter, optics, scenes=("plane", "spheres"))
+    for result in found.values():
+        assert result.score.reconstructed > 0.8
+        assert result.alignment.angle_deg < 0.02
+        assert result.alignment.shift_mm < 0.1
+        assert result.alignment.scale == pytest.approx(1, abs=3e-4)
+    knocked = TrueRig.of(quarter, optics).after(Disturbance("right", turn_deg=(0.0, 0.1, 0.0))).right
+    wrong = Calibration(true.left, knocked, true.projector, true.left_color, true.right_color, true.response)
+    assert judged(wrong, quarter, optics, scenes=("spheres",))["spheres"].score.rms_mm > found["spheres"].score.rms_mm
+
+
+def test_a_principal_point_traded_for_a_rotation_costs_no_shape(quarter):
+    """The world of such a calibration is turned against the true one; what it measures is as true."""
+    optics, shift_px = Optics(), 0.4
+    true = true_calibration(quarter, optics)
+    turn = rotation_about((0.0, 1.0, 0.0), -shift_px / true.left.matrix[0, 0])
+    matrix = true.left.matrix.copy()
+    matrix[0, 2] += shift_px
+
+    def turned(device):
+        return replace(device, rotation=device.rotation @ turn.T)
+
+    other = Calibration(
+        replace(true.left, matrix=matrix), turned(true.right), turned(true.projector), true.left_color, true.right_color
+    )
+    best, traded = (judged(item, quarter, optics, scenes=("spheres",))["spheres"] for item in (true, other))
+    assert traded.alignment.angle_deg == pytest.approx(np.degrees(shift_px / matrix[0, 0]), rel=0.1)
+    assert traded.alignment.shift_mm > 0.5
+    assert traded.score.rms_mm < 1.1 * best.score.rms_mm
+    assert traded.score.reconstructed > best.score.reconstructed - 0.01
