@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def test_a_slow_drift_is_told_when_it_has_come_to_the_limit() -> None:
 
 def test_what_trembles_at_the_limit_does_not_flicker() -> None:
     verdicts = run(Watch(LIMITS, KNOWN), 0.0505 + np.tile([0.001, -0.001], 200) * np.linspace(0, 3, 400))
-    changes = sum(a != b for a, b in zip(verdicts, verdicts[1:], strict=False))
+    changes = sum(a != b for a, b in pairwise(verdicts))
     assert changes <= 2
 
 
