@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
 from daemon.atomic import write_atomically
 from daemon.bounded import read_at_most
 from pipeline import calibration as model
-from pipeline.calibration import Calibration
+from pipeline.calibration import Calibration, Cameras
 from pipeline.errors import CalibrationError
 
 SIZE_LIMIT = 4 << 20
 VALUES_LIMIT = 1 << 20
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +34,16 @@ class CalibrationFile:
     """
 
     calibration: Calibration
+    identity: str
+    data: bytes
+    mapping: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CamerasFile:
+    """The same of a file that may have no projector yet."""
+
+    cameras: Cameras
     identity: str
     data: bytes
     mapping: dict[str, Any]
@@ -52,14 +64,33 @@ def parse_calibration(data: bytes, name: str) -> CalibrationFile:
     Raises:
         CalibrationError: syntax as ``name:line:column``, content as ``name: key``.
     """
-    mapping = _load(data, name)
+    mapping = load_mapping(data, name)
+    return CalibrationFile(_named(name, lambda: model.from_mapping(mapping)), identity(data), data, mapping)
+
+
+def read_cameras(path: Path) -> CamerasFile:
+    """Read a calibration file whose projector may be missing, as :func:`read_calibration` does."""
+    return parse_cameras(read_at_most(path, SIZE_LIMIT, CalibrationError), str(path))
+
+
+def parse_cameras(data: bytes, name: str) -> CamerasFile:
+    """What :func:`parse_calibration` does, for a file whose projector may be missing."""
+    mapping = load_mapping(data, name)
+    return CamerasFile(_named(name, lambda: model.cameras_from_mapping(mapping)), identity(data), data, mapping)
+
+
+def identity(data: bytes) -> str:
+    """``sha256:`` and the hex digest of a file's bytes."""
+    return f"sha256:{hashlib.sha256(data).hexdigest()}"
+
+
+def _named(name: str, make: Callable[[], T]) -> T:
     try:
-        calibration = model.from_mapping(mapping)
+        return make()
     except CalibrationError as error:
         raise CalibrationError(f"{name}: {error}") from error
     except (ValueError, TypeError, OverflowError) as error:
         raise CalibrationError(f"{name}: not a calibration: {error}") from error
-    return CalibrationFile(calibration, f"sha256:{hashlib.sha256(data).hexdigest()}", data, mapping)
 
 
 def write_calibration(
@@ -77,20 +108,31 @@ def write_calibration(
         quality: free: rms errors, number of views.
         keep: mapping of the file that this one replaces; the keys that this program does not know are kept.
     """
+    data = calibration_bytes(calibration, created=created, quality=quality, keep=keep)
+    file = parse_calibration(data, str(path))
+    write_atomically(Path(path), data)
+    return file
+
+
+def calibration_bytes(
+    calibration: Calibration | Cameras,
+    *,
+    created: datetime | None = None,
+    quality: Mapping[str, Any] | None = None,
+    keep: Mapping[str, Any] | None = None,
+) -> bytes:
+    """The bytes that :func:`write_calibration` writes."""
     stamp = (created or datetime.now(UTC)).astimezone(UTC)
     ours = model.to_mapping(calibration)
     head = {"fringed_calibration": ours.pop("fringed_calibration"), "created": stamp.strftime("%Y-%m-%dT%H:%M:%SZ")}
     mapping = head | ours | ({"quality": dict(quality)} if quality is not None else {})
     if keep is not None:
         _keep_unknown(mapping, keep)
-    data = yaml.safe_dump(mapping, sort_keys=False, default_flow_style=None, width=120).encode()
-    file = parse_calibration(data, str(path))
-    write_atomically(Path(path), data)
-    return file
+    return yaml.safe_dump(mapping, sort_keys=False, default_flow_style=None, width=120).encode()
 
 
 # Optional parts that a new calibration may leave out on purpose: they must not come back from the old file.
-_NOT_KEPT = {"response", "color"}
+_NOT_KEPT = {"response", "registration", "color", "lateral", "balance", "projector"}
 
 
 def _keep_unknown(new: dict[str, Any], old: Mapping[str, Any]) -> None:
@@ -114,7 +156,8 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _load(data: bytes, name: str) -> dict[str, Any]:
+def load_mapping(data: bytes, name: str) -> dict[str, Any]:
+    """Keys and values of a YAML file: safe, no key twice, no aliases that unfold without end; CalibrationError."""
     try:
         mapping = yaml.load(data, Loader=_Loader)  # noqa: S506  (a SafeLoader)
     except yaml.MarkedYAMLError as error:

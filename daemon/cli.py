@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("daemon.commands.doctor", "Find what is wrong with the machine or a rig, and how to mend it."),
     "devices": ("daemon.commands.devices", "List cameras and projector outputs, with what rig.yaml calls them by."),
     "projector": ("daemon.commands.projector", "Find the projector's output and show test pictures on it."),
+    "calibrate": ("daemon.commands.calibrate", "Calibrate cameras, projector and colours, and check them."),
     "export": ("daemon.commands.export", "Turn clouds into PLY, PCD or a video."),
 }
 

@@ -21,7 +21,7 @@ _STEADY = 3
 """Frames in a row of about the same brightness end a change of the picture."""
 _SAME = 0.1
 """What counts as the same brightness, as a share of the step from dark to white."""
-_SETTLED_NS = 300_000_000
+SETTLED_NS = 300_000_000
 """No projector is later than this."""
 _LEAST_STEP_DN = 8.0
 _READ_S = 0.2
@@ -106,7 +106,7 @@ def _flash(
     for _ in range(flashes):
         projector.show(pictures[0])
         shown_ns = clock.realtime_ns()
-        dark = [look.dark(shown_ns + _SETTLED_NS) for look in looks]
+        dark = [look.dark(shown_ns + SETTLED_NS) for look in looks]
         projector.show(pictures[1])
         flipped_ns = flip_ns() or clock.realtime_ns()
         for look, level in zip(looks, dark, strict=True):

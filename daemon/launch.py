@@ -13,13 +13,16 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from daemon.capture import Capture
 from daemon.config import RigConfig, load_rig
+from daemon.control.calibrate import CalibrateMethods
 from daemon.control.methods import Methods
 from daemon.control.server import ControlServer
 from daemon.errors import DaemonError
-from daemon.outputs import open_publisher, open_selfcheck, open_take
+from daemon.outputs import open_capture, open_publisher, open_selfcheck, open_take
 from daemon.recorder import Recorder
 from daemon.rig import OptionsError, Progress, open_rig
+from daemon.runtime import runtime_beside
 from daemon.service import Service
 from daemon.sinks import Sink
 
@@ -119,7 +122,13 @@ def _run(
         service = Service(config, rig, sinks, on_status=publish, session=session)
         takes = config.path(config.recording.dir, base_dir)
         recorder = Recorder(service, takes, lambda take: open_take(config, rig, session, take, path))
-        methods = Methods(service, recorder, path=path, base_dir=base_dir)
+        capture = Capture(
+            service,
+            lambda file, pattern, least: open_capture(config, rig, session, file, pattern, min_free_bytes=least),
+            directories=(runtime_beside(config.control.endpoint) or takes, takes),
+        )
+        calibrate = CalibrateMethods(service, capture)
+        methods = Methods(service, recorder, path=path, base_dir=base_dir, calibrate=calibrate)
         control = ControlServer(config.control.endpoint, methods.table())
     except BaseException:
         for sink in sinks.values():
@@ -135,6 +144,7 @@ def _run(
             log.info("recording to %s", recorder.start(record)["file"])
         service.run()
     finally:
+        capture.close()
         control.close()
 
 

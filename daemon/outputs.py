@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -51,6 +52,27 @@ def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: P
         queue=recording.queue,
         max_part_bytes=recording.max_part_mb * MEGABYTE,
         min_free_bytes=recording.min_free_mb * MEGABYTE,
+    )
+
+
+def open_capture(
+    config: RigConfig, rig: Rig, session: str, path: Path, pattern: Mapping[str, Any], *, min_free_bytes: int
+) -> Sink:
+    """The writer of a captured sequence: a take whose pattern is the sequence and whose triggers count from 0."""
+    from daemon.recording.writer import TakeWriter
+
+    return TakeWriter(
+        path,
+        session=session,
+        device=config.device.name,
+        calibration_data=rig.calibration_data,
+        pattern=pattern,
+        volume={"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm},
+        queue=8,
+        max_part_bytes=1 << 40,
+        max_part_s=1e9,
+        min_free_bytes=min_free_bytes,
+        extra_metadata={"first_pattern_sequence": "0"},
     )
 
 

@@ -55,6 +55,7 @@ class Rig:
         cameras: left and right, closed; projector: closed.
         calibration_data: the bytes of the calibration file; identity: their digest, ``sha256:...``.
         release: lets go of all devices.
+        next_pose: moves the board of a simulated rig on; None where a person does.
     """
 
     cameras: Mapping[Side, Camera]
@@ -65,6 +66,7 @@ class Rig:
     calibration_data: bytes
     identity: str
     release: Callable[[], None]
+    next_pose: Callable[[], object] | None = None
 
 
 def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Rig:
@@ -86,6 +88,7 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
             calibration_data=calibration.data,
             identity=calibration.identity,
             release=devices.close,
+            next_pose=next_pose(devices),
         )
     except BaseException:
         devices.close()
@@ -115,6 +118,12 @@ def open_devices(config: RigConfig, base_dir: Path, *, progress: Progress | None
         return _devices(config, base_dir, progress)
     except (ValueError, TypeError) as error:
         raise OptionsError(_section(config), str(error)) from error
+
+
+def next_pose(devices: Any) -> Callable[[], object] | None:
+    """What moves the board of these devices on: simulated rigs have a hand of their own."""
+    found: Callable[[], object] | None = getattr(getattr(devices, "trigger", None), "next_pose", None)
+    return found
 
 
 def check_options(config: RigConfig, base_dir: Path) -> None:

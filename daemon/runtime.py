@@ -30,6 +30,11 @@ def control_endpoint() -> str:
     return f"ipc://{runtime_dir() / 'control'}"
 
 
+def runtime_beside(endpoint: str) -> Path | None:
+    """The directory of an ipc endpoint, where other short-lived files of the same daemon may be; None without one."""
+    return Path(endpoint.removeprefix("ipc://")).parent if endpoint.startswith("ipc://") else None
+
+
 def prepare_ipc(endpoint: str) -> None:
     """Make the directory of an ipc endpoint, for this user alone; refuses one that belongs to somebody else."""
     if not endpoint.startswith("ipc://"):

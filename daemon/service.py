@@ -26,7 +26,7 @@ from daemon.status import CameraState, CameraStatus, State, Status
 from daemon.stop import StopEvent
 from daemon.suitability import projector_problem, size_problem, timing_warnings
 from daemon.worker import Worker
-from drivers.protocols import SIDES, Clock, Frame, Side
+from drivers.protocols import SIDES, Clock, Frame, ProjectorInfo, Side
 from pipeline.reconstruct import Reconstructor
 from pipeline.settings import Settings
 
@@ -67,7 +67,8 @@ class Service:
         self._on_status = on_status
         self._started_ns = self.clock.monotonic_ns()
         self._ready, self._paused = False, False
-        self._refresh_hz = 0.0
+        self._taker: Callable[[Pair], object] | None = None
+        self.projector: ProjectorInfo | None = None
         self._stop = StopEvent()
         self._namer = threads.Namer("fringed")
         self._sinks_lock = threading.Lock()
@@ -106,11 +107,27 @@ class Service:
         """Let :meth:`run` come to its end; takes no lock, so that a signal handler may call it."""
         self._stop.set()
 
+    @property
+    def ready(self) -> bool:
+        """Whether it can measure by now."""
+        return self._ready
+
+    @property
+    def stopping(self) -> bool:
+        """Whether it was asked to stop."""
+        return self._stop.is_set()
+
     def measure(self, wanted: bool) -> None:
         """Accept triggers, or pause: everything stays connected."""
         self._paused = not wanted
         for camera in self.cameras.values():
-            camera.measure(wanted)
+            camera.measure(wanted or self._taker is not None)
+
+    def divert(self, taker: Callable[[Pair], object] | None) -> None:
+        """Hand every pair to ``taker`` alone, neither measured nor recorded; None: measure as before."""
+        self._taker = taker
+        self.measure(not self._paused)
+        self._note_state()
 
     def reconstructor(self, settings: Settings) -> Reconstructor:
         """A reconstructor for these settings and the cameras' encoding; not warmed up."""
@@ -163,6 +180,8 @@ class Service:
         reasons = tuple(self._reasons())
         if not self._ready:
             return State.STARTING, reasons
+        if self._taker is not None:
+            return State.PAUSED, ("calibrating", *reasons)
         if self._paused:
             return State.PAUSED, reasons
         return (State.DEGRADED if reasons else State.RUNNING), reasons
@@ -176,7 +195,7 @@ class Service:
         return Status(
             state=state,
             reasons=reasons,
-            warnings=tuple(timing_warnings(self._refresh_hz, cameras)),
+            warnings=tuple(timing_warnings(self.projector.refresh_hz if self.projector else 0.0, cameras)),
             device=self.config.device.name,
             session=self.session,
             version=program_version(),
@@ -233,7 +252,7 @@ class Service:
         unfit = projector_problem(projector, self.rig.pattern)
         if unfit:
             raise DaemonError(unfit)
-        self._refresh_hz = projector.refresh_hz
+        self.projector = projector
         self.rig.projector.show(self.rig.pattern.picture(self.rig.calibration.response))
         for camera in self.cameras.values():
             camera.start()
@@ -313,11 +332,16 @@ class Service:
             log.exception("%s failed", what)
 
     def _paired(self, pair: Pair) -> None:
+        taker = self._taker
+        if taker is not None:
+            taker(pair)
+            return
         self.emit(PairItem(pair.left, pair.right))
         self.worker.offer(pair)
 
     def _lone(self, frame: Frame) -> None:
-        self.emit(LoneItem(frame))
+        if self._taker is None:
+            self.emit(LoneItem(frame))
 
     def _note_state(self) -> None:
         state, reasons = self.state()

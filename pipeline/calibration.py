@@ -137,35 +137,77 @@ class Calibration:
 
         left = CameraModel(self.right.size, self.right.matrix, self.right.distortion, name="left")
         right, projector = move(self.left, "right"), move(self.projector, "projector")
+        return Calibration(left, right, projector, self.right_color, self.left_color, self.response, self.registration)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cameras:
+    """The two cameras of a rig, with its projector where that is calibrated too; the left camera is the world."""
+
+    left: CameraModel
+    right: CameraModel
+    left_color: ColorModel = field(default_factory=ColorModel)
+    right_color: ColorModel = field(default_factory=ColorModel)
+    projector: CameraModel | None = None
+    response: Response | None = None
+    registration: Registration | None = None
+
+    def __post_init__(self) -> None:
+        # What holds for the cameras of a complete rig holds here; any third device serves to ask for it.
+        Calibration(self.left, self.right, self.projector or self.right)
+
+    @property
+    def baseline_mm(self) -> float:
+        """Distance of the two cameras' centres."""
+        return float(np.linalg.norm(self.right.centre - self.left.centre))
+
+    def complete(self) -> Calibration:
+        """The calibration that a measurement needs; CalibrationError if it has no projector."""
+        if self.projector is None:
+            raise CalibrationError(NO_PROJECTOR)
         return Calibration(
-            left, right, projector, self.right_color, self.left_color, self.response, self.registration
+            self.left,
+            self.right,
+            self.projector,
+            self.left_color,
+            self.right_color,
+            self.response,
+            self.registration,
         )
+
+
+NO_PROJECTOR = "projector is missing: run fringed calibrate projector"
 
 
 def from_mapping(data: Mapping[str, Any]) -> Calibration:
     """Calibration of the plain mapping in a calibration file; errors name the key."""
+    return cameras_from_mapping(data).complete()
+
+
+def cameras_from_mapping(data: Mapping[str, Any]) -> Cameras:
+    """The same where the projector may be missing; errors name the key."""
     version = data.get("fringed_calibration")
     if version != VERSION:
         raise CalibrationError(f"fringed_calibration is {version!r}, this program reads version {VERSION}")
     cameras = _mapping(data, "cameras", "")
     left, right = _mapping(cameras, "left", "cameras."), _mapping(cameras, "right", "cameras.")
-    projector = _mapping(data, "projector", "")
-    return Calibration(
+    projector = _mapping(data, "projector", "") if data.get("projector") is not None else None
+    return Cameras(
         left=_device(left, "cameras.left"),
         right=_device(right, "cameras.right"),
-        projector=_device(projector, "projector"),
         left_color=_color(left, "cameras.left"),
         right_color=_color(right, "cameras.right"),
-        response=_response(projector),
+        projector=None if projector is None else _device(projector, "projector"),
+        response=None if projector is None else _response(projector),
         registration=(
             None
-            if projector.get("registration") is None
+            if projector is None or projector.get("registration") is None
             else registration_of(projector["registration"], "projector.registration")
         ),
     )
 
 
-def to_mapping(calibration: Calibration) -> dict[str, Any]:
+def to_mapping(calibration: Calibration | Cameras) -> dict[str, Any]:
     """The plain mapping of a calibration file, without ``created`` and ``quality``."""
     cameras = {}
     for name, device, color in (
@@ -178,13 +220,16 @@ def to_mapping(calibration: Calibration) -> dict[str, Any]:
         if color.lateral is not None:
             colors["lateral"] = color.lateral.as_mapping()
         cameras[name] = device.as_mapping() | {"color": colors}
+    out: dict[str, Any] = {"fringed_calibration": VERSION, "cameras": cameras}
+    if calibration.projector is None:
+        return out
     projector = calibration.projector.as_mapping()
     if calibration.response is not None:
         curves = dict(zip(("red", "green", "blue"), calibration.response.curves.tolist(), strict=True))
         projector["response"] = {"levels": calibration.response.levels.tolist()} | curves
     if calibration.registration is not None:
         projector["registration"] = calibration.registration.as_mapping()
-    return {"fringed_calibration": VERSION, "cameras": cameras, "projector": projector}
+    return out | {"projector": projector}
 
 
 def _mapping(data: Mapping[str, Any], key: str, prefix: str) -> Mapping[str, Any]:

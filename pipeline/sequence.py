@@ -239,7 +239,7 @@ def camera_sequence(size: tuple[int, int]) -> Sequence:
     return Sequence("cameras", (Uniform(size, (WHITE_LEVEL,) * 3),))
 
 
-def projector_sequence(size: tuple[int, int], *, finest_px: float = 16.0, steps: int = 6) -> Sequence:
+def projector_sequence(size: tuple[int, int], *, finest_px: float = 12.8, steps: int = 6) -> Sequence:
     """For the projector's calibration: white, black, and grey fringes of three frequencies in x and in y.
 
     The steps are chosen for a projector whose response is not known yet. A fringe of n steps is blind to harmonics up

@@ -73,6 +73,7 @@ class LiveProjector:
     """
 
     lit = True  # A black picture is rendered like any other.
+    latency_s = 0.0
 
     def __init__(self, first: NDArray[np.uint8]) -> None:
         self._black = _kept(np.zeros_like(first))

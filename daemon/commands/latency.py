@@ -29,7 +29,7 @@ def main(
     from daemon.flash import measure_latency
     from daemon.rig import OptionsError, open_devices
 
-    config = load_rig(rig)
+    config = load_rig(rig, complete=False)
     try:
         devices = open_devices(config, rig.resolve().parent)
     except OptionsError as error:
@@ -73,7 +73,7 @@ def store(rig: Path, latency_ms: float) -> None:
     from daemon.errors import DaemonError
 
     text = rig.read_text(encoding="utf-8")
-    config = parse_rig(text, name=str(rig), base_dir=rig.parent)
+    config = parse_rig(text, name=str(rig), base_dir=rig.parent, complete=False)
     if config.projector is not None and "latency_frames" in config.projector.options:
         raise DaemonError(f"{rig}: projector.options.latency_frames tells the latency already; take it out first")
     write_atomically(rig, with_value(text, _KEY, latency_ms).encode())

@@ -18,13 +18,18 @@ from pipeline.settings import Settings
 Found = Iterator[tuple[Path_, str]]
 
 
-def semantic_problems(data: dict[str, Any], base_dir: Path) -> Found:
-    """Every mistake of meaning, with the path of the value; values of a wrong type are left to the schema."""
+def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = True) -> Found:
+    """Every mistake of meaning, with the path of the value; values of a wrong type are left to the schema.
+
+    Args:
+        complete: whether calibration, pattern and volume must be there; a rig that is to be calibrated has none yet.
+    """
     yield from _drivers(data)
+    yield from _missing(data) if complete else ()
     yield from _settings(data)
     yield from _cpus(data)
     yield from _addresses(data)
-    yield from _files(data, base_dir)
+    yield from _files(data, base_dir) if complete else ()
     yield from _volume(data)
 
 
@@ -42,14 +47,18 @@ def _drivers(data: dict[str, Any]) -> Found:
             hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(drivers)}"
             yield (name, "driver"), f"there is no driver {driver!r}; {hint}"
     cameras, projector = (_section(data, name).get("driver") for name in known)
-    if cameras != "sim" and cameras in known["cameras"]:
-        for name in ("calibration", "pattern", "volume"):
-            if data.get(name) is None:
-                yield (), f"{name} is missing; only the simulated rig knows its own"
     if cameras in CAMERAS and projector not in PROJECTORS:
         missing = f"projector.driver is {projector!r}" if projector in RIGS else "projector is missing"
         if projector is None or projector in RIGS:
             yield (), f"{missing}; the cameras {cameras!r} need one of: {', '.join(PROJECTORS)}"
+
+
+def _missing(data: dict[str, Any]) -> Found:
+    cameras = _section(data, "cameras").get("driver")
+    if cameras != "sim" and (cameras in RIGS or cameras in CAMERAS):
+        for name in ("calibration", "pattern", "volume"):
+            if data.get(name) is None:
+                yield (), f"{name} is missing; only the simulated rig knows its own"
 
 
 def _settings(data: dict[str, Any]) -> Found:

@@ -20,8 +20,11 @@ MAX_BYTES = 1 << 20
 _BRANCHES = ("path", "inline", "bool", "int", "float")
 
 
-def load_rig(path: Path) -> RigConfig:
+def load_rig(path: Path, *, complete: bool = True) -> RigConfig:
     """The rig of a file.
+
+    Args:
+        complete: whether calibration, pattern and volume must be there; a rig that is to be calibrated has none yet.
 
     Raises:
         ConfigError: with every mistake, one line each.
@@ -34,10 +37,10 @@ def load_rig(path: Path) -> RigConfig:
         text = path.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError([f"{path}: not UTF-8 text (byte {error.start})"]) from error
-    return parse_rig(text, name=str(path), base_dir=path.parent)
+    return parse_rig(text, name=str(path), base_dir=path.parent, complete=complete)
 
 
-def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None) -> RigConfig:
+def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None, complete: bool = True) -> RigConfig:
     """The rig of a YAML text; ``name`` stands in the messages, relative paths are looked for in ``base_dir``."""
     source = read_yaml(text)
     config: RigConfig | None = None
@@ -47,7 +50,7 @@ def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None
         except ValidationError as error:
             _translate(error, source)
         if isinstance(source.data, dict):
-            for path, message in semantic_problems(source.data, base_dir or Path()):
+            for path, message in semantic_problems(source.data, base_dir or Path(), complete=complete):
                 source.complain(path, message)
     if source.problems or config is None:
         ordered = sorted(set(source.problems), key=lambda p: (p.line, p.column, p.message))

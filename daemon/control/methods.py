@@ -13,6 +13,7 @@ import numpy as np
 from daemon.atomic import write_atomically
 from daemon.config import load_rig
 from daemon.config.models import RigConfig
+from daemon.control.calibrate import CalibrateMethods
 from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
 from daemon.errors import ConfigError, DaemonError
 from daemon.recorder import Recorder
@@ -36,11 +37,20 @@ class Methods:
 
     Args:
         service: the daemon; recorder: its recording switch; path: its rig.yaml, for ``reload``.
-        base_dir: where its relative paths start.
+        base_dir: where its relative paths start; calibrate: the methods ``calibrate.*``, if it offers them.
     """
 
-    def __init__(self, service: Service, recorder: Recorder, *, path: Path | None, base_dir: Path) -> None:
+    def __init__(
+        self,
+        service: Service,
+        recorder: Recorder,
+        *,
+        path: Path | None,
+        base_dir: Path,
+        calibrate: CalibrateMethods | None = None,
+    ) -> None:
         self._service, self._recorder, self._path, self._base_dir = service, recorder, path, base_dir
+        self._calibrate = calibrate
 
     def table(self) -> Mapping[str, Method]:
         """Every method by its name, with the parameters that it takes."""
@@ -57,6 +67,8 @@ class Methods:
             "record.stop": (lambda _: self._recorder.stop(), ()),
             "pattern.show": (self.pattern_show, ("name",)),
         }
+        if self._calibrate is not None:
+            own |= self._calibrate.table()
         return {name: _checked(method, allowed) for name, (method, allowed) in own.items()}
 
     def hello(self, _: dict[str, Any]) -> dict[str, Any]:
@@ -141,6 +153,8 @@ class Methods:
     def pattern_show(self, params: dict[str, Any]) -> dict[str, Any]:
         """Show the measuring ``fringe`` or a plain picture; no cloud can be expected under a plain one."""
         name = _text(params, "name", "fringe")
+        if self._calibrate is not None:
+            self._calibrate.refuse_while_capturing()
         rig = self._service.rig
         if name == "fringe":
             picture = rig.pattern.picture(rig.calibration.response)

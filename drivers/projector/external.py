@@ -20,6 +20,9 @@ class ExternalProjector:
         options: see :class:`drivers.projector.options.ExternalOptions`; directory: where hooks run.
     """
 
+    fixed_picture = True
+    """What is given to :meth:`show` never reaches the projector."""
+
     def __init__(self, options: ExternalOptions, directory: Path) -> None:
         self.options = options
         self.notes: tuple[str, ...] = ("nothing tells whether an external projector really shows its picture",)

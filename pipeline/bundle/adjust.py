@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,16 @@ from pipeline.bundle.observations import Observations
 from pipeline.bundle.options import Options
 from pipeline.bundle.solve import Fit, fit, residuals
 from pipeline.bundle.state import State
-from pipeline.bundle.uncertainty import full_covariance, promised
+from pipeline.bundle.uncertainty import full_covariance, noise_of
+from pipeline.errors import CalibrationError
 from pipeline.targets.board import Board
 
 Array = NDArray[np.float64]
 
 _ROUNDS = 12
 _STILL_PX = 2e-6
+_EXACT_PX = 1e-5
+"""Marks that agree better than this are made-up ones; smaller standard deviations only spoil the arithmetic."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +57,34 @@ class Adjusted:
         return self.fit.state
 
 
+def to_scale(adjusted: Adjusted, options: Options) -> Adjusted:
+    """The same result, made larger or smaller until a distance measured on the board is as told.
+
+    Raises:
+        CalibrationError: a mark of ``options.known_distance`` is not on the board.
+    """
+    if options.known_distance is None:
+        return adjusted
+    first, second, length = options.known_distance
+    state = adjusted.state
+    if first == second or not all(0 <= mark < len(state.points) for mark in (first, second)):
+        raise CalibrationError(
+            f"known_distance names marks {first} and {second}: expected two different marks from 0 to "
+            f"{len(state.points) - 1}"
+        )
+    factor = length / float(np.linalg.norm(state.points[first] - state.points[second]))
+    # Translations of devices and views, and the marks, are lengths.
+    of_device, of_view = np.repeat([1.0, factor], [13, 3]), np.repeat([1.0, factor], [3, 3])
+    scale = np.concatenate([np.tile(of_device, state.devices), np.tile(of_view, state.views)])
+    scale = np.concatenate([scale, np.full(len(adjusted.covariance) - len(scale), factor)])
+    return replace(
+        adjusted,
+        fit=replace(adjusted.fit, state=state.scaled(factor)),
+        diameter_mm=adjusted.diameter_mm * factor,
+        covariance=adjusted.covariance * np.outer(scale, scale),
+    )
+
+
 def first_sigma(state: State, data: Observations, offsets: Array) -> Array:
     """Standard deviations (n,) after the median residual of each device: outliers have no say in them yet."""
     distance = np.linalg.norm(residuals(state, data, offsets), axis=1)
@@ -63,7 +94,7 @@ def first_sigma(state: State, data: Observations, offsets: Array) -> Array:
         if chosen.any():
             # The median of the length of a normal pair is 1.1774 standard deviations.
             scale = float(np.median(distance[chosen])) / 1.1774
-            sigma[chosen] = np.maximum(scale * sigma[chosen] / np.median(sigma[chosen]), 1e-9)
+            sigma[chosen] = np.maximum(scale * sigma[chosen] / np.median(sigma[chosen]), _EXACT_PX)
     return sigma
 
 
@@ -101,7 +132,7 @@ def adjust(
             sigma = first_sigma(state, data, shift)
         else:
             covariance, redundancy = full_covariance(state, used, shift[kept], free)
-            _, noise = promised(state, data.some(kept), shift[kept], promise[kept], redundancy)
+            noise = noise_of(state, data.some(kept), shift[kept], promise[kept], redundancy)
             before = sigma
             sigma = _spread(promise, data, noise)
             away = np.linalg.norm(residuals(state, data, shift), axis=1) / sigma
@@ -121,5 +152,5 @@ def _spread(promise: Array, data: Observations, noise: dict[int, tuple[float, fl
     sigma = promise.copy()
     for device, (floor, factor) in noise.items():
         chosen = data.device == device
-        sigma[chosen] = np.hypot(factor * promise[chosen], floor)
+        sigma[chosen] = np.maximum(np.hypot(factor * promise[chosen], floor), _EXACT_PX)
     return sigma

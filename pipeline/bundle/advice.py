@@ -30,7 +30,7 @@ GOOD_DISTANCES = 1.08
 LEAST_TILT_DEG = 8.0
 """Sets whose largest tilt stays below this do not determine the focal length."""
 LEAST_COVERAGE = 0.2
-_ALIKE_SHIFT, _ALIKE_TURN = 0.03, 0.02
+_ALIKE_SHIFT, _ALIKE_TURN, _SAME_TILT = 0.03, 0.02, 0.05
 
 # (tilt about x, about y, degrees; place as steps from the middle; distance as a step)
 _WISHES = [
@@ -225,8 +225,8 @@ def _degenerate(together: dict[int, Look], coverage: dict[str, float]) -> str:
             f"the board is never tilted by more than {largest:.1f} degrees (limit {LEAST_TILT_DEG:g}): focal length "
             "and distance cannot be told apart"
         )
-    if turned < _ALIKE_TURN:
-        return "the board has the same tilt in all views, which counts as a single view"
+    if turned < _SAME_TILT:
+        return "the board has nearly the same tilt in all views, which counts as a single view"
     for name, share in coverage.items():
         if 0 < share < LEAST_COVERAGE:
             return (

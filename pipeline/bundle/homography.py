@@ -25,7 +25,8 @@ def homography(board: Array, pixels: Array) -> tuple[Array, float]:
         row = np.column_stack([a, one])
         upper = np.concatenate([row, zero, -b[:, :1] * row], axis=1) * weight[:, None]
         lower = np.concatenate([zero, row, -b[:, 1:] * row], axis=1) * weight[:, None]
-        h = np.linalg.svd(np.concatenate([upper, lower]), full_matrices=False)[2][-1].reshape(3, 3)
+        rows = np.concatenate([upper, lower])
+        h = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
         seen = row @ h.T
         if np.median(seen[:, 2]) < 0:
             h, seen = -h, -seen

@@ -19,6 +19,7 @@ Index = NDArray[np.int64]
 
 _GRID = (0.6, 1.2, 2.4, 4.8, 9.6)
 """Focal lengths that are tried, in widths of the picture: field angles from 80 to 6 degrees."""
+_ENOUGH = 40
 _NO_DISTORTION = ("skew", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 _STAGES: tuple[tuple[str, ...], ...] = (_NO_DISTORTION, ("skew", "k2", "p1", "p2", "k3"), ("skew", "p1", "p2", "k3"))
 
@@ -75,16 +76,18 @@ def mono(
         raise CalibrationError(f"{name}: no view with at least {options.least_marks} marks; show it the whole board")
     front = {view: seen_from_front(h) for view, h in maps.items()}
     compact = Observations(zeros, _compact(data.view, maps), data.mark, data.pixels, data.sigma, data.area, data.ids)
-    # Rough values first, with sigmas that forgive everything not modelled yet.
-    rough = compact.with_sigma(np.full(len(data), max(0.5, 5e-4 * size[0])))
-    nothing = np.zeros((len(data), 2))
+    compact = _thinned(compact)
+    # Rough values, with sigmas that forgive everything not modelled yet.
+    rough = compact.with_sigma(np.full(len(compact), max(0.5, 5e-4 * size[0])))
+    nothing = np.zeros((len(compact), 2))
     if start is not None:
-        best = fit(_begin(maps, points, intrinsics_of(start)), rough, nothing,
-                   freedom([name], _plain(options), points, 1.0, hold=INTRINSICS), loss="cauchy", most_steps=30)  # fmt: skip
+        held = freedom([name], _plain(options), points, 1.0, hold=INTRINSICS)
+        begin = _begin(maps, points, intrinsics_of(start))
+        best = fit(begin, rough, nothing, held, loss="cauchy", most_steps=30)
     else:
         best = _search(maps, rough, points, size, options, name)
-        for held in _STAGES:
-            free = freedom([name], _plain(options), points, 1.0, hold=held)
+        for names in _STAGES:
+            free = freedom([name], _plain(options), points, 1.0, hold=names)
             tried = fit(best.state, rough, nothing, free, loss="cauchy", most_steps=30)
             best = tried if _sane(tried.state, size) else best
     distance = np.linalg.norm(residuals(best.state, compact, nothing), axis=1)
@@ -93,6 +96,15 @@ def mono(
     seen = sorted(maps)
     rotations[seen], translations[seen] = best.state.view_rotations, best.state.view_translations
     return Mono(best.state.with_views(rotations, translations), seen, front, rms)
+
+
+def _thinned(data: Observations) -> Observations:
+    """At most :data:`_ENOUGH` marks a picture, evenly taken: first values need no more."""
+    keep = np.zeros(len(data), dtype=bool)
+    for _, _, where in data.groups():
+        count = where.stop - where.start
+        keep[where.start + np.unique(np.linspace(0, count - 1, min(count, _ENOUGH)).astype(int))] = True
+    return data.some(keep)
 
 
 def _plain(options: Options) -> Options:
@@ -117,8 +129,8 @@ def _search(
     """The best adjustment with one focal length and nothing else, over several first focal lengths."""
     centre = (np.array(size, np.float64) - 1) / 2
     closed = focal_length(list(maps.values()), centre)
-    grid = [share * size[0] for share in _GRID]
-    grid += [closed] if 0.2 * size[0] < closed < 40 * size[0] else []
+    grid = [closed] if 0.2 * size[0] < closed < 40 * size[0] else []
+    grid += [share * size[0] for share in _GRID]
     only = Options(aspect=options.aspect or 1.0)
     free = freedom([name], only, points, 1.0, hold=_NO_DISTORTION)
     best: Fit | None = None
@@ -128,12 +140,20 @@ def _search(
         tried = fit(_begin(maps, points, first), data, nothing, free, loss="cauchy", most_steps=25)
         if np.isfinite(tried.cost) and _sane(tried.state, size) and (best is None or tried.cost < best.cost):
             best = tried
+        if best is tried and focal == closed and _plausible(tried.state, data, size):
+            break
     if best is None:
         raise CalibrationError(
             f"{name}: no focal length between 0.2 and 40 picture widths explains the views; are board, numbering and "
             "picture size right? Show the board tilted by 20 to 40 degrees"
         )
     return best
+
+
+def _plausible(state: State, data: Observations, size: tuple[int, int]) -> bool:
+    """Whether nothing but the distortion seems to be missing."""
+    distance = np.linalg.norm(residuals(state, data, np.zeros((len(data), 2))), axis=1)
+    return bool(np.median(distance) < 2e-3 * size[0])
 
 
 def _sane(state: State, size: tuple[int, int]) -> bool:

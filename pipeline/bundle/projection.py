@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.state import State, cross_matrices
+from pipeline.bundle.state import State
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,21 +59,22 @@ def image_with_slopes(intrinsics: Array, points: Array) -> tuple[Array, Array, A
     yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
     zero, one = np.zeros_like(x), np.ones_like(x)
     # Derivatives of the distorted normalised point by k1, k2, p1, p2, k3.
-    dx = np.stack([x * r2, x * r2**2, 2 * xy, r2 + 2 * x * x, x * r2**3], axis=-1)
-    dy = np.stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * xy, y * r2**3], axis=-1)
-    of_u = np.concatenate([np.stack([xd, zero, yd, one, zero], -1), fx[:, None] * dx + skew[:, None] * dy], axis=-1)
-    of_v = np.concatenate([np.stack([zero, yd, zero, zero, one], -1), fy[:, None] * dy], axis=-1)
+    r4, r6 = r2 * r2, r2 * r2 * r2
+    dx = (x * r2, x * r4, 2 * xy, r2 + 2 * x * x, x * r6)
+    dy = (y * r2, y * r4, r2 + 2 * y * y, 2 * xy, y * r6)
+    of_intrinsics = np.empty((len(points), 2, 10))
+    for k, column in enumerate((xd, zero, yd, one, zero, *(fx * a + skew * b for a, b in zip(dx, dy, strict=True)))):
+        of_intrinsics[:, 0, k] = column
+    for k, column in enumerate((zero, yd, zero, zero, one, *(fy * b for b in dy))):
+        of_intrinsics[:, 1, k] = column
     ux, uy = fx * xx + skew * both, fx * both + skew * yy
     vx, vy = fy * both, fy * yy
-    of_point = np.stack(
-        [
-            np.stack([ux, uy, -(ux * x + uy * y)], -1) / z[:, None],
-            np.stack([vx, vy, -(vx * x + vy * y)], -1) / z[:, None],
-        ],
-        axis=1,
-    )
+    of_point = np.empty((len(points), 2, 3))
+    for row, (along_x, along_y) in enumerate(((ux, uy), (vx, vy))):
+        for k, column in enumerate((along_x, along_y, -(along_x * x + along_y * y))):
+            of_point[:, row, k] = column / z
     pixels = np.stack([fx * xd + skew * yd + cx, fy * yd + cy], axis=-1)
-    return pixels, np.stack([of_u, of_v], axis=1), of_point
+    return pixels, of_intrinsics, of_point
 
 
 def in_device(state: State, device: Index, view: Index, mark: Index) -> Array:
@@ -95,6 +96,7 @@ def project_with_slopes(state: State, device: Index, view: Index, mark: Index) -
     turned = np.einsum("nij,nj->ni", turn, world)
     pixels, of_intrinsics, of_place = image_with_slopes(state.intrinsics[device], turned + state.translations[device])
     of_world = of_place @ turn
-    of_device = np.concatenate([of_intrinsics, -of_place @ cross_matrices(turned), of_place], axis=-1)
-    of_view = np.concatenate([-of_world @ cross_matrices(on_board), of_world], axis=-1)
+    # g . (w x p) = w . (p x g): the derivative by a small turn w of a point p.
+    of_device = np.concatenate([of_intrinsics, np.cross(turned[:, None], of_place), of_place], axis=-1)
+    of_view = np.concatenate([np.cross(on_board[:, None], of_world), of_world], axis=-1)
     return Projected(pixels, of_device, of_view, of_world @ view_turn)

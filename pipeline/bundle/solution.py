@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +63,8 @@ class Solution:
         poses: (R, t), board to world, of every view; None for views left out.
         views: names of all views, in the order given.
         sigma: standard deviation by name: ``left.fx`` (px), ``right.k1``, ``right.rotation_x`` (radians, a
-            component of the rotation vector), ``right.translation_x`` (mm), and of derived figures ``baseline_mm``, ``angle_deg``,
-            ``projector.baseline_mm``, ``projector.angle_deg``. Held parameters have 0.
+            component of the rotation vector), ``right.translation_x`` (mm), and of the derived ``baseline_mm``,
+            ``angle_deg``, ``projector.baseline_mm``, ``projector.angle_deg``. Held parameters have 0.
         values: the same names and their values.
         covariance: (p, p) of ``names``, the poses of the boards marginalised.
         names: of the rows of ``covariance``.
@@ -82,6 +82,7 @@ class Solution:
         offsets_px: largest correction from a circle's centre to its image's centroid.
         steps: of the last search.
         scale: what fixes the scale of the world, in words.
+        board_sigma_mm: (n, 3) standard deviations of refined board points.
     """
 
     devices: dict[str, CameraModel]
@@ -107,7 +108,7 @@ class Solution:
     offsets_px: float
     steps: int
     scale: str
-    board_sigma_mm: Array | None = field(default=None)
+    board_sigma_mm: Array | None = None
 
     def quality(self) -> dict[str, float | int]:
         """The figures for the ``quality`` part of a calibration file."""

@@ -86,9 +86,10 @@ def normal_equations(
     matrix, right = np.zeros((d + v + n, d + v + n)), np.zeros(d + v + n)
     blocks = {}
     both = np.concatenate([slopes.of_device, slopes.of_view], axis=-1)
+    of_device, of_view = np.arange(PER_DEVICE), np.arange(PER_VIEW)
     for device, view, where in data.groups():
         local, w = both[where], weight[where]
-        index = np.r_[PER_DEVICE * device : PER_DEVICE * (device + 1), d + PER_VIEW * view : d + PER_VIEW * (view + 1)]
+        index = np.concatenate([PER_DEVICE * device + of_device, d + PER_VIEW * view + of_view])
         flat = (local * w[:, None, None]).reshape(-1, local.shape[-1])
         block = flat.T @ local.reshape(-1, local.shape[-1])
         blocks[device, view] = block

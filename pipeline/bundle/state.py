@@ -65,6 +65,15 @@ class State:
             self.points + of_points.reshape(-1, 3) if len(of_points) else self.points,
         )
 
+    def scaled(self, factor: float) -> State:
+        """The same pictures of a world that is larger by a factor."""
+        return replace(
+            self,
+            translations=self.translations * factor,
+            view_translations=self.view_translations * factor,
+            points=self.points * factor,
+        )
+
     def model(self, device: int, name: str, size: tuple[int, int]) -> CameraModel:
         """One device as the rest of the program knows it."""
         fx, fy, skew, cx, cy, k1, k2, p1, p2, k3 = self.intrinsics[device]

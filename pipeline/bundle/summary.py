@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.adjust import Adjusted
+from pipeline.bundle.adjust import Adjusted, to_scale
 from pipeline.bundle.figures import epipolar_px, rms
 from pipeline.bundle.freedom import names_of
 from pipeline.bundle.options import Options
@@ -47,6 +47,7 @@ def summarise(
     Raises:
         CalibrationError: too many marks did not fit.
     """
+    adjusted = to_scale(adjusted, options)
     state, data = adjusted.state, adjusted.data
     share = len(adjusted.out) / max(len(adjusted.out) + len(data), 1)
     single = _single_marks(adjusted, [views[k].name for k in numbers], devices)
@@ -97,9 +98,18 @@ def summarise(
         views_rejected=len(views) - len(numbers),
         offsets_px=float(np.linalg.norm(adjusted.offsets, axis=1).max(initial=0.0)),
         steps=adjusted.fit.steps,
-        scale=f"the pitch of {board.pitch_mm:g} mm of {board}",
+        scale=_scale(board, options),
         board_sigma_mm=np.sqrt(np.maximum(np.diag(tail), 0)).reshape(-1, 3) if len(tail) else None,
     )
+
+
+def _scale(board: Board, options: Options) -> str:
+    if options.known_distance is not None:
+        first, second, length = options.known_distance
+        return f"the distance of {length:g} mm between marks {first} and {second}"
+    if options.board_refined:
+        return f"the mean pitch of {board.pitch_mm:g} mm: the best fit of all marks to the nominal grid has the scale 1"
+    return f"the pitch of {board.pitch_mm:g} mm"
 
 
 def _sigma0(adjusted: Adjusted, chosen: NDArray[np.bool_]) -> float:

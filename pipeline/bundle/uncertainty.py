@@ -137,17 +137,14 @@ def rotation_vector(rotation: Array) -> Array:
     return np.asarray(axis / (2 * np.sin(angle)) * angle)
 
 
-def promised(
+def noise_of(
     state: State, data: Observations, offsets: Array, promise: Array, redundancy: Array
-) -> tuple[Array, dict[int, tuple[float, float]]]:
-    """Standard deviations (n,) that agree with the residuals, and (floor, factor) by device."""
+) -> dict[int, tuple[float, float]]:
+    """(floor_px, factor) by device, see :func:`noise_floor`, for marks with promised standard deviations (n,)."""
     squares = (residuals(state, data, offsets) ** 2).sum(axis=1)
-    sigma, found = promise.copy(), {}
-    for device in range(state.devices):
-        chosen = data.device == device
-        if chosen.any():
-            floor, factor = noise_floor(squares[chosen], promise[chosen], float(redundancy[device]))
-            factor = max(factor, 1e-7)
-            sigma[chosen] = np.hypot(factor * promise[chosen], floor)
-            found[device] = (floor, factor)
-    return sigma, found
+    by = {device: data.device == device for device in range(state.devices)}
+    return {
+        device: noise_floor(squares[chosen], promise[chosen], float(redundancy[device]))
+        for device, chosen in by.items()
+        if chosen.any()
+    }

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.color_calibration.frames import Roles
 from pipeline.errors import PictureError
 from pipeline.raw import mosaic_of
 
@@ -82,12 +84,18 @@ def planes_of(picture: NDArray[np.uint8], encoding: str) -> F32:
     """Three colours at every pixel, (H, W, 3) float32 counts; a mosaic by symmetric means, which move no phase."""
     if encoding == "rgb8":
         return picture.astype(np.float32)
-    colors = _colors_of(picture.shape, encoding)
     out = np.empty((*picture.shape, 3), np.float32)
-    for k in range(3):
-        own = (colors == k).astype(np.float32)
-        out[..., k] = _tent(own * picture) / _tent(own)
+    for k, (own, share) in enumerate(_shares(picture.shape[0], picture.shape[1], encoding)):
+        out[..., k] = _tent(own * picture) * share
     return out
+
+
+@lru_cache(maxsize=2)
+def _shares(rows: int, columns: int, encoding: str) -> tuple[tuple[F32, F32], ...]:
+    """For each colour its own pixels as ones, and the inverse weight of those around every pixel."""
+    colors = _colors_of((rows, columns), encoding)
+    own = [(colors == k).astype(np.float32) for k in range(3)]
+    return tuple((mask, np.asarray(1 / _tent(mask))) for mask in own)
 
 
 def _colors_of(shape: tuple[int, ...], encoding: str) -> NDArray[np.int64]:
@@ -145,3 +153,29 @@ def blocks(weights: Any, *planes: Any, side: int = 16) -> tuple[NDArray[np.float
         return np.asarray(cut.sum(axis=(1, 3), dtype=np.complex128 if np.iscomplexobj(plane) else np.float64).ravel())
 
     return (summed(weights), *(summed(weights * plane) for plane in planes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One camera's pictures of one pass, and what does not change while they are evaluated.
+
+    Args:
+        black: (H, W, 3) mean of the black frames; full: (H, W, 3) each colour's own full light above it.
+        area: (H, W) evenly white pixels.
+    """
+
+    pictures: Pictures
+    black: F32
+    full: F32
+    area: Mask
+
+
+def view_of(pictures: Pictures, roles: Roles) -> View:
+    """Black frame, full light of each colour and white area of one pass; PictureError when it is clipped or dark."""
+    black = pictures.mean(roles.black)
+    own = [pictures.planes(roles.levels[k][-1][1])[..., k] - black[..., k] for k in range(3)]
+    full = np.stack(own, axis=-1)
+    area = white_area(pictures, full)
+    for levels in roles.levels:
+        pictures.refuse_clipped(levels[-1][1], area)
+    return View(pictures, black, full, area)

@@ -19,21 +19,21 @@ from pipeline.color_calibration.crosstalk import (
     mix_samples,
 )
 from pipeline.color_calibration.frames import Roles, roles_of
-from pipeline.color_calibration.lateral_fit import LateralSolution, Offsets, fit_lateral, measure_offsets
-from pipeline.color_calibration.pictures import F32, Mask, Pictures, white_area
+from pipeline.color_calibration.judgement import additivity_of, advice_of, disagreement_of, peak_of, projector_quality
+from pipeline.color_calibration.lateral_fit import LateralSolution, fit_lateral
+from pipeline.color_calibration.offsets import Offsets, measure_offsets
+from pipeline.color_calibration.pictures import Pictures, View, view_of
 from pipeline.color_calibration.response import LevelCurve, level_curve, response_of
 from pipeline.errors import PictureError
 from pipeline.lateral import Registration
 from pipeline.pattern import ColorFringe
-from pipeline.sequence import CHANNELS, Fringe, Uniform
+from pipeline.sequence import Fringe, Uniform
 from pipeline.sequence import Sequence as Frames
 
 Array = NDArray[np.float64]
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
 SIDES = ("left", "right")
-GOOD_PEAK = (180.0, 245.0)
-UNEVEN_BALANCE = 1.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,16 +65,6 @@ class ColorSolution:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """One camera's pictures of one pass, and what does not change while they are evaluated."""
-
-    pictures: Pictures
-    black: F32
-    full: F32
-    area: Mask
-
-
 def calibrate_color(
     frames: Sequence[Pair],
     sequence: Frames,
@@ -99,8 +89,9 @@ def calibrate_color(
     Returns:
         The solution; ``quality`` holds, per side, ``black_from``, ``crosstalk_sigma``, ``crosstalk_scatter``,
         ``white_share``, ``peak``, ``additivity``, ``lateral_before_px``, ``lateral_after_px``; for the projector
-        ``response_sigma`` and ``gamma``; and, when the sequence holds a check, ``phase_error_rad`` per side
-        (uncorrected and with this solution, as the frames were shown).
+        ``response_sigma``, ``response_disagreement`` (of the cameras) and ``gamma``; ``lateral_problem`` if lateral
+        colour could not be measured; and, when the sequence holds a check, ``phase_error_rad`` per side (uncorrected
+        and with this solution, as the frames were shown).
 
     Raises:
         PictureError: clipped, dark or unfit pictures, with the camera, the frame and the remedy.
@@ -115,14 +106,14 @@ def calibrate_color(
     names = tuple(_name(frame) for frame in sequence.frames)
     passes = [frames[i : i + len(sequence)] for i in range(0, len(frames), len(sequence))]
     views = [
-        [_view(Pictures(side, [pair[i] for pair in once], encoding, names), roles) for once in passes]
+        [view_of(Pictures(side, [pair[i] for pair in once], encoding, names), roles) for once in passes]
         for i, side in enumerate(SIDES)
     ]
     curves: list[list[LevelCurve]] = [
         [level_curve(v.pictures, roles, k, v.black, v.full, v.area) for seen in views for v in seen] for k in range(3)
     ]
     response = response_of(curves)
-    models, quality = [], _projector_quality(response, curves)
+    models, quality = [], projector_quality(response, curves)
     for i, side in enumerate(SIDES):
         known = None if calibration is None else (calibration.left_color, calibration.right_color)[i].black
         known = known if known is not None and known.any() else None  # zero: nobody measured it
@@ -131,31 +122,29 @@ def calibrate_color(
         models.append(model)
         quality[side] = more
     registration: Registration | None = None
+    advice = disagreement_of(curves, len(passes), quality)
     if calibration is not None and set(roles.single) == set(roles.coarse) == {"x", "y"}:
-        lateral = _lateral(views, models, roles, calibration, response, shown)
-        models = [replace(m, lateral=one) for m, one in zip(models, lateral.cameras, strict=True)]
-        registration = lateral.registration
-        for side, before, after in zip(SIDES, lateral.before_px, lateral.after_px, strict=True):
-            quality[side] |= {"lateral_before_px": before, "lateral_after_px": after}
+        try:
+            lateral = _lateral(views, models, roles, calibration, response, shown)
+        except PictureError as problem:
+            # The rest is worth having without it.
+            quality["lateral_problem"] = str(problem)
+            advice.append(f"lateral colour was not measured: {problem}")
+        else:
+            models = [replace(m, lateral=one) for m, one in zip(models, lateral.cameras, strict=True)]
+            registration = lateral.registration
+            for side, before, after in zip(SIDES, lateral.before_px, lateral.after_px, strict=True):
+                quality[side] |= {"lateral_before_px": before, "lateral_after_px": after}
     _check(views, models, sequence, roles, quality)
     balance = {s: np.mean([v.full[v.area].mean(axis=0, dtype=np.float64) for v in seen], axis=0)
                for s, seen in zip(SIDES, views, strict=True)}  # fmt: skip
-    advice = tuple(line for side in SIDES for line in _advice(side, balance[side], quality[side]["peak"]))
-    return ColorSolution(models[0], models[1], response, registration, balance, quality, advice)
-
-
-def _view(pictures: Pictures, roles: Roles) -> _View:
-    black = pictures.mean(roles.black)
-    own = [pictures.planes(roles.levels[k][-1][1])[..., k] - black[..., k] for k in range(3)]
-    full = np.stack(own, axis=-1)
-    area = white_area(pictures, full)
-    for levels in roles.levels:
-        pictures.refuse_clipped(levels[-1][1], area)
-    return _View(pictures, black, full, area)
+    for side in SIDES:
+        advice += advice_of(side, balance[side], quality[side]["peak"])
+    return ColorSolution(models[0], models[1], response, registration, balance, quality, tuple(advice))
 
 
 def _camera(
-    views: Sequence[_View], roles: Roles, response: Response, dark: Sequence[NDArray[np.uint8]] | None,
+    views: Sequence[View], roles: Roles, response: Response, dark: Sequence[NDArray[np.uint8]] | None,
     known: Array | None, side: str,
 ) -> tuple[ColorModel, dict[str, Any]]:  # fmt: skip
     """Colour model of one camera without lateral colour, and its quality."""
@@ -170,35 +159,16 @@ def _camera(
         "crosstalk_sigma": float(sigma[off].max()),
         "crosstalk_scatter": float(scatter[off].max()),
         "white_share": float(np.mean([v.area.mean() for v in views])),
-        "peak": max(_peak(v, crosstalk) for v in views),
+        "peak": max(peak_of(v, crosstalk) for v in views),
     }
-    sums = [_additivity(v, roles, response, crosstalk) for v in views]
+    sums = [additivity_of(v, roles, response, crosstalk) for v in views]
     if all(s is not None for s in sums):
         quality["additivity"] = float(np.mean([s for s in sums if s is not None]))
     return ColorModel(black, crosstalk, f"cameras.{side}.color", balance), quality
 
 
-def _peak(view: _View, crosstalk: Array) -> float:
-    """Counts that the brightest part of the white area will have at the standard colour fringe's peak."""
-    top = np.percentile(view.full[view.area], 98, axis=0)
-    lights = np.where(np.eye(3, dtype=bool), 245.5, 68.5) / 255
-    return float((view.black[view.area].mean(axis=0) + (lights * top) @ crosstalk.T).max())
-
-
-def _additivity(view: _View, roles: Roles, response: Response, crosstalk: Array) -> float | None:
-    """White light over the sum of its colours alone; None when white is clipped. Projectors that add white miss 1."""
-    for index, level in roles.white:
-        if view.pictures.clipped(index, view.area).max() > 0.001:
-            continue
-        white = (view.pictures.planes(index) - view.black)[view.area].mean(axis=0, dtype=np.float64)
-        light = response.light(np.full((1, 3), float(level)))[0] / 255
-        expected = crosstalk @ (light * view.full[view.area].mean(axis=0, dtype=np.float64))
-        return float(white.sum() / expected.sum())
-    return None
-
-
 def _lateral(
-    views: Sequence[Sequence[_View]], models: Sequence[ColorModel], roles: Roles, calibration: Calibration,
+    views: Sequence[Sequence[View]], models: Sequence[ColorModel], roles: Roles, calibration: Calibration,
     response: Response, shown: Response | None,
 ) -> LateralSolution:  # fmt: skip
     seen: list[list[Offsets]] = [
@@ -214,16 +184,8 @@ def _lateral(
     return fit_lateral(seen, (calibration.left, calibration.right), calibration.projector.size)
 
 
-def _projector_quality(response: Response, curves: Sequence[Sequence[LevelCurve]]) -> dict[str, Any]:
-    inner = slice(1, -1)
-    sigma = max(float(c.sigma[inner].max()) for seen in curves for c in seen) if len(curves[0][0].levels) > 2 else 0.0
-    middle = response.light(np.full((1, 3), 127.5))[0] / 255
-    gamma = np.log(np.maximum(middle, 1e-6)) / np.log(0.5)
-    return {"response_sigma": sigma, "gamma": dict(zip(CHANNELS, gamma.round(4).tolist(), strict=True))}
-
-
 def _check(
-    views: Sequence[Sequence[_View]], models: Sequence[ColorModel], sequence: Frames, roles: Roles,
+    views: Sequence[Sequence[View]], models: Sequence[ColorModel], sequence: Frames, roles: Roles,
     quality: dict[str, Any],
 ) -> None:  # fmt: skip
     """Phase errors of the colour fringes in the sequence, before and after, into ``quality``."""
@@ -235,24 +197,6 @@ def _check(
             both = [error_of(seen[0].pictures, index, pattern, reference, color=c, area=seen[0].area)
                     for c in (None, model)]  # fmt: skip
             quality[side]["phase_error_rad"] = [e.rms_rad for e in both]
-
-
-def _advice(side: str, counts: Array, peak: float) -> list[str]:
-    out = []
-    if not GOOD_PEAK[0] <= peak <= GOOD_PEAK[1]:
-        change = "lengthen" if peak < GOOD_PEAK[0] else "shorten"
-        out.append(
-            f"{side} camera: the white board peaks at {peak:.0f} counts, {GOOD_PEAK[0]:.0f} to {GOOD_PEAK[1]:.0f} are "
-            f"best; {change} the exposure"
-        )
-    if counts.max() / counts.min() > UNEVEN_BALANCE:
-        weak = CHANNELS[int(counts.argmin())]
-        gains = ", ".join(f"{n} x {counts.max() / c:.2f}" for n, c in zip(CHANNELS, counts, strict=True))
-        out.append(
-            f"{side} camera: {weak} is the weakest channel; fixed gains ({gains}) in the camera or a weaker light of "
-            "the other colours in the projector would even them out"
-        )
-    return out
 
 
 def _name(frame: Uniform | Fringe | ColorFringe) -> str:

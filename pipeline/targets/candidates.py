@@ -83,9 +83,10 @@ def _on_level(values: Grey, scale: int) -> Discs:
     eight = np.asarray(np.round((smooth - low) * (255 / (high - low))), dtype=np.uint8)
     darkest, brightest = cv2.erode(eight, kernel), cv2.dilate(eight, kernel)
     limit = max(_LEAST_CONTRAST * 255, _NOISE_LIMIT * picture_noise(values) * 255 / (high - low))
-    middle = cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0)
+    middle = np.asarray(cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0), dtype=np.uint8)
     inside = ((eight < middle) & (cv2.subtract(brightest, darkest) > limit)).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(inside, connectivity=4)
+    count, components, stats, _ = cv2.connectedComponentsWithStats(inside, connectivity=4)
+    labels = np.asarray(components, dtype=np.int32)
     height, width = values.shape
     box = stats[:, :4]
     whole = (box[:, 0] > 0) & (box[:, 1] > 0)
@@ -115,9 +116,9 @@ def _measured(
     depth = middle.ravel()[places].astype(np.float64) - eight.ravel()[places]
 
     def total(weight: Array | None) -> Array:
-        return np.bincount(label, weight, count)[chosen]
+        return np.bincount(label, weight, count)[chosen].astype(np.float64)
 
-    area, whole = total(None).astype(np.float64), total(depth)
+    area, whole = total(None), total(depth)
     centre = np.stack([total(depth * u), total(depth * v)], axis=1) / whole[:, None]
     plain = np.stack([total(u.astype(np.float64)), total(v.astype(np.float64))], axis=1) / area[:, None]
     index = np.zeros(count, np.intp)

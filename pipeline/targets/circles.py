@@ -168,14 +168,12 @@ def _completed(grid: _Grid, board: Board) -> _Grid:
     centres, shapes = [], []
     for mark in missing:
         nearest = np.argsort(np.linalg.norm(at[grid.ids] - at[mark], axis=1), kind="stable")[:_NEAREST]
-        plane, _ = cv2.findHomography(at[grid.ids[nearest]], grid.discs.centres[nearest], 0)
-        if plane is None:
-            continue
+        plane = np.asarray(cv2.findHomography(at[grid.ids[nearest]], grid.discs.centres[nearest], 0)[0])
+        if plane.shape != (3, 3):
+            return grid
         u, v, w = plane @ [*at[mark], 1.0]
         centres.append([u / w, v / w])
         shapes.append(grid.discs.shapes[nearest[:4]].mean(axis=0))
-    if len(centres) < len(missing):
-        return grid
     discs = Discs(
         np.concatenate([grid.discs.centres, centres]),
         np.concatenate([grid.discs.shapes, shapes]),

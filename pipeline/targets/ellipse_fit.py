@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.targets.ellipse_kernel import PARAMETERS, fit_all
+from pipeline.targets.fit_noise import noise_line, together
 from pipeline.targets.grey import Grey, picture_noise
 
 Array = NDArray[np.float64]
@@ -22,8 +23,6 @@ _BLUR = np.array([1.0, 1.0])
 """What is known of the edges' sigma before anything was seen: mean and standard deviation, pixels."""
 _BLUR_ALIKE = np.array([1.0, 0.2])
 """The same in shares of the median over the discs of the picture."""
-_SAMPLED = 12
-_LAGS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,16 +82,10 @@ def fit_ellipses(values: Grey, centres: Array, shapes: Array, *, reach: Array, c
 
 
 def _noise(parameters: Array, results: Array) -> Array:
-    """Variance of a sample as a line over its intensity, from the residuals inside and outside the discs."""
-    inside, outside = results[:, 5].sum() / max(results[:, 6].sum(), 1), results[:, 7].sum() / max(results[:, 8].sum(), 1)
-    if results[:, 6].sum() < 30 or results[:, 8].sum() < 30:
-        return np.array([max(inside, outside, 1e-12), 0.0])
-    bright, dark = np.median(parameters[:, 6]), np.median(parameters[:, 6] - parameters[:, 9])
-    floor = max(1e-3 * max(inside, outside), 1e-12)
-    slope = max((outside - inside) / (bright - dark), 0.0) if bright != dark else 0.0
-    slope = min(slope, (max(inside, outside) - floor) / max(bright, dark, 1e-12))
-    at_zero = max(inside - slope * max(dark, 0.0), floor) if slope > 0 else 0.5 * (inside + outside)
-    return np.array([max(at_zero, floor), slope])
+    ground, disc = np.median(parameters[:, 6]), np.median(parameters[:, 6] - parameters[:, 9])
+    inside = float(disc), float(results[:, 5].sum()), float(results[:, 6].sum())
+    outside = float(ground), float(results[:, 7].sum()), float(results[:, 8].sum())
+    return noise_line(inside, outside) if disc < ground else noise_line(outside, inside)
 
 
 def _fits(values: Grey, starts: Array, parameters: Array, results: Array, good: NDArray[np.bool_]) -> Fits:
@@ -103,40 +96,8 @@ def _fits(values: Grey, starts: Array, parameters: Array, results: Array, good: 
     samples = np.maximum(results[:, 6] + results[:, 8], 1)
     misfit = np.sqrt(total / samples) / np.maximum(np.abs(p[:, 9]), 1e-12)
     # Noise that goes together in neighbouring pixels averages out less than the covariance believes.
-    together = _together(values, centres[good], p[good]) if good.any() else 1.0
-    variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * together
+    inner = 0.5 * (p[:, 2] + p[:, 4] - np.hypot(p[:, 2] - p[:, 4], 2 * p[:, 3])) - 4 * p[:, 5]
+    spread = np.linspace(0, good.sum() - 1, min(int(good.sum()), 24)).astype(int)
+    alike = together(values, centres[good][spread], (inner / np.sqrt(2))[good][spread])
+    variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * alike
     return Fits(centres, shapes, np.sqrt(np.maximum(variance, 0)), p[:, 5], p[:, 9], p[:, 6], misfit, good)
-
-
-def _together(values: Grey, centres: Array, parameters: Array) -> float:
-    """Sum of the noise's autocorrelation over the nearest pixels: 1 for white noise; from the middle of the discs.
-
-    The middle of a disc and nothing else is used, minus its own plane; too small discs tell nothing.
-    """
-    chosen = np.linspace(0, len(centres) - 1, min(len(centres), _SAMPLED)).astype(int)
-    products = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
-    for i in chosen:
-        p = parameters[i]
-        inner = 0.5 * (p[2] + p[4] - np.hypot(p[2] - p[4], 2 * p[3])) - 4 * p[5]
-        half = int(inner / np.sqrt(2))
-        u, v = np.round(centres[i]).astype(int)
-        if half < 4 or min(u, v) < half:
-            continue
-        block = values[v - half : v + half + 1, u - half : u + half + 1].astype(np.float64)
-        if block.shape != (2 * half + 1, 2 * half + 1):
-            continue
-        block = _flat(block)
-        for dv in range(-_LAGS, _LAGS + 1):
-            for du in range(-_LAGS, _LAGS + 1):
-                a = block[max(dv, 0) : block.shape[0] + min(dv, 0), max(du, 0) : block.shape[1] + min(du, 0)]
-                b = block[max(-dv, 0) : block.shape[0] + min(-dv, 0), max(-du, 0) : block.shape[1] + min(-du, 0)]
-                products[dv + _LAGS, du + _LAGS] += (a * b).mean()
-    whole = products[_LAGS, _LAGS]
-    return float(np.clip(products.sum() / whole, 1.0, 25.0)) if whole > 0 else 1.0
-
-
-def _flat(block: Array) -> Array:
-    """A block minus its plane."""
-    v, u = (axis.ravel() for axis in np.mgrid[0 : block.shape[0], 0 : block.shape[1]].astype(np.float64))
-    basis = np.stack([np.ones_like(u), u, v], axis=1)
-    return block - (basis @ np.linalg.lstsq(basis, block.ravel(), rcond=None)[0]).reshape(block.shape)

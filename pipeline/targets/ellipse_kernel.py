@@ -1,6 +1,6 @@
 """The compiled fit of a blurred ellipse to the picture around one disc.
 
-Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with the planes P (ground) and Q (ground minus
+Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with the planes P (ground), Q (ground minus
 disc), S = Phi(-(d + kappa sigma^2 / 2) / sigma), d the distance to the ellipse along its normal n, kappa its curvature.
 That is a sharp ellipse under light that changes linearly, blurred by a Gaussian: for a plane times an indicator s,
 ``G * (Q s) = Q (G * s) + sigma^2 grad Q . grad (G * s)`` is exact, and the curvature enters to first order (a blurred
@@ -22,6 +22,8 @@ from pipeline.targets.normal_step import add_row, decompose, solve
 PARAMETERS = 12
 _N = 12
 _LEAST_SIGMA = 0.25
+_FULL_STEPS = 6
+"""From here on steps are halved: samples that enter and leave can make full ones swing."""
 _INSIDE_SLOPE = 0.02
 """How well the slope of light inside a disc is known beforehand, as a share of the contrast over the radius: shade
 changes it in proportion to the ground. Decides only where a disc is so small that its pixels cannot tell."""
@@ -51,9 +53,9 @@ def fit_all(
         clip: samples from here on are clipped.
         steps: most Gauss-Newton steps.
         parameters: (n, 12) out; where ``parameters[i, 5] > 0`` on entry all twelve are taken as the start.
-        results: (n, 10) out: variance of u, of v, covariance; mean squared residual over the expected noise, each sample
-            counted as it tells of the edge's place; samples; sum of squared residuals and samples inside; the same
-            outside; 1 where the fit converged.
+        results: (n, 10) out: variance of u, of v, covariance; mean squared residual over the expected noise, each
+            sample counted as it tells of the edge's place; samples; sum of squared residuals and samples inside; the
+            same outside; 1 where the fit converged.
     """
     for i in range(len(starts)):
         _fit(picture, starts[i], shapes[i], reach[i], noise, blur, clip, steps, parameters[i], results[i])
@@ -81,7 +83,11 @@ def _begin(picture: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
             if f < 0.6:
                 inside += picture[v, u]
                 n_inside += 1
-            elif f > 1.0 and (f - 1.0) * np.sqrt(determinant) > min(1.5, 0.5 * reach) and f < 1.0 + reach / np.sqrt(determinant):
+            elif (
+                f > 1.0
+                and (f - 1.0) * np.sqrt(determinant) > min(1.5, 0.5 * reach)
+                and f < 1.0 + reach / np.sqrt(determinant)
+            ):
                 outside += picture[v, u]
                 n_outside += 1
     if n_inside < 1 or n_outside < 6:
@@ -113,7 +119,7 @@ def _fit(
             break
         solve(normal, right, _N)
         moved = right[0] * right[0] + right[1] * right[1]
-        small = 1 if _move(p, right) else 0
+        small = 1 if _move(p, right, 1.0 if step < _FULL_STEPS else 0.5) else 0
     column = np.zeros(_N)
     for k in range(2):
         column[:] = 0.0
@@ -127,10 +133,10 @@ def _fit(
 
 
 @serial
-def _move(p: Any, step: Any) -> bool:
-    """Take a step, no longer than is sensible; True when it was so small that the next would not matter."""
+def _move(p: Any, step: Any, most: float) -> bool:
+    """Take ``most`` of a step, or what of it is sensible; True when it was so small that the next would not matter."""
     radius = np.sqrt(p[2] * p[4] - p[3] * p[3])
-    factor = 1.0
+    factor = most
     for k in range(5):
         limit = 0.25 * radius + 0.2
         if abs(step[k]) * factor > limit:
@@ -140,7 +146,7 @@ def _move(p: Any, step: Any) -> bool:
     for k in range(_N):
         p[k] += factor * step[k]
     p[5] = max(p[5], _LEAST_SIGMA)
-    done = factor == 1.0 and abs(step[0]) < 2e-3 and abs(step[1]) < 2e-3 and abs(step[5]) < 0.02
+    done = factor == most and abs(step[0]) < 2e-3 and abs(step[1]) < 2e-3 and abs(step[5]) < 0.02
     return done and abs(step[2]) + abs(step[3]) + abs(step[4]) < 0.02
 
 
@@ -164,7 +170,7 @@ def _normal_equations(
     out[3:9] = 0.0
     edges = 0.0
     determinant = p[2] * p[4] - p[3] * p[3]
-    if not determinant > 0.25 or not (p[2] > 0.0 and p[4] > 0.0) or not p[9] != 0.0:
+    if not determinant > 0.25 or not (p[2] > 0.0 and p[4] > 0.0) or p[9] == 0.0:
         return False
     radius = np.sqrt(determinant)
     sigma = p[5]

@@ -10,7 +10,8 @@ from pipeline.targets.board import Board
 from pipeline.targets.circles import find_circles
 from pipeline.targets.found import Found
 from pipeline.targets.grey import to_grey
-from pipeline.targets.squares import find_charuco, find_chessboard
+from pipeline.targets.markers import find_charuco
+from pipeline.targets.squares import find_chessboard
 
 __all__ = ["Found", "find_marks"]
 

@@ -53,8 +53,8 @@ def nothing(board: Board, picture: GreyPicture) -> TargetError:
     """The error for a picture without any part of the board: saturated, out of focus, or empty."""
     if picture.saturated > _SATURATED:
         return TargetError(
-            f"no marks found: {picture.saturated:.0%} of the picture is saturated (limit {_SATURATED:.0%}), the marks are "
-            "lost in it; lower the exposure or the light"
+            f"no marks found: {picture.saturated:.0%} of the picture is saturated (limit {_SATURATED:.0%}), the marks "
+            "are lost in it; lower the exposure or the light"
         )
     sigma = edge_sigma_px(picture)
     if sigma > _BLURRED_PX:
@@ -68,8 +68,8 @@ def nothing(board: Board, picture: GreyPicture) -> TargetError:
 def too_blurred(sigma: float, limit: float) -> TargetError:
     """The error for a picture that is out of focus or moved."""
     return TargetError(
-        f"picture too blurred: its edges have a sigma of {sigma:.1f} px (limit {limit:.1f} px); focus, or hold the board "
-        "still, or expose shorter"
+        f"picture too blurred: its edges have a sigma of {sigma:.1f} px (limit {limit:.1f} px); focus, or hold the "
+        "board still, or expose shorter"
     )
 
 

@@ -47,7 +47,10 @@ def to_grey(picture: NDArray[Any], *, channel: int | None = None) -> GreyPicture
     """
     picture = np.asarray(picture)
     colour = picture.ndim == 3 and picture.shape[2] == 3
-    if not (colour or picture.ndim == 2) or not _LEAST_SIDE <= min(picture.shape[:2]) <= max(picture.shape) <= _MOST_SIDE:
+    if (
+        not (colour or picture.ndim == 2)
+        or not _LEAST_SIDE <= min(picture.shape[:2]) <= max(picture.shape) <= _MOST_SIDE
+    ):
         raise TargetError(
             f"picture of shape {picture.shape}: expected (H, W) or (H, W, 3) with sides from "
             f"{_LEAST_SIDE} to {_MOST_SIDE} pixels"

@@ -123,9 +123,16 @@ def _squares(discs: Discs, near: NDArray[np.int64], apart: Array) -> list[tuple[
         length = apart[index][: len(others)]
         cosine = flat @ flat.T / np.outer(length, length)
         # Half axes that were measured on few pixels are rough: the tolerance is wide, the fourth disc decides.
-        square = (np.abs(cosine) < _RIGHT_ANGLE) & (np.minimum.outer(length, length) > _SIDES * np.maximum.outer(length, length))
-        turns = np.cross(np.append(vectors, np.zeros((len(vectors), 1)), axis=1)[:, None],
-                         np.append(vectors, np.zeros((len(vectors), 1)), axis=1))[..., 2] > 0
+        square = (np.abs(cosine) < _RIGHT_ANGLE) & (
+            np.minimum.outer(length, length) > _SIDES * np.maximum.outer(length, length)
+        )
+        turns = (
+            np.cross(
+                np.append(vectors, np.zeros((len(vectors), 1)), axis=1)[:, None],
+                np.append(vectors, np.zeros((len(vectors), 1)), axis=1),
+            )[..., 2]
+            > 0
+        )
         for a, b in zip(*np.nonzero(square & turns), strict=True):
             error = np.linalg.norm((vectors - vectors[a] - vectors[b]) @ inverse[index], axis=1)
             c = int(error.argmin())
@@ -183,9 +190,7 @@ def _predictions(
     nodes: dict[Place, int], centres: Array, refused: set[tuple[Place, int]]
 ) -> list[tuple[int, Place, Array, float, int]]:
     """Empty places beside the lattice, best supported first: support, place, where, length of a step, a neighbour."""
-    around = {
-        (a + da, b + db) for a, b in nodes for da, db in _STEPS if (a + da, b + db) not in nodes
-    }
+    around = {(a + da, b + db) for a, b in nodes for da, db in _STEPS if (a + da, b + db) not in nodes}
     found = []
     for a, b in sorted(around):
         guesses, steps, beside = [], [], -1

@@ -1,13 +1,14 @@
 """Which mark of the board is which place of a lattice, and where the numbering begins.
 
-The lattice of what was found is laid over the board's in its four rotations and all shifts; it is never mirrored. A board
-that looks the same after a rotation (a grid of circles after half a turn) is numbered by a rule of the picture, so that
-two cameras that see it from about the same side agree: the rows run right, or down where they are upright; on a
-square board, right.
+The lattice of what was found is laid over the board's in its four rotations and all shifts; it is never mirrored. A
+board that looks the same after a rotation (a grid of circles after half a turn) is numbered by a rule of the picture,
+so that two cameras that see it from about the same side agree: the rows run right, or down where they are upright; on
+a square board, right.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -98,17 +99,18 @@ def clear(found: Match, board: Board) -> bool:
     return found.hits - found.rival >= max(2, int(np.ceil(_CLEAR_SHARE * min(board.grid))))
 
 
-def oriented(ids: Places, pixels: Array, board: Board) -> Places:
+def oriented(ids: Places, pixels: Array, board: Board, choices: Sequence[tuple[int, ...]] | None = None) -> Places:
     """Of the numberings that the board allows the one that obeys the rule of the picture.
 
     Args:
         ids: (n,) numbers of marks.
         pixels: (n, 2) where they are.
         board: of any kind.
+        choices: the numberings; None = :func:`symmetries`.
     """
-    choices = symmetries(board)
+    choices = symmetries(board) if choices is None else choices
     if len(choices) == 1:
-        return ids
+        return _renumbered(ids, choices[0])
     wanted = np.array([1.0, 0.0]) if len(choices) == 4 else np.array([1.0, 1.0])
     best, score = ids, -np.inf
     for choice in choices:

@@ -1,0 +1,159 @@
+"""The inner corners of a chessboard in a picture: found by OpenCV, numbered and located by a fit of our own."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.targets import found as answers
+from pipeline.targets.board import Board
+from pipeline.targets.corner_fit import CornerFits, fit_crossings
+from pipeline.targets.found import Found
+from pipeline.targets.grey import GreyPicture
+from pipeline.targets.marks import Marks
+from pipeline.targets.match import oriented, symmetries
+
+Array = NDArray[np.float64]
+Eight = NDArray[np.uint8]
+
+_REACH = 0.42
+_LEAST_SHARE = 0.75
+_BLURRED = 0.22
+"""Largest sigma of the edges as a share of the shorter side of a square."""
+_MISFIT_OVER_MEDIAN = 6.0
+_SIGMA_UNREFINED_PX = 0.1
+_QUICK_SIDE = 1100
+_THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+
+
+def find_chessboard(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
+    """The inner corners of a chessboard; see :func:`pipeline.targets.find.find_marks`."""
+    image = eight_bit(picture)
+    corners = _corners(image, board.grid, quick=not refine)
+    if corners is None:
+        raise _reason(picture, image, board)
+    at = board.points[:, :2] / board.pitch_mm
+    corners = _right_handed(corners, board)
+    fits = fit_crossings(picture, corners, at, reach=_REACH)
+    ids = oriented(np.arange(len(at)), corners, board, _by_colour(fits, board))
+    side = shorter_side(corners, board)
+    if not refine:
+        return answer(picture, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
+    good = usable(fits, corners, side)
+    if good.any() and float(np.median(fits.blur_px[good])) > _BLURRED * side:
+        raise answers.too_blurred(float(np.median(fits.blur_px[good])), _BLURRED * side)
+    if good.sum() < _LEAST_SHARE * len(at):
+        raise answers.too_few(board, int(good.sum()), picture)
+    if _corners(_without(image, corners, board), board.grid, quick=True) is not None:
+        raise answers.two_boards(board)
+    return answer(picture, ids[good], fits.centres[good], fits.sigma_px[good], fits)
+
+
+def eight_bit(picture: GreyPicture) -> Eight:
+    """The picture stretched to 8 bit, as OpenCV's finders want it."""
+    low, high = np.quantile(picture.values[::4, ::4], [0.002, 0.998])
+    stretched = (picture.values - low) * (255 / max(float(high - low), 1e-12))
+    return np.asarray(np.clip(np.round(stretched), 0, 255), dtype=np.uint8)
+
+
+def usable(fits: CornerFits, corners: Array, side: float) -> NDArray[np.bool_]:
+    """Which fits are corners: near where they were found, like the others in residuals and contrast."""
+    good = fits.good & (np.linalg.norm(fits.centres - corners, axis=1) < max(1.5, 0.1 * side))
+    if good.any():
+        good &= fits.misfit < max(_MISFIT_OVER_MEDIAN * float(np.median(fits.misfit[good])), 0.05)
+        good &= fits.contrast > 0.25 * np.median(fits.contrast[good])
+    return good
+
+
+def answer(picture: GreyPicture, ids: NDArray[np.int64], pixels: Array, sigma: Array, fits: CornerFits) -> Found:
+    """Marks with what the fits say of the picture."""
+    order = np.argsort(ids)
+    marks = Marks(ids[order], pixels[order], sigma[order])
+    if not fits.good.any():
+        return Found(marks, float("nan"), float("nan"), picture.saturated)
+    contrast = (fits.contrast / np.maximum(fits.level, 1e-12))[fits.good]
+    blur = float(np.median(fits.blur_px[fits.good]))
+    return Found(marks, blur, float(np.clip(np.median(contrast), 0, 1)), picture.saturated)
+
+
+def shorter_side(corners: Array, board: Board) -> float:
+    """Median of the shorter sides of the squares, pixels; ``corners`` are all corners by rows."""
+    columns, rows = board.grid
+    grid = corners.reshape(rows, columns, 2)
+    across = np.linalg.norm(np.diff(grid, axis=1), axis=2)[:-1]
+    down = np.linalg.norm(np.diff(grid, axis=0), axis=2)[:, :-1]
+    return float(np.median(np.minimum(across, down)))
+
+
+def _corners(image: Eight, grid: tuple[int, int], *, quick: bool) -> Array | None:
+    """OpenCV's two finders, the newer first; large pictures are searched in a smaller copy as well."""
+    scale = max(1.0, max(image.shape) / _QUICK_SIDE) if quick else 1.0
+    small = image if scale == 1 else cv2.resize(image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+    ok, corners = cv2.findChessboardCornersSB(small, grid, flags=cv2.CALIB_CB_NORMALIZE_IMAGE if quick else _THOROUGH)
+    if not ok:
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        ok, corners = cv2.findChessboardCorners(small, grid, flags=flags | (cv2.CALIB_CB_FAST_CHECK if quick else 0))
+    if not ok and not quick and max(image.shape) > _QUICK_SIDE:
+        return _corners(image, grid, quick=True)
+    if not ok or len(corners) != grid[0] * grid[1]:
+        return None
+    return (corners.reshape(-1, 2).astype(np.float64) + 0.5) * scale - 0.5
+
+
+def _right_handed(corners: Array, board: Board) -> Array:
+    """Corners by rows such that rows run right of where columns run down, never mirrored."""
+    columns, rows = board.grid
+    grid = corners.reshape(rows, columns, 2)
+    along, down = (np.diff(grid, axis=axis).mean(axis=(0, 1)) for axis in (1, 0))
+    if along[0] * down[1] - along[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    return np.ascontiguousarray(grid.reshape(-1, 2))
+
+
+def _by_colour(fits: CornerFits, board: Board) -> list[tuple[int, ...]]:
+    """Numberings in which the square at the upper left of mark 0 is black, or all where the board has no such one."""
+    every = symmetries(Board("circles", board.columns, board.rows, board.pitch_mm))
+    white = (np.indices((board.rows, board.columns)).sum(axis=0) % 2 == 1).ravel()
+    turned = np.arange(len(white))
+    # After a quarter turn the fit's first quadrant lies on another side of the corner, where the colour is the other.
+    quarter = [_is_quarter(np.array(choice)[turned], board) for choice in every]
+    good = fits.good
+    agreement = [
+        float(((fits.light_first ^ q) == white[np.array(choice)])[good].mean()) if good.any() else 0.0
+        for choice, q in zip(every, quarter, strict=True)
+    ]
+    chosen = [choice for choice, share in zip(every, agreement, strict=True) if share > 0.5]
+    return chosen or list(every)
+
+
+def _is_quarter(choice: NDArray[np.int64], board: Board) -> bool:
+    """Whether a numbering exchanges rows and columns."""
+    return bool(abs(int(choice[1]) - int(choice[0])) != 1) if board.columns > 1 else False
+
+
+def _without(image: Eight, corners: Array, board: Board) -> Eight:
+    """The picture with the board painted over, to look for a second one."""
+    columns, rows = board.grid
+    at = board.points[:, :2] / board.pitch_mm
+    plane, _ = cv2.findHomography(at, corners, 0)
+    edge = np.array([[-1.2, -1.2], [columns + 0.2, -1.2], [columns + 0.2, rows + 0.2], [-1.2, rows + 0.2]])
+    outline = cv2.perspectiveTransform(edge[None], plane)[0]
+    painted = image.copy()
+    cv2.fillConvexPoly(painted, np.round(outline).astype(np.int32), int(np.median(image)))
+    return painted
+
+
+def _reason(picture: GreyPicture, image: Eight, board: Board) -> Exception:
+    """Why there is no board: another size, only a part, or nothing."""
+    scale = max(1.0, max(image.shape) / _QUICK_SIDE)
+    small = image if scale == 1 else cv2.resize(image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+    ok, corners, meta = cv2.findChessboardCornersSBWithMeta(
+        small, (3, 3), cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+    )
+    if ok and meta is not None:
+        rows, columns = (int(count) for count in meta.shape[:2])
+        if sorted((rows, columns)) != sorted(board.grid):
+            return answers.wrong_size(board, max(columns, rows), min(columns, rows))
+        return answers.too_few(board, len(corners), picture)
+    return answers.nothing(board, picture)

@@ -50,7 +50,7 @@ def test_single_wrong_marks_are_named(clean, far):
 
 
 def test_a_board_that_moved_between_the_pictures_is_left_out_with_the_reason(clean):
-    views, sizes, truth, without = clean
+    views, sizes, _, without = clean
     layout_pose = session(sigma=0.03, pose_seed=9)[0][4]
     wrong = list(views)
     wrong[4] = BoardView("view_04", wrong[4].marks | {"right": layout_pose.marks["right"]})

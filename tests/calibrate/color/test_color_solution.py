@@ -78,6 +78,15 @@ def test_black_from_marks_asks_for_marks():
     assert black_from_marks(5 * flat, 100 * flat, np.ones((50, 50), bool)) is None
 
 
+def test_fringes_that_were_predistorted_tell_the_same():
+    bench, plain = solved(lateral=LATERAL, registration=REGISTRATION)
+    sequence = color_sequence(PROJECTOR)
+    frames = bench.shoot(sequence, seed=2, shown=plain.response)
+    again = calibrate_color(frames, sequence, calibration=rig(), shown=plain.response)
+    assert np.abs(again.left.crosstalk - plain.left.crosstalk).max() < 0.003
+    assert np.abs(again.registration.red.shift - plain.registration.red.shift).max() < 0.03
+
+
 def phase_errors(bench, found, side=0):
     check = check_sequence(PATTERN)
     before = [p[side] for p in bench.shoot(check, seed=5)]
@@ -134,6 +143,24 @@ def test_a_rig_without_lateral_colour_gets_none():
 def test_without_a_calibration_lateral_colour_is_left_alone():
     bench, sequence = Bench(lateral=LATERAL), color_sequence(PROJECTOR, levels=5)
     assert calibrate_color(bench.shoot(sequence), sequence).left.lateral is None
+
+
+def test_cameras_that_see_different_light_are_told():
+    bench, other, sequence = Bench(), Bench(gamma=(2.0, 2.2, 2.2)), color_sequence(PROJECTOR, levels=5, lateral=False)
+    mixed = [(a[0], b[1]) for a, b in zip(bench.shoot(sequence), other.shoot(sequence), strict=True)]
+    assert any(
+        "whole number of the projector's colour cycles" in line for line in calibrate_color(mixed, sequence).advice
+    )
+
+
+def test_where_lateral_colour_cannot_be_measured_the_rest_still_is():
+    bench, sequence = Bench(), color_sequence(PROJECTOR, levels=5)
+    dark = [tuple(np.where(np.arange(CAMERA[0])[:, None] < 28, p, 4).astype(np.uint8) for p in pair)
+            for pair in bench.shoot(sequence)]  # fmt: skip
+    found = calibrate_color(dark, sequence, calibration=rig())
+    assert found.left.lateral is None
+    assert "fill the picture" in found.quality["lateral_problem"]
+    assert np.abs(found.left.crosstalk - MIX[0]).max() < 0.01
 
 
 def test_several_passes_are_averaged_and_may_show_the_board_elsewhere():

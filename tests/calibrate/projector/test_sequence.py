@@ -70,8 +70,8 @@ def test_the_guided_sequences_are_modest_and_cover_both_axes() -> None:
     assert len(sequence) == 28
     fringes = [frame for frame in sequence.frames if isinstance(frame, Fringe)]
     assert {(f.axis, f.periods) for f in fringes} == {(a, p) for a in "xy" for p in (1.0, 6.0)} | {
-        ("x", 80.0),
-        ("y", 64.0),
+        ("x", 100.0),
+        ("y", 80.0),
     }
 
 

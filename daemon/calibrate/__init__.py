@@ -1,0 +1,1 @@
+"""Calibration from pictures: sources of views, the solved rig's file and report, other programs' formats."""

@@ -1,0 +1,167 @@
+"""Puts a calibration in place: the old one stays beside it under its date, a better one is not replaced unasked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from daemon.atomic import write_atomically
+from daemon.bounded import read_at_most
+from daemon.calibrate.errors import KeptError
+from daemon.calibration_file import SIZE_LIMIT, CamerasFile, calibration_bytes, parse_cameras
+from pipeline.calibration import Calibration, Cameras
+from pipeline.errors import CalibrationError
+
+WORSE_BY = 1.1
+"""An error that grew by less than a tenth is chance: another set of views gives as much."""
+FLOOR_PX = 0.01
+"""Differences below this do not show in any measurement."""
+FLOOR_RAD = 0.002
+COVERAGE_BY = 0.1
+_ERRORS = {
+    "rms_stereo_px": "the marks' reprojection error",
+    "epipolar_px": "the epipolar error",
+    "rms_projector_px": "the projector's reprojection error",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """What was written.
+
+    Args:
+        path: the calibration; identity: of its bytes.
+        kept: where the one before it is now, None if there was none.
+        notes: whole sentences for the person who calibrates.
+    """
+
+    path: Path
+    identity: str
+    kept: Path | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def present(path: Path) -> CamerasFile | None:
+    """The calibration in that place; None if there is none. CalibrationError if something else is there."""
+    return parse_cameras(read_at_most(path, SIZE_LIMIT, CalibrationError), str(path)) if path.exists() else None
+
+
+def better_reasons(new: Mapping[str, Any], old: CamerasFile, *, loses_projector: bool) -> list[str]:
+    """Why the old calibration is better than the new one, in words; empty if it is not.
+
+    Compared are the errors in pixels and the share of the pictures in which marks were seen: errors fall when the
+    marks keep to the middle of the picture, so that neither says enough alone. What the old file does not tell is
+    not compared, but a calibration of known quality is better than one that tells none.
+    """
+    before = old.mapping.get("quality")
+    before = before if isinstance(before, Mapping) else {}
+    reasons = []
+    for key, words in _ERRORS.items():
+        was, now = _number(before, key), _number(new, key)
+        if was is not None and now is not None and now > max(WORSE_BY * was, was + FLOOR_PX):
+            reasons.append(f"{words} would grow from {was:.3f} to {now:.3f} px")
+    for side in ("left", "right"):
+        was, now = _number(before, f"coverage_{side}"), _number(new, f"coverage_{side}")
+        if was is not None and now is not None and now < was - COVERAGE_BY:
+            reasons.append(
+                f"the marks would cover {100 * now:.0f} % instead of {100 * was:.0f} % of the {side} picture"
+            )
+    for side in ("left", "right"):
+        was, now = _phase_error(before, side), _phase_error(new, side)
+        if was is not None and now is not None and now > max(WORSE_BY * was, was + FLOOR_RAD):
+            reasons.append(f"the {side} phase error would grow from {was:.4f} to {now:.4f} rad")
+    if _number(before, "rms_stereo_px") is not None and _number(new, "rms_stereo_px") is None:
+        reasons.append("its errors are known, those of the new one are not")
+    if loses_projector:
+        reasons.append("it has a projector, and the new one does not: nothing could be measured with it")
+    return reasons
+
+
+def store(
+    path: Path,
+    calibration: Calibration | Cameras,
+    *,
+    quality: Mapping[str, Any],
+    force: bool = False,
+    created: datetime | None = None,
+) -> Stored:
+    """Write a calibration; the file that it replaces is kept beside it, under its own date.
+
+    Keys of the old file that this program does not know are carried over.
+
+    Raises:
+        KeptError: the old one is better, and ``force`` is not given; no file was touched.
+        CalibrationError: something that is no calibration stands there, and ``force`` is not given.
+    """
+    created = (created or datetime.now(UTC)).astimezone(UTC)
+    old, notes = refuse_worse(path, calibration, quality=quality, force=force)
+    data = calibration_bytes(calibration, created=created, quality=quality, keep=old.mapping if old else None)
+    file = parse_cameras(data, str(path))
+    kept = keep_dated(path, old) if path.exists() else None
+    write_atomically(path, data)
+    return Stored(path, file.identity, kept, notes)
+
+
+def refuse_worse(
+    path: Path, calibration: Calibration | Cameras, *, quality: Mapping[str, Any], force: bool
+) -> tuple[CamerasFile | None, list[str]]:
+    """The calibration that stands in that place, and notes; KeptError or CalibrationError as :func:`store` has it."""
+    try:
+        old = present(path)
+    except CalibrationError as error:
+        if not force:
+            raise CalibrationError(f"{error}; it is left as it is, --force moves it aside") from error
+        return None, [f"what stood in {path} was no calibration that can be read"]
+    if old is None:
+        return None, []
+    loses = old.cameras.projector is not None and calibration.projector is None
+    reasons = better_reasons(quality, old, loses_projector=loses)
+    if reasons and not force:
+        raise KeptError(
+            f"{path} is better and was left as it is: {'; '.join(reasons)}. Write elsewhere with --out, or replace it "
+            "with --force"
+        )
+    return old, [f"replaced by --force although {reason}" for reason in reasons]
+
+
+def keep_dated(path: Path, old: CamerasFile | None) -> Path:
+    """Copy a file to ``NAME.2026-11-21T120000Z.yaml`` beside it, the date being its own; the copy's name."""
+    data = path.read_bytes()
+    stamp = _stamp(old.mapping.get("created") if old else None, path)
+    for number in range(1, 1000):
+        more = "" if number == 1 else f"-{number}"
+        name = path.with_name(f"{path.stem}.{stamp:%Y-%m-%dT%H%M%SZ}{more}{path.suffix}")
+        if not name.exists():
+            write_atomically(name, data)
+            return name
+        if name.read_bytes() == data:
+            return name
+    raise KeptError(f"{path}: there are 999 calibrations of the same second; move some away")
+
+
+def _stamp(created: Any, path: Path) -> datetime:
+    """When a calibration was made: as it says, else when its file was written."""
+    try:
+        when = created if isinstance(created, datetime) else datetime.fromisoformat(str(created))
+        return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+    except ValueError:
+        return datetime.fromtimestamp(path.stat().st_mtime, UTC)
+
+
+def _phase_error(quality: Mapping[str, Any], side: str) -> float | None:
+    """Phase error with the colours of that file, of one camera."""
+    colors = quality.get("color")
+    camera = colors.get(side) if isinstance(colors, Mapping) else None
+    errors = camera.get("phase_error_rad") if isinstance(camera, Mapping) else None
+    return _number({"last": errors[-1]}, "last") if isinstance(errors, list) and errors else None
+
+
+def _number(quality: Mapping[str, Any], key: str) -> float | None:
+    value = quality.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)

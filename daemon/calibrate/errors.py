@@ -1,0 +1,13 @@
+"""What can go wrong between pictures and a calibration file."""
+
+from __future__ import annotations
+
+from daemon.errors import DaemonError
+
+
+class SourceError(DaemonError):
+    """Pictures that cannot be read, or that do not belong together; the message names the file."""
+
+
+class KeptError(DaemonError):
+    """A calibration that was not written because the one in its place is better."""

@@ -1,0 +1,126 @@
+"""What the formats share: a file with its name, numbers out of mappings, the nearest model with fewer terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.calibrate.errors import SourceError
+from daemon.calibration_file import load_mapping
+from pipeline.calibration import Cameras
+from pipeline.camera_model import CameraModel
+from pipeline.errors import CalibrationError
+
+Array = NDArray[np.float64]
+_GRID = 41
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """The bytes of a file and what errors call it."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imported:
+    """Cameras out of another program's files; ``notes`` are whole sentences about what was not as one would expect."""
+
+    cameras: Cameras
+    form: str
+    notes: list[str] = field(default_factory=list)
+
+
+def yaml_mapping(file: Named) -> dict[str, Any]:
+    """The keys and values of a YAML file."""
+    try:
+        return load_mapping(file.data, file.name)
+    except CalibrationError as error:
+        raise SourceError(str(error)) from error
+
+
+def numbers(mapping: Mapping[str, Any], key: str, count: tuple[int, ...], name: str) -> Array:
+    """A flat array of numbers of one of the lengths ``count``; nested lists are unfolded."""
+    if key not in mapping:
+        raise SourceError(f"{name}: {key} is missing")
+    try:
+        array = np.array(mapping[key], dtype=np.float64).ravel()
+    except (TypeError, ValueError) as error:
+        raise SourceError(f"{name}: {key} is not a list of numbers") from error
+    if len(array) not in count or not np.isfinite(array).all():
+        wanted = " or ".join(str(n) for n in count)
+        raise SourceError(f"{name}: {key} holds {len(array)} numbers, expected {wanted} finite ones")
+    return array
+
+
+def five(coefficients: Array, name: str) -> Array:
+    """k1, k2, p1, p2, k3 of a list of 4 or more; SourceError if one of the others is used."""
+    if len(coefficients) > 5 and np.abs(coefficients[5:]).max() > 0:
+        raise SourceError(
+            f"{name}: {len(coefficients)} distortion coefficients; only k1, k2, p1, p2, k3 are known here: "
+            "calibrate again without the rational, thin-prism and tilted models"
+        )
+    return np.concatenate([coefficients, np.zeros(5)])[:5]
+
+
+def orthonormal(rotation: Array, name: str) -> Array:
+    """The nearest rotation; SourceError if the matrix is none but for rounding."""
+    u, _, vt = np.linalg.svd(rotation)
+    nearest = u @ vt
+    away = float(np.abs(nearest - rotation).max())
+    if away > 1e-3 or np.linalg.det(nearest) < 0:
+        raise SourceError(f"{name}: not a rotation (off by {away:.2g}, determinant {np.linalg.det(rotation):.3f})")
+    return np.asarray(nearest)
+
+
+@contextmanager
+def named(name: str) -> Iterator[None]:
+    """Puts the file's name before what a camera model complains of."""
+    try:
+        yield
+    except CalibrationError as error:
+        raise SourceError(f"{name}: {error}") from error
+
+
+def fewer_terms(device: CameraModel, *, k3: bool) -> tuple[CameraModel, float]:
+    """The device without skew, and without k3 unless asked for, fitted to its picture.
+
+    Pixels are linear in fx, cx and in their products with the coefficients; the fit keeps the focal lengths and
+    the principal point and finds the coefficients.
+
+    Returns:
+        The device, and the largest distance in pixels between its picture and the true one.
+    """
+    bare = device.matrix.copy()
+    bare[0, 1] = 0.0
+    if device.matrix[0, 1] == 0 and (k3 or device.distortion[4] == 0):
+        return device, 0.0
+    width, height = device.size
+    v, u = np.meshgrid(np.linspace(0, height - 1, _GRID), np.linspace(0, width - 1, _GRID), indexing="ij")
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    ideal = device.normalise(pixels)
+    target = np.stack([(pixels[:, 0] - bare[0, 2]) / bare[0, 0], (pixels[:, 1] - bare[1, 2]) / bare[1, 1]], axis=1)
+    x, y = ideal.T
+    r2 = x * x + y * y
+    columns = [(x * r2, y * r2), (x * r2**2, y * r2**2), (2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)]
+    columns += [(x * r2**3, y * r2**3)] if k3 else []
+    matrix = np.stack([np.concatenate(pair) for pair in columns], axis=1)
+    found = np.linalg.lstsq(matrix, (target - ideal).T.ravel(), rcond=None)[0]
+    fitted = CameraModel(
+        device.size, bare, np.concatenate([found, np.zeros(5)])[:5], device.rotation, device.translation, device.name
+    )
+    shift = fitted.to_pixels(fitted.distort(ideal)) - pixels
+    return fitted, float(np.linalg.norm(shift, axis=1).max())
+
+
+def lost(side: str, error_px: float, form: str, terms: str) -> list[str]:
+    """The sentence about terms that a format cannot hold; none where nothing was lost."""
+    if error_px == 0.0:
+        return []
+    return [f"{side}: {form} holds no {terms}; without, its picture differs by up to {error_px:.3f} px"]

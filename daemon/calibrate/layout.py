@@ -1,0 +1,34 @@
+"""Where the projector stands between the cameras, and where it should: the order check's figure of merit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.bundle import Solution
+from pipeline.bundle.layout import GOLDEN, order_check
+from pipeline.calibration import Cameras
+from pipeline.cloud import Volume
+from pipeline.errors import CalibrationError
+
+
+def layout_advice(cameras: Cameras, solution: Solution) -> tuple[list[str], dict[str, Any]]:
+    """Sentences about the rig's layout, and figures for the file's quality.
+
+    The layout is judged for the depths at which the board was shown.
+    """
+    base = cameras.baseline_mm
+    if cameras.projector is None:
+        return [
+            f"place the projector {GOLDEN * base:.0f} or {(1 - GOLDEN) * base:.0f} mm along the {base:.0f} mm from the "
+            "left to the right camera, not in the middle: at an integer ratio of the baselines flat things carry no "
+            "fringe order"
+        ], {}
+    places = [solution.board_points @ pose[0].T + pose[1] for pose in solution.poses if pose is not None]
+    depths = np.concatenate(places)[:, 2]
+    try:
+        check = order_check(cameras.complete(), Volume(float(depths.min()), float(depths.max())))
+    except CalibrationError as error:
+        return [str(error)], {}
+    return [check.advice], {"order_ratio": round(check.ratio, 4), "order_merit": round(check.merit, 3)}

@@ -1,0 +1,155 @@
+"""Shooting with the rig's own devices, where no daemon runs: a rig that has no calibration yet has no daemon."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+from daemon.acquisition import CameraThread
+from daemon.calibrate.live.shots import Progress, Shots, unheard
+from daemon.clock import SystemClock
+from daemon.config.models import RigConfig
+from daemon.errors import DaemonError
+from daemon.mailbox import Mailbox
+from daemon.pairing import Pair, PairingSettings
+from daemon.pairing_desk import PairingDesk
+from daemon.rig import next_pose
+from daemon.shooting import Shooting, patience_s, settling_ns
+from drivers.errors import DriverError
+from drivers.protocols import SIDES, Clock, Frame, Side
+from pipeline.calibration import Response
+from pipeline.sequence import Sequence
+
+_START_S, _TICK_S = 15.0, 0.05
+
+
+class DeviceShooter:
+    """Owns the devices of a rig from its making to :meth:`close`.
+
+    Args:
+        devices: cameras and projector as :func:`daemon.rig.open_devices` gives them, closed; closed again at the end.
+        config: of the rig, for its pairing. response: of the projector, for pictures that are given as light.
+
+    Raises:
+        DriverError: no projector. DaemonError: a camera does not come.
+    """
+
+    def __init__(
+        self,
+        devices: Any,
+        config: RigConfig,
+        *,
+        response: Response | None = None,
+        clock: Clock | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._devices, self._response, clock = devices, response, clock or SystemClock()
+        self._cameras: dict[Side, CameraThread] = {}
+        limits = PairingSettings(
+            tolerance_ns=round(1000 * config.pairing.tolerance_us),
+            max_wait_ns=round(1e6 * config.pairing.max_wait_ms),
+            resync_after=config.pairing.resync_after,
+        )
+        self._move = next_pose(devices)
+        self._pose: Any = None
+        box: Mailbox[Pair] = Mailbox(4)
+        desk = PairingDesk(limits, paired=lambda pair: _put(box, pair), lone=_pass_over, clock=clock)
+        try:
+            projector = devices.projector.open()
+            self._size: tuple[int, int] = projector.size
+            self._open_cameras(desk, clock)
+            settle_ns = settling_ns(devices.projector, projector.refresh_hz, tolerance_ns=limits.tolerance_ns)
+            self._shooting = Shooting(
+                devices.projector,
+                box,
+                clock=clock,
+                settle_ns=settle_ns,
+                patience_s=patience_s(rendered=self._move is not None),
+                cancelled=cancelled,
+            )
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the projector, pixels."""
+        return self._size
+
+    def shoot(self, sequence: Sequence, *, progress: Progress = unheard) -> Shots:
+        """A pair for each frame, see :class:`daemon.calibrate.live.shots.Shooter`."""
+        pairs: list[Pair] = []
+        try:
+            for pair in self._shooting.each(frame.picture(self._response) for frame in sequence.frames):
+                pairs.append(pair)
+                progress(len(pairs), len(sequence))
+        except DriverError as error:
+            gone = [f"camera {side}: {c.status.problem}" for side, c in self._cameras.items() if c.status.problem]
+            raise DriverError("; ".join([*gone, str(error)])) from error
+        return Shots(pairs[0].left.encoding, tuple((pair.left.image, pair.right.image) for pair in pairs))
+
+    @property
+    def has_hand(self) -> bool:
+        """Whether a simulated hand holds the board, not a person."""
+        return self._move is not None
+
+    def next_pose(self) -> bool:
+        """Let the simulated hand move the board on; False once it has shown all its poses, or where there is none."""
+        if self._move is None:
+            return False
+        before, self._pose = self._pose, self._move()
+        return self._pose is None or self._pose != before
+
+    def close(self) -> None:
+        """Go dark and close the devices."""
+        for camera in self._cameras.values():
+            camera.ask_stop()
+        for camera in self._cameras.values():
+            camera.join(5.0)
+        self._devices.projector.close()
+        self._devices.close()
+
+    def _open_cameras(self, desk: PairingDesk, clock: Clock) -> None:
+        for side in SIDES:
+            self._cameras[side] = CameraThread(
+                side,
+                self._devices.cameras[side],
+                deliver=desk.receive,
+                started=desk.doubt,
+                changed=_unchanged,
+                clock=clock,
+            )
+            self._cameras[side].start()
+        end_s = time.monotonic() + _START_S
+        for side, camera in self._cameras.items():
+            while not camera.status.encoding:
+                if time.monotonic() > end_s:
+                    problem = camera.status.problem or "it does not answer"
+                    raise DaemonError(f"camera {side}: {problem}; `fringed doctor` may find out why")
+                time.sleep(_TICK_S)
+        encodings = {side: camera.status.encoding for side, camera in self._cameras.items()}
+        if len(set(encodings.values())) != 1:
+            raise DaemonError(f"the cameras send {encodings}; both must send the same encoding")
+
+
+def _put(box: Mailbox[Pair], pair: Pair) -> None:
+    """What is pushed out was not waited for."""
+    box.put(pair)
+
+
+def _pass_over(_: Frame) -> None:
+    """A frame without a partner is of no use."""
+
+
+def _unchanged() -> None:
+    """Nobody waits for the cameras' states."""

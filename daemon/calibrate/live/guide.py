@@ -1,0 +1,163 @@
+"""Runs a guided session: look, decide, capture, keep; until there is enough or somebody stops it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from daemon.calibrate.live.folder import SessionFolder
+from daemon.calibrate.live.session import Found, Limits, Session, Sight, State, Told
+from daemon.calibrate.live.shots import Progress, Shooter, Shots
+from daemon.calibrate.pictures import Picture, unpacked
+from daemon.calibrate.sources import white_frame
+from daemon.errors import DaemonError
+from daemon.shooting import CaptureCancelledError
+from drivers.errors import DriverError
+from drivers.protocols import SIDES, Clock
+from pipeline.errors import TargetError
+from pipeline.sequence import Sequence
+from pipeline.targets.board import Board
+
+Find = Callable[[Picture, Board], Found]
+_MOST_LOOKS = 20
+MOST_FAILURES = 5
+"""Looks in a row that may fail before the session ends."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What there is to show after a look: pictures by camera, what was found in them, and what to do."""
+
+    pictures: dict[str, Picture]
+    sight: Sight
+    told: Told
+    session: Session
+
+
+class Watcher(Protocol):
+    """Shows how a session goes; it must not hold it up."""
+
+    def seen(self, scene: Scene) -> None:
+        """After every look and every capture."""
+
+    def capturing(self, done: int, of: int) -> None:
+        """While a sequence is shown."""
+
+    def trouble(self, text: str) -> None:
+        """A look failed; it is tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a session ended.
+
+    Args:
+        folder: of the captured views. views: how many are in it.
+        complete: whether nothing is missing; text: what is.
+    """
+
+    folder: Path
+    views: int
+    complete: bool
+    text: str
+
+
+def guide(
+    shooter: Shooter,
+    board: Board,
+    sequence: Sequence,
+    folder: Path,
+    *,
+    find: Find,
+    watcher: Watcher,
+    clock: Clock,
+    limits: Limits | None = None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Outcome:
+    """Capture a sequence at pose after pose of the board.
+
+    Between the captures the brightest even picture of the sequence is shown, on which the marks are found. Every view
+    is on the disk as soon as it is accepted, so whatever ends the session, nothing of it is lost.
+
+    Args:
+        folder: of this session, new. find: finds the marks. stopped: asked between looks.
+
+    Raises:
+        DriverError, DaemonError: the devices failed too often in a row, or the folder cannot be used.
+    """
+    bright = white_frame(sequence)
+    white = Sequence("look", (sequence.frames[bright],))
+    kept = SessionFolder(folder, sequence)
+    session: Session | None = None
+    pending: Shots | None = None
+    failures = stuck = 0
+    while not stopped() and (session is None or session.state is not State.DONE):
+        try:
+            shots = shooter.shoot(white)
+        except CaptureCancelledError:
+            break
+        except (DriverError, DaemonError) as error:
+            failures += 1
+            if failures >= MOST_FAILURES:
+                raise
+            watcher.trouble(str(error))
+            continue
+        failures = 0
+        session = session or Session(board, shots.sizes, limits=limits, frames=len(sequence))
+        pictures, sight = sighted(shots, 0, board, find, clock)
+        told = session.look(sight)
+        watcher.seen(Scene(pictures, sight, told, session))
+        if told.capture:
+            pending, told = _capture(shooter, sequence, session, board, find, clock, watcher.capturing)
+            watcher.seen(Scene(pictures, sight, told, session))
+        if told.accepted is not None and pending is not None:
+            kept.add(pending)
+            pending = None
+            stuck = 0
+            if session.state is not State.DONE and shooter.has_hand and not shooter.next_pose():
+                break
+        elif shooter.has_hand:
+            # Nobody is there to do as told: a pose that does not become a view is left.
+            stuck += 1
+            if stuck >= _MOST_LOOKS:
+                stuck = 0
+                if not shooter.next_pose():
+                    break
+    if session is None:
+        return Outcome(folder, 0, False, "no picture came")
+    complete = kept.views >= session.limits.wanted and not session.missing
+    return Outcome(folder, kept.views, complete, "; ".join(session.missing))
+
+
+def _capture(
+    shooter: Shooter,
+    sequence: Sequence,
+    session: Session,
+    board: Board,
+    find: Find,
+    clock: Clock,
+    progress: Progress,
+) -> tuple[Shots | None, Told]:
+    try:
+        shots = shooter.shoot(sequence, progress=progress)
+    except (DriverError, DaemonError) as error:
+        return None, session.failed(str(error))
+    return shots, session.captured(sighted(shots, white_frame(sequence), board, find, clock)[1])
+
+
+def sighted(shots: Shots, frame: int, board: Board, find: Find, clock: Clock) -> tuple[dict[str, Picture], Sight]:
+    """Both cameras' pictures of one frame, and the marks in them."""
+    t_s = clock.monotonic_ns() / 1e9
+    pictures: dict[str, Picture] = {
+        side: unpacked(raw, shots.encoding) for side, raw in zip(SIDES, shots.pairs[frame], strict=True)
+    }
+    found: dict[str, Found] = {}
+    problems: dict[str, str] = {}
+    for side, picture in pictures.items():
+        try:
+            found[side] = find(picture, board)
+        except TargetError as error:
+            problems[side] = str(error).rstrip(".")
+    return pictures, Sight(t_s, found, problems)

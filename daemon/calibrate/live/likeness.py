@@ -1,0 +1,26 @@
+"""Whether two places of the board are so alike that the second adds nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.bundle.looks import Look
+
+PLACE, SIZE, TURN, TILT_DEG = 0.05, 0.03, 0.05, 6.0
+"""Poses that differ by less in all of these are alike: place as a share of the picture, size (relative), foreshortening
+(relative), tilt about either axis."""
+
+
+def alike(one: Look, other: Look) -> bool:
+    """Whether place, size and tilt are about the same."""
+    place = float(np.abs(np.subtract(one.place, other.place)).max())
+    size = abs(float(np.log(one.size / other.size)))
+    turn = float(np.abs(one.turn - other.turn).max())
+    tilt = max(abs(one.tilt_x_deg - other.tilt_x_deg), abs(one.tilt_y_deg - other.tilt_y_deg))
+    # The signs of a tilt come from perspective alone and may be wrong where the board is nearly flat on.
+    return place < PLACE and size < SIZE and turn < TURN and tilt < TILT_DEG + 2 * _flatness_deg(one)
+
+
+def _flatness_deg(look: Look) -> float:
+    """How uncertain the tilt is: near zero, cos changes slowly."""
+    return 4.0 if look.tilt_deg < 10 else 1.0

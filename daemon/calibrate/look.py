@@ -1,0 +1,152 @@
+"""Looks for the marks in every picture of a source; what cannot be used is remembered with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence as Items
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+
+from daemon.calibrate.pictures import Picture, unpacked
+from daemon.calibrate.sources import Source, View, white_frame
+from pipeline.errors import TargetError
+from pipeline.multi_shot import evenly_lit
+from pipeline.sequence import Sequence
+from pipeline.targets.board import Board
+from pipeline.targets.find import Found, find_marks
+from pipeline.targets.marks import BoardView, Marks
+
+Progress = Callable[[int, int], None]
+THUMBNAIL_PX = 520
+_JPEG_QUALITY = 72
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """One picture after the search.
+
+    Args:
+        view: its name; device: ``left`` or ``right``; file: what errors call it.
+        size: (width, height), pixels.
+        thumbnail: small JPEG of it, for the report.
+        found: the marks and how sharp they are; None where they were not found, with the reason in ``problem``.
+    """
+
+    view: str
+    device: str
+    file: str
+    size: tuple[int, int]
+    thumbnail: bytes
+    found: Found | None = None
+    problem: str = ""
+
+
+@dataclass(slots=True)
+class Looked:
+    """All pictures of one or several sources.
+
+    Args:
+        views: those with marks in at least one picture, in order; seen: all pictures; sizes: by device.
+        left_out: views that the source could not give whole.
+    """
+
+    views: list[BoardView] = field(default_factory=list)
+    seen: list[Seen] = field(default_factory=list)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+    @property
+    def problems(self) -> list[Seen]:
+        """Pictures in which the marks were not found."""
+        return [seen for seen in self.seen if seen.found is None]
+
+    def add(self, view: View, frame: int, board: Board, sequence: Sequence | None = None) -> dict[str, Marks]:
+        """Search both pictures of a view; the marks of those where they were found.
+
+        Args:
+            view: with all its frames, or the one that is looked at.
+            frame: number of the picture to look at.
+            sequence: of fringes; their mean is looked at instead, which has less noise than one white picture.
+        """
+        marks: dict[str, Marks] = {}
+        name = self._free_name(view.name)
+        for device, file, pictures in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
+            if not pictures:
+                continue
+            raw = pictures[frame] if sequence is None else evenly_lit(pictures, sequence)
+            picture = unpacked(raw, view.encoding)
+            size = (picture.shape[1], picture.shape[0])
+            known = self.sizes.setdefault(device, size)
+            if known != size:
+                raise TargetError(
+                    f"{file}: {size[0]} x {size[1]} pixels, but the {device} pictures before have "
+                    f"{known[0]} x {known[1]}"
+                )
+            found, problem = _found(picture, board)
+            if found is not None:
+                marks[device] = found.marks
+            self.seen.append(Seen(name, device, file, size, thumbnail(picture), found, problem))
+        if marks:
+            self.views.append(BoardView(name, marks))
+        return marks
+
+    def _free_name(self, name: str) -> str:
+        taken = {seen.view for seen in self.seen}
+        return next(n for n in (name, *(f"{name} ({k})" for k in range(2, 10_000))) if n not in taken)
+
+
+def look(sources: Items[Source], board: Board, progress: Progress) -> Looked:
+    """Find the marks in all views of all sources, on the brightest even picture of each view.
+
+    Raises:
+        SourceError: pictures that cannot be read. What can be read but not used is in :attr:`Looked.problems`.
+    """
+    looked = Looked()
+    for source in sources:
+        for view in source.views(progress, only=white_frame(source.sequence)):
+            looked.add(view, 0, board)
+        looked.left_out += getattr(source, "left_out", [])
+    return looked
+
+
+def require(looked: Looked, least: int) -> None:
+    """TargetError unless marks were found in ``least`` views; it names the first pictures and their reasons."""
+    if len(looked.views) >= least:
+        return
+    problems = looked.problems
+    if not problems:
+        count = len(looked.views)
+        raise TargetError(
+            f"{count} view{'' if count == 1 else 's'} of the board, at least {least} are needed: add views, tilted by "
+            "20 to 40 degrees about both axes"
+        )
+    first = problems[0]
+    more = f" The marks were found in {len(looked.seen) - len(problems)} of {len(looked.seen)} pictures."
+    others = [seen for seen in problems[1:] if seen.problem != first.problem][:2]
+    also = "".join(f" {seen.file}: {seen.problem}." for seen in others)
+    raise TargetError(f"{first.file}: {first.problem}.{also}{more}")
+
+
+def thumbnail(picture: Picture) -> bytes:
+    """A small JPEG of a picture, at most 520 pixels wide."""
+    grey = picture[..., ::-1] if picture.ndim == 3 else picture
+    if grey.dtype != np.uint8:
+        most = float(np.quantile(grey, 0.999)) if grey.dtype == np.uint16 else 255.0
+        grey = np.clip(grey * (255.0 / max(most, 1.0)), 0, 255).astype(np.uint8)
+    shrink = THUMBNAIL_PX / grey.shape[1]
+    small: Any = grey
+    if shrink < 1:
+        size = (THUMBNAIL_PX, max(1, round(grey.shape[0] * shrink)))
+        small = cv2.resize(np.ascontiguousarray(grey), size, interpolation=cv2.INTER_AREA)
+    done, data = cv2.imencode(".jpg", np.ascontiguousarray(small), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return bytes(data) if done else b""
+
+
+def _found(picture: Picture, board: Board) -> tuple[Found | None, str]:
+    try:
+        return find_marks(picture, board), ""
+    except TargetError as error:
+        return None, str(error).rstrip(".")

@@ -1,0 +1,74 @@
+"""Looks for the marks of a board on the projector's picture: by the fringes that fall around them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from daemon.calibrate.errors import SourceError
+from daemon.calibrate.look import Looked
+from daemon.calibrate.sources import Progress, Source, View, white_frame
+from pipeline import sequence as sequences
+from pipeline.errors import PictureError, TargetError
+from pipeline.multi_shot import coordinates, levels
+from pipeline.projector_marks import Seen, projector_marks
+from pipeline.targets.board import Board
+from pipeline.targets.marks import BoardView, Marks
+
+
+def look_with_projector(sources: Sequence[Source], board: Board, progress: Progress) -> Looked:
+    """Find the marks in all views, for the projector too where fringes were shown in both directions.
+
+    Raises:
+        SourceError: no source has fringes in both directions; projectors of two sizes.
+    """
+    looked = Looked()
+    shown = [source.sequence if has_fringes(source.sequence) else None for source in sources]
+    if not any(shown):
+        raise SourceError(
+            f"{', '.join(source.name for source in sources)}: no sequence with fringes in both directions, without "
+            "them the projector cannot be found; capture with the sequence 'projector'"
+        )
+    for source, sequence in zip(sources, shown, strict=True):
+        if sequence is None:
+            for view in source.views(progress, only=white_frame(source.sequence)):
+                looked.add(view, 0, board)
+        else:
+            known = looked.sizes.setdefault("projector", sequence.size)
+            if known != sequence.size:
+                raise SourceError(
+                    f"{source.name}: made for a projector of {sequence.size[0]} x {sequence.size[1]} pixels, the views "
+                    f"before for {known[0]} x {known[1]}"
+                )
+            for view in source.views(progress):
+                add_with_fringes(looked, view, sequence, board)
+        looked.left_out += getattr(source, "left_out", [])
+    return looked
+
+
+def has_fringes(sequence: sequences.Sequence | None) -> bool:
+    """Whether a sequence tells both coordinates of the projector."""
+    return sequence is not None and bool(levels(sequence, "x")) and bool(levels(sequence, "y"))
+
+
+def add_with_fringes(looked: Looked, view: View, sequence: sequences.Sequence, board: Board) -> None:
+    """Search a view of all frames of a sequence for both cameras and the projector."""
+    looked.sizes.setdefault("projector", sequence.size)
+    marks = looked.add(view, 0, board, sequence)
+    if not marks:
+        return
+    name = looked.views[-1].name
+    try:
+        found = _projector(marks, view, sequence, board)
+    except (TargetError, PictureError) as error:
+        looked.left_out.append(f"{name}, projector: {error}")
+        return
+    looked.views[-1] = BoardView(name, {**marks, "projector": found})
+
+
+def _projector(marks: dict[str, Marks], view: View, sequence: sequences.Sequence, board: Board) -> Marks:
+    seen = {}
+    for device, pictures in (("left", view.left), ("right", view.right)):
+        if device in marks:
+            x, y = coordinates(pictures, sequence, encoding=view.encoding)
+            seen[device] = Seen(marks[device], x, y)
+    return projector_marks(board, seen).marks

@@ -1,0 +1,96 @@
+"""Pictures from files: bounded, 8 or 16 bits, grey or red-green-blue."""
+
+from __future__ import annotations
+
+import glob
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.bounded import read_at_most
+from daemon.calibrate.errors import SourceError
+from daemon.calibrate.picture_size import picture_size
+
+Picture = NDArray[Any]
+
+FILE_LIMIT = 1 << 28
+LEAST_SIDE, MOST_SIDE = 64, 16384
+MOST_PIXELS = 1 << 27
+MOST_PICTURES = 1000
+
+
+def read_picture(path: Path) -> Picture:
+    """The pixels of a PNG, JPEG, TIFF or BMP file, (H, W) or (H, W, 3) red, green, blue, uint8 or uint16.
+
+    Raises:
+        SourceError: it names the file and what is wrong with it.
+    """
+    data = read_at_most(path, FILE_LIMIT, SourceError)
+    if not data:
+        raise SourceError(f"{path}: the file is empty")
+    size = picture_size(data)
+    if size is None:
+        raise SourceError(f"{path}: not a picture that can be read; expected a PNG, JPEG, TIFF or BMP file")
+    width, height = size
+    if min(size) < LEAST_SIDE or max(size) > MOST_SIDE or width * height > MOST_PIXELS:
+        raise SourceError(
+            f"{path}: {width} x {height} pixels; expected {LEAST_SIDE} to {MOST_SIDE} on each side and at most "
+            f"{MOST_PIXELS >> 20} million in all"
+        )
+    return _pixels(path, data, size)
+
+
+def _pixels(path: Path, data: bytes, size: tuple[int, int]) -> Picture:
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None or picture.shape[1::-1] != size:
+        raise SourceError(f"{path}: the picture is damaged or cut off; copy or take it again")
+    if picture.dtype not in (np.uint8, np.uint16):
+        raise SourceError(f"{path}: pixels of type {picture.dtype}; expected 8 or 16 bits")
+    if picture.ndim == 2:
+        return picture
+    return np.ascontiguousarray(picture[..., 2::-1])  # blue-green-red in OpenCV; a fourth channel is transparency
+
+
+def matching(pattern: str, what: str) -> list[Path]:
+    """The files of a pattern such as ``L/*.png``, sorted by name; SourceError if there are none or too many."""
+    found = sorted(Path(name) for name in glob.glob(str(Path(pattern).expanduser()), recursive=True))  # noqa: PTH207
+    found = [path for path in found if path.is_file()]
+    if not found:
+        raise SourceError(f"{what} {pattern}: no file has such a name")
+    if len(found) > MOST_PICTURES:
+        raise SourceError(f"{what} {pattern}: {len(found)} files, at most {MOST_PICTURES} are read; name fewer")
+    return found
+
+
+_DEMOSAIC = {
+    "bayer_rggb8": cv2.COLOR_BayerBG2RGB,
+    "bayer_bggr8": cv2.COLOR_BayerRG2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2RGB,
+    "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
+}
+
+
+def unpacked(raw: Picture, encoding: str) -> Picture:
+    """A sensor's picture as grey or red-green-blue pixels; a mosaic is demosaiced, which is enough to find marks."""
+    code = _DEMOSAIC.get(encoding)
+    if code is None:
+        return raw
+    if raw.dtype == np.float32:  # a mean of pictures; OpenCV demosaics integers only
+        return np.asarray(cv2.cvtColor(np.clip(np.rint(raw * 256), 0, 65535).astype(np.uint16), code))
+    return np.asarray(cv2.cvtColor(raw, code))
+
+
+def as_raw(picture: Picture, encoding: str, name: str) -> Picture:
+    """The pixels of a file that holds a sensor's picture; SourceError unless they are what ``encoding`` says."""
+    depth = np.uint16 if encoding == "mono16" else np.uint8
+    dimensions = 3 if encoding == "rgb8" else 2
+    if picture.dtype != depth or picture.ndim != dimensions:
+        kind = "colour" if picture.ndim == 3 else "grey"
+        raise SourceError(f"{name}: {kind} picture of {picture.dtype}, which is not {encoding} as capture.json says")
+    return picture

@@ -1,0 +1,225 @@
+"""What the report of a calibration says, section by section."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+
+import numpy as np
+
+from daemon.calibrate.figures import INTRINSICS, POSE, values_of, view_figures
+from daemon.calibrate.look import Seen
+from daemon.calibrate.report.charts import COLORS, coverage_map, histogram, vector_scale, view_bars, view_picture
+from daemon.calibrate.report.page import Card, figure, items, page, table
+from pipeline.bundle import Solution
+from pipeline.calibration import Cameras
+
+_EMPTY = np.empty((0, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What there is to report.
+
+    Args:
+        title, created, board, sources: for the head of the page.
+        solution: with its residuals; seen: the pictures.
+        coverage: share of each device's picture that saw marks.
+        cameras: as they are written to the file; before: those of the file that was there, ``before_name`` its date.
+        notes: sentences about what was done; advice: sentences about what would make it better.
+    """
+
+    title: str
+    created: datetime
+    board: str
+    sources: Sequence[str]
+    solution: Solution
+    seen: Sequence[Seen]
+    cameras: Cameras
+    coverage: Mapping[str, float]
+    before: Cameras | None = None
+    before_name: str = ""
+    notes: Sequence[str] = field(default_factory=list)
+    advice: Sequence[str] = field(default_factory=list)
+    problems: Sequence[str] = field(default_factory=list)
+
+
+def report_html(report: Report) -> bytes:
+    """The file's bytes, UTF-8."""
+    solution = report.solution
+    lines = [
+        f"{report.created:%d %B %Y, %H:%M} UTC · board {report.board} · {', '.join(report.sources)}",
+        f"Scale from {solution.scale}." if solution.scale else "",
+    ]
+    sections = [
+        ("What to do", items(report.advice)),
+        ("Notes", items(report.notes)),
+        ("Errors of every view", _views(solution)),
+        ("Left out", _left_out(report)),
+        ("Coverage", _coverage(solution)),
+        ("Residuals", _residuals(solution)),
+        ("Parameters", _parameters(report)),
+        ("Pictures", _pictures(report)),
+    ]
+    return page(report.title, [line for line in lines if line], _cards(report), sections)
+
+
+def _cards(report: Report) -> list[Card]:
+    solution = report.solution
+    cards = [Card("reprojection error, both cameras", f"{solution.rms_stereo:.3f}", "px rms")]
+    if np.isfinite(solution.epipolar_px):
+        cards.append(Card("epipolar error", f"{solution.epipolar_px:.3f}", "px mean"))
+    if "projector" in solution.rms:
+        cards.append(Card("reprojection error, projector", f"{solution.rms['projector']:.3f}", "px rms"))
+    level = "good" if solution.views_rejected == 0 else "warn"
+    of = solution.views_used + solution.views_rejected
+    cards.append(Card("views used", f"{solution.views_used}", f"of {of}", level))
+    if np.isfinite(solution.baseline_mm):
+        sigma = solution.sigma.get("baseline_mm", float("nan"))
+        cards.append(Card("baseline", f"{solution.baseline_mm:.2f}", f"± {sigma:.2g} mm"))
+    for device, share in report.coverage.items():
+        level = "good" if share > 0.7 else "warn" if share > 0.45 else "bad"
+        cards.append(Card(f"coverage, {device}", f"{100 * share:.0f}", "%", level))
+    return cards
+
+
+def _views(solution: Solution) -> str:
+    figures = view_figures(solution)
+    series = [
+        (f"{device} rms", COLORS[device], [view.rms.get(device, float("nan")) for view in figures])
+        for device in solution.devices
+    ]
+    if "right" in solution.devices:
+        series.append(("epipolar", "#2f8f6b", [view.epipolar_px for view in figures]))
+    return figure(
+        view_bars([view.name for view in figures], series, "px"),
+        "Root mean square of the distances between marks and their predicted places, and the mean distance of marks "
+        "from the epipolar lines of their partners. A view that stands out was moved, or is blurred.",
+    )
+
+
+def _left_out(report: Report) -> str:
+    rows = [(seen.view, seen.device, "all marks", seen.problem) for seen in report.seen if seen.found is None]
+    for rejection in report.solution.rejected:
+        marks = ", ".join(map(str, rejection.ids)) if rejection.ids else "all marks"
+        why = f"{rejection.reason} (repaired, used)" if rejection.repaired else rejection.reason
+        rows.append((rejection.view, rejection.device or "all", marks, why))
+    rows += [("", "", "", problem) for problem in report.problems]
+    if not rows:
+        return "<p>Nothing: every mark of every picture was used.</p>"
+    return table(("view", "device", "marks", "why"), rows, text=range(4))
+
+
+def _coverage(solution: Solution) -> str:
+    scale = _common_scale(solution)
+    out = []
+    for device, model in solution.devices.items():
+        pixels, misfit = _all(solution, device)
+        out.append(
+            figure(
+                coverage_map(model.size, pixels, misfit, scale=3 * scale, color=COLORS[device]),
+                f"{device}, {model.size[0]} x {model.size[1]} pixels: every mark of every view; red cells saw none. "
+                f"Arrows: mean residual of a cell, drawn {3 * scale:g} times as long.",
+            )
+        )
+    return (
+        "<p>The lens is known where marks were seen. Arrows that turn together mean that the lens model does not fit; "
+        f'without any order they are noise.</p><div class="pair">{"".join(out)}</div>'
+    )
+
+
+def _residuals(solution: Solution) -> str:
+    out = []
+    for device in solution.devices:
+        _, misfit = _all(solution, device)
+        sigma = float(np.sqrt((misfit**2).mean())) if len(misfit) else 1.0
+        out.append(
+            figure(
+                histogram(misfit, max(sigma, 1e-9), color=COLORS[device]),
+                f"{device}: residuals in px, {len(misfit)} marks, {sigma:.4f} px in each direction. Filled: u, "
+                "line: v, dashed: a normal distribution of that width.",
+            )
+        )
+    return f'<div class="pair">{"".join(out)}</div>'
+
+
+def _parameters(report: Report) -> str:
+    solution = report.solution
+    before = values_of(report.before) if report.before is not None else {}
+    head = ["parameter", "value", "standard deviation"]
+    head += [f"before ({report.before_name})", "change", "in standard deviations"] if before else []
+    rows: list[list[str]] = []
+    out: list[int] = []
+    names: list[str] = [n for n in ("baseline_mm", "angle_deg") if n in solution.values]
+    for device in solution.devices:
+        names += [f"{device}.{key}" for key in INTRINSICS]
+        names += [f"{device}.{key}" for key in POSE] if device != next(iter(solution.devices)) else []
+    for name in names:
+        value, sigma = solution.values.get(name), solution.sigma.get(name, 0.0)
+        if value is None:
+            continue
+        row = [name, _rounded(value, sigma), f"{sigma:.2g}" if sigma > 0 else "held"]
+        if before:
+            was = before.get(name)
+            row += [_rounded(was, sigma), f"{value - was:+.3g}"] if was is not None else ["", ""]
+            ratio = abs(value - was) / sigma if was is not None and sigma > 0 else None
+            row.append(f"{ratio:.1f}" if ratio is not None else "")
+            if ratio is not None and ratio > 5:
+                out.append(len(rows))
+        rows.append(row)
+    text = (
+        "<p>One standard deviation, from the residuals and the geometry of all views together. fx, fy, skew, cx, cy in "
+        "pixels; rotations as a rotation vector in radians; translations in mm.</p>"
+    )
+    if out:
+        text += "<p>Red: changed by more than five standard deviations; something was moved, refocused or replaced.</p>"
+    return text + table(head, rows, out=out)
+
+
+def _pictures(report: Report) -> str:
+    scale = _common_scale(report.solution)
+    out = []
+    for seen in report.seen:
+        residuals = report.solution.residuals.get((seen.view, seen.device))
+        used, misfit = (residuals.pixels, residuals.misfit) if residuals is not None else (_EMPTY, _EMPTY)
+        left_out = _EMPTY
+        if seen.found is not None:
+            marks = seen.found.marks
+            kept = np.isin(marks.ids, residuals.ids) if residuals is not None else np.zeros(len(marks), np.bool_)
+            left_out = marks.pixels[~kept] if residuals is None or len(used) < len(marks) else _EMPTY
+        svg = view_picture(seen.size, seen.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
+        out.append(figure(svg, _caption(seen, used, misfit)))
+    return (
+        f"<p>Green: marks used; red lines: from each to where the calibrated model puts it, drawn {scale:g} times as "
+        f'long; amber crosses: marks left out.</p><div class="grid">{"".join(out)}</div>'
+    )
+
+
+def _caption(seen: Seen, used: np.ndarray, misfit: np.ndarray) -> str:
+    name = f"{seen.view}, {seen.device}"
+    if seen.found is None:
+        return f"{name}: {seen.problem}"
+    sharp = f"edges {seen.found.sharpness_px:.2f} px"
+    if not len(used):
+        return f"{name}: not used, {sharp}"
+    return f"{name}: {len(used)} marks, {np.sqrt((misfit**2).sum(axis=1).mean()):.3f} px rms, {sharp}"
+
+
+def _all(solution: Solution, device: str) -> tuple[np.ndarray, np.ndarray]:
+    chosen = [r for (_, name), r in solution.residuals.items() if name == device]
+    if not chosen:
+        return _EMPTY, _EMPTY
+    return np.concatenate([r.pixels for r in chosen]), np.concatenate([r.misfit for r in chosen])
+
+
+def _common_scale(solution: Solution) -> float:
+    width = max(device.size[0] for device in solution.devices.values())
+    return vector_scale([r.misfit for r in solution.residuals.values()], width)
+
+
+def _rounded(value: float, sigma: float) -> str:
+    """A value to a tenth of its standard deviation."""
+    if not sigma > 0:
+        return f"{value:.6g}"
+    return f"{value:.{max(0, min(12, 1 - int(np.floor(np.log10(sigma)))))}f}"

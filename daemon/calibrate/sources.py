@@ -1,0 +1,187 @@
+"""Where views of a board come from: picture files by pattern, a capture folder, a take."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from daemon.bounded import read_at_most
+from daemon.calibrate.errors import SourceError
+from daemon.calibrate.pictures import MOST_PICTURES, Picture, as_raw, matching, read_picture
+from pipeline import sequence as sequences
+from pipeline.errors import PatternError
+from pipeline.sequence import Sequence, Uniform
+
+Progress = Callable[[int, int], None]
+
+CAPTURE = "capture.json"
+_CAPTURE_LIMIT = 4 << 20
+ENCODINGS = ("rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8", "mono8", "mono16")
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One place of the board: a picture of each camera, or one for every frame of a sequence.
+
+    Args:
+        name: short, for tables: ``view_03`` or ``left03.jpg``.
+        files: what errors call the pictures of the left and the right camera.
+        left, right: as the sensor gave them, in ``encoding``; one of them may be empty (only one camera was told).
+        encoding: ``rgb8``, ``bayer_rggb8`` ..., ``mono8``, ``mono16``; ``rgb8`` also for 16-bit colour.
+    """
+
+    name: str
+    files: tuple[str, str]
+    left: tuple[Picture, ...]
+    right: tuple[Picture, ...]
+    encoding: str
+
+
+class Source(Protocol):
+    """Something that gives views one after the other."""
+
+    name: str
+    sequence: Sequence | None
+
+    def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
+        """Every view; of a sequence all frames, or only the one of that number."""
+        ...
+
+
+class PicturePairs:
+    """Pictures named by a pattern for each camera, sorted and paired by their order.
+
+    Args:
+        left, right: such as ``L/*.png``.
+
+    Raises:
+        SourceError: no files, or not as many for one camera as for the other.
+    """
+
+    sequence: Sequence | None = None
+
+    def __init__(self, left: str, right: str) -> None:
+        self.name = f"{left}, {right}"
+        self._left, self._right = matching(left, "--left"), matching(right, "--right")
+        if len(self._left) != len(self._right):
+            raise SourceError(
+                f"--left {left} names {len(self._left)} pictures and --right {right} names {len(self._right)}: "
+                "every view needs one of each camera"
+            )
+        same = set(self._left) & set(self._right)
+        if same:
+            raise SourceError(f"{min(same)}: named by both --left and --right; each camera has its own pictures")
+
+    def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
+        """Every pair of files; ``only`` changes nothing, a pair is one frame."""
+        del only
+        sizes = Sizes()
+        for done, (left, right) in enumerate(zip(self._left, self._right, strict=True)):
+            pictures = read_picture(left), read_picture(right)
+            sizes.check("left", str(left), pictures[0])
+            sizes.check("right", str(right), pictures[1])
+            kind = "rgb8" if pictures[0].ndim == 3 else f"mono{8 * pictures[0].itemsize}"
+            yield View(left.stem, (str(left), str(right)), (pictures[0],), (pictures[1],), kind)
+            progress(done + 1, len(self._left))
+
+
+class CaptureFolder:
+    """A folder with ``capture.json`` and ``view_00/left_00.png`` ... for every frame of a sequence.
+
+    Raises:
+        SourceError: what is missing or does not fit.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.name = str(folder)
+        described = _object(folder / CAPTURE)
+        encoding = described.get("encoding")
+        if encoding not in ENCODINGS:
+            raise SourceError(
+                f"{folder / CAPTURE}: encoding is {encoding!r:.80}, expected one of {', '.join(ENCODINGS)}"
+            )
+        self._encoding = str(encoding)
+        self.sequence = described_sequence(described.get("sequence"), str(folder / CAPTURE))
+        self._folders = sorted(path for path in folder.glob("view_*") if path.is_dir())
+        if not self._folders:
+            raise SourceError(f"{folder}: no folder view_00 or any other view in it")
+        if len(self._folders) > MOST_PICTURES:
+            raise SourceError(f"{folder}: {len(self._folders)} views, at most {MOST_PICTURES} are read")
+
+    def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
+        """Every view; SourceError for a frame that is not there."""
+        sizes = Sizes()
+        count = len(self.sequence) if self.sequence is not None else 1
+        numbers = range(count) if only is None else (only,)
+        for done, folder in enumerate(self._folders):
+            pictures: dict[str, tuple[Picture, ...]] = {}
+            for side in SIDES:
+                paths = [folder / f"{side}_{number:02d}.png" for number in numbers]
+                pictures[side] = tuple(as_raw(read_picture(path), self._encoding, str(path)) for path in paths)
+                for path, picture in zip(paths, pictures[side], strict=True):
+                    sizes.check(side, str(path), picture)
+            files = tuple(str(folder / f"{side}_{numbers[0]:02d}.png") for side in SIDES)
+            yield View(folder.name, (files[0], files[1]), pictures["left"], pictures["right"], self._encoding)
+            progress(done + 1, len(self._folders))
+
+
+class Sizes:
+    """That all pictures of a camera have one size."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, tuple[str, tuple[int, ...]]] = {}
+
+    def check(self, side: str, name: str, picture: Picture) -> None:
+        """SourceError if a picture is not as large as the first one of its camera."""
+        first, shape = self._first.setdefault(side, (name, picture.shape))
+        if picture.shape[:2] != shape[:2]:
+            raise SourceError(
+                f"{name}: {picture.shape[1]} x {picture.shape[0]} pixels, but {first} has {shape[1]} x {shape[0]}; "
+                f"all pictures of the {side} camera must be of one size"
+            )
+
+
+def open_source(path: Path) -> Source:
+    """The capture folder or the take of that name."""
+    if path.is_dir() and (path / CAPTURE).exists():
+        return CaptureFolder(path)
+    if path.is_dir() and not any(path.glob("*.mcap*")):
+        raise SourceError(f"{path}: holds neither {CAPTURE} with views nor a take; plain pictures are named by --left")
+    from daemon.calibrate.take_source import TakeSource
+
+    return TakeSource(path)
+
+
+def white_frame(sequence: Sequence | None) -> int:
+    """Number of the brightest even frame, on which marks are found; 0 where there is no sequence."""
+    if sequence is None:
+        return 0
+    even = [(sum(f.color), -n) for n, f in enumerate(sequence.frames) if isinstance(f, Uniform)]
+    if not even or max(even)[0] == 0:
+        raise SourceError(f"sequence {sequence.name}: it has no even picture with light, marks cannot be found in it")
+    return -max(even)[1]
+
+
+def described_sequence(data: Any, name: str) -> Sequence | None:
+    """The sequence of a pattern description; None for a description of a single picture, or for none."""
+    if not isinstance(data, Mapping) or data.get("kind") != "sequence":
+        return None
+    try:
+        return sequences.from_mapping(data)
+    except PatternError as error:
+        raise SourceError(f"{name}: {error}") from error
+
+
+def _object(path: Path) -> dict[str, Any]:
+    data = read_at_most(path, _CAPTURE_LIMIT, SourceError)
+    try:
+        value = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise SourceError(f"{path}: not JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise SourceError(f"{path}: expected a JSON object")
+    return value

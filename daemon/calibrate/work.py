@@ -1,0 +1,184 @@
+"""The steps of a calibration on views that were looked at, without any command line; live sessions call them too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daemon.atomic import write_atomically
+from daemon.calibrate.archive import Stored, better_reasons, keep_dated, refuse_worse, store
+from daemon.calibrate.figures import quality_of
+from daemon.calibrate.layout import layout_advice
+from daemon.calibrate.look import Looked, look, require
+from daemon.calibrate.look_projector import look_with_projector
+from daemon.calibrate.merge import with_old_colors
+from daemon.calibrate.report.build import Report, report_html
+from daemon.calibrate.sources import Progress, Source
+from daemon.calibration_file import CamerasFile
+from pipeline.bundle import Options, Solution, calibrate
+from pipeline.bundle.advice import missing
+from pipeline.calibration import Cameras
+from pipeline.errors import CalibrationError, TargetError
+from pipeline.targets.board import Board
+
+__all__ = ["Calibrated", "Report", "Stored", "better_reasons", "calibrated", "cameras", "finish", "projector"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A rig that was calibrated and is not written yet.
+
+    Args:
+        cameras: with the projector, if that was a part of it; solution: with residuals and standard deviations.
+        board, sources: what was looked at; looked: what was seen.
+        quality: for the file; notes: what was done; advice: what would make it better; sentences.
+        coverage: share of each device's picture that saw marks; before: the file that it is compared with.
+    """
+
+    cameras: Cameras
+    solution: Solution
+    board: Board
+    sources: Sequence[str]
+    looked: Looked
+    quality: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+    advice: list[str] = field(default_factory=list)
+    coverage: dict[str, float] = field(default_factory=dict)
+    before: CamerasFile | None = None
+
+
+def cameras(
+    board: Board,
+    sources: Sequence[Source],
+    progress: Progress,
+    *,
+    options: Options | None = None,
+    before: CamerasFile | None = None,
+) -> Calibrated:
+    """Both cameras from pictures of a board.
+
+    Raises:
+        SourceError, TargetError, CalibrationError: what is wrong with the pictures, and what to do.
+    """
+    looked = look(sources, board, progress)
+    return calibrated(board, looked, [source.name for source in sources], options=options, before=before)
+
+
+def projector(
+    board: Board,
+    sources: Sequence[Source],
+    progress: Progress,
+    *,
+    options: Options | None = None,
+    before: CamerasFile | None = None,
+) -> Calibrated:
+    """Both cameras and the projector together, from sequences of fringes on a board; also from plain views beside.
+
+    Raises:
+        SourceError, TargetError, CalibrationError: what is wrong with the pictures, and what to do.
+    """
+    looked = look_with_projector(sources, board, progress)
+    return calibrated(board, looked, [source.name for source in sources], options=options, before=before)
+
+
+def calibrated(
+    board: Board,
+    looked: Looked,
+    sources: Sequence[str],
+    *,
+    options: Options | None = None,
+    before: CamerasFile | None = None,
+) -> Calibrated:
+    """The joint adjustment of the devices in ``looked.sizes``, with everything that the file and the report say."""
+    options = options or Options()
+    require(looked, options.least_views)
+    absent = {"left", "right"} - looked.sizes.keys()
+    if absent:
+        raise TargetError(f"no pictures of the {min(absent)} camera: a rig has two")
+    try:
+        solution = calibrate(board, looked.views, looked.sizes, options=options)
+    except CalibrationError as error:
+        raise CalibrationError(f"{', '.join(sources)}: {error}{_not_found(looked)}") from error
+    devices = solution.devices
+    found = Cameras(devices["left"], devices["right"], projector=devices.get("projector"))
+    found, notes = with_old_colors(found, before)
+    wanted = missing(board, looked.views, looked.sizes, solution=solution)
+    quality = quality_of(solution, board=str(board), coverage=wanted.coverage)
+    quality["pictures_without_marks"] = len(looked.problems)
+    layout, figures = layout_advice(found, solution)
+    quality |= figures
+    advice = [f"add {wish}" for wish in wanted.missing]
+    if advice:
+        advice.append(f"the pose that would help most: {wanted.next_pose.text}")
+    notes += _refined(solution, options)
+    return Calibrated(found, solution, board, sources, looked, quality, notes, advice + layout, wanted.coverage, before)
+
+
+def finish(
+    result: Calibrated, out: Path, report: Path | None, *, force: bool = False, title: str = "Calibration"
+) -> Stored:
+    """Write the calibration and its report; the ones before stay beside them under their dates.
+
+    Raises:
+        KeptError: the calibration in that place is better; nothing was written.
+    """
+    created = datetime.now(UTC)
+    quality = result.quality | ({"report": report.name} if report is not None else {})
+    data = None if report is None else html(result, title=title, created=created)
+    refuse_worse(out, result.cameras, quality=quality, force=force)
+    if report is not None and data is not None:
+        if report.exists():
+            keep_dated(report, result.before)
+        write_atomically(report, data)
+    return store(out, result.cameras, quality=quality, force=force, created=created)
+
+
+def html(result: Calibrated, *, title: str, created: datetime) -> bytes:
+    """The report."""
+    before, when = result.before, ""
+    if before is not None:
+        when = str(before.mapping.get("created", "without a date"))
+    return report_html(
+        Report(
+            title=title,
+            created=created,
+            board=str(result.board),
+            sources=result.sources,
+            solution=result.solution,
+            seen=result.looked.seen,
+            cameras=result.cameras,
+            coverage=result.coverage,
+            before=None if before is None else before.cameras,
+            before_name=when,
+            notes=result.notes,
+            advice=result.advice,
+            problems=result.looked.left_out,
+        )
+    )
+
+
+def with_colors(result: Calibrated, colors: Cameras, quality: dict[str, Any], notes: list[str]) -> Calibrated:
+    """The same with colours that were calibrated together with it."""
+    return replace(result, cameras=colors, quality=result.quality | quality, notes=result.notes + notes)
+
+
+def _not_found(looked: Looked) -> str:
+    count = len(looked.problems)
+    if not count:
+        return ""
+    first = looked.problems[0]
+    return f" (in {count} of {len(looked.seen)} pictures no marks were found, as in {first.file}: {first.problem})"
+
+
+def _refined(solution: Solution, options: Options) -> list[str]:
+    if not options.board_refined:
+        return []
+    points = solution.board_points
+    plane = np.column_stack([points[:, :2], np.ones(len(points))])
+    beside = points[:, 2] - plane @ np.linalg.lstsq(plane, points[:, 2], rcond=None)[0]
+    return [f"the marks' places on the board were found too; they lie within {np.abs(beside).max():.3f} mm of a plane"]

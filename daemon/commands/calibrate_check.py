@@ -1,0 +1,115 @@
+"""``fringed calibrate check``: is a calibration still true? From one view of a board, or of a known length."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from daemon.commands.calibrate_board import BOARD_HELP
+
+if TYPE_CHECKING:
+    from daemon.calibrate.check import Distances, Limits
+    from pipeline.calibration import Cameras
+
+
+def main(
+    left: Annotated[str, typer.Option(help="Picture of the left camera, or several such as 'L/*.png'.")],
+    right: Annotated[str, typer.Option(help="Pictures of the right camera, as many.")],
+    calibration: Annotated[Path, typer.Option(help="The calibration to check.")] = Path("calibration.yaml"),
+    board: Annotated[str | None, typer.Option(help=BOARD_HELP)] = None,
+    length: Annotated[float | None, typer.Option(min=1e-3, help="mm between two circles, the only ones seen.")] = None,
+    limit_ppm: Annotated[float, typer.Option(min=0.0, help="Largest scale error.")] = 500.0,
+    limit_mm: Annotated[float, typer.Option(min=0.0, help="Largest error of a distance.", show_default="0.1 %")] = 0.0,
+    limit_px: Annotated[float, typer.Option(min=0.0, help="Largest epipolar error, rms.")] = 0.5,
+    as_json: Annotated[bool, typer.Option("--json", help="Print plain JSON.")] = False,
+) -> None:
+    """Measure known distances with a calibration; the exit status is 1 when they come out wrong."""
+    import json
+    from dataclasses import asdict
+
+    from daemon.calibrate.check import Limits
+    from daemon.calibration_file import read_cameras
+
+    if (board is None) == (length is None):
+        raise typer.BadParameter("give --board or --length, one of them")
+    cameras = read_cameras(calibration).cameras
+    limits = Limits(limit_ppm, limit_mm, limit_px)
+    found = _board(cameras, left, right, board, limits) if board else _bar(cameras, left, right, length or 0.0, limits)
+    if as_json:
+        typer.echo(json.dumps([{"view": name} | asdict(one) for name, one in found], indent=2))
+    else:
+        for name, one in found:
+            _print(name, one)
+    if any(one.complaints for _, one in found):
+        raise typer.Exit(1)
+
+
+def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -> list[tuple[str, Distances]]:
+    from daemon.calibrate.check import check_board
+    from daemon.calibrate.look import look, require
+    from daemon.calibrate.sources import PicturePairs
+    from daemon.commands.progress import rendering
+    from pipeline.errors import TargetError
+    from pipeline.targets.board import parse_board
+
+    board = parse_board(text)
+    with rendering("Finding marks") as progress:
+        looked = look([PicturePairs(left, right)], board, progress)
+    require(looked, 1)
+    _same_size(cameras, looked.sizes, left, right)
+    if looked.problems:
+        first = looked.problems[0]
+        raise TargetError(f"{first.file}: {first.problem}")
+    views = [(view.name, view.marks["left"], view.marks["right"]) for view in looked.views]
+    return [(name, check_board(cameras, board, a, b, limits)) for name, a, b in views]
+
+
+def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits) -> list[tuple[str, Distances]]:
+    from daemon.calibrate.bar import two_circles
+    from daemon.calibrate.check import check_length
+    from daemon.calibrate.pictures import unpacked
+    from daemon.calibrate.sources import PicturePairs
+    from daemon.commands.progress import rendering
+
+    found = []
+    with rendering("Finding circles") as progress:
+        for view in PicturePairs(left, right).views(progress):
+            ends, sizes = [], {}
+            for device, file, pictures in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
+                picture = unpacked(pictures[0], view.encoding)
+                sizes[device] = picture.shape[1::-1]
+                ends.append(two_circles(picture, file))
+            _same_size(cameras, sizes, *view.files)
+            found.append((view.name, check_length(cameras, length, ends[0], ends[1], limits)))
+    return found
+
+
+def _same_size(cameras: Cameras, sizes: dict[str, tuple[int, int]], left: str, right: str) -> None:
+    from daemon.errors import DaemonError
+
+    for device, name, known in (("left", left, cameras.left.size), ("right", right, cameras.right.size)):
+        if device in sizes and tuple(sizes[device]) != known:
+            width, height = sizes[device]
+            raise DaemonError(
+                f"{name}: {width} x {height} pixels, but the {device} camera was calibrated with "
+                f"{known[0]} x {known[1]}"
+            )
+
+
+def _print(name: str, found: Distances) -> None:
+    good = "good" if not found.complaints else "OUT"
+    if found.pairs == 1:
+        typer.echo(f"{name}: {good}: {found.longest_mm:g} mm measured with {found.mean_mm:+.4f} mm", nl=False)
+        typer.echo(f" ({found.scale_ppm:+.0f} ppm); epipolar error {found.epipolar_px:.3f} px rms")
+    else:
+        a, b = found.worst
+        typer.echo(
+            f"{name}: {good}: {found.pairs} distances between {found.marks} marks up to {found.longest_mm:.0f} mm: "
+            f"mean {found.mean_mm:+.4f} mm, rms {found.rms_mm:.4f} mm, worst {found.worst_mm:+.4f} mm "
+            f"(marks {a} and {b}); scale {found.scale_ppm:+.0f} ppm; flat within {found.flatness_mm:.4f} mm rms; "
+            f"epipolar error {found.epipolar_px:.3f} px rms"
+        )
+    for complaint in found.complaints:
+        typer.echo(f"{name}: {complaint}", err=True)

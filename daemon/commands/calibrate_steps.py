@@ -1,0 +1,233 @@
+"""``fringed calibrate cameras``, ``projector``, ``color`` and ``all``: on pictures, or live with a rig.yaml."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from daemon.commands.calibrate_board import BOARD_HELP
+
+if TYPE_CHECKING:
+    from daemon.calibrate.archive import Stored
+    from daemon.calibrate.sources import Source
+    from daemon.calibrate.work import Calibrated
+    from daemon.calibration_file import CamerasFile
+    from pipeline.bundle import Options
+
+Rig = Annotated[Path | None, typer.Argument(help="Live: the rig.yaml. Without it pictures are named by the options.")]
+Left = Annotated[str | None, typer.Option(help="Pictures of the left camera, such as 'L/*.png', sorted by name.")]
+Right = Annotated[str | None, typer.Option(help="Pictures of the right camera, paired by their order.")]
+Views = Annotated[list[Path] | None, typer.Option(help="Capture folder or take; may be given several times.")]
+BoardText = Annotated[str, typer.Option("--board", help=BOARD_HELP)]
+Out = Annotated[Path, typer.Option("--out", help="Write the calibration here; the one before is kept beside it.")]
+ReportFile = Annotated[
+    Path | None, typer.Option("--report", help="Write the report here.", show_default="beside --out")
+]
+Force = Annotated[bool, typer.Option("--force", help="Also over a calibration that is better.")]
+FreeSkew = Annotated[bool, typer.Option("--skew/--no-skew", help="Find the skew of the pixels' axes.")]
+FreeK3 = Annotated[bool, typer.Option("--k3/--no-k3", help="Find the third radial coefficient.")]
+Refine = Annotated[bool, typer.Option("--refine-board", help="Find the marks' places on the board, too.")]
+Poses = Annotated[int, typer.Option(min=3, help="Live: places of the board that are wanted.")]
+Show = Annotated[Literal["none", "web", "native"], typer.Option("--view", help="Live: a view in Rerun.")]
+Session = Annotated[Path | None, typer.Option(help="Live: folder for the pictures.", show_default="beside rig.yaml")]
+
+DEFAULT_BOARD = "circles:11x9:32:20"
+DEFAULT_OUT = Path("calibration.yaml")
+
+
+def cameras(
+    rig: Rig = None,
+    left: Left = None,
+    right: Right = None,
+    views: Views = None,
+    board: BoardText = DEFAULT_BOARD,
+    out: Out = DEFAULT_OUT,
+    report: ReportFile = None,
+    force: Force = False,
+    skew: FreeSkew = True,
+    k3: FreeK3 = True,
+    refine_board: Refine = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
+) -> None:
+    """Calibrate both cameras together, from pictures of a board at ten or more places."""
+    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
+    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
+    if rig is not None:
+        return _live("cameras", rig, left, right, views, options)
+    _geometry("cameras", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
+    return None
+
+
+def projector(
+    rig: Rig = None,
+    views: Views = None,
+    left: Left = None,
+    right: Right = None,
+    board: BoardText = DEFAULT_BOARD,
+    out: Out = DEFAULT_OUT,
+    report: ReportFile = None,
+    force: Force = False,
+    skew: FreeSkew = True,
+    k3: FreeK3 = True,
+    refine_board: Refine = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
+) -> None:
+    """Calibrate projector and cameras together, from fringes in both directions on a board at ten or more places.
+
+    Views without fringes (--left and --right, or another --views) help with the cameras.
+    """
+    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
+    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
+    if rig is not None:
+        return _live("projector", rig, left, right, views, options)
+    _geometry("projector", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
+    return None
+
+
+def color(
+    rig: Rig = None,
+    views: Views = None,
+    calibration: Annotated[Path, typer.Option(help="The calibration to put the colours into.")] = DEFAULT_OUT,
+    out: Annotated[Path | None, typer.Option(help="Write here instead.", show_default="--calibration")] = None,
+    force: Force = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
+) -> None:
+    """Calibrate black level, crosstalk, lateral colour and the projector's response, from a white board at rest."""
+    if rig is not None:
+        options: dict[str, Any] = {"calibration": calibration, "out": out, "force": force}
+        return _live("color", rig, None, None, views, options | {"poses": poses, "view": view, "session": session})
+    from daemon.calibrate.color import colored
+    from daemon.commands.progress import rendering
+
+    sources = _sources(None, None, views)
+    with rendering("Reading pictures") as progress:
+        result = colored(calibration, sources, progress)
+    stored = result.write(out or calibration, force=force)
+    _tell(stored, [*result.summary, *result.advice])
+    return None
+
+
+def everything(
+    rig: Rig = None,
+    views: Views = None,
+    left: Left = None,
+    right: Right = None,
+    board: BoardText = DEFAULT_BOARD,
+    out: Out = DEFAULT_OUT,
+    report: ReportFile = None,
+    force: Force = False,
+    skew: FreeSkew = True,
+    k3: FreeK3 = True,
+    refine_board: Refine = False,
+    poses: Poses = 12,
+    view: Show = "none",
+    session: Session = None,
+) -> None:
+    """Calibrate cameras, projector and colours: --views for the board with fringes, and --views for the colours."""
+    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
+    options |= {"skew": skew, "k3": k3, "refine_board": refine_board, "poses": poses, "view": view, "session": session}
+    if rig is not None:
+        return _live("all", rig, left, right, views, options)
+    _geometry("all", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board))
+    return None
+
+
+def _geometry(
+    step: str, sources: list[Source], text: str, out: Path, report: Path | None, force: bool, options: Options
+) -> None:
+    from daemon.calibrate import work
+    from daemon.calibrate.color import is_color, with_colors
+    from daemon.commands.progress import rendering
+    from pipeline.targets.board import parse_board
+
+    board = parse_board(text)
+    before = _before(out, force)
+    colors = [source for source in sources if step == "all" and is_color(source.sequence)]
+    boards = [source for source in sources if source not in colors]
+    if step == "all" and (not colors or not boards):
+        lacking = "colours (sequence 'color')" if not colors else "the board (sequence 'projector')"
+        raise typer.BadParameter(f"no --views for {lacking}; all needs both")
+    with rendering("Finding marks") as progress:
+        solve = work.cameras if step == "cameras" else work.projector
+        result = solve(board, boards, progress, options=options, before=before)
+    if colors:
+        with rendering("Reading colours") as progress:
+            result = with_colors(result, colors, progress)
+    title = {"cameras": "Calibration of the cameras", "projector": "Calibration of cameras and projector"}
+    report = report or out.with_name(f"{out.stem}.report.html")
+    stored = work.finish(result, out, report, force=force, title=title.get(step, "Calibration of the rig"))
+    _summary(result)
+    _tell(stored, [*result.notes, *result.advice])
+    typer.echo(f"report: {report}")
+
+
+def _before(out: Path, force: bool) -> CamerasFile | None:
+    from daemon.calibrate.archive import present
+    from pipeline.errors import CalibrationError
+
+    try:
+        return present(out)
+    except CalibrationError:
+        if not force:
+            raise
+        return None
+
+
+def _summary(result: Calibrated) -> None:
+    s = result.solution
+    for rejection in s.rejected:
+        typer.echo(f"{'repaired' if rejection.repaired else 'left out'}: {rejection}", err=True)
+    for seen in result.looked.problems:
+        typer.echo(f"left out: {seen.file}: {seen.problem}", err=True)
+    for problem in result.looked.left_out:
+        typer.echo(f"left out: {problem}", err=True)
+    rms = ", ".join(f"{name} {value:.3f}" for name, value in s.rms.items())
+    typer.echo(
+        f"{s.views_used} views used, {s.views_rejected} left out; reprojection error {rms} px rms, epipolar error "
+        f"{s.epipolar_px:.3f} px; baseline {s.baseline_mm:.3f} ± {s.sigma.get('baseline_mm', 0):.2g} mm"
+    )
+
+
+def _tell(stored: Stored, notes: list[str]) -> None:
+    for note in [*notes, *stored.notes]:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo(f"{stored.path}: {stored.identity}")
+    if stored.kept is not None:
+        typer.echo(f"the one before is kept as {stored.kept}")
+
+
+def _sources(left: str | None, right: str | None, views: list[Path] | None) -> list[Source]:
+    from daemon.calibrate.sources import PicturePairs, open_source
+
+    if (left is None) != (right is None):
+        raise typer.BadParameter("--left and --right belong together")
+    found: list[Source] = [open_source(path) for path in views or ()]
+    if left is not None and right is not None:
+        found.append(PicturePairs(left, right))
+    if not found:
+        raise typer.BadParameter("give a rig.yaml to calibrate live, or pictures: --left and --right, or --views")
+    return found
+
+
+def _options(skew: bool, k3: bool, refine_board: bool) -> Options:
+    from pipeline.bundle import Options
+
+    return Options(skew=skew, k3=k3, board_refined=refine_board)
+
+
+def _live(
+    step: str, rig: Path, left: str | None, right: str | None, views: list[Path] | None, options: dict[str, Any]
+) -> None:
+    if left or right or views:
+        raise typer.BadParameter("a rig.yaml calibrates live; --left, --right and --views are pictures: give one kind")
+    import importlib
+
+    importlib.import_module("daemon.calibrate.live.command").run(step, rig, **options)

@@ -1,0 +1,121 @@
+"""The methods ``calibrate.*``: show pictures and capture what the cameras see of them, while the daemon runs.
+
+``calibrate.capture`` starts a job and answers at once; ``calibrate.status`` tells how far it is and, at the end, the
+file: a take whose ``pattern.json`` is the sequence. Solving is not the daemon's work.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from daemon.capture import LONGEST_HOLD_S, MOST_PAIRS, Capture, Order
+from daemon.control.protocol import FAILED, INVALID_PARAMS, RpcError
+from daemon.service import Service
+from pipeline.calibration import Response
+from pipeline.errors import CalibrationError, PatternError
+from pipeline.sequence import Sequence
+from pipeline.sequence import from_mapping as sequence_from_mapping
+
+Table = dict[str, tuple[Callable[[dict[str, Any]], Any], tuple[str, ...]]]
+
+_MOST_LEVELS = 256
+_CURVES = ("red", "green", "blue")
+
+
+class CalibrateMethods:
+    """Methods over one capture; their errors name the parameter."""
+
+    def __init__(self, service: Service, capture: Capture) -> None:
+        self._service, self._capture = service, capture
+
+    def table(self) -> Table:
+        """Every method by its name, with the parameters that it takes."""
+        return {
+            "calibrate.capture": (self.capture, ("frames", "pairs", "hold_s", "name", "response")),
+            "calibrate.status": (self.status, ()),
+            "calibrate.cancel": (lambda _: self._capture.cancel(), ()),
+            "calibrate.next_pose": (self.next_pose, ()),
+        }
+
+    def capture(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Begin to capture.
+
+        Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs``, how often they are gone
+        through (1); ``hold_s``, how long the last picture stays for the next capture (0); ``name`` of the sequence;
+        ``response`` of the projector, levels and red, green, blue as in a calibration file, for fringes (none: as they
+        are).
+        """
+        order = Order(
+            sequence=self._sequence(params),
+            pairs=int(_number(params, "pairs", 1, 1, MOST_PAIRS, whole=True)),
+            hold_s=_number(params, "hold_s", 0, 0, LONGEST_HOLD_S),
+            response=_response(params),
+        )
+        return self._capture.start(order)
+
+    def status(self, _: dict[str, Any]) -> dict[str, Any]:
+        """How far the newest capture is, the size of the projector's pictures, and whether a hand is simulated."""
+        projector, hand = self._service.projector, self._service.rig.next_pose is not None
+        size = None if projector is None else list(projector.size)
+        return self._capture.status() | {"projector": size, "hand": hand}
+
+    def next_pose(self, _: dict[str, Any]) -> dict[str, Any]:
+        """Move the board of a simulated rig on."""
+        move = self._service.rig.next_pose
+        if move is None:
+            raise RpcError(FAILED, "no simulated hand holds the board of this rig: move it yourself")
+        return {"pose": move()}
+
+    def refuse_while_capturing(self) -> None:
+        """RpcError while the projector belongs to a capture."""
+        if self._capture.active:
+            raise RpcError(FAILED, "the projector is showing pictures for a capture; end it with calibrate.cancel")
+
+    def _sequence(self, params: dict[str, Any]) -> Sequence:
+        data = {"kind": "sequence", "name": params.get("name", "capture"), "frames": params.get("frames")}
+        try:
+            sequence = sequence_from_mapping(data)
+        except PatternError as error:
+            named = re.match(r"pattern\.([\w.\[\]]+)", str(error))
+            raise RpcError(
+                INVALID_PARAMS, str(error).replace("pattern.", "", 1), named[1] if named else None
+            ) from error
+        projector = self._service.projector
+        if projector is not None and sequence.size != projector.size:
+            raise RpcError(
+                INVALID_PARAMS,
+                f"frames[0].size is {list(sequence.size)}, the projector shows {list(projector.size)} pixels",
+                "frames[0].size",
+            )
+        return sequence
+
+
+def _number(
+    params: Mapping[str, Any], key: str, default: float, least: float, most: float, *, whole: bool = False
+) -> float:
+    value = params.get(key, default)
+    kind = int if whole else int | float
+    if isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
+        what = "a whole number" if whole else "a number"
+        raise RpcError(INVALID_PARAMS, f"{key} is {value!r:.60}, expected {what} from {least:g} to {most:g}", key)
+    return float(value)
+
+
+def _response(params: Mapping[str, Any]) -> Response | None:
+    data = params.get("response")
+    if data is None:
+        return None
+    if not isinstance(data, dict) or not {"levels", *_CURVES} <= set(data):
+        raise RpcError(INVALID_PARAMS, "response needs levels, red, green and blue", "response")
+    rows = [data[key] for key in ("levels", *_CURVES)]
+    if not all(isinstance(row, list) and 2 <= len(row) <= _MOST_LEVELS for row in rows):
+        raise RpcError(INVALID_PARAMS, f"response: expected lists of 2 to {_MOST_LEVELS} numbers", "response")
+    try:
+        levels, *curves = (np.array(row, np.float64) for row in rows)
+        return Response(levels, np.stack(curves))
+    except (CalibrationError, ValueError, TypeError) as error:
+        raise RpcError(INVALID_PARAMS, f"response: {error}", "response") from error

@@ -1,0 +1,152 @@
+"""Pictures shown one after the other, each with pairs of raw pictures that surely show it.
+
+A pair counts for a picture only if both of its exposures began after the picture's light was surely out: the flip, the
+projector's latency and a margin. Which pair that is, is told by the times of the exposures, never by counting frames,
+so that lost, late and queued frames can delay a picture but never exchange two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.errors import DaemonError
+from daemon.flash import SETTLED_NS
+from daemon.pairing import Pair
+from drivers.errors import DriverError
+from drivers.protocols import Clock, Projector
+
+Picture = NDArray[np.uint8]
+
+_LEAST_MARGIN_NS = 25_000_000
+_MARGIN_FRAMES = 2.0
+"""The flip and the latency are known to about one period of the projector each."""
+_WAIT_S = 0.1
+
+
+class CaptureCancelledError(DaemonError):
+    """Somebody asked that no more pictures are shown."""
+
+
+class Pairs(Protocol):
+    """Where pairs come from, in the order of their exposures."""
+
+    def get(self, timeout_s: float) -> Pair | None:
+        """The next pair, or None when none came in time."""
+
+
+def settling_ns(projector: Projector, refresh_hz: float, *, tolerance_ns: int) -> int:
+    """How long after its flip a picture is surely on the scene.
+
+    Args:
+        projector: open; a driver that knows its latency tells it as ``latency_s``, None or no such attribute: unknown.
+        refresh_hz: of the projector, 0 if unknown.
+        tolerance_ns: how well the exposures' starts are known.
+    """
+    latency_s = getattr(projector, "latency_s", None)
+    latency_ns = SETTLED_NS if latency_s is None else round(1e9 * latency_s)
+    period_ns = round(1e9 / refresh_hz) if refresh_hz > 0 else 0
+    return latency_ns + tolerance_ns + max(_LEAST_MARGIN_NS, round(_MARGIN_FRAMES * period_ns))
+
+
+def patience_s(*, rendered: bool) -> float:
+    """How long to wait for a pair: rendered pictures take long, triggers do not."""
+    return 60.0 if rendered else 5.0
+
+
+class Shooting:
+    """Shows pictures and waits for the pairs that show them; used by one thread.
+
+    Args:
+        projector: open. pairs: those of its cameras.
+        settle_ns: see :func:`settling_ns`. patience_s: longest wait for a pair.
+        cancelled: asked again and again whether to give up.
+    """
+
+    def __init__(
+        self,
+        projector: Projector,
+        pairs: Pairs,
+        *,
+        clock: Clock,
+        settle_ns: int,
+        patience_s: float = 5.0,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:
+        if getattr(projector, "fixed_picture", False):
+            raise DriverError(
+                "the projector shows a picture of its own and cannot be told to show another; calibrate from pictures "
+                "that were taken with it (--left, --right), or drive it through projector.driver: x11"
+            )
+        self._projector, self._pairs, self._clock = projector, pairs, clock
+        self._settle_ns, self._patience_ns, self._cancelled = settle_ns, round(1e9 * patience_s), cancelled
+        self._shown: Picture | None = None
+        self._lit_ns = 0
+        self._restarts = self._count_restarts()
+
+    def show(self, picture: Picture) -> None:
+        """Show an (H, W, 3) uint8 picture from now on; one that is shown already is left alone.
+
+        Raises:
+            DriverError: the projector cannot, or it had to be started again since the last picture.
+        """
+        if self._shown is None or not np.array_equal(picture, self._shown):
+            self._shown = None
+            self._projector.show(picture)
+            returned_ns = self._clock.realtime_ns()
+            flip: Any = getattr(self._projector, "last_flip", None)
+            self._lit_ns = max(returned_ns, flip.t_realtime_ns if flip is not None else 0) + self._settle_ns
+            self._shown = picture.copy()
+        self._check()
+
+    def pair(self) -> Pair:
+        """The next pair whose exposures begin from now on and see the picture that is shown.
+
+        Raises:
+            DriverError: none came in time, or the projector failed. CaptureCancelledError: told to give up.
+        """
+        if self._shown is None:
+            raise DriverError("no picture is shown; show() comes first")
+        since_ns = max(self._lit_ns, self._clock.realtime_ns())
+        end_ns = self._clock.monotonic_ns() + self._patience_ns + max(0, since_ns - self._clock.realtime_ns())
+        early = 0
+        while self._clock.monotonic_ns() < end_ns:
+            if self._cancelled():
+                raise CaptureCancelledError("the capture was cancelled")
+            pair = self._pairs.get(_WAIT_S)
+            if pair is None:
+                continue
+            if min(pair.left.t_exposure_ns, pair.right.t_exposure_ns) >= since_ns:
+                self._check()
+                return pair
+            early += 1
+        raise DriverError(
+            f"no pair of pictures came within {self._patience_ns / 1e9:g} s ({early} were exposed too early); are both "
+            "cameras triggered, and do their clocks agree?"
+        )
+
+    def each(self, pictures: Iterable[Picture]) -> Iterator[Pair]:
+        """Show the pictures in turn; the pair of each as soon as it is there."""
+        for picture in pictures:
+            self.show(picture)
+            yield self.pair()
+
+    def forget(self) -> None:
+        """Somebody else may have shown a picture; the next one is shown whatever it is."""
+        self._shown = None
+        self._restarts = self._count_restarts()
+
+    def _check(self) -> None:
+        """A window that came back shows its last picture again, but nobody knows what the cameras saw meanwhile."""
+        problem, restarts = self._projector.problem(), self._count_restarts()
+        if problem or restarts != self._restarts:
+            self.forget()
+            told = problem or "the projector's window was started again"
+            raise DriverError(f"{told}; what was captured meanwhile does not count, capture it again")
+
+    def _count_restarts(self) -> int:
+        counted: Any = getattr(self._projector, "counted", None)
+        return int(counted.get("restarts", 0)) if counted is not None else 0

@@ -1,0 +1,104 @@
+"""A smooth map of a plane into a picture: a homography, and a cubic for what the lens adds.
+
+It needs no camera model, so it serves before there is one. It is for what changes slowly over a board (slopes, the
+shift of a circle's centroid), not for where a mark is: the mark itself says that better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64: TypeAlias = NDArray[np.float64]
+
+_CUBIC_FROM, _QUADRATIC_FROM = 30, 15
+_STEP = 1e-4
+_RINGS, _SPOKES = 4, 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothMap:
+    """``map(points)`` takes (n, 2) to (n, 2).
+
+    Args:
+        matrix: (3, 3) homography; rest: (m, 2) coefficients of the polynomial in (points - origin) / scale.
+    """
+
+    matrix: F64
+    rest: F64
+    origin: F64
+    scale: float
+
+    @staticmethod
+    def fitted(source: F64, target: F64, sigma: F64) -> SmoothMap:
+        """Least squares through (n, 2) -> (n, 2), n of 4 or more; sigma (n,) of the targets.
+
+        The polynomial is a cubic with 30 points or more, a quadratic with 15, none with fewer.
+        """
+        matrix = homography(source, target)
+        origin, scale = source.mean(axis=0), float(np.abs(source - source.mean(axis=0)).max())
+        terms = 10 if len(source) >= _CUBIC_FROM else 6 if len(source) >= _QUADRATIC_FROM else 1
+        design = _powers((source - origin) / scale)[:, :terms] / sigma[:, None]
+        error = (target - mapped(matrix, source)) / sigma[:, None]
+        return SmoothMap(matrix, np.linalg.lstsq(design, error, rcond=None)[0], origin, scale)
+
+    def __call__(self, points: F64) -> F64:
+        """Where points (..., 2) go."""
+        flat = points.reshape(-1, 2)
+        powers = _powers((flat - self.origin) / self.scale)[:, : len(self.rest)]
+        return np.asarray((mapped(self.matrix, flat) + powers @ self.rest).reshape(points.shape))
+
+    def slope(self, points: F64) -> F64:
+        """Jacobians, (..., 2) -> (..., 2, 2), rows: picture, columns: plane."""
+        step = _STEP * self.scale * np.eye(2)
+        return np.stack([(self(points + d) - self(points - d)) / (2 * _STEP * self.scale) for d in step], axis=-1)
+
+    def centroid_shift(self, points: F64, radius: float) -> F64:
+        """Centroid of the image of a disc minus the image of its centre, (n, 2) -> (n, 2).
+
+        The integral over the image is one over the disc, weighted by the map's local area.
+        """
+        rings = radius * np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
+        angles = 2 * np.pi * np.arange(_SPOKES) / _SPOKES
+        spokes = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        inside = points[:, None] + (rings[:, None, None] * spokes).reshape(-1, 2)
+        area = np.abs(np.linalg.det(self.slope(inside)))[..., None]
+        return np.asarray((self(inside) * area).sum(axis=1) / area.sum(axis=1) - self(points))
+
+
+def homography(source: F64, target: F64) -> F64:
+    """(3, 3) that maps source (n, 2) to target (n, 2), n of 4 or more, by linear least squares on scaled points."""
+    from_source, to_target = _scaling(source), _scaling(target)
+    x, y = mapped(from_source, source).T
+    u, v = mapped(to_target, target).T
+    one, none = np.ones_like(x), np.zeros_like(x)
+    rows = [
+        np.stack([x, y, one, none, none, none, -u * x, -u * y, -u], axis=1),
+        np.stack([none, none, none, x, y, one, -v * x, -v * y, -v], axis=1),
+    ]
+    stacked = np.concatenate(rows)
+    _, vectors = np.linalg.eigh(stacked.T @ stacked)
+    matrix = np.linalg.inv(to_target) @ vectors[:, 0].reshape(3, 3) @ from_source
+    return np.asarray(matrix / matrix[2, 2])
+
+
+def mapped(matrix: F64, points: F64) -> F64:
+    """Points (n, 2) through a homography."""
+    ends = points @ matrix[:, :2].T + matrix[:, 2]
+    return np.asarray(ends[:, :2] / ends[:, 2:])
+
+
+def _scaling(points: F64) -> F64:
+    """Similarity that brings points to mean 0 and mean distance sqrt(2) (Hartley, 1997)."""
+    middle = points.mean(axis=0)
+    factor = np.sqrt(2) / max(float(np.linalg.norm(points - middle, axis=1).mean()), 1e-12)
+    return np.array([[factor, 0, -factor * middle[0]], [0, factor, -factor * middle[1]], [0, 0, 1]])
+
+
+def _powers(points: F64) -> F64:
+    x, y = points.T
+    one = np.ones_like(x)
+    return np.stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)

@@ -1,0 +1,107 @@
+"""Places of chessboard corners by maximum likelihood: a blurred crossing is fitted to the intensities around each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.targets.corner_kernel import PARAMETERS, fit_corners
+from pipeline.targets.fit_noise import noise_line, together
+from pipeline.targets.grey import GreyPicture, picture_noise
+
+Array = NDArray[np.float64]
+
+_FIRST_STEPS, _LAST_STEPS = 15, 8
+_BLUR, _BLUR_ALIKE = np.array([1.0, 1.0]), np.array([1.0, 0.3])
+_NEAREST = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerFits:
+    """What was fitted, one row a corner.
+
+    Args:
+        centres: (n, 2) pixels.
+        sigma_px: (n,) standard deviation of each coordinate.
+        blur_px: (n,) sigma of the edges, pixels.
+        contrast: (n,) light minus dark.
+        level: (n,) of the light squares.
+        light_first: (n,) whether the quadrant between the two growing board axes is a light one.
+        misfit: (n,) rms of the residuals as a share of the contrast.
+        good: (n,).
+    """
+
+    centres: Array
+    sigma_px: Array
+    blur_px: Array
+    contrast: Array
+    level: Array
+    light_first: NDArray[np.bool_]
+    misfit: Array
+    good: NDArray[np.bool_]
+
+
+def fit_crossings(picture: GreyPicture, corners: Array, at: Array, *, reach: float) -> CornerFits:
+    """Fit every corner.
+
+    Args:
+        picture: grey.
+        corners: (n, 2) pixels, within about two pixels.
+        at: (n, 2) places on the board in squares; they tell how the edges run.
+        reach: radius of the pixels to use, as a share of the shorter side of a square; at most 0.45.
+    """
+    values, n = picture.values, len(corners)
+    steps = _steps(corners, at)
+    side = np.linalg.norm(steps, axis=1).min(axis=1)
+    windows = np.clip(reach * side, 2.5, 16.0)
+    parameters, results = np.zeros((n, PARAMETERS)), np.zeros((n, 10))
+    # Edge 1 runs along the rows, so that its normal has the sign of the step in the columns, and the other way round.
+    for column, along, across in ((2, 0, 1), (3, 1, 0)):
+        normal = np.stack([-steps[:, 1, along], steps[:, 0, along]], axis=1)
+        normal *= np.sign((normal * steps[:, :, across]).sum(axis=1))[:, None]
+        parameters[:, column] = np.arctan2(normal[:, 1], normal[:, 0])
+    parameters[:, 4] = 1.0
+    starts = np.ascontiguousarray(corners, dtype=np.float64)
+    first = parameters.copy()
+    noise = np.array([max(picture_noise(values) ** 2, 1e-8 * float(np.ptp(values)) ** 2, 1e-30), 0.0])
+    fit_corners(values, starts, windows, noise, _BLUR, picture.clip, _FIRST_STEPS, parameters, results)
+    good = results[:, 9] > 0
+    if good.any():
+        noise = _noise(parameters[good], results[good])
+        blur = float(np.median(parameters[good, 4])) * _BLUR_ALIKE
+        parameters[~good] = first[~good]
+        fit_corners(values, starts, windows, noise, blur, picture.clip, _LAST_STEPS, parameters, results)
+        good = results[:, 9] > 0
+    alike = together(values, starts[:24] + steps[:24].sum(axis=2) / 2, 0.25 * side[:24])
+    variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * alike
+    contrast = 2 * np.abs(parameters[:, 8])
+    flat = np.maximum(results[:, 6] + results[:, 8], 1)
+    misfit = np.sqrt((results[:, 5] + results[:, 7]) / flat) / np.maximum(contrast, 1e-12)
+    return CornerFits(
+        starts + parameters[:, :2],
+        np.sqrt(np.maximum(variance, 0)),
+        parameters[:, 4],
+        contrast,
+        parameters[:, 5] + 0.5 * contrast,
+        parameters[:, 8] > 0,
+        misfit,
+        good,
+    )
+
+
+def _noise(parameters: Array, results: Array) -> Array:
+    middle, half = np.median(parameters[:, 5]), np.median(np.abs(parameters[:, 8]))
+    dark = float(middle - half), float(results[:, 5].sum()), float(results[:, 6].sum())
+    return noise_line(dark, (float(middle + half), float(results[:, 7].sum()), float(results[:, 8].sum())))
+
+
+def _steps(corners: Array, at: Array) -> Array:
+    """(n, 2, 2) pixels per square at each corner: ``[:, :, 0]`` along the rows, ``[:, :, 1]`` along the columns."""
+    steps = np.empty((len(corners), 2, 2))
+    for index in range(len(corners)):
+        near = np.argsort(np.linalg.norm(at - at[index], axis=1), kind="stable")[:_NEAREST]
+        basis = np.column_stack([at[near] - at[index], np.ones(len(near))])
+        steps[index] = np.linalg.lstsq(basis, corners[near], rcond=None)[0][:2].T
+    return steps

@@ -1,0 +1,144 @@
+"""Points and the projector coordinates observed there, for the trinocular residual.
+
+Two sources: a cloud of the single-shot measurement with the phases of its left picture, and the absolute phases of a
+scene at rest in both cameras. In the second the cameras' pixels are matched by what lit them, both coordinates at once,
+so nothing of the projector's geometry is used.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Calibration
+from pipeline.cloud import Cloud
+from pipeline.errors import CalibrationError
+from pipeline.multi_shot import Coordinate
+from pipeline.pattern import ColorFringe
+from pipeline.phase import PhaseMap
+from pipeline.triangulate import triangulate
+from pipeline.trinocular import Samples
+
+F64: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+
+_TURN = 2 * np.pi
+_NEAR = 2
+_RADIUS = 2
+_FEWEST_NEIGHBOURS = 16
+_FARTHEST_PX = 2.5
+_ROUGHEST_PX = 0.3
+
+
+def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, every: int = 6) -> Samples:
+    """Of a single-shot measurement.
+
+    The equalised phase is taken: on coloured surfaces the pointwise one is off, in both cameras alike, which a match
+    does not feel but this residual does.
+
+    Args:
+        cloud: of the pair; phases: of its left picture, before the decoder has another one.
+        every: step of the pixels taken, in both directions; beyond the decoder's window they err independently.
+    """
+    part = np.s_[every // 2 :: every, every // 2 :: every]
+    order, points = cloud.order[part].astype(np.float64), cloud.xyz[part].astype(np.float64)
+    wrapped, equalised = phases.phase[part].astype(np.float64), phases.phase_eq[part].astype(np.float64)
+    known = np.isfinite(points[..., 2]) & (cloud.order[part] >= 0)
+    absolute = wrapped + _TURN * order
+    absolute += np.angle(np.exp(1j * (equalised - wrapped)))
+    column = pattern.column_of(absolute)
+    sigma = np.sqrt(phases.variance[part].astype(np.float64)) * pattern.length / (_TURN * pattern.periods)
+    known &= np.isfinite(column) & (sigma > 0)
+    axis = np.full(int(known.sum()), 0 if pattern.axis == "x" else 1)
+    return Samples(points[known], column[known], axis, sigma[known])
+
+
+def samples_of_phases(
+    calibration: Calibration,
+    left: tuple[Coordinate, Coordinate],
+    right: tuple[Coordinate, Coordinate],
+    *,
+    every: int = 6,
+) -> Samples:
+    """Of a scene at rest under a sequence: projector columns and rows (x, y) of both cameras' pixels.
+
+    Each place is fitted in 5 x 5 pixels, in the left picture to have its projector coordinates, in the right one to
+    find where the same coordinates are.
+
+    Args:
+        every: step of the left pixels taken, in both directions.
+    """
+    light = _stacked(left)
+    there = _stacked(right)
+    for name, field, device in (("left", light, calibration.left), ("right", there, calibration.right)):
+        if field.shape[:2] != device.size[::-1]:
+            raise CalibrationError(f"{name} phases are {field.shape[:2]}, the camera's picture is {device.size[::-1]}")
+    rows, columns = light.shape[:2]
+    v, u = (index.ravel() for index in np.mgrid[every // 2 : rows : every, every // 2 : columns : every])
+    place, _, fine = _fits(light, u, v)
+    u, v, place = u[fine], v[fine], place[fine]
+    found_u, found_v, fine = _lookup(there, place, calibration.projector.size)
+    u, v, place, found_u, found_v = u[fine], v[fine], place[fine], found_u[fine], found_v[fine]
+    value, gradient, fine = _fits(there, found_u, found_v)
+    # Solved one by one where the two coordinates do change with the place.
+    fine &= np.abs(np.linalg.det(gradient)) > 1e-3
+    u, v, place, found_u, found_v = u[fine], v[fine], place[fine], found_u[fine], found_v[fine]
+    away = np.linalg.solve(gradient[fine], (place - value[fine])[..., None])[..., 0]
+    match = np.stack([found_u, found_v], axis=1) + away
+    fine = (np.abs(away) <= _FARTHEST_PX).all(axis=1)
+    pixels, place = np.stack([u, v], axis=1)[fine].astype(np.float64), place[fine]
+    points = triangulate(calibration.left, calibration.right, pixels, match[fine])
+    noise = [
+        np.hypot(here.sigma_px[v, u], other.sigma_px[found_v, found_u])[fine] / (2 * _RADIUS + 1)
+        for here, other in zip(left, right, strict=True)
+    ]
+    axis = np.repeat(np.arange(2), len(points))
+    return Samples(np.concatenate([points, points]), place.T.ravel(), axis, np.concatenate(noise))
+
+
+def _stacked(pair: tuple[Coordinate, Coordinate]) -> F64:
+    """(H, W, 2), both known or both NaN."""
+    both = np.stack([pair[0].px, pair[1].px], axis=-1)
+    both[~np.isfinite(both).all(axis=-1)] = np.nan
+    return both
+
+
+def _fits(field: F64, u: Ints, v: Ints) -> tuple[F64, F64, NDArray[np.bool_]]:
+    """Planes through 5 x 5 values around pixels: value (n, 2), slope (n, 2, 2) by (u, v), and whether it is smooth."""
+    rows, columns = field.shape[:2]
+    dv, du = (index.ravel() for index in np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _RADIUS + 1])
+    inside = (u >= _RADIUS) & (v >= _RADIUS) & (u < columns - _RADIUS) & (v < rows - _RADIUS)
+    at_v, at_u = np.where(inside, v, _RADIUS)[:, None] + dv, np.where(inside, u, _RADIUS)[:, None] + du
+    values = field[at_v, at_u]
+    known = np.isfinite(values[..., 0])
+    enough = inside & (known.sum(axis=1) >= _FEWEST_NEIGHBOURS)
+    design = np.stack([np.ones(len(du)), du, dv], axis=1).astype(np.float64)
+    normal = np.einsum("nk,ki,kj->nij", known.astype(np.float64), design, design)
+    normal[~enough] = np.eye(3)
+    right = np.einsum("ki,nkc->nic", design, np.where(known[..., None], values, 0.0))
+    solution = np.linalg.solve(normal, right)
+    rest = np.where(known[..., None], values - np.einsum("ki,nic->nkc", design, solution), 0.0)
+    rough = np.sqrt((rest**2).sum(axis=1) / np.maximum(known.sum(axis=1), 4)[:, None] * 25 / 22).max(axis=1)
+    return solution[:, 0], np.swapaxes(solution[:, 1:], 1, 2), enough & (rough <= _ROUGHEST_PX)
+
+
+def _lookup(field: F64, wanted: F64, size: tuple[int, int]) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+    """Pixels (u, v) whose projector coordinates are next to the wanted ones (n, 2), and whether there is one near."""
+    width, height = size
+    v, u = np.nonzero(np.isfinite(field[..., 0]))
+    cell = np.rint(field[v, u]).astype(np.int64)
+    table = np.full((height + 2 * _NEAR, width + 2 * _NEAR), -1, np.int64)
+    table[np.clip(cell[:, 1], 0, height - 1) + _NEAR, np.clip(cell[:, 0], 0, width - 1) + _NEAR] = np.arange(len(u))
+    asked = np.clip(np.rint(wanted).astype(np.int64), 0, [width - 1, height - 1]) + _NEAR
+    best, least = np.zeros(len(wanted), np.int64), np.full(len(wanted), np.inf)
+    for dy in range(-_NEAR, _NEAR + 1):
+        for dx in range(-_NEAR, _NEAR + 1):
+            found = table[asked[:, 1] + dy, asked[:, 0] + dx]
+            there = np.where(found >= 0, found, 0)
+            away = np.hypot(*(field[v[there], u[there]] - wanted).T) if len(u) else least
+            closer = (found >= 0) & (away < least)
+            best[closer], least[closer] = found[closer], away[closer]
+    fine = np.isfinite(least)
+    return (u[best], v[best], fine) if len(u) else (best, best, fine)

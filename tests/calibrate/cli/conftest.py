@@ -1,0 +1,82 @@
+"""One drawn session for all tests of the commands."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from daemon.calibration_file import write_calibration
+from pipeline.calibration import Cameras
+from pipeline.sequence import projector_sequence
+from pipeline.targets.board import Board, parse_board
+from tests.calibrate.cli import drawn
+
+BOARD = "circles:9x7:24:14"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """OpenCV's threads gain nothing on pictures of this size."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    yield
+    cv2.setNumThreads(before)
+
+
+@pytest.fixture(scope="session")
+def board() -> Board:
+    return parse_board(BOARD)
+
+
+@pytest.fixture(scope="session")
+def true_rig() -> Cameras:
+    return drawn.rig()
+
+
+@pytest.fixture(scope="session")
+def session_folder(tmp_path_factory: pytest.TempPathFactory, board: Board, true_rig: Cameras) -> Path:
+    """``L/00.png`` ..., ``R/00.png`` ...: ten places of the board."""
+    folder = tmp_path_factory.mktemp("session")
+    drawn.write_pairs(folder, true_rig, board, drawn.poses(board, 10))
+    return folder
+
+
+@pytest.fixture
+def pictures(tmp_path: Path, session_folder: Path) -> Path:
+    """A copy of the session that may be spoiled."""
+    for side in ("L", "R"):
+        shutil.copytree(session_folder / side, tmp_path / side)
+    return tmp_path
+
+
+@pytest.fixture(scope="session")
+def capture_folder(tmp_path_factory: pytest.TempPathFactory, board: Board, true_rig: Cameras) -> Path:
+    """A capture folder with fringes, five places of the board."""
+    folder = tmp_path_factory.mktemp("capture") / "fringes"
+    sequence = projector_sequence(drawn.PROJECTOR, steps=4)
+    drawn.write_capture(folder, true_rig, board, drawn.poses(board, 5, seed=1), sequence, seed=1)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def truth_file(tmp_path_factory: pytest.TempPathFactory, true_rig: Cameras) -> Path:
+    path = tmp_path_factory.mktemp("truth") / "calibration.yaml"
+    write_calibration(path, true_rig.complete())
+    return path
+
+
+@pytest.fixture
+def spoil() -> Callable[[Path, Callable[[np.ndarray], np.ndarray]], None]:
+    """Changes the picture in a file."""
+
+    def change(path: Path, how: Callable[[np.ndarray], np.ndarray]) -> None:
+        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert picture is not None
+        drawn.write_png(path, np.ascontiguousarray(how(picture)))
+
+    return change

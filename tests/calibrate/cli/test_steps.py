@@ -1,0 +1,175 @@
+"""The commands on pictures: what is written is the rig that took them, and the report can be read."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as Xml
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from daemon.calibration_file import read_calibration, read_cameras
+from daemon.cli import invoke
+from pipeline.calibration import Cameras
+from pipeline.camera_model import CameraModel
+from tests.calibrate.cli.conftest import BOARD
+
+NAMES = ("rms_left_px", "rms_right_px", "rms_stereo_px", "epipolar_px", "views_used", "views_rejected")
+
+
+def cameras_command(folder: Path, *more: str) -> list[str]:
+    left, right = str(folder / "L" / "*.png"), str(folder / "R" / "*.png")
+    return ["calibrate", "cameras", "--left", left, "--right", right, "--board", BOARD, *more]
+
+
+def field_error_px(found: CameraModel, true: CameraModel, *, near: float = 900, far: float = 1100) -> float:
+    """Largest difference of where points inside the middle of the picture are seen."""
+    v, u = np.mgrid[0.15:0.85:9j, 0.15:0.85:9j]
+    pixels = np.stack([u * true.size[0], v * true.size[1]], axis=-1)
+    rays = np.concatenate([true.normalise(pixels), np.ones((9, 9, 1))], axis=-1)
+    errors = []
+    for depth in (near, far):
+        world = (depth * rays - true.translation) @ true.rotation
+        errors.append(np.linalg.norm(found.project(world) - true.project(world), axis=-1).max())
+    return float(max(errors))
+
+
+def report_is_whole(path: Path, *words: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    root = Xml.fromstring(text.removeprefix("<!DOCTYPE html>"))  # noqa: S314 - our own file
+    said = " ".join(root.itertext())
+    for word in words:
+        assert word in said, word
+    assert "<script" not in text
+    links = re.findall(r'(?:href|src)="([^"]*)"', text)
+    assert links
+    assert all(link.startswith("data:image/jpeg;base64,") for link in links)
+
+
+def test_cameras_are_calibrated_as_the_manual_writes_it(
+    pictures: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, report = pictures / "calibration.yaml", pictures / "report.html"
+    assert invoke(cameras_command(pictures, "--out", str(out), "--report", str(report))) == 0
+    told = capsys.readouterr()
+    assert "10 views used, 0 left out" in told.out
+    file = read_cameras(out)
+    quality = file.mapping["quality"]
+    assert all(name in quality for name in NAMES)
+    assert quality["views_used"] == 10
+    assert quality["report"] == "report.html"
+    assert quality["board"] == BOARD
+    sigma = quality["standard_deviations"]
+    for side, found, true in (
+        ("left", file.cameras.left, true_rig.left),
+        ("right", file.cameras.right, true_rig.right),
+    ):
+        assert quality[f"rms_{side}_px"] < 0.05
+        assert abs(found.matrix[0, 0] - true.matrix[0, 0]) < 5 * sigma[f"{side}.fx"] + 0.05
+    # Both cameras together, against the world of the left one: what a measurement feels.
+    assert abs(file.cameras.baseline_mm - true_rig.baseline_mm) < 5 * sigma["baseline_mm"]
+    assert quality["epipolar_px"] < 0.05
+    report_is_whole(
+        report, "Coverage", "Residuals", "left.fx", "right.translation_x", "Errors of every view", "00, left"
+    )
+    assert sorted(path.name for path in pictures.iterdir()) == ["L", "R", "calibration.yaml", "report.html"]
+
+
+def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(pictures: Path) -> None:
+    out = pictures / "calibration.yaml"
+    command = cameras_command(pictures, "--out", str(out))
+    assert invoke(command) == 0
+    first = out.read_bytes()
+    assert invoke(command) == 0
+    kept = [path for path in pictures.glob("calibration.2*.yaml")]
+    assert [path.read_bytes() for path in kept] == [first] or out.read_bytes() == first
+    report_is_whole(pictures / "calibration.report.html", "before (", "in standard deviations")
+
+
+def test_projector_and_cameras_are_solved_together(
+    pictures: Path, capture_folder: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = pictures / "calibration.yaml"
+    command = cameras_command(pictures, "--views", str(capture_folder), "--out", str(out))
+    command[1] = "projector"
+    assert invoke(command) == 0
+    assert "projector 0.0" in capsys.readouterr().out
+    rig = read_calibration(out).calibration
+    quality = yaml.safe_load(out.read_text())["quality"]
+    assert quality["rms_projector_px"] < 0.05
+    assert quality["views_used"] == 15
+    assert 0 <= quality["order_merit"] <= 1
+    true = true_rig.complete()
+    # A common turn of everything against the left camera's axis changes nothing that is measured; pixels tell.
+    for device, wanted in ((rig.right, true.right), (rig.projector, true.projector)):
+        assert field_error_px(device, wanted) < 1.0
+    assert rig.baseline_mm == pytest.approx(true.baseline_mm, rel=5e-4)
+    report_is_whole(out.with_name("calibration.report.html"), "projector.fx", "coverage, projector")
+
+
+def test_the_calibration_measures_the_true_distances(
+    pictures: Path, capsys: pytest.CaptureFixture[str], truth_file: Path
+) -> None:
+    out = pictures / "calibration.yaml"
+    assert invoke(cameras_command(pictures, "--out", str(out))) == 0
+    capsys.readouterr()
+    view = [
+        "--left",
+        str(pictures / "L" / "04.png"),
+        "--right",
+        str(pictures / "R" / "04.png"),
+        "--board",
+        BOARD,
+        "--json",
+    ]
+    for file in (out, truth_file):
+        assert invoke(["calibrate", "check", "--calibration", str(file), *view]) == 0
+        (found,) = json.loads(capsys.readouterr().out)
+        assert found["marks"] == 63
+        assert found["pairs"] == 63 * 62 // 2
+        assert abs(found["scale_ppm"]) < 150
+        assert found["rms_mm"] < 0.03
+        assert found["epipolar_px"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"baseline": 1.002}, "ppm too long"),
+        ({"turn": 0.002}, "from their epipolar lines"),
+        ({"focal": 1.01}, "is wrong by|ppm too|epipolar"),
+    ],
+)
+def test_a_rig_that_changed_is_found_out(
+    tmp_path: Path, session_folder: Path, truth_file: Path, capsys: pytest.CaptureFixture[str],
+    change: dict[str, float], complaint: str,
+) -> None:  # fmt: skip
+    mapping = yaml.safe_load(truth_file.read_text())
+    right = mapping["cameras"]["right"]
+    if "baseline" in change:
+        right["translation"] = [change["baseline"] * x for x in right["translation"]]
+    if "turn" in change:
+        c, s = np.cos(change["turn"]), np.sin(change["turn"])
+        turn = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+        right["rotation"] = (turn @ right["rotation"]).tolist()
+        right["translation"] = (turn @ right["translation"]).tolist()
+    if "focal" in change:
+        right["matrix"][0][0] *= change["focal"]
+        right["matrix"][1][1] *= change["focal"]
+    path = tmp_path / "calibration.yaml"
+    path.write_text(yaml.safe_dump(mapping))
+    view = ["--left", str(session_folder / "L" / "00.png"), "--right", str(session_folder / "R" / "00.png")]
+    assert invoke(["calibrate", "check", "--calibration", str(path), *view, "--board", BOARD]) == 1
+    told = capsys.readouterr()
+    assert "OUT" in told.out
+    assert re.search(complaint, told.err)
+
+
+def test_usage_errors_are_told(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert invoke(["calibrate", "cameras", "--left", str(pictures / "L" / "*.png"), "--board", BOARD]) == 2
+    assert "--left and --right belong together" in capsys.readouterr().err
+    assert invoke(["calibrate", "cameras", "--board", BOARD]) == 2
+    assert "give a rig.yaml to calibrate live, or pictures" in capsys.readouterr().err

@@ -1,0 +1,90 @@
+"""A lit rig with a board in a simulated hand; its pictures carry numbers instead of marks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import TargetError
+from pipeline.targets.board import DEFAULT_BOARD, Board
+from sim.devices import RigDevices
+from sim.world import SimWorld
+from tests.calibrate.bundle.sessions import session as made_session
+from tests.calibrate.live.lit_rig import FreeProjector, devices
+from tests.calibrate.live.test_session import Seen
+
+VIEWS, SIZES, _ = made_session(n=16, devices=("left", "right"), seed=3)
+BOARD = DEFAULT_BOARD
+DARK = 40
+"""Marks are not seen in less light."""
+
+
+class Hand:
+    """Moves the board on."""
+
+    def __init__(self, world: SimWorld) -> None:
+        self.pose, self.moves = 0, 0
+        self._world = world
+
+    def next_pose(self) -> int:
+        self.pose = (self.pose + 1) % len(VIEWS)
+        self.moves += 1
+        return self.pose
+
+    def close(self) -> None:
+        self._world.close()
+
+
+class HandPictures:
+    """Light, side and pose in the first pixels of pictures of the true size."""
+
+    def __init__(self, projector: FreeProjector) -> None:
+        self.projector, self.hand = projector, None
+
+    def pair(self, index: int) -> tuple[Any, Any]:  # noqa: ARG002 - the protocol's
+        pictures = []
+        for side in (0, 1):
+            width, height = SIZES[("left", "right")[side]]
+            picture = np.full((height // 8, width // 8, 3), self.projector.level, np.uint8)
+            picture[0, 0] = (self.hand.pose, side, 77)  # type: ignore[attr-defined]
+            picture.setflags(write=False)
+            pictures.append(picture)
+        return pictures[0], pictures[1]
+
+
+@dataclass
+class HandDevices:
+    cameras: Any
+    projector: FreeProjector
+    trigger: Hand
+    plain: RigDevices
+
+    def close(self) -> None:
+        self.trigger.close()
+
+
+def hand_devices(rate_hz: float = 200.0) -> HandDevices:
+    plain, projector, _ = devices(rate_hz)
+    pictures = HandPictures(projector)
+    width, height = SIZES["left"]
+    world = SimWorld(pictures, projector, (width // 8, height // 8), "rgb8", rate_hz=rate_hz, exposure_us=500.0)  # type: ignore[arg-type]
+    hand = Hand(world)
+    pictures.hand = hand  # type: ignore[assignment]
+    return HandDevices(world.cameras, projector, hand, plain)
+
+
+def find(picture: Any, board: Board) -> Seen:
+    """The marks that the numbers stand for."""
+    assert board == BOARD
+    if picture[1, 1].max() < DARK:
+        raise TargetError("too dark")
+    pose, side, check = (int(value) for value in picture[0, 0])
+    assert check == 77
+    return Seen(VIEWS[pose].marks[("left", "right")[side]])
+
+
+def open_rig(options: dict[str, Any], base_dir: Any, *, progress: Any = None) -> HandDevices:  # noqa: ARG001
+    """For the registry of drivers."""
+    return hand_devices()

@@ -1,0 +1,222 @@
+"""Captures through a running daemon: right pictures, bounded, and measuring goes on afterwards whatever happened."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daemon import capture as capture_module
+from daemon.capture import Capture
+from daemon.control.calibrate import CalibrateMethods
+from daemon.control.methods import Methods
+from daemon.control.protocol import RpcError
+from daemon.outputs import open_capture
+from daemon.recorder import Recorder
+from daemon.recording.reader import TakeReader
+from daemon.service import Service
+from daemon.status import State
+from tests.calibrate.live.lit_rig import FreeProjector, UnmeasuringService, devices
+from tests.daemon.rigs import Collector, config, rig_of, wait_until
+
+
+@dataclass
+class Bench:
+    service: Service
+    methods: Methods
+    capture: Capture
+    projector: FreeProjector
+    sink: Collector
+    path: Path
+
+    def call(self, method: str, /, **params: object) -> Any:
+        return self.methods.table()[method](params)
+
+    def frames(self, *levels: int) -> list[dict[str, Any]]:
+        size = list(self.projector.size)
+        return [{"kind": "uniform", "size": size, "color": [level] * 3} for level in levels]
+
+    def ended(self) -> dict[str, Any]:
+        wait_until(lambda: self.call("calibrate.status")["outcome"])
+        return dict(self.call("calibrate.status"))
+
+    def measures_again(self) -> None:
+        wait_until(lambda: self.service.state()[0] is State.RUNNING)
+        clouds = self.service.worker.clouds
+        wait_until(lambda: self.service.worker.clouds > clouds + 2)
+        assert self.projector.shown[-1] == self.fringe
+
+    @property
+    def fringe(self) -> int:
+        return int(self.service.rig.pattern.picture(self.service.rig.calibration.response)[0, 0].max())
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    path = tmp_path_factory.mktemp("rig")
+    made, projector, _ = devices()
+    sink = Collector()
+    rig, settings = rig_of(made), config(path, "recording: {min_free_mb: 10}\n")
+    service = UnmeasuringService(settings, rig, {"stream": sink})
+    (path / "run").mkdir()
+    capture = Capture(
+        service,
+        lambda file, pattern, least: open_capture(settings, rig, "s", file, pattern, min_free_bytes=least),
+        directories=(path / "run", path / "takes"),
+    )
+    recorder = Recorder(service, path / "takes", lambda _: Collector())
+    calibrate = CalibrateMethods(service, capture)
+    methods = Methods(service, recorder, path=None, base_dir=path, calibrate=calibrate)
+    thread = threading.Thread(target=service.run)
+    thread.start()
+    bench = Bench(service, methods, capture, projector, sink, path)
+    with pytest.raises(RpcError, match="still starting"):
+        bench.call("calibrate.capture", frames=bench.frames(1))
+    wait_until(lambda: service.state()[0] is State.RUNNING, 60)
+    yield bench
+    service.ask_stop()
+    thread.join(20)
+    capture.close()
+    assert not list((path / "run").iterdir()), "what was kept in memory goes with the daemon"
+
+
+@pytest.fixture
+def bench(started: Bench) -> Iterator[Bench]:
+    yield started
+    started.projector.trouble = ""
+    started.call("calibrate.cancel")
+    started.measures_again()
+
+
+def test_each_pair_of_the_take_shows_its_frame_and_nothing_of_it_is_measured(bench: Bench) -> None:
+    levels = [10, 200, 30, 90, 91]
+    bench.sink.items.clear()
+    job = bench.call("calibrate.capture", frames=bench.frames(*levels), pairs=2, name="five")
+    assert job["frames"] == 5
+    told = bench.ended()
+    assert told["outcome"] == "done" and (told["done"], told["of"]) == (10, 10)
+    with TakeReader(Path(told["file"])) as take:
+        assert take.whole and take.metadata["first_pattern_sequence"] == "0"
+        sequence = json.loads(take.attachments["pattern.json"])
+        assert sequence["name"] == "five" and [f["color"][0] for f in sequence["frames"]] == levels
+        pairs = sorted(take.pairs(), key=lambda pair: pair.sequence)
+    assert [pair.sequence for pair in pairs] == list(range(10))
+    for pair in pairs:
+        assert set(np.unique(pair.left)) == set(np.unique(pair.right)) == {levels[pair.sequence % 5]}
+    bench.measures_again()
+    shown = {int(item.left.image.max()) for item in bench.sink.pairs}
+    assert shown == {bench.fringe}, "sinks get pairs under the fringe alone"
+
+
+def test_while_it_holds_the_status_says_why_nothing_is_measured_and_the_last_picture_stays(bench: Bench) -> None:
+    first = bench.call("calibrate.capture", frames=bench.frames(77), hold_s=30)["job"]
+    bench.ended()
+    assert bench.call("calibrate.status")["state"] == "holding"
+    assert bench.service.state() == (State.PAUSED, ("calibrating",))
+    shown, clouds = list(bench.projector.shown), bench.service.worker.clouds
+    assert bench.call("calibrate.capture", frames=bench.frames(77), hold_s=30)["job"] == first + 1
+    assert bench.ended()["outcome"] == "done"
+    assert bench.projector.shown == shown, "the picture that is there already is not shown again"
+    assert bench.service.worker.clouds == clouds
+    with pytest.raises(RpcError, match="showing pictures for a capture"):
+        bench.call("pattern.show", name="fringe")
+    assert bench.call("calibrate.cancel")["job"] == first + 1
+    bench.measures_again()
+    assert bench.call("calibrate.status")["state"] == "idle"
+
+
+def test_a_hold_ends_by_itself(bench: Bench) -> None:
+    bench.call("calibrate.capture", frames=bench.frames(5), hold_s=0.1)
+    bench.ended()
+    bench.measures_again()
+
+
+def test_one_capture_at_a_time_and_it_can_be_cancelled(bench: Bench) -> None:
+    job = bench.call("calibrate.capture", frames=bench.frames(*range(1, 201)), pairs=4)["job"]
+    with pytest.raises(RpcError, match=f"capture {job} is going on"):
+        bench.call("calibrate.capture", frames=bench.frames(1))
+    bench.call("calibrate.cancel")
+    told = bench.ended()
+    assert told["outcome"] == "cancelled" and told["file"] is None
+    bench.measures_again()
+    assert not list(bench.path.glob("*/*.partial"))
+
+
+def test_a_capture_whose_client_died_is_given_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture_module, "ABANDONED_S", 0.2)
+    bench.call("calibrate.capture", frames=bench.frames(*range(1, 201)), pairs=4)
+    wait_until(lambda: bench.service.state()[0] is State.PAUSED)
+    bench.measures_again()
+    assert bench.call("calibrate.status")["outcome"] == "cancelled"
+
+
+def test_a_projector_that_fails_ends_the_capture_with_its_words(bench: Bench) -> None:
+    bench.projector.trouble = "no picture: the cable is out"
+    bench.call("calibrate.capture", frames=bench.frames(1, 2))
+    told = bench.ended()
+    assert told["outcome"] == "failed" and "the cable is out" in told["problem"]
+    wait_until(lambda: bench.service.state()[0] is not State.PAUSED)
+    bench.projector.trouble = ""
+    bench.call("pattern.show", name="fringe")
+
+
+def test_a_daemon_that_was_stopped_before_is_stopped_afterwards(bench: Bench) -> None:
+    bench.call("stop")
+    bench.call("calibrate.capture", frames=bench.frames(50))
+    assert bench.ended()["outcome"] == "done"
+    wait_until(lambda: not bench.capture.active)
+    assert bench.service.state()[0] is State.PAUSED and bench.service.state()[1] == ()
+    bench.call("start")
+
+
+def test_only_the_last_captures_are_kept(bench: Bench) -> None:
+    for level in range(1, 7):
+        bench.call("calibrate.capture", frames=bench.frames(level), hold_s=5)
+        bench.ended()
+    assert len(list(bench.path.glob("run/capture*.mcap"))) == 4
+
+
+@pytest.mark.parametrize(
+    ("params", "path"),
+    [
+        ({}, "frames"),
+        ({"frames": []}, "frames"),
+        ({"frames": 5}, "frames"),
+        ({"frames": [{"kind": "plaid"}]}, "frames[0].kind"),
+        ({"frames": [{"kind": "uniform", "size": [8, 8], "color": [1, 2, 3]}]}, "frames[0].size"),
+        ({"frames": [{"kind": "uniform", "size": [8, 8], "color": [1, 2, 300]}]}, "frames[0].color"),
+        ({"frames": [{"kind": "fringe", "size": [8, 8]}]}, "frames[0].periods"),
+        ({"pairs": 0}, "pairs"),
+        ({"pairs": 1.5}, "pairs"),
+        ({"pairs": True}, "pairs"),
+        ({"hold_s": 1e9}, "hold_s"),
+        ({"hold_s": "x"}, "hold_s"),
+        ({"name": 7}, "name"),
+        ({"response": {"levels": [0, 255]}}, "response"),
+        ({"response": {key: [0, 1] for key in ("levels", "red", "green", "blue")}}, "response"),
+        ({"response": {key: ["a", {}] for key in ("levels", "red", "green", "blue")}}, "response"),
+    ],
+)
+def test_bad_parameters_are_refused_with_their_name(bench: Bench, params: dict[str, Any], path: str) -> None:
+    given = params if "frames" in params or not params else {"frames": bench.frames(1)} | params
+    with pytest.raises(RpcError) as caught:
+        bench.call("calibrate.capture", **given)
+    assert caught.value.path == path, caught.value.message
+    assert path.partition("[")[0] in caught.value.message
+
+
+def test_too_much_is_refused(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture_module, "MOST_BYTES", 100_000)
+    with pytest.raises(RpcError, match="capture fewer at a time"):
+        bench.call("calibrate.capture", frames=bench.frames(1, 2, 3), pairs=64)
+
+
+def test_a_hand_is_only_where_one_is_simulated(bench: Bench) -> None:
+    with pytest.raises(RpcError, match="move it yourself"):
+        bench.call("calibrate.next_pose")

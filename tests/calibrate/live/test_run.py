@@ -1,0 +1,109 @@
+"""From a rig file to folders: who shows the pictures, what is asked for, and how a session ends."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.calibrate.live.command import run as run_command
+from daemon.calibrate.live.run import What, open_shooter, phases, run_session
+from daemon.calibrate.sources import CaptureFolder
+from daemon.config import load_rig, registry
+from daemon.control.server import ControlServer
+from daemon.errors import DaemonError
+from tests.calibrate.live.hand_rig import BOARD, find
+from tests.daemon.rigs import wait_until
+
+RIG = """
+cameras: {{driver: hand}}
+stream: {{endpoints: ["ipc://{tmp}/s"]}}
+control: {{endpoint: "ipc://{tmp}/c"}}
+"""
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setitem(registry.RIGS, "hand", "tests.calibrate.live.hand_rig:open_rig")
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG.format(tmp=tmp_path))
+    return path
+
+
+def test_without_a_daemon_the_devices_are_used_and_every_phase_gets_its_folder(rig: Path) -> None:
+    said: list[str] = []
+    outcomes = run_session("all", rig, BOARD, rig.parent / "s", views=3, find=find, say=said.append)
+    assert list(outcomes) == ["board", "color"] and outcomes["color"].views == 1
+    assert outcomes["board"].views >= 3
+    assert said == ["no daemon is running: the rig's devices are used directly"]
+    names = {}
+    for name, outcome in outcomes.items():
+        source = CaptureFolder(outcome.folder)
+        assert outcome.folder == rig.parent / "s" / name and source.sequence is not None
+        names[name] = source.sequence.name
+    assert names == {"board": "projector", "color": "color"}
+
+
+def test_a_session_without_a_name_is_called_by_its_time(rig: Path) -> None:
+    outcome = run_session("color", rig, BOARD, find=find)["color"]
+    assert outcome.folder.parent.parent == rig.parent / "calibration-sessions"
+    assert outcome.folder.parent.name.startswith("color_2")
+
+
+def test_a_daemon_that_cannot_capture_is_told(rig: Path) -> None:
+    hello = {"methods": ["hello"], "version": "0.0.1", "device": "old"}
+    server = ControlServer(load_rig(rig, complete=False).control.endpoint, {"hello": lambda _: hello})
+    server.start()
+    try:
+        with pytest.raises(DaemonError, match=r"version 0\.0\.1\) cannot capture"):
+            open_shooter(load_rig(rig, complete=False), rig)
+    finally:
+        server.close()
+
+
+def test_too_few_views_are_refused() -> None:
+    with pytest.raises(DaemonError, match="--views is 2"):
+        phases("cameras", (64, 48), views=2)
+
+
+@pytest.mark.parametrize("what", ["cameras", "projector", "color"])
+def test_each_step_captures_its_own_sequence(what: What) -> None:
+    assert [phase.sequence.name for phase in phases(what, (640, 480), views=3)] == [what]
+
+
+_PROGRAM = """
+import sys
+from pathlib import Path
+from daemon.config import registry
+from daemon.calibrate.live import command, run
+from tests.calibrate.live import hand_rig
+registry.RIGS["hand"] = "tests.calibrate.live.hand_rig:open_rig"
+run.run_session.__kwdefaults__["find"] = hand_rig.find
+from typer import Exit
+try:
+    command.run("projector", Path(sys.argv[1]), session=Path(sys.argv[2]), poses=9)
+except Exit as stop:
+    sys.exit(stop.exit_code)
+"""
+
+
+def test_ctrl_c_keeps_what_was_captured_and_tells_how_to_go_on(rig: Path) -> None:
+    session = rig.parent / "s"
+    command = [sys.executable, "-c", _PROGRAM, str(rig), str(session)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        wait_until((session / "board" / "view_01").exists, 60)
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=30)
+    assert process.returncode == 130, told
+    views = len(list(CaptureFolder(session / "board").views(lambda *_: None)))
+    assert f"kept are {views} views in {session / 'board'}" in told
+    assert f"fringed calibrate projector --views {session / 'board'}" in told
+
+
+def test_nothing_captured_is_nothing_to_calibrate_from(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daemon.calibrate.live.command.run_session", lambda *_, **__: {})
+    with pytest.raises(DaemonError, match="nothing was captured"):
+        run_command("cameras", rig)

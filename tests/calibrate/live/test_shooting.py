@@ -1,0 +1,130 @@
+"""The pair that is handed out always shows the picture that was asked for, whatever the devices do."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daemon.shooting import CaptureCancelledError, Shooting, settling_ns
+from drivers.errors import DriverError
+from tests.calibrate.live.bench import MS, Bench, level, picture
+
+
+def shooting(bench: Bench, **options: object) -> Shooting:
+    settle_ns = settling_ns(bench, 60.0, tolerance_ns=2 * MS)
+    return Shooting(bench, bench, clock=bench, settle_ns=settle_ns, **options)  # type: ignore[arg-type]
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(
+    latency_ms=st.floats(0.0, 120.0),
+    known=st.booleans(),
+    period_ms=st.floats(9.0, 200.0),
+    exposure_ms=st.floats(0.2, 8.0),
+    show_ms=st.floats(0.0, 60.0),
+    lost=st.sampled_from([0.0, 0.1, 0.4]),
+    late_ms=st.sampled_from([0.0, 30.0, 150.0]),
+    jitter_us=st.sampled_from([0.0, 900.0]),
+    levels=st.lists(st.integers(1, 250), min_size=1, max_size=12),
+    seed=st.integers(0, 10_000),
+)
+def test_every_pair_shows_the_picture_asked_for_and_both_frames_are_of_one_trigger(
+    latency_ms: float,
+    known: bool,
+    period_ms: float,
+    exposure_ms: float,
+    show_ms: float,
+    lost: float,
+    late_ms: float,
+    jitter_us: float,
+    levels: list[int],
+    seed: int,
+) -> None:
+    bench = Bench(
+        latency_ms=latency_ms,
+        told_ms=latency_ms if known else None,
+        period_ms=period_ms,
+        exposure_ms=exposure_ms,
+        show_ms=show_ms,
+        lost=lost,
+        late_ms=late_ms,
+        jitter_us=jitter_us,
+        seed=seed,
+    )
+    taken = list(shooting(bench, patience_s=60.0).each(picture(value) for value in levels))
+    assert len(taken) == len(levels)
+    for value, pair in zip(levels, taken, strict=True):
+        assert pair.left.trigger == pair.right.trigger
+        assert level(pair) == {value}
+    numbers = [pair.seq for pair in taken]
+    assert numbers == sorted(set(numbers)), "no pair is handed out twice"
+
+
+def test_counting_frames_instead_of_reading_times_would_take_wrong_pictures() -> None:
+    """The bench can tell: the first pair after the flip, which is what a naive capture takes, is often wrong."""
+    bench = Bench(latency_ms=40.0, period_ms=20.0)
+    wrong = 0
+    for value in range(1, 21):
+        bench.show(picture(value))
+        pair = bench.get(1.0)
+        wrong += pair is None or level(pair) != {value}
+    assert wrong == 20
+
+
+def test_a_picture_that_is_shown_already_is_left_alone_and_its_pairs_are_new() -> None:
+    bench = Bench()
+    shoot = shooting(bench)
+    shoot.show(picture(9))
+    first = shoot.pair()
+    now_ns = bench.now_ns
+    shoot.show(picture(9))
+    second = shoot.pair()
+    assert bench.shown == 1 and first.seq < second.seq and second.left.t_exposure_ns >= now_ns
+
+
+def test_an_unknown_latency_costs_time_and_no_truth() -> None:
+    fast, slow = Bench(told_ms=20.0), Bench(told_ms=None)
+    for bench in (fast, slow):
+        list(shooting(bench).each([picture(1), picture(2)]))
+    assert slow.now_ns - fast.now_ns > 400 * MS
+
+
+def test_cameras_that_see_no_trigger_are_told() -> None:
+    bench = Bench(lost=1.0)
+    shoot = shooting(bench, patience_s=1.0)
+    shoot.show(picture(1))
+    with pytest.raises(DriverError, match=r"no pair of pictures came within 1 s \(0 were exposed too early\)"):
+        shoot.pair()
+
+
+def test_a_projector_in_trouble_or_started_again_spoils_what_was_captured_meanwhile() -> None:
+    bench = Bench()
+    shoot = shooting(bench)
+    shoot.show(picture(1))
+    bench.trouble = "no picture: the window is gone"
+    with pytest.raises(DriverError, match=r"the window is gone; what was captured meanwhile does not count"):
+        shoot.pair()
+    bench.trouble = ""
+    shoot.show(picture(1))
+    assert bench.shown == 2, "after trouble the picture is shown again"
+    bench.counted["restarts"] += 1
+    with pytest.raises(DriverError, match="started again"):
+        shoot.show(picture(2))
+    shoot.show(picture(2))
+    assert level(shoot.pair()) == {2}
+
+
+def test_a_cancelled_capture_ends() -> None:
+    bench = Bench()
+    shoot = shooting(bench, cancelled=lambda: bench.now_ns > 0)
+    shoot.show(picture(1))
+    with pytest.raises(CaptureCancelledError):
+        shoot.pair()
+
+
+def test_a_projector_that_cannot_show_other_pictures_is_refused() -> None:
+    bench = Bench()
+    bench.fixed_picture = True  # type: ignore[attr-defined]
+    with pytest.raises(DriverError, match="cannot be told to show another"):
+        shooting(bench)

@@ -1,0 +1,90 @@
+"""From rendered pictures to projector marks: a bent response, crosstalk, blur and noise, none of them known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.calibration import Calibration
+from pipeline.multi_shot import Coordinate, coordinates
+from pipeline.projector_marks import Seen, projector_marks
+from pipeline.sequence import projector_sequence
+from pipeline.targets.board import Board
+from pipeline.targets.marks import Marks
+from pipeline.trinocular import moved, refine_projector, spread
+from pipeline.trinocular_samples import samples_of_phases
+from sim.boards import BoardPose, RenderedViews, render_views, true_centroids, true_marks
+from sim.optics import Optics
+from sim.rig import RigLayout
+from tests.calibrate.projector.views import seen
+
+pytestmark = pytest.mark.timeout(300)  # the renderer's kernels may have to be compiled
+
+BOARD = Board("circles", 6, 5, 44.0, 26.0)
+POSE = BoardPose((4.0, -3.0, 8.0), (0.35, -0.4, 0.08))
+LAYOUT = RigLayout().scaled(0.375)
+SEQUENCE = projector_sequence(LAYOUT.projector_size, finest_px=9.6)
+MARK_PX = 0.01
+
+
+@pytest.fixture(scope="module")
+def view() -> RenderedViews:
+    optics = Optics(gamma=2.2, precorrected=False, crosstalk=0.12)
+    return render_views(LAYOUT, BOARD, [POSE], optics, [frame.picture() for frame in SEQUENCE.frames])
+
+
+def _phases(view: RenderedViews, side: int, seed: int) -> tuple[Coordinate, Coordinate]:
+    pictures = [pair[side] for pair in view.pictures(seed, 0)]
+    x, y = coordinates(pictures, SEQUENCE)
+    return x, y
+
+
+def _seen(view: RenderedViews, side: int, seed: int) -> Seen:
+    rig = LAYOUT.calibration()
+    pixels, areas = true_centroids((rig.left, rig.right)[side], BOARD, *POSE.in_world(BOARD, LAYOUT))
+    noise = MARK_PX * np.random.default_rng([seed, side]).standard_normal(pixels.shape)
+    marks = Marks(np.arange(len(pixels)), pixels + noise, np.full(len(pixels), MARK_PX), areas)
+    return Seen(marks, *_phases(view, side, seed))
+
+
+def test_marks_are_found_as_well_as_they_are_told(view: RenderedViews) -> None:
+    true = true_marks(LAYOUT, BOARD, POSE)["projector"]
+    errors, ratios = [], []
+    for seed in range(4):
+        got = projector_marks(BOARD, {"left": _seen(view, 0, seed), "right": _seen(view, 1, seed)})
+        assert not len(got.left_out)
+        assert len(got.marks) == len(BOARD.points)
+        assert 0.6 < got.disagreement_px / got.expected_px < 1.5
+        errors.append(got.marks.pixels - true[got.marks.ids])
+        ratios.append(errors[-1] / got.marks.sigma_px[:, None])
+    assert np.sqrt(np.square(errors).mean()) < 0.015
+    assert 0.7 < np.std(ratios) < 1.4
+
+
+def test_a_board_that_was_lit_by_a_sequence_brings_a_knocked_projector_back(view: RenderedViews) -> None:
+    rig = LAYOUT.calibration()
+    samples = samples_of_phases(rig, _phases(view, 0, 7), _phases(view, 1, 7), every=3)
+    assert spread(rig.projector, samples).systematic_px < 0.005
+    knock = {"cx": 0.5, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
+    got = refine_projector(Calibration(rig.left, rig.right, moved(rig.projector, knock)), samples)
+    assert got.before.systematic_px > 0.3
+    assert got.after.systematic_px < 0.005
+    assert got.better
+
+
+def test_matches_by_light_need_nothing_of_the_projector() -> None:
+    rig = LAYOUT.calibration()
+    both = {side: seen(LAYOUT, BOARD, POSE, side) for side in ("left", "right")}
+    left, right = ((both[side].x, both[side].y) for side in ("left", "right"))
+    wrong = replace(rig, projector=moved(rig.projector, {"cx": 3.0, "rotation_z": 0.01}))
+    samples = samples_of_phases(wrong, left, right, every=5)
+    assert len(samples) > 1000
+    rotation, place = POSE.in_world(BOARD, LAYOUT)
+    heights = (samples.points - place) @ rotation[:, 2]
+    assert np.median(np.abs(heights)) < 0.002
+    assert np.quantile(np.abs(heights), 0.99) < 0.01
+    nothing = replace(left[0], px=np.full_like(left[0].px, np.nan))
+    assert not len(samples_of_phases(rig, (nothing, nothing), right))
+    assert not len(samples_of_phases(rig, left, (nothing, nothing)))
