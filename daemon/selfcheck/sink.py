@@ -24,6 +24,7 @@ from daemon.sinks import CloudItem, Item
 from drivers.protocols import Clock
 from pipeline.calibration import Calibration
 from pipeline.cloud import Volume
+from pipeline.drift.explain import GEOMETRY, clear, explain
 from pipeline.drift.observe import Observation, Observer, Reading, rehearse
 from pipeline.errors import PipelineError
 from pipeline.pattern import ColorFringe
@@ -161,7 +162,7 @@ class SelfCheck:
             self._kept = len(references)
             self._store.keep(references, item.t_ns)
         drifted = self._watch.drifted
-        self._problem = words.told(drifted)
+        self._problem = words.told(drifted, self._guess()) if drifted else ""
         now = frozenset(drifted)
         now_ns = self._clock.monotonic_ns()
         if now - self._told and now_ns >= self._quiet_ns:
@@ -175,6 +176,17 @@ class SelfCheck:
         if now_ns >= self._history_due_ns:
             self._history_due_ns = now_ns + _HISTORY_NS
             self._store.note(self._row("check", item))
+
+    def _guess(self) -> str:
+        """Which device's turn explains the changes, in words; nothing where none does, or more than one."""
+        changes = {
+            name: Reading(found.change, found.sigma)
+            for name, found in self._watch.found.items()
+            if name in GEOMETRY and math.isfinite(found.change)
+        }
+        if self._last is None or not len(self._last.shape) or len(changes) < len(GEOMETRY) or self._observer is None:
+            return ""
+        return words.guess(clear(explain(self._calibration, self._last.shape, self._observer.first, changes)))
 
     def _row(self, event: str, item: CloudItem | None = None) -> dict[str, Any]:
         row: dict[str, Any] = {"t_ns": self._clock.realtime_ns(), "event": event, "calibration": self._identity}

@@ -83,7 +83,7 @@ def limits_of(config: SelfCheckLimits) -> dict[str, Limit]:
         "column": Limit(config.column_px, config.off_px),
         "slope": Limit(config.column_slope_px, config.off_px),
         "epipolar": Limit(config.epipolar_px, config.off_px),
-        "color": Limit(config.color_rad, 6 * config.color_rad),
+        "color": Limit(config.color_rad),
         "modulation": Limit(config.modulation),
     }
     return {name: kinds[kind] for name, kind in OBSERVABLES.items()} | {SURFACE: Limit(1.0)}

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from daemon.selfcheck.watch import SURFACE, Found
 from pipeline.drift import OBSERVABLES
+from pipeline.drift.explain import Turn
 
 _GEOMETRY = ("column", "slope", "epipolar")
 _NAMES = {
@@ -47,6 +48,16 @@ def told(drifted: Mapping[str, Found], guess: str = "") -> str:
             "outside of the measuring volume, or a camera or the projector was moved far; run fringed calibrate check"
         )
     return "; ".join(parts)
+
+
+def guess(turn: Turn | None) -> str:
+    """Who has moved, as a clause."""
+    if turn is None:
+        return ""
+    who = "projector" if turn.device == "projector" else f"{turn.device} camera"
+    about = "xyz"[max(range(3), key=lambda k: abs(turn.turn_deg[k]))]
+    size = max(abs(value) for value in turn.turn_deg)
+    return f"the {who} or its lens has moved, as much as a turn of {size:.3f} degrees about its {about} axis"
 
 
 def _measured(name: str, found: Found, unit: str) -> str:

@@ -42,6 +42,8 @@ def answers(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]
     return -p * slope_u / along, -p * slope_v / along
 
 
-def answer_to_vertical(calibration: Calibration, shape: F64, first: int) -> F64:
-    """The second of :func:`answers` for fringes that grow along u, the first for those that grow along v."""
-    return answers(calibration, shape, first)[1 - first]
+def design(calibration: Calibration, shape: F64, first: int) -> F64:
+    """(n, 4) regressors of the residual: 1, place x, place y, answer to a displacement across the epipolar lines."""
+    x, y = in_picture(calibration, shape[:, :3])
+    across = answers(calibration, shape, first)[1 - first]
+    return np.stack([np.ones_like(x), x, y, across], axis=1)

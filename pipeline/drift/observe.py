@@ -42,11 +42,13 @@ class Observation:
     Args:
         readings: by name, only those that this scene shows; see :data:`pipeline.drift.OBSERVABLES`.
         patches: how many pieces of the surface were used.
+        shape: (n, 14) the patches' places and slopes, see :func:`pipeline.drift.patches.measure_patches`.
         lit: share of the left picture where fringes are seen; known: share of those pixels that have a point.
     """
 
     readings: dict[str, Reading]
     patches: int
+    shape: F64
     lit: float
     known: float
 
@@ -90,7 +92,7 @@ class Observer:
         self._rng = np.random.default_rng(seed)
         mosaic = mosaic_of(encoding)
         self._mosaic = np.zeros((2, 2), np.int64) if mosaic is None else mosaic
-        self._first = 0 if pattern.axis == "x" else 1
+        self.first = self._first = 0 if pattern.axis == "x" else 1
         depth = DepthScale.of(volume)
         period = period_in_picture(calibration, depth, axis=pattern.axis, period=pattern.length / pattern.periods)
         along = 2 * max(4, round(period))
@@ -160,18 +162,29 @@ class Observer:
         known = float((np.isfinite(cloud.xyz[::8, ::8, 2]) & some).sum() / max(1, int(some.sum())))
         found = self.patches(left, right, cloud)
         if len(found) < _LEAST_PATCHES:
-            return Observation({}, len(found), lit, known)
-        return Observation(self.readings(found), len(found), lit, known)
+            return Observation({}, len(found), found.shape, lit, known)
+        return Observation(self.readings(found), len(found), found.shape, lit, known)
 
     def readings(self, found: Patches) -> dict[str, Reading]:
         """All numbers of these patches."""
         waves = self._waves(found)
-        ahead = np.angle((waves * self._turn_back).sum(axis=2))
+        ahead = self._ahead(waves)
         out = self._columns(found, ahead)
         out |= self._epipolar(found, out.pop("slope", None))
-        out |= self._colors(waves, ahead)
+        out |= self._colors(found, waves, ahead)
         out |= self._modulation(found, waves)
         return out
+
+    def residuals(self, found: Patches) -> F64:
+        """(n,) observed minus predicted projector coordinate of every patch, pixels."""
+        return self._residuals(found, self._ahead(self._waves(found)))
+
+    def _ahead(self, waves: NDArray[np.complex128]) -> F64:
+        """(n, 2) phase by which each picture is ahead of the geometry."""
+        return np.asarray(np.angle((waves * self._turn_back).sum(axis=2)))
+
+    def _residuals(self, found: Patches, ahead: F64) -> F64:
+        return np.asarray(ahead.mean(axis=1) / found.shape[:, 10])
 
     def _waves(self, found: Patches) -> NDArray[np.complex128]:
         """(n, 2, 3) B exp(i (r + shift)) of every camera and channel, crosstalk taken out."""
@@ -184,12 +197,8 @@ class Observer:
 
     def _columns(self, found: Patches, ahead: F64) -> dict[str, Reading]:
         """Trinocular residual: observed minus predicted projector coordinate, and how it changes over the picture."""
-        rate = found.shape[:, 10]
-        residual = ahead.mean(axis=1) / rate
-        x, y = geometry.in_picture(self.calibration, found.shape[:, :3])
-        vertical = geometry.answer_to_vertical(self.calibration, found.shape, self._first)
-        design = np.stack([np.ones_like(x), x, y, vertical], axis=1)
-        solution = fit(design, residual)
+        residual = self._residuals(found, ahead)
+        solution = fit(geometry.design(self.calibration, found.shape, self._first), residual)
         if solution is None:
             return {}
         names = ("column_px", "column_x_px", "column_y_px", "slope")
@@ -209,12 +218,21 @@ class Observer:
         value = float(weights @ [reading.value for reading in known] / weights.sum())
         return {"epipolar_px": Reading(value, float(weights.sum() ** -0.5))}
 
-    def _colors(self, waves: NDArray[np.complex128], ahead: F64) -> dict[str, Reading]:
-        """Phase of each channel against the mean of the three."""
-        turned = waves * self._turn_back * np.exp(-1j * ahead)[:, :, None]
-        value, sigma = means(np.angle(turned).reshape(len(waves), 6))
-        names = [f"{side}_{color}_rad" for side in SIDES for color in COLORS]
-        return {name: Reading(float(v), float(s)) for name, v, s in zip(names, value, sigma, strict=True)}
+    def _colors(self, found: Patches, waves: NDArray[np.complex128], ahead: F64) -> dict[str, Reading]:
+        """Phase of each channel against the mean of the three, in the middle of the picture.
+
+        Lateral colour of the lenses turns channels too, the other way on the other side; slopes take it up.
+        """
+        x, y = geometry.in_picture(self.calibration, found.shape[:, :3])
+        design = np.stack([np.ones_like(x), x, y], axis=1)
+        turned = np.angle(waves * self._turn_back * np.exp(-1j * ahead)[:, :, None])
+        out = {}
+        for k, side in enumerate(SIDES):
+            for c, color in enumerate(COLORS):
+                solution = fit(design, turned[:, k, c])
+                if solution is not None:
+                    out[f"{side}_{color}_rad"] = Reading(float(solution[0][0]), float(solution[1][0]))
+        return out
 
     def _modulation(self, found: Patches, waves: NDArray[np.complex128]) -> dict[str, Reading]:
         """B / A of each camera."""
