@@ -19,6 +19,7 @@ from pipeline.calibration import Calibration
 from pipeline.cloud import Volume
 from pipeline.drift.explain import DEVICES, GEOMETRY, Turn, clear, explain, turned
 from pipeline.drift.observe import Observer, Patches, Reading
+from pipeline.errors import CalibrationError
 from pipeline.pattern import ColorFringe
 from pipeline.reconstruct import Reconstructor
 from pipeline.trinocular import Samples, refine_projector
@@ -145,10 +146,11 @@ def refine(
             _require_drift(readings)
             device = device or _the_one(found)
         turn = next(one for one in found if one.device == device)
-        if device == "projector":
-            now = refine_projector(now, look.samples(patches)).calibration
-        else:
-            now = turned(now, turn.device, turn.turn_deg)
+        now = (
+            _projector(now, turn, look.samples(patches))
+            if device == "projector"
+            else turned(now, turn.device, turn.turn_deg)
+        )
         sum_deg += turn.turn_deg
         _require_small(sum_deg, turn.device)
         tell(number + 2)
@@ -160,6 +162,14 @@ def refine(
         now, turn.device, total, turn.sigma_deg, before, after, (points, points_after), explanations,
         (len(train), len(judge)),
     )  # fmt: skip
+
+
+def _projector(now: Calibration, turn: Turn, samples: Samples) -> Calibration:
+    """The projector refined in full, or only turned where the pieces of surface fill too little of its picture."""
+    try:
+        return refine_projector(now, samples).calibration
+    except CalibrationError:
+        return turned(now, turn.device, turn.turn_deg)
 
 
 def _require_drift(readings: dict[str, Reading]) -> None:

@@ -180,8 +180,12 @@ class Observer:
         return self._residuals(found, self._ahead(self._waves(found)))
 
     def _ahead(self, waves: NDArray[np.complex128]) -> F64:
-        """(n, 2) phase by which each picture is ahead of the geometry."""
-        return np.asarray(np.angle((waves * self._turn_back).sum(axis=2)))
+        """(n, 2) phase by which each picture is ahead of the geometry: the mean of the channels' directions.
+
+        Not of the channels: where the projector's colours do not register, a red surface would be ahead of a blue one.
+        """
+        turned = waves * self._turn_back
+        return np.asarray(np.angle((turned / np.maximum(np.abs(turned), 1e-6)).sum(axis=2)))
 
     def _residuals(self, found: Patches, ahead: F64) -> F64:
         return np.asarray(ahead.mean(axis=1) / found.shape[:, 10])
