@@ -38,7 +38,7 @@ def of_take(path: Path, progress: Callable[[int, int], None]) -> Scene:
 
     with TakeReader(path) as take:
         pattern, volume = take.pattern(), take.volume()
-        every, pairs, encodings, kept = 1, [], set(), 0
+        every, pairs, encodings = 1, [], set()
         for number, pair in enumerate(take.pairs(lambda done: progress(done, take.size))):
             if number % every:
                 continue
@@ -46,7 +46,7 @@ def of_take(path: Path, progress: Callable[[int, int], None]) -> Scene:
             encodings.add(pair.encoding)
             if len(pairs) > 2 * MOST_PAIRS:
                 # Half of them, twice as far apart: spread over the whole take in bounded memory.
-                pairs, every, kept = pairs[::2], 2 * every, kept + 1
+                pairs, every = pairs[::2], 2 * every
     return Scene(pattern, volume, encoding_of(encodings, str(path)), pairs)  # type: ignore[arg-type]
 
 

@@ -11,11 +11,14 @@ import yaml
 from typer.testing import CliRunner
 
 from benchmarks.selfcheck import Rig
+from daemon.calibrate import refine_source
 from daemon.calibrate.refine import Pair, RefineError, refine, table
+from daemon.calibrate.refine_source import of_take
 from daemon.calibration_file import calibration_bytes, parse_calibration, read_calibration
 from daemon.cli import load
 from pipeline.drift.explain import turned
 from sim.knock import Disturbance
+from tests.golden.make import TAKE
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 SCALE = 0.375
@@ -88,3 +91,11 @@ def test_the_command_asks_before_it_writes(rig: Rig, tmp_path: Path) -> None:
     axis = written.calibration.right.rotation @ rig.calibration.right.rotation.T
     assert np.rad2deg(np.abs(axis - np.eye(3)).max()) < 0.01
     assert len(list(tmp_path.glob("calibration.2*.yaml"))) == 1
+
+
+def test_pairs_of_a_take_are_spread_over_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[int, int]] = []
+    every = of_take(TAKE, lambda done, of: told.append((done, of)))
+    assert every.pairs and every.pairs[0][0].dtype == np.uint8 and every.encoding in ("rgb8", "bayer_rggb8") and told
+    monkeypatch.setattr(refine_source, "MOST_PAIRS", 1)
+    assert len(of_take(TAKE, lambda *_: None).pairs) <= 2
