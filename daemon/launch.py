@@ -19,11 +19,12 @@ from daemon.control.calibrate import CalibrateMethods
 from daemon.control.methods import Methods
 from daemon.control.server import ControlServer
 from daemon.errors import DaemonError
-from daemon.outputs import open_capture, open_publisher, open_take
+from daemon.outputs import open_capture, open_publisher, open_selfcheck, open_take
 from daemon.recorder import Recorder
 from daemon.rig import OptionsError, Progress, open_rig
 from daemon.runtime import runtime_beside
 from daemon.service import Service
+from daemon.sinks import Sink
 
 log = logging.getLogger("fringed")
 
@@ -114,8 +115,11 @@ def _run(
         if on_status is not None:
             on_status(status)
 
+    sinks: dict[str, Sink] = {"stream": publisher}
     try:
-        service = Service(config, rig, {"stream": publisher}, on_status=publish, session=session)
+        if config.selfcheck.enabled:
+            sinks["selfcheck"] = open_selfcheck(config, rig, base_dir)
+        service = Service(config, rig, sinks, on_status=publish, session=session)
         takes = config.path(config.recording.dir, base_dir)
         recorder = Recorder(service, takes, lambda take: open_take(config, rig, session, take, path))
         capture = Capture(
@@ -127,7 +131,8 @@ def _run(
         methods = Methods(service, recorder, path=path, base_dir=base_dir, calibrate=calibrate)
         control = ControlServer(config.control.endpoint, methods.table())
     except BaseException:
-        publisher.close()
+        for sink in sinks.values():
+            sink.close()
         rig.release()
         raise
     control.start()

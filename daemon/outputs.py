@@ -74,3 +74,17 @@ def open_capture(
         min_free_bytes=min_free_bytes,
         extra_metadata={"first_pattern_sequence": "0"},
     )
+
+
+def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
+    """The continuous check of the calibration, running."""
+    from daemon.selfcheck.sink import SelfCheck
+
+    return SelfCheck(
+        config.selfcheck,
+        config.path(config.selfcheck.dir, base_dir),
+        calibration=rig.calibration,
+        pattern=rig.pattern,
+        volume=rig.volume,
+        identity=rig.identity,
+    )

@@ -217,6 +217,7 @@ class Service:
             drops=self.drops.snapshot(),
             cameras=cameras,
             recorder=sinks.pop("recorder", {"recording": False}),
+            selfcheck={"enabled": "selfcheck" in sinks, **sinks.pop("selfcheck", {})},
             sinks=sinks,
         )
 

@@ -68,6 +68,8 @@ class Status:
         latency_ms: from the start of exposure to the finished cloud.
         publish_latency_ms: from the arrival of both frames to the handing over of the cloud to the stream, empty while
             nobody reads clouds. Both over the last ten minutes or so.
+        selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
+            nobody looks.
         garbage: collections of Python's garbage since the start, and how long they held everything up.
     """
 
@@ -96,6 +98,7 @@ class Status:
     cameras: dict[str, CameraStatus]
     sinks: dict[str, dict[str, Any]]
     recorder: dict[str, Any]
+    selfcheck: dict[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

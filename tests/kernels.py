@@ -27,6 +27,7 @@ def compile_elsewhere() -> str:
 
 def main() -> None:
     """Compile what measuring and rendering need."""
+    from pipeline.drift.observe import rehearse
     from pipeline.reconstruct import Reconstructor
     from sim.optics import Optics
     from sim.render import render_pair
@@ -40,6 +41,7 @@ def main() -> None:
         made.warm_up(every=(1, 2), follow=True)
         pair = render_pair(layout, build("moving"), pattern, optics, encoding=encoding)
         made.reconstruct(pair.left, pair.right)
+    rehearse()
 
 
 if __name__ == "__main__":

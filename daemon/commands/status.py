@@ -76,6 +76,12 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         warm = [f"{camera['temperature_c']:.0f} °C"] if camera["temperature_c"] is not None else []
         out.append(("", f"driver: {', '.join(warm + counted) or 'nothing to tell'}"))
     out.append(("dropped", ", ".join(f"{name} {count}" for name, count in status["drops"].items()) or "nothing"))
+    check = status.get("selfcheck", {})
+    if check.get("enabled"):
+        shown = [f"{name} {one['value']:+.3f}" for name, one in check["observables"].items() if "value" in one]
+        out.append(
+            ("self-check", f"{check['verdict']}, {check['checked']} pairs; {', '.join(shown) or 'nothing seen yet'}")
+        )
     recorder = status["recorder"]
     out.append(("recorder", ", ".join(f"{k} {v}" for k, v in recorder.items()) if recorder.get("recording") else "off"))
     return out

@@ -104,6 +104,36 @@ class Recording(Section):
     queue: Annotated[int, Field(ge=2, le=1000, description="Pairs that wait for the disk.")] = 60
 
 
+class SelfCheckLimits(Section):
+    """Changes since the reference was learned that are reported."""
+
+    column_px: Annotated[
+        float, Field(gt=0, le=10, description="Trinocular residual: observed minus expected projector column, pixels.")
+    ] = 0.04
+    column_slope_px: Annotated[
+        float, Field(gt=0, le=10, description="The same, from the middle of the picture to its edge.")
+    ] = 0.012
+    epipolar_px: Annotated[
+        float, Field(gt=0, le=10, description="Right picture across the epipolar lines, pixels.")
+    ] = 0.1
+    color_rad: Annotated[
+        float, Field(gt=0, le=1, description="Phase of a colour channel against the others, radians.")
+    ] = 0.006
+    modulation: Annotated[float, Field(gt=0, le=1, description="Fringe amplitude over mean light.")] = 0.15
+    off_px: Annotated[
+        float, Field(gt=0, le=10, description="Residual that is reported whatever the reference was, pixels.")
+    ] = 0.6
+
+
+class SelfCheck(Section):
+    """The continuous check of the calibration from ordinary pairs."""
+
+    enabled: Annotated[bool, Field(description="Watch whether the calibration still fits.")] = True
+    rate_hz: Annotated[float, Field(gt=0, le=20, description="Pairs that are looked at, a second, at most.")] = 5.0
+    dir: Annotated[str, Field(min_length=1, description="Directory of its references and its history.")] = "selfcheck"
+    limits: SelfCheckLimits = SelfCheckLimits()
+
+
 def _kind(value: Any) -> str:
     return "path" if isinstance(value, str) else "inline"
 
@@ -135,6 +165,7 @@ class RigConfig(Section):
     stream: Stream = Field(default_factory=Stream)
     control: Control = Field(default_factory=Control)
     recording: Recording = Recording()
+    selfcheck: SelfCheck = SelfCheck()
 
     def path(self, name: str, base_dir: Path) -> Path:
         """A path of the file; relative ones start at the directory of rig.yaml."""

@@ -1,0 +1,153 @@
+"""How soon the self-check reports a disturbed rig, and how often it cries wolf: ``python -m benchmarks.selfcheck``.
+
+A moving scene is rendered by the true rig and by rigs that were disturbed a little, and reconstructed with the
+calibration of the true one. Every checked pair has a noise of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.config.models import SelfCheckLimits
+from daemon.selfcheck.watch import Watch, limits_of
+from daemon.selfcheck.words import told
+from pipeline.drift.observe import Observation, Observer, Reading
+from pipeline.reconstruct import Reconstructor
+from sim.knock import Disturbance
+from sim.live import LiveScene
+from sim.options import SimOptions
+from sim.projector import LiveProjector
+from sim.render import picture_sent
+from sim.rig import RigLayout
+
+RATE_HZ = 5.0
+WITHIN_S = 5.0
+BEFORE = 12  # undisturbed pairs before each disturbance
+
+KNOCKS: dict[str, Disturbance] = {
+    **{
+        f"{side} camera, {axis} 0.01 deg": Disturbance(
+            side, turn_deg=(0.01 * (k == 0), 0.01 * (k == 1), 0.01 * (k == 2))
+        )
+        for side in ("left", "right")
+        for k, axis in enumerate(("pitch", "yaw", "roll"))
+    },
+    **{
+        f"{side} lens, {axis} 0.2 px": Disturbance(side, shift_px=(0.2 * (k == 0), 0.2 * (k == 1)))
+        for side in ("left", "right")
+        for k, axis in enumerate("uv")
+    },
+    **{f"{side} crosstalk +0.03": Disturbance(side, crosstalk=0.03) for side in ("left", "right")},
+    **{f"{side} crosstalk -0.03": Disturbance(side, crosstalk=-0.03) for side in ("left", "right")},
+}
+"""Everything that must be reported."""
+
+
+class Rig:
+    """Pairs of a scene, and what the self-check reads from them.
+
+    Args:
+        scale: of the standard rig; scene: name; encoding: of the cameras; instants: of a moving scene.
+    """
+
+    def __init__(
+        self, scale: float, *, scene: str = "moving", encoding: str = "rgb8", patches: int = 150, instants: int = 12
+    ) -> None:
+        layout = RigLayout() if scale == 1 else RigLayout().scaled(scale)
+        self.options = SimOptions(scene=scene, layout=layout, encoding=encoding, live=True, frames=instants)
+        self.calibration = layout.calibration_for(self.options.optics)
+        self.pattern, self.volume = layout.pattern(), layout.volume()
+        self.reconstructor = Reconstructor(self.calibration, self.pattern, self.volume, encoding=encoding)
+        self.observer = Observer(self.calibration, self.pattern, self.volume, encoding=encoding, patches=patches)
+        self.ms: list[float] = []
+
+    def scene(self, *knocks: Disturbance) -> LiveScene:
+        """The scene as the rig sees it after these disturbances."""
+        shown = picture_sent(self.pattern, self.options.optics, self.pattern.size)
+        made = LiveScene(self.options, LiveProjector(shown))
+        for knock in knocks:
+            made.disturb(knock)
+        return made
+
+    def look(self, scene: LiveScene, first: int = 0) -> Iterator[Observation]:
+        """One pair after the other, the scene moving on, each with fresh noise."""
+        for index in range(first, 1 << 30):
+            pictures = scene.pair(index)
+            cloud = self.reconstructor.reconstruct(*pictures)
+            began = time.perf_counter()
+            seen = self.observer.observe(*pictures, cloud)
+            self.ms.append(1e3 * (time.perf_counter() - began))
+            yield seen
+
+
+def feed(watch: Watch, number: int, seen: Observation) -> None:
+    """As the daemon does."""
+    watch.feed(number / RATE_HZ, seen.readings, surface=Reading(seen.known, 0.01))
+
+
+def undisturbed(rig: Rig, scene: LiveScene, pairs: int) -> tuple[Watch, int, dict[str, NDArray[np.float64]]]:
+    """The watch after ``pairs`` pairs, how many reports there were, and every reading."""
+    watch = Watch(limits_of(SelfCheckLimits()), {})
+    alarms, kept = 0, []
+    for number, seen in enumerate(islice(rig.look(scene), pairs)):
+        before = set(watch.drifted)
+        feed(watch, number, seen)
+        alarms += len(set(watch.drifted) - before)
+        kept.append(seen.readings)
+    names = sorted({name for readings in kept for name in readings})
+    none = Reading(np.nan, np.nan)
+    return watch, alarms, {name: np.array([r.get(name, none).value for r in kept]) for name in names}
+
+
+def disturbed(rig: Rig, scene: LiveScene, knock: Disturbance, watch: Watch) -> tuple[float | None, Watch]:
+    """Seconds from the knock to the report (None: not within the time), and the watch then."""
+    fresh = Watch(limits_of(SelfCheckLimits()), watch.references)
+    for number, seen in enumerate(islice(rig.look(scene, 1 << 20), BEFORE)):
+        feed(fresh, number, seen)
+    if fresh.drifted:
+        raise RuntimeError(f"reported before anything happened: {fresh.drifted}")
+    for number, seen in enumerate(islice(rig.look(rig.scene(knock), BEFORE), round(RATE_HZ * WITHIN_S))):
+        feed(fresh, BEFORE + number, seen)
+        if fresh.drifted:
+            return (number + 1) / RATE_HZ, fresh
+    return None, fresh
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scale", type=float, default=0.5, help="of the standard rig, 1 = 1024 x 820 pixels")
+    parser.add_argument("--pairs", type=int, default=10_000, help="undisturbed pairs, all of them checked")
+    parser.add_argument("--scene", default="moving")
+    parser.add_argument("--encoding", default="rgb8")
+    parser.add_argument("--instants", type=int, default=12, help="rendered positions of the scene")
+    parser.add_argument("--only", default="", help="knocks whose name holds this")
+    options = parser.parse_args()
+    rig = Rig(options.scale, scene=options.scene, encoding=options.encoding, instants=options.instants)
+    still = rig.scene()
+    watch, alarms, readings = undisturbed(rig, still, options.pairs)
+    print(f"{options.scene}, scale {options.scale}, {options.encoding}")
+    print(f"undisturbed: {options.pairs} pairs, {alarms} reports; {np.median(rig.ms):.1f} ms a check (median)")
+    print(f"{'observable':22} {'median':>9} {'scatter':>9} {'limit':>9}")
+    for name, values in readings.items():
+        limit = watch.found[name].limit
+        print(f"{name:22} {np.nanmedian(values):+9.4f} {np.nanstd(values):9.4f} {limit:9.4f}")
+    missed = 0
+    for name, knock in KNOCKS.items():
+        if options.only not in name:
+            continue
+        after, found = disturbed(rig, still, knock, watch)
+        missed += after is None
+        when = "NOT REPORTED" if after is None else f"{after:4.1f} s"
+        print(f"{name:28} {when}  {told(found.drifted)}", flush=True)
+    print(f"{missed} missed, {alarms} false reports")
+
+
+if __name__ == "__main__":
+    main()

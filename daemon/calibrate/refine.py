@@ -1,0 +1,240 @@
+"""Small drifts corrected from ordinary scenes: which device has turned, by how much, and what that makes better.
+
+Half of the pairs find the correction, the other half judge it. One device is turned: the one that alone explains the
+readings (see :mod:`pipeline.drift.explain`), or the one that is named. A projector is refined in full by
+:mod:`pipeline.trinocular`. The cameras' distances and lenses stay: a scene without known lengths says nothing of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.calibrate.errors import SourceError
+from daemon.errors import DaemonError
+from pipeline.calibration import Calibration
+from pipeline.cloud import Volume
+from pipeline.drift.explain import DEVICES, GEOMETRY, Turn, clear, explain, turned
+from pipeline.drift.observe import Observer, Patches, Reading
+from pipeline.errors import CalibrationError
+from pipeline.pattern import ColorFringe
+from pipeline.reconstruct import Reconstructor
+from pipeline.trinocular import Samples, refine_projector
+
+Pixels = NDArray[np.uint8]
+Pair = tuple[Pixels, Pixels]
+
+MOST_PAIRS = 24
+LARGEST_DEG = 0.5
+_FEWEST_PAIRS = 2
+_FEWEST_PATCHES = 60
+_ROUNDS = 3
+_PATCHES = 600
+_WORTH = 3.0  # standard deviations that a residual must have before anything is corrected
+_SMALL_PX = 0.01
+
+
+class RefineError(DaemonError):
+    """Nothing that can be corrected, or not from this; the message tells why and what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """A proposed correction.
+
+    Args:
+        calibration: the corrected one; device: that was corrected.
+        turn_deg, sigma_deg: of the device, about its own axes.
+        before, after: readings of the pairs that only judge.
+        points: median number of points of a pair, before and after.
+        explanations: every device, for the readings before.
+        pairs: that found the correction, and that judged it.
+    """
+
+    calibration: Calibration
+    device: str
+    turn_deg: tuple[float, float, float]
+    sigma_deg: tuple[float, float, float]
+    before: dict[str, Reading]
+    after: dict[str, Reading]
+    points: tuple[int, int]
+    explanations: list[Turn]
+    pairs: tuple[int, int]
+
+    @property
+    def better(self) -> bool:
+        """Whether the pairs that were not used agree better."""
+        return _size(self.after) < _size(self.before)
+
+
+class _Look:
+    """Readings of pairs under one calibration."""
+
+    def __init__(self, calibration: Calibration, pattern: ColorFringe, volume: Volume, encoding: str) -> None:
+        self.calibration = calibration
+        self._reconstructor = Reconstructor(calibration, pattern, volume, encoding=encoding)
+        self._observer = Observer(calibration, pattern, volume, encoding=encoding, patches=_PATCHES)
+        self.first = self._observer.first
+
+    def at(self, pairs: Iterable[Pair]) -> tuple[dict[str, Reading], Patches, int]:
+        """Readings of all patches of the pairs together, the patches, and the median number of points."""
+        found, points = [], []
+        for left, right in pairs:
+            cloud = self._reconstructor.reconstruct(left, right)
+            points.append(cloud.points)
+            found.append(self._observer.patches(left, right, cloud))
+        patches = Patches(*(np.concatenate([getattr(one, name) for one in found]) for name in Patches.__slots__))
+        if len(patches) < _FEWEST_PATCHES:
+            raise RefineError(
+                f"only {len(patches)} smooth pieces of surface are seen, at least {_FEWEST_PATCHES} are needed; show a "
+                "scene that fills the pictures, or calibrate again if hardly anything is measured any more"
+            )
+        return self._observer.readings(patches), patches, int(np.median(points))
+
+    def samples(self, patches: Patches) -> Samples:
+        """Patches as samples for the projector."""
+        observed = patches.shape[:, 11] + self._observer.residuals(patches)
+        n = len(patches)
+        return Samples(patches.shape[:, :3], observed, np.full(n, self.first), np.full(n, 0.02))
+
+
+def refine(
+    calibration: Calibration,
+    pattern: ColorFringe,
+    volume: Volume,
+    encoding: str,
+    pairs: Sequence[Pair],
+    *,
+    device: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Refinement:
+    """The correction of one device that makes ordinary pairs agree.
+
+    Args:
+        pairs: raw pictures of any scene, better of several; at most :data:`MOST_PAIRS` are used.
+        device: ``left``, ``right`` or ``projector``; None = the one that alone explains the readings.
+
+    Raises:
+        RefineError: too few pairs or surfaces, nothing to be corrected, more than one device would explain it, or a
+            drift too large for this.
+    """
+    if len(pairs) < _FEWEST_PAIRS:
+        raise RefineError(f"{len(pairs)} pairs of pictures, at least {_FEWEST_PAIRS} are needed")
+    chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).astype(int))]
+    train, judge = chosen[::2], chosen[1::2]
+    steps = _ROUNDS + 3
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress(done, steps)
+
+    tell(0)
+    before, _, points = _Look(calibration, pattern, volume, encoding).at(judge)
+    tell(1)
+    now, sum_deg = calibration, np.zeros(3)
+    explanations: list[Turn] = []
+    turn: Turn | None = None
+    for number in range(_ROUNDS):
+        look = _Look(now, pattern, volume, encoding)
+        readings, patches, _ = look.at(train)
+        found = explain(now, patches.shape, look.first, readings)
+        if not explanations:
+            explanations = found
+            _require_drift(readings)
+            device = device or _the_one(found)
+        turn = next(one for one in found if one.device == device)
+        now = (
+            _projector(now, turn, look.samples(patches))
+            if device == "projector"
+            else turned(now, turn.device, turn.turn_deg)
+        )
+        sum_deg += turn.turn_deg
+        _require_small(sum_deg, turn.device)
+        tell(number + 2)
+    assert turn is not None  # noqa: S101 - there was at least one round
+    after, _, points_after = _Look(now, pattern, volume, encoding).at(judge)
+    tell(steps)
+    total = float(sum_deg[0]), float(sum_deg[1]), float(sum_deg[2])
+    return Refinement(
+        now, turn.device, total, turn.sigma_deg, before, after, (points, points_after), explanations,
+        (len(train), len(judge)),
+    )  # fmt: skip
+
+
+def _projector(now: Calibration, turn: Turn, samples: Samples) -> Calibration:
+    """The projector refined in full, or only turned where the pieces of surface fill too little of its picture."""
+    try:
+        return refine_projector(now, samples).calibration
+    except CalibrationError:
+        return turned(now, turn.device, turn.turn_deg)
+
+
+def _require_drift(readings: dict[str, Reading]) -> None:
+    known = [readings[name] for name in GEOMETRY if name in readings]
+    if all(abs(one.value) < max(_WORTH * one.sigma, _SMALL_PX) for one in known):
+        worst = max((abs(one.value) for one in known), default=0.0)
+        raise RefineError(
+            f"there is nothing to correct: the largest residual is {worst:.3f} px, which is noise; "
+            "the calibration fits these pictures"
+        )
+
+
+def _require_small(turn_deg: NDArray[np.float64], device: str) -> None:
+    size = float(np.linalg.norm(turn_deg))
+    if size > LARGEST_DEG:
+        raise RefineError(
+            f"the {device} would have to be turned by {size:.2f} degrees, limit {LARGEST_DEG} degrees: that is no "
+            "small drift; calibrate again"
+        )
+
+
+def _the_one(explanations: list[Turn]) -> str:
+    best = clear(explanations)
+    if best is not None:
+        return best.device
+    texts = ", ".join(
+        f"{one.device} {np.linalg.norm(one.turn_deg):.3f} degrees (misfit {one.misfit:.1f})" for one in explanations
+    )
+    raise RefineError(
+        f"more than one device would explain the residuals, or none does: {texts}. Name the one that was touched "
+        f"with --device {'|'.join(DEVICES)}, or calibrate again"
+    )
+
+
+def _size(readings: dict[str, Reading]) -> float:
+    return float(sum(readings[name].value ** 2 for name in GEOMETRY if name in readings))
+
+
+def table(found: Refinement) -> list[str]:
+    """The report, line by line."""
+    names = {
+        "column_px": "trinocular residual, px",
+        "column_x_px": "  its change to the left and right edge",
+        "column_y_px": "  its change to the top and bottom edge",
+        "epipolar_px": "epipolar residual, px",
+    }
+    turn = "  ".join(
+        f"{axis} {value:+.4f} +- {sigma:.4f}"
+        for axis, value, sigma in zip("xyz", found.turn_deg, found.sigma_deg, strict=True)
+    )
+    out = [f"{found.device} turned about its own axes, degrees: {turn}"]
+    out.append(f"judged by {found.pairs[1]} pairs that did not take part ({found.pairs[0]} did):")
+    out.append(f"{'':40} {'before':>18} {'after':>18}")
+    for name, text in names.items():
+        cells = [
+            f"{one[name].value:+.4f} +- {one[name].sigma:.4f}" if name in one else "not observable"
+            for one in (found.before, found.after)
+        ]
+        out.append(f"{text:40} {cells[0]:>18} {cells[1]:>18}")
+    out.append(f"{'points of a pair':40} {found.points[0]:>18} {found.points[1]:>18}")
+    return out
+
+
+def encoding_of(encodings: set[str], name: str) -> str:
+    """The one encoding of all pairs."""
+    if len(encodings) != 1:
+        raise SourceError(f"{name}: pictures of several encodings, {', '.join(sorted(encodings)) or 'none at all'}")
+    return next(iter(encodings))

@@ -1,0 +1,61 @@
+"""``fringed calibrate refine``: correct a small drift from ordinary scenes, after asking."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def main(
+    source: Annotated[Path, typer.Argument(help="A take of ordinary scenes, or the rig.yaml of a rig at rest.")],
+    calibration: Annotated[Path, typer.Option(help="The calibration to correct.")] = Path("calibration.yaml"),
+    out: Annotated[
+        Path | None, typer.Option(help="Where to write; its own place if left out, the old file being kept.")
+    ] = None,
+    device: Annotated[str | None, typer.Option(help="What has moved: left, right or projector.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
+) -> None:
+    """Correct the turn of one device by the residuals of ordinary pictures; shows what it changes, then asks."""
+    from daemon.calibrate import archive
+    from daemon.calibrate.refine import refine, table
+    from daemon.calibrate.refine_source import of_rig, of_take
+    from daemon.calibration_file import read_calibration
+    from daemon.commands.progress import rendering
+    from pipeline.drift.explain import DEVICES
+
+    if device is not None and device not in DEVICES:
+        raise typer.BadParameter(f"--device is {device!r}, expected one of {', '.join(DEVICES)}")
+    file = read_calibration(calibration)
+    with rendering("Reading pairs") as progress:
+        scene = (of_rig if source.suffix in (".yaml", ".yml") else of_take)(source, progress)
+    with rendering("Finding the drift") as progress:
+        found = refine(
+            file.calibration, scene.pattern, scene.volume, scene.encoding, scene.pairs, device=device, progress=progress
+        )
+    for line in table(found):
+        typer.echo(line)
+    if not found.better:
+        typer.echo("the pairs that judge do not agree better with it: nothing is written", err=True)
+        raise typer.Exit(1)
+    target = out if out is not None else calibration
+    if not yes and not typer.confirm(f"write {target}?", default=False):
+        typer.echo("nothing was written")
+        raise typer.Exit(1)
+    quality = file.mapping.get("quality")
+    notes = {
+        "refined": {
+            "from": file.identity,
+            "device": found.device,
+            "turn_deg": list(found.turn_deg),
+            "before_px": {name: one.value for name, one in found.before.items() if name.endswith("_px")},
+            "after_px": {name: one.value for name, one in found.after.items() if name.endswith("_px")},
+        }
+    }
+    stored = archive.store(
+        target, found.calibration, quality=(dict(quality) if isinstance(quality, dict) else {}) | notes
+    )
+    typer.echo(f"wrote {stored.path}, {stored.identity}")
+    if stored.kept is not None:
+        typer.echo(f"the one before it is {stored.kept}")

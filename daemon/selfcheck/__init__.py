@@ -1,0 +1,1 @@
+"""The continuous self-check: does the calibration still fit the rig? Told from the pairs that are measured anyway."""

@@ -1,0 +1,104 @@
+"""What the self-check keeps on disk: references by calibration, and a history of bounded size.
+
+``references.json`` holds what each calibration was like when it was new, so that a knock while the daemon was off is
+told at the next start; removing the file (or a calibration's entry) makes the daemon learn anew. ``history.jsonl`` has
+one JSON object a line: the observables once a minute, and every event; at 1 MB it becomes ``history.1.jsonl``.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from daemon.atomic import write_atomically
+from daemon.bounded import read_at_most
+from daemon.errors import DaemonError
+from daemon.selfcheck.watch import Reference
+
+log = logging.getLogger("fringed.selfcheck")
+
+MAX_HISTORY_BYTES = 1_000_000
+_MAX_REFERENCES_BYTES = 1_000_000
+_MAX_CALIBRATIONS = 64
+
+
+class Store:
+    """Files in a directory, which is made when something is to be written. A disk that refuses is told once.
+
+    Args:
+        directory: of the files; key: what the references belong to (calibration, pattern, encoding).
+    """
+
+    def __init__(self, directory: Path, key: str) -> None:
+        self.directory, self._key = directory, key
+        self._refused = False
+
+    @property
+    def references_file(self) -> Path:
+        """Where the references are."""
+        return self.directory / "references.json"
+
+    @property
+    def history_file(self) -> Path:
+        """Where the history goes on."""
+        return self.directory / "history.jsonl"
+
+    def references(self) -> dict[str, Reference]:
+        """What was learned of this calibration; empty when there is nothing, or nothing that can be read."""
+        entry = self._all().get(self._key)
+        values = entry.get("observables") if isinstance(entry, dict) else None
+        out = {}
+        for name, pair in (values if isinstance(values, dict) else {}).items():
+            try:
+                value, scatter = float(pair["value"]), float(pair["scatter"])
+            except (KeyError, TypeError, ValueError):
+                continue
+            if math.isfinite(value) and 0 <= scatter < math.inf:
+                out[str(name)] = Reference(value, scatter)
+        return out
+
+    def keep(self, references: Mapping[str, Reference], t_ns: int) -> None:
+        """Write what was learned; the calibrations used longest ago go when there are too many."""
+        known = self._all()
+        known.pop(self._key, None)
+        while len(known) >= _MAX_CALIBRATIONS:
+            del known[next(iter(known))]
+        rows = {name: {"value": one.value, "scatter": one.scatter} for name, one in sorted(references.items())}
+        known[self._key] = {"learned_ns": t_ns, "observables": rows}
+        data = json.dumps({"version": 1, "calibrations": known}, indent=1).encode()
+        self._guarded(lambda: write_atomically(self.references_file, data))
+
+    def note(self, row: Mapping[str, Any]) -> None:
+        """Add a line to the history."""
+        self._guarded(lambda: self._append(json.dumps(row, separators=(",", ":")).encode() + b"\n"))
+
+    def _append(self, line: bytes) -> None:
+        path = self.history_file
+        if path.exists() and path.stat().st_size + len(line) > MAX_HISTORY_BYTES:
+            path.replace(path.with_name("history.1.jsonl"))
+        with path.open("ab") as file:
+            file.write(line)
+
+    def _all(self) -> dict[str, Any]:
+        if not self.references_file.exists():
+            return {}
+        try:
+            known = json.loads(read_at_most(self.references_file, _MAX_REFERENCES_BYTES, DaemonError))["calibrations"]
+            return dict(known)
+        except (DaemonError, ValueError, KeyError, TypeError) as error:
+            log.warning("self-check: %s cannot be read, the reference is learned anew: %s", self.references_file, error)
+            return {}
+
+    def _guarded(self, write: Any) -> None:
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            write()
+            self._refused = False
+        except OSError as error:
+            if not self._refused:
+                self._refused = True
+                log.warning("self-check: nothing is kept in %s: %s; see selfcheck.dir", self.directory, error)

@@ -1,0 +1,49 @@
+"""How a small displacement of a camera's picture shows in the projector's column, patch by patch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Calibration
+
+F64 = NDArray[np.float64]
+
+_STEP_MM = 1.0
+
+
+def in_picture(calibration: Calibration, points: F64) -> tuple[F64, F64]:
+    """Place of world points in the left picture, -1 .. 1 from edge to edge, x and y."""
+    width, height = calibration.left.size
+    pixels = calibration.left.project(points)
+    return 2 * pixels[:, 0] / (width - 1) - 1, 2 * pixels[:, 1] / (height - 1) - 1
+
+
+def along_ray(calibration: Calibration, points: F64, first: int) -> tuple[F64, F64]:
+    """Change of the projector's coordinate (n,) and of the right pixel (n, 2) when a point moves along its left ray."""
+    further = points * (1 + _STEP_MM / points[:, 2:3])
+    projector = calibration.projector.project(further) - calibration.projector.project(points)
+    return projector[:, first], calibration.right.project(further) - calibration.right.project(points)
+
+
+def answers(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]:
+    """Change of observed minus predicted projector coordinate per pixel that the right picture is displaced, u and v.
+
+    The match slides along the epipolar curve (u_s, v_s) until the phase agrees: a displacement (du, dv) moves it by
+    ``ds = (F_u du + F_v dv) / (F_u u_s + F_v v_s)``, F the phase in the right picture, and the predicted projector
+    coordinate by p_s ds.
+
+    Args:
+        shape: (n, 14), as of :func:`pipeline.drift.patches.measure_patches`.
+    """
+    p, seen = along_ray(calibration, shape[:, :3], first)
+    slope_u, slope_v = shape[:, 8], shape[:, 9]
+    along = slope_u * seen[:, 0] + slope_v * seen[:, 1]
+    return -p * slope_u / along, -p * slope_v / along
+
+
+def design(calibration: Calibration, shape: F64, first: int) -> F64:
+    """(n, 4) regressors of the residual: 1, place x, place y, answer to a displacement across the epipolar lines."""
+    x, y = in_picture(calibration, shape[:, :3])
+    across = answers(calibration, shape, first)[1 - first]
+    return np.stack([np.ones_like(x), x, y, across], axis=1)

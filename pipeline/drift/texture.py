@@ -1,0 +1,50 @@
+"""Displacement of the right picture across the epipolar lines, from the surface's own brightness."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.drift.robust import scale_of
+
+F64 = NDArray[np.float64]
+
+_PASSES = 4
+_TUNING = 3.0
+
+
+def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[float, float] | None:
+    """Mean displacement across the epipolar lines, pixels, and its standard deviation.
+
+    Each patch gives two equations of instruments (left gradients) for its displacement; what changes over the picture,
+    and the displacement along the lines, which the phase has fixed already, are nuisances.
+
+    Args:
+        sums: (n, 8), see :data:`pipeline.drift.patches.TEXTURE`; x, y: (n,) place in the picture, -1 .. 1.
+        across: 1 when the epipolar lines run along u, else 0.
+    """
+    one = np.stack([np.ones_like(x), x, y], axis=1)
+    # Equations: [L_u e, L_v e] = [[L_u R_u, L_u R_v], [L_v R_u, L_v R_v]] [du, dv].
+    matrix = np.stack([sums[:, 2:4], sums[:, 4:6]], axis=1)
+    design = np.concatenate([matrix[:, :, 0:1] * one[:, None], matrix[:, :, 1:2] * one[:, None]], axis=2)
+    values = sums[:, :2]
+    basis = np.concatenate([np.repeat(one[:, None], 2, axis=1)] * 2, axis=2)
+    basis[:, 0, 3:], basis[:, 1, :3] = 0.0, 0.0
+    # A patch whose brightness does not fit (an occlusion, a highlight) has much left over and so weighs little.
+    left_over = np.maximum(sums[:, 6], 0.1 * np.median(sums[:, 6]) + 1e-12)
+    weights = steady = np.median(left_over) / left_over
+    spread = np.sqrt(np.maximum(left_over * sums[:, 7], 1e-18))
+    solution = np.zeros(6)
+    for _ in range(_PASSES):
+        normal = np.einsum("n,nik,nij->kj", weights, basis, design)
+        right = np.einsum("n,nik,ni->k", weights, basis, values)
+        if np.linalg.cond(normal) > 1e10:
+            return None
+        solution = np.linalg.solve(normal, right)
+        error = (values[:, across] - design[:, across] @ solution) / spread
+        weights = steady * np.minimum(1.0, _TUNING * scale_of(error) / np.maximum(np.abs(error), 1e-12))
+    inverse = np.linalg.inv(np.einsum("n,nik,nij->kj", weights, basis, design))
+    scores = np.einsum("n,nik,ni->nk", weights, basis, values - design @ solution)
+    covariance = inverse @ (scores.T @ scores) @ inverse.T
+    which = 3 * across
+    return float(solution[which]), float(np.sqrt(max(covariance[which, which], 0.0)))

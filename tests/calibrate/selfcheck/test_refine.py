@@ -1,0 +1,101 @@
+"""A drift is corrected from ordinary pairs, judged by others, and written only with consent."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from benchmarks.selfcheck import Rig
+from daemon.calibrate import refine_source
+from daemon.calibrate.refine import Pair, RefineError, refine, table
+from daemon.calibrate.refine_source import of_take
+from daemon.calibration_file import calibration_bytes, parse_calibration, read_calibration
+from daemon.cli import load
+from pipeline.drift.explain import turned
+from sim.knock import Disturbance
+from tests.golden.make import TAKE
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+SCALE = 0.375
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return Rig(SCALE, instants=3)
+
+
+def pairs(rig: Rig, *knocks: Disturbance) -> list[Pair]:
+    scene = rig.scene(*knocks)
+    return [scene.pair(index) for index in islice(range(100), 6)]  # type: ignore[misc]
+
+
+def test_a_turned_right_camera_is_found_and_turned_back(rig: Rig) -> None:
+    taken = pairs(rig, Disturbance("right", turn_deg=(0.02, 0.03, -0.02)))
+    found = refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
+    assert found.device == "right" and found.better
+    assert np.array(found.turn_deg) == pytest.approx([0.02, 0.03, -0.02], abs=0.006)
+    for name in ("column_px", "column_x_px", "column_y_px"):
+        assert abs(found.after[name].value) < 0.01 < 0.04 + abs(found.before[name].value)
+    assert abs(found.after["epipolar_px"].value) < 0.1 < abs(found.before["epipolar_px"].value)
+    text = "\n".join(table(found))
+    assert "before" in text and "trinocular residual" in text and "right turned" in text
+
+
+def test_a_turned_projector_is_refined(rig: Rig) -> None:
+    taken = pairs(rig, Disturbance("projector", turn_deg=(0.0, 0.02, 0.0)))
+    found = refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken, device="projector")
+    assert found.better and abs(found.after["column_px"].value) < 0.02 < abs(found.before["column_px"].value)
+
+
+def test_what_fits_is_left_alone_and_what_is_far_off_too(rig: Rig) -> None:
+    taken = pairs(rig)
+    with pytest.raises(RefineError, match="nothing to correct"):
+        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
+    with pytest.raises(RefineError, match="at least 2"):
+        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken[:1])
+    empty = [tuple(np.full_like(picture, 40) for picture in pair) for pair in taken]
+    with pytest.raises(RefineError, match="smooth pieces"):
+        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", empty)  # type: ignore[arg-type]
+
+
+def test_a_drift_that_several_devices_explain_needs_a_name(rig: Rig) -> None:
+    taken = pairs(rig, Disturbance("right", turn_deg=(0.03, 0.0, 0.0)))
+    with pytest.raises(RefineError, match="--device"):
+        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
+
+
+def test_the_command_asks_before_it_writes(rig: Rig, tmp_path: Path) -> None:
+    options = {"live": True, "scene": "moving", "frames": 2, "layout": {"scale": SCALE}, "rate_hz": 10.0}
+    off = turned(rig.calibration, "right", (0.0, -0.03, 0.0))
+    file = tmp_path / "calibration.yaml"
+    file.write_bytes(calibration_bytes(off, quality={"rms_stereo_px": 0.05}))
+    before = file.read_bytes()
+    (tmp_path / "rig.yaml").write_text(
+        yaml.safe_dump({"cameras": {"driver": "sim"}, "simulation": options, "calibration": "calibration.yaml"})
+    )
+    command = load("refine", "daemon.commands.calibrate_refine", "")
+    arguments = [str(tmp_path / "rig.yaml"), "--calibration", str(file), "--device", "right"]
+    refused = CliRunner().invoke(command, arguments, input="n\n")
+    assert refused.exit_code == 1 and "nothing was written" in refused.output, refused.output
+    assert file.read_bytes() == before
+    done = CliRunner().invoke(command, [*arguments, "--yes"])
+    assert done.exit_code == 0, done.output
+    written = read_calibration(file)
+    assert written.mapping["quality"]["refined"]["from"] == parse_calibration(before, "before").identity
+    assert written.mapping["quality"]["rms_stereo_px"] == 0.05
+    axis = written.calibration.right.rotation @ rig.calibration.right.rotation.T
+    assert np.rad2deg(np.abs(axis - np.eye(3)).max()) < 0.01
+    assert len(list(tmp_path.glob("calibration.2*.yaml"))) == 1
+
+
+def test_pairs_of_a_take_are_spread_over_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[int, int]] = []
+    every = of_take(TAKE, lambda done, of: told.append((done, of)))
+    assert every.pairs and every.pairs[0][0].dtype == np.uint8 and every.encoding in ("rgb8", "bayer_rggb8") and told
+    monkeypatch.setattr(refine_source, "MOST_PAIRS", 1)
+    assert len(of_take(TAKE, lambda *_: None).pairs) <= 2
