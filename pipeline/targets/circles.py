@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _LARGE = 1_800_000
 _LEAST_SHARE = 0.75
 """Share of the marks that must be found before the others are looked for."""
-_BLURRED = 0.45
+_BLURRED = 0.6
 """Largest sigma of the edges, in the least half axis of the circles' images."""
 _LEAST_SEEN = 0.1
 """Share of the marks that must have been seen for a second look that reckons with shadows."""

@@ -1,5 +1,6 @@
 """Circles of simulated pictures: where they are, how well that is known, and what must not change it."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -248,3 +249,22 @@ def test_five_megapixels():
     found = find_marks(noisy(clean(DEFAULT_BOARD, device, TILTED, ss=1, blur_px=1.2)), DEFAULT_BOARD)
     assert len(found.marks) == 99
     assert np.abs(errors(found, DEFAULT_BOARD, device, TILTED)).max() < 0.05
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_discs_and_boxes_around_the_board_do_not_confuse(seed):
+    rng = np.random.default_rng(seed)
+    clutter = np.full((410, 512), 60, np.float32)
+    for _ in range(80):
+        (u, v), tone = rng.integers(0, (512, 410)).tolist(), float(rng.uniform(5, 200))
+        if rng.random() < 0.6:
+            cv2.circle(clutter, (u, v), int(rng.integers(4, 30)), tone, -1)
+        else:
+            cv2.rectangle(clutter, (u, v), (u + int(rng.integers(5, 120)), v + int(rng.integers(5, 120))), tone, -1)
+    pose = Pose(*rng.uniform(-40, 40, 2), rng.uniform(-180, 180), (30, -20, 2100))
+    lit = clean(DEFAULT_BOARD, DEVICE, pose, background=0.0, ss=3)
+    beside = (clean(DEFAULT_BOARD, DEVICE, pose, background=0.9, ss=3) - lit) / 200
+    found = find_marks(noisy(lit + beside * cv2.GaussianBlur(clutter, (0, 0), 0.8), seed), DEFAULT_BOARD)
+    error = errors(found, DEFAULT_BOARD, DEVICE, pose)
+    assert len(error) == 99
+    assert np.sqrt((error**2).mean()) < 1.3 * np.sqrt((found.marks.sigma_px**2).mean())
