@@ -4,9 +4,9 @@ Every observable is a sequential test of its own. Its value is the median of the
 five checks a second): a knock must last for more than half of them, and a single bad pair changes nothing. It has
 drifted when it differs from the reference by more than the limit, twice running; it is well again when it has come back
 to 70 % of the limit. The limit is a length or an angle that matters; or three times the scatter that the scene caused
-while the reference was learned; or five standard deviations of a single pair, if that is more. Of a single pair,
-because what the pieces of a surface disagree by is mostly the surface's own doing and does not average out while it
-stands still. An observable whose standard deviation is beyond the limit itself is not observable in this scene.
+while the reference was learned; or five standard deviations, if that is more. These are the ones that a single pair tells
+of itself, because what the pieces of a surface disagree by is mostly the surface's own doing and does not average out
+while it stands still; and that of the median, from the scatter of its pairs. An observable whose standard deviation is beyond the limit itself is not observable in this scene.
 
 The reference is learned from the first pairs under a calibration and stays: what drifts slowly is told, too.
 """
@@ -38,6 +38,7 @@ _SIGMAS = 5.0
 _SCATTERS = 3.0
 _BACK = 0.7
 _RUNNING = 2
+_MEDIAN = 1.2533  # a median's standard deviation over a mean's
 _LOST_SHARE, _SOME_SHARE = 0.1, 0.3
 
 
@@ -127,10 +128,12 @@ class _Series:
             return self._blind(drifted, limit)
         values = np.array([value for _, value, _ in self._last])
         value = float(np.median(values))
-        sigma = max(1.4826 * float(np.median(np.abs(values - value))), float(np.median([s for _, _, s in self._last])))
-        if sigma > max(self.limit.change, limit / _SCATTERS):
+        sigma = float(np.median([s for _, _, s in self._last]))
+        spread = max(sigma, 1.4826 * float(np.median(np.abs(values - value))))
+        of_median = _MEDIAN * spread / math.sqrt(len(values))
+        if max(sigma, of_median) > max(self.limit.change, limit / _SCATTERS):
             return self._blind(drifted, limit)
-        limit = max(limit, _SIGMAS * sigma)
+        limit = max(limit, _SIGMAS * sigma, _SIGMAS * of_median)
         change = 0.0 if self.reference is None else value - self.reference.value
         size = abs(change)
         over = size > limit or abs(value) > self.limit.absolute

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 import yaml
 from typer.testing import CliRunner
 
@@ -15,7 +16,7 @@ from daemon.calibrate import refine_source
 from daemon.calibrate.refine import Pair, RefineError, refine, table
 from daemon.calibrate.refine_source import of_take
 from daemon.calibration_file import calibration_bytes, parse_calibration, read_calibration
-from daemon.cli import load
+from daemon.commands import calibrate_refine
 from pipeline.drift.explain import turned
 from sim.knock import Disturbance
 from tests.golden.make import TAKE
@@ -78,7 +79,8 @@ def test_the_command_asks_before_it_writes(rig: Rig, tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(
         yaml.safe_dump({"cameras": {"driver": "sim"}, "simulation": options, "calibration": "calibration.yaml"})
     )
-    command = load("refine", "daemon.commands.calibrate_refine", "")
+    command = typer.Typer(add_completion=False)
+    command.command()(calibrate_refine.main)
     arguments = [str(tmp_path / "rig.yaml"), "--calibration", str(file), "--device", "right"]
     refused = CliRunner().invoke(command, arguments, input="n\n")
     assert refused.exit_code == 1 and "nothing was written" in refused.output, refused.output
