@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from daemon.commands import calibrate_board, calibrate_check, calibrate_exchange, calibrate_steps
+from daemon.commands import calibrate_board, calibrate_check, calibrate_exchange, calibrate_refine, calibrate_steps
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
@@ -20,5 +20,6 @@ app.command("projector")(calibrate_steps.projector)
 app.command("color")(calibrate_steps.color)
 app.command("all")(calibrate_steps.everything)
 app.command("check")(calibrate_check.main)
+app.command("refine")(calibrate_refine.main)
 app.command("import")(calibrate_exchange.bring)
 app.command("export")(calibrate_exchange.give)
