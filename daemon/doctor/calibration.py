@@ -20,6 +20,7 @@ from daemon.suitability import projector_problem, size_problem
 from drivers.errors import DriverError
 from drivers.projector.found import find
 from drivers.protocols import SIDES, ProjectorInfo
+from pipeline.bundle.layout import order_check
 from pipeline.calibration import Calibration
 from pipeline.cloud import Volume
 from pipeline.errors import PipelineError
@@ -54,6 +55,7 @@ def check(subject: Subject) -> Iterator[Finding]:
         yield from pattern(subject, config)
         if file is not None:
             yield from volume(subject, config, file.calibration)
+            yield from layout(subject, config, file.calibration)
     except (PipelineError, DaemonError, OSError) as error:
         yield area.problem("pattern or volume", str(error), "correct that file, or name the right one in rig.yaml")
 
@@ -104,13 +106,9 @@ def serial_in(mapping: Mapping[str, Any], side: str) -> str:
 
 def pattern(subject: Subject, config: RigConfig) -> Iterator[Finding]:
     """The pattern against the projector."""
-    if config.pattern is None:
+    made = pattern_of(subject, config)
+    if made is None:
         return
-    made: ColorFringe = (
-        read_pattern(config.path(config.pattern, subject.base_dir))
-        if isinstance(config.pattern, str)
-        else pattern_from_mapping(config.pattern)
-    )
     projector = projector_of(subject)
     problem = projector_problem(projector, made) if projector is not None else ""
     if problem:
@@ -118,6 +116,24 @@ def pattern(subject: Subject, config: RigConfig) -> Iterator[Finding]:
     else:
         fit = f", as {projector.output} shows" if projector is not None else ""
         yield area.ok("pattern", f"{made.periods:g} periods along {made.axis}, {made.size[0]}x{made.size[1]}{fit}")
+
+
+def pattern_of(subject: Subject, config: RigConfig) -> ColorFringe | None:
+    """The pattern that rig.yaml names or holds."""
+    if config.pattern is None:
+        return None
+    if isinstance(config.pattern, str):
+        return read_pattern(config.path(config.pattern, subject.base_dir))
+    return pattern_from_mapping(config.pattern)
+
+
+def volume_of(subject: Subject, config: RigConfig) -> Volume | None:
+    """The measuring volume that rig.yaml names or holds."""
+    if config.volume is None:
+        return None
+    if isinstance(config.volume, str):
+        return read_volume(config.path(config.volume, subject.base_dir))
+    return Volume(config.volume.near_mm, config.volume.far_mm)
 
 
 def projector_of(subject: Subject) -> ProjectorInfo | None:
@@ -138,12 +154,9 @@ def projector_of(subject: Subject) -> ProjectorInfo | None:
 
 def volume(subject: Subject, config: RigConfig, calibration: Calibration) -> Iterator[Finding]:
     """The volume against what the right camera and the projector see of it."""
-    if config.volume is None:
+    made = volume_of(subject, config)
+    if made is None:
         return
-    if isinstance(config.volume, str):
-        made = read_volume(config.path(config.volume, subject.base_dir))
-    else:
-        made = Volume(config.volume.near_mm, config.volume.far_mm)
     parts = {depth: seen(calibration, depth) for depth in (made.near_mm, made.far_mm)}
     text = f"{made.near_mm:g} to {made.far_mm:g} mm; of the left picture all three see "
     text += " and ".join(f"{100 * part:.0f} % at {depth:g} mm" for depth, part in parts.items())
@@ -151,6 +164,18 @@ def volume(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
         yield area.warning("volume", text, "set volume.near_mm and far_mm to where both cameras and the projector look")
     else:
         yield area.ok("volume", text)
+
+
+def layout(subject: Subject, config: RigConfig, calibration: Calibration) -> Iterator[Finding]:
+    """Whether the projector stands where the cameras can tell fringe orders apart."""
+    made, fringe = volume_of(subject, config), pattern_of(subject, config)
+    if made is None or fringe is None:
+        return
+    found = order_check(calibration, made, periods=fringe.periods, axis=fringe.axis)
+    if found.good or fringe.profile is not None:
+        yield area.ok("layout", found.advice)
+    else:
+        yield area.warning("layout", *_split(found.advice))
 
 
 def seen(calibration: Calibration, depth_mm: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from daemon.calibration_file import read_calibration
+from daemon.calibration_file import read_calibration, write_calibration
 from daemon.doctor import (
     calibration,
     display,
@@ -29,6 +30,7 @@ from drivers.projector.found import OutputFound
 from drivers.projector.options import ProjectorOptions, read
 from drivers.v4l2 import CameraFound as VideoFound
 from drivers.v4l2.device import PixelFormatFound
+from sim.rig import RigLayout
 from tests.daemon.doctor import trees
 from tests.daemon.doctor.trees import by_name, levels
 
@@ -159,7 +161,7 @@ def test_calibration_pattern_and_volume_that_fit(tmp_path: Path) -> None:
     trees.known(tmp_path)
     found = list(calibration.check(trees.subject(tmp_path, rig=trees.genicam("{user_name: L}", "{user_name: R}"))))
     assert {finding.level for finding in found if finding.name != "age"} == {"ok"}, found
-    assert [finding.name for finding in found] == ["file", "age", "pattern", "volume"]
+    assert [finding.name for finding in found] == ["file", "age", "pattern", "volume", "layout"]
 
 
 def test_a_calibration_of_other_cameras_is_told(tmp_path: Path) -> None:
@@ -185,6 +187,14 @@ def test_a_pattern_of_another_projector_and_a_volume_nobody_sees(tmp_path: Path)
     rig = trees.genicam().replace("[160, 128]", "[1920, 1080]")
     found = list(calibration.check(trees.subject(tmp_path, rig=rig)))
     assert by_name(found, "pattern")[0].level == "problem" and by_name(found, "volume")[0].level == "warning"
+
+
+def test_a_projector_in_the_middle_is_told_with_a_better_place(tmp_path: Path) -> None:
+    layout = replace(RigLayout().scaled(0.125), projector_fraction=0.5)
+    trees.known(tmp_path)
+    write_calibration(tmp_path / "calibration.yaml", layout.calibration())
+    (finding,) = by_name(calibration.check(trees.subject(tmp_path, rig=trees.genicam())), "layout")
+    assert finding.level == "warning" and "0.382" in finding.remedy, finding
 
 
 def test_the_age_of_a_calibration(tmp_path: Path) -> None:
