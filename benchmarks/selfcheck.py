@@ -102,6 +102,8 @@ def undisturbed(
         feed(watch, number, seen)
         alarms += len(set(watch.drifted) - before)
         kept.append(seen.readings)
+        if (number + 1) % 500 == 0:
+            print(f"{number + 1} undisturbed pairs, {alarms} reports", flush=True)
     names = sorted({name for readings in kept for name in readings})
     none = Reading(np.nan, np.nan)
     return watch, alarms, {name: np.array([r.get(name, none).value for r in kept]) for name in names}
