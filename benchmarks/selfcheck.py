@@ -91,15 +91,19 @@ def feed(watch: Watch, number: int, seen: Observation) -> None:
     watch.feed(number / RATE_HZ, seen.readings, surface=Reading(seen.known, 0.01))
 
 
-def undisturbed(rig: Rig, scene: LiveScene, pairs: int) -> tuple[Watch, int, dict[str, NDArray[np.float64]]]:
+def undisturbed(
+    rig: Rig, scene: LiveScene, pairs: int, first: int = 0
+) -> tuple[Watch, int, dict[str, NDArray[np.float64]]]:
     """The watch after ``pairs`` pairs, how many reports there were, and every reading."""
     watch = Watch(limits_of(SelfCheckLimits()), {})
     alarms, kept = 0, []
-    for number, seen in enumerate(islice(rig.look(scene), pairs)):
+    for number, seen in enumerate(islice(rig.look(scene, first), pairs)):
         before = set(watch.drifted)
         feed(watch, number, seen)
         alarms += len(set(watch.drifted) - before)
         kept.append(seen.readings)
+        if (number + 1) % 500 == 0:
+            print(f"{number + 1} undisturbed pairs, {alarms} reports", flush=True)
     names = sorted({name for readings in kept for name in readings})
     none = Reading(np.nan, np.nan)
     return watch, alarms, {name: np.array([r.get(name, none).value for r in kept]) for name in names}
@@ -124,6 +128,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scale", type=float, default=0.5, help="of the standard rig, 1 = 1024 x 820 pixels")
     parser.add_argument("--pairs", type=int, default=10_000, help="undisturbed pairs, all of them checked")
+    parser.add_argument("--first", type=int, default=0, help="number of the first of them: another noise")
     parser.add_argument("--scene", default="moving")
     parser.add_argument("--encoding", default="rgb8")
     parser.add_argument("--instants", type=int, default=12, help="rendered positions of the scene")
@@ -131,7 +136,7 @@ def main() -> None:
     options = parser.parse_args()
     rig = Rig(options.scale, scene=options.scene, encoding=options.encoding, instants=options.instants)
     still = rig.scene()
-    watch, alarms, readings = undisturbed(rig, still, options.pairs)
+    watch, alarms, readings = undisturbed(rig, still, options.pairs, options.first)
     print(f"{options.scene}, scale {options.scale}, {options.encoding}")
     print(f"undisturbed: {options.pairs} pairs, {alarms} reports; {np.median(rig.ms):.1f} ms a check (median)")
     print(f"{'observable':22} {'median':>9} {'scatter':>9} {'limit':>9}")

@@ -3,10 +3,13 @@
 Every observable is a sequential test of its own. Its value is the median of the last ten checked pairs (two seconds at
 five checks a second): a knock must last for more than half of them, and a single bad pair changes nothing. It has
 drifted when it differs from the reference by more than the limit, twice running; it is well again when it has come back
-to 70 % of the limit. The limit is a length or an angle that matters; or three times the scatter that the scene caused
-while the reference was learned; or five standard deviations, if that is more. These are the ones that a single pair tells
-of itself, because what the pieces of a surface disagree by is mostly the surface's own doing and does not average out
-while it stands still; and that of the median, from the scatter of its pairs. An observable whose standard deviation is beyond the limit itself is not observable in this scene.
+to 70 % of the limit.
+
+The limit is a length or an angle that matters; or three times the scatter that the scene caused while the reference was
+learned; or five standard deviations, if that is more. These are the one that a single pair tells of itself, because
+what the pieces of a surface disagree by is mostly the surface's own doing and does not average out while it stands
+still, and the one of the median, from the scatter of its pairs. An observable whose standard deviation is beyond the
+limit itself is not observable in this scene.
 
 The reference is learned from the first pairs under a calibration and stays: what drifts slowly is told, too.
 """
