@@ -2,6 +2,8 @@
 
 * OpenMP, which runs numba's threads, lets idle threads spin for milliseconds; on a PC with few cores that is the time
   of recorder and stream. Asleep they cost a quarter less processor time, and a pair takes no longer.
+* So does OpenBLAS with its threads, for matrices here that one of them multiplies in microseconds: beside other work on
+  the same processors a calibration then takes twenty times as long.
 * The allocator gives every large array back to the kernel, which clears each page again when the next one is made:
   nearly four thousand page faults a pair. Kept, the same pages serve the next pair.
 """
@@ -18,8 +20,9 @@ _KEPT = 1 << 30
 
 
 def prepare() -> None:
-    """Set everything; what the user's environment says comes first. To be called before numba is used."""
+    """Set everything; what the user's environment says comes first. To be called before numpy and numba are imported."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if not any(name.startswith("MALLOC_") for name in os.environ):
         _keep_memory()
 
