@@ -20,7 +20,7 @@ _KEPT = 1 << 30
 
 
 def prepare() -> None:
-    """Set everything; what the user's environment says comes first. To be called before numpy and numba are imported."""
+    """Set everything; what the user's environment says comes first. Call it before numpy and numba are loaded."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if not any(name.startswith("MALLOC_") for name in os.environ):
