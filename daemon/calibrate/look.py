@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Sequence as Items
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from daemon.calibrate.pictures import Picture, unpacked
 from daemon.calibrate.sources import Source, View, white_frame
 from pipeline.errors import TargetError
-from pipeline.multi_shot import evenly_lit
+from pipeline.multi_shot import Coordinate, evenly_lit
 from pipeline.sequence import Sequence
 from pipeline.targets.board import Board
 from pipeline.targets.find import Found, find_marks
@@ -26,6 +26,8 @@ THUMBNAIL_PX = 520
 BLURRED_PX = 4.0
 """Sigma of a picture's strongest edges from where on nothing else is said about it."""
 _JPEG_QUALITY = 72
+
+Phases: TypeAlias = tuple[Coordinate, Coordinate]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,12 +57,14 @@ class Looked:
     Args:
         views: those with marks in at least one picture, in order; seen: all pictures; sizes: by device.
         left_out: views that the source could not give whole.
+        phases: some views' projector coordinates (x, y) of all pixels, left and right.
     """
 
     views: list[BoardView] = field(default_factory=list)
     seen: list[Seen] = field(default_factory=list)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
+    phases: list[tuple[Phases, Phases]] = field(default_factory=list)
 
     @property
     def problems(self) -> list[Seen]:

@@ -19,6 +19,7 @@ from daemon.calibrate.look_projector import look_with_projector
 from daemon.calibrate.merge import with_old_colors
 from daemon.calibrate.report.build import Report, report_html
 from daemon.calibrate.sources import Progress, Source
+from daemon.calibrate.trinocular import last_look
 from daemon.calibration_file import CamerasFile
 from pipeline.bundle import Options, Solution, calibrate
 from pipeline.bundle.advice import missing
@@ -110,6 +111,8 @@ def calibrated(
     wanted = missing(board, looked.views, looked.sizes, solution=solution)
     quality = quality_of(solution, board=str(board), coverage=wanted.coverage)
     quality["pictures_without_marks"] = len(looked.problems)
+    if found.projector is not None and looked.phases:
+        found = _looked_at_again(found, looked, quality, notes)
     layout, figures = layout_advice(found, solution)
     quality |= figures
     advice = [f"add {wish}" for wish in wanted.missing]
@@ -117,6 +120,16 @@ def calibrated(
         advice.append(f"the pose that would help most: {wanted.next_pose.text}")
     notes += _refined(solution, options)
     return Calibrated(found, solution, board, sources, looked, quality, notes, advice + layout, wanted.coverage, before)
+
+
+def _looked_at_again(found: Cameras, looked: Looked, quality: dict[str, Any], notes: list[str]) -> Cameras:
+    """The projector judged by all pixels of some views; its residual goes into ``quality`` and ``notes``."""
+    last = last_look(found.complete(), looked.phases)
+    if last is None:
+        return found
+    quality["trinocular_px"] = round(last.residual_px, 4)
+    notes.append(last.note)
+    return replace(found, projector=last.calibration.projector)
 
 
 def finish(

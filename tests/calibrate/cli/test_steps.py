@@ -101,6 +101,7 @@ def test_projector_and_cameras_are_solved_together(
     assert quality["rms_projector_px"] < 0.05
     assert quality["views_used"] == 15
     assert 0 <= quality["order_merit"] <= 1
+    assert quality["trinocular_px"] < 0.05
     true = true_rig.complete()
     # A common turn of everything against the left camera's axis changes nothing that is measured; pixels tell.
     for device, wanted in ((rig.right, true.right), (rig.projector, true.projector)):
