@@ -2,8 +2,8 @@
 
 Every white pixel that both cameras see gives a point from the two cameras alone, and the projector coordinates that
 were observed there. What they differ by from the calibrated projector is the trinocular residual. How well the board
-was printed plays no part in it. Where it shows the projector wrong by more than the marks can have noticed, the projector is
-refined; the left and the right camera, which the metric comes from, stay.
+was printed plays no part in it. Where it shows the projector wrong by more than the marks can have noticed, the
+projector is refined; the left and the right camera, which the metric comes from, stay.
 """
 
 from __future__ import annotations

@@ -58,22 +58,7 @@ def cameras(
     session: Session = None,
 ) -> None:
     """Calibrate both cameras together, from pictures of a board at ten or more places."""
-    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
-    options |= {
-        "skew": skew,
-        "k3": k3,
-        "refine_board": refine_board,
-        "distance": distance,
-        "poses": poses,
-        "view": view,
-        "session": session,
-    }
-    if rig is not None:
-        return _live("cameras", rig, left, right, views, options)
-    _geometry(
-        "cameras", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board, distance)
-    )
-    return None
+    _step("cameras", **locals())
 
 
 def projector(
@@ -97,22 +82,7 @@ def projector(
 
     Views without fringes (--left and --right, or another --views) help with the cameras.
     """
-    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
-    options |= {
-        "skew": skew,
-        "k3": k3,
-        "refine_board": refine_board,
-        "distance": distance,
-        "poses": poses,
-        "view": view,
-        "session": session,
-    }
-    if rig is not None:
-        return _live("projector", rig, left, right, views, options)
-    _geometry(
-        "projector", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board, distance)
-    )
-    return None
+    _step("projector", **locals())
 
 
 def color(
@@ -159,22 +129,21 @@ def everything(
     session: Session = None,
 ) -> None:
     """Calibrate cameras, projector and colours: --views for the board with fringes, and --views for the colours."""
-    options: dict[str, Any] = {"board": board, "out": out, "report": report, "force": force}
-    options |= {
-        "skew": skew,
-        "k3": k3,
-        "refine_board": refine_board,
-        "distance": distance,
-        "poses": poses,
-        "view": view,
-        "session": session,
-    }
+    _step("all", **locals())
+
+
+def _step(
+    step: str, *, rig: Path | None, left: str | None, right: str | None, views: list[Path] | None, **options: Any
+) -> None:
+    """A step that finds geometry, live or on pictures; ``options`` are the command's other arguments by name."""
     if rig is not None:
-        return _live("all", rig, left, right, views, options)
+        _live(step, rig, left, right, views, options)
+        return
+    solving = _options(options["skew"], options["k3"], options["refine_board"], options["distance"])
     _geometry(
-        "all", _sources(left, right, views), board, out, report, force, _options(skew, k3, refine_board, distance)
-    )
-    return None
+        step, _sources(left, right, views), options["board"], options["out"], options["report"], options["force"],
+        solving,
+    )  # fmt: skip
 
 
 def _geometry(
