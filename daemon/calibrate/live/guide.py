@@ -22,7 +22,8 @@ from pipeline.targets.board import Board
 
 Probe = tuple[Sequence, Callable[[Shots], str]]
 Find = Callable[[Picture, Board], Found]
-_MOST_LOOKS = 20
+_MOST_LOOKS, _MOST_STEADY = 20, 4
+"""A simulated hand leaves a pose that became no view after more looks, and after more times the steady time."""
 MOST_FAILURES = 5
 """Looks in a row that may fail before the session ends."""
 
@@ -97,6 +98,7 @@ def guide(
     session: Session | None = None
     pending: Shots | None = None
     failures = stuck = 0
+    since_s: float | None = None
     while not stopped() and (session is None or session.state is not State.DONE):
         try:
             shots = shooter.shoot(white)
@@ -123,14 +125,15 @@ def guide(
         if told.accepted is not None and pending is not None:
             kept.add(pending)
             pending = None
-            stuck = 0
+            stuck, since_s = 0, None
             if session.state is not State.DONE and shooter.has_hand and not shooter.next_pose():
                 break
         elif shooter.has_hand:
             # Nobody is there to do as told: a pose that does not become a view is left.
             stuck += 1
-            if stuck >= _MOST_LOOKS:
-                stuck = 0
+            since_s = sight.t_s if since_s is None else since_s
+            if stuck >= _MOST_LOOKS and sight.t_s - since_s > _MOST_STEADY * session.limits.steady_s:
+                stuck, since_s = 0, None
                 if not shooter.next_pose():
                     break
     if session is None:
