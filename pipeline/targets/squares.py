@@ -19,6 +19,7 @@ Eight = NDArray[np.uint8]
 
 _REACH = 0.42
 _LEAST_SHARE = 0.75
+_SMOOTH_PX, _OVER_NOISE = 2.0, 3.0
 _BLURRED = 0.22
 """Largest sigma of the edges as a share of the shorter side of a square."""
 _MISFIT_OVER_MEDIAN = 6.0
@@ -144,8 +145,19 @@ def _without(image: Eight, corners: Array, board: Board) -> Eight:
     return painted
 
 
+def _shows_something(picture: GreyPicture) -> bool:
+    """Whether more than noise is there: stretched to 8 bit, OpenCV finds small boards in an even picture's noise."""
+    values = np.asarray(picture.values, dtype=np.float32)
+    smooth = cv2.GaussianBlur(values, (0, 0), _SMOOTH_PX)
+    low, high = np.quantile(smooth[::4, ::4], [0.002, 0.998])
+    # Of white noise the smoothed picture keeps 1 / (2 sqrt(pi) sigma): a range of less than one deviation.
+    return bool(high - low > _OVER_NOISE * 1.4826 * float(np.median(np.abs(values - smooth))))
+
+
 def _reason(picture: GreyPicture, image: Eight, board: Board) -> Exception:
     """Why there is no board: another size, only a part, or nothing."""
+    if not _shows_something(picture):
+        return answers.nothing(board, picture)
     scale = max(1.0, max(image.shape) / _QUICK_SIDE)
     small = image if scale == 1 else cv2.resize(image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     ok, corners, meta = cv2.findChessboardCornersSBWithMeta(
