@@ -20,8 +20,8 @@ p { margin: 6px 0 10px; max-width: 80ch; }
 .dim, figcaption { color: var(--dim); }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(180px, 1fr)); gap: 10px; margin: 20px 0; }
 .card { border: 1px solid var(--line); border-radius: 8px; padding: 10px 14px; background: var(--soft); }
-.card b { display: block; font-size: 23px; font-weight: 600; white-space: nowrap; font-variant-numeric: tabular-nums; }
-.card b small { font-size: 14px; font-weight: 400; color: var(--dim); }
+.card b { display: block; font-size: 23px; font-weight: 600; font-variant-numeric: tabular-nums; }
+.card b small { font-size: 14px; white-space: nowrap; font-weight: 400; color: var(--dim); }
 .card span { color: var(--dim); font-size: 13px; }
 .good b { color: var(--green); } .warn b { color: var(--amber); } .bad b { color: var(--red); }
 .grid { display: grid; grid-template-columns: repeat(2, 1fr); gap: 16px; }
