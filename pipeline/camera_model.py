@@ -143,20 +143,26 @@ def distort(points: Array, coefficients: Array) -> Array:
     )
 
 
+def distortion_slopes(points: Array, coefficients: Array) -> tuple[Array, Array, Array]:
+    """Derivatives of :func:`distort` at points (..., 2): x by x, x by y (which is y by x), y by y."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = points[..., 0], points[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
+    xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+    xy = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+    return xx, xy, yy
+
+
 def undistort(points: Array, coefficients: Array) -> Array:
     """Invert :func:`distort` by Newton steps with the analytic Jacobian; converges to rounding for real lenses."""
-    k1, k2, p1, p2, k3 = coefficients
     target = np.asarray(points, dtype=np.float64)
     current = target.copy()
     for _ in range(_UNDISTORT_STEPS):
         error = distort(current, coefficients) - target
-        x, y = current[..., 0], current[..., 1]
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
-        xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-        xy = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+        xx, xy, yy = distortion_slopes(current, coefficients)
         det = xx * yy - xy * xy
         step = np.stack(
             [(yy * error[..., 0] - xy * error[..., 1]) / det, (xx * error[..., 1] - xy * error[..., 0]) / det], axis=-1

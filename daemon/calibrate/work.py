@@ -27,7 +27,7 @@ from pipeline.calibration import Cameras
 from pipeline.errors import CalibrationError, TargetError
 from pipeline.targets.board import Board
 
-__all__ = ["Calibrated", "Report", "Stored", "better_reasons", "calibrated", "cameras", "finish", "projector"]
+__all__ = ["Calibrated", "Report", "Stored", "better_reasons", "calibrated", "finish", "solved"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,37 +53,21 @@ class Calibrated:
     before: CamerasFile | None = None
 
 
-def cameras(
+def solved(
     board: Board,
     sources: Sequence[Source],
     progress: Progress,
     *,
+    fringes: bool,
     options: Options | None = None,
     before: CamerasFile | None = None,
 ) -> Calibrated:
-    """Both cameras from pictures of a board.
+    """Both cameras from pictures of a board; with ``fringes`` the projector too, from the sequences among the sources.
 
     Raises:
         SourceError, TargetError, CalibrationError: what is wrong with the pictures, and what to do.
     """
-    looked = look(sources, board, progress)
-    return calibrated(board, looked, [source.name for source in sources], options=options, before=before)
-
-
-def projector(
-    board: Board,
-    sources: Sequence[Source],
-    progress: Progress,
-    *,
-    options: Options | None = None,
-    before: CamerasFile | None = None,
-) -> Calibrated:
-    """Both cameras and the projector together, from sequences of fringes on a board; also from plain views beside.
-
-    Raises:
-        SourceError, TargetError, CalibrationError: what is wrong with the pictures, and what to do.
-    """
-    looked = look_with_projector(sources, board, progress)
+    looked = (look_with_projector if fringes else look)(sources, board, progress)
     return calibrated(board, looked, [source.name for source in sources], options=options, before=before)
 
 

@@ -162,8 +162,7 @@ def _geometry(
         lacking = "colours (sequence 'color')" if not colors else "the board (sequence 'projector')"
         raise typer.BadParameter(f"no --views for {lacking}; all needs both")
     with rendering("Finding marks") as progress:
-        solve = work.cameras if step == "cameras" else work.projector
-        result = solve(board, boards, progress, options=options, before=before)
+        result = work.solved(board, boards, progress, fringes=step != "cameras", options=options, before=before)
     if colors:
         with rendering("Reading colours") as progress:
             result = with_colors(result, colors, progress)

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from pipeline.calibration import Calibration
 from pipeline.cloud import Cloud, Volume
 from pipeline.drift import geometry, texture
-from pipeline.drift.patches import LIGHT, SHAPE, TEXTURE, measure_patches
+from pipeline.drift.brightness import TEXTURE
+from pipeline.drift.lock_in import LIGHT
+from pipeline.drift.patches import SHAPE, measure_patches
 from pipeline.drift.robust import fit, means
 from pipeline.pattern import ColorFringe
 from pipeline.raw import checked, mosaic_of

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
+from pipeline.camera_model import CameraModel, distortion_slopes
 
 Array = NDArray[np.float64]
 
@@ -105,12 +105,5 @@ def _images(
 
 def _distortion_determinant(ideal: Array, coefficients: Array) -> Array:
     """Determinant of the derivative of :func:`pipeline.camera_model.distort` at ideal points (..., 2)."""
-    k1, k2, p1, p2, k3 = coefficients
-    x, y = ideal[..., 0], ideal[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
-    xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-    xy = slope * x * y + 2 * p1 * x + 2 * p2 * y
-    yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+    xx, xy, yy = distortion_slopes(ideal, coefficients)
     return np.asarray(xx * yy - xy * xy)
