@@ -6,8 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any, Protocol
 
 from daemon import threads
@@ -65,8 +64,9 @@ class Worker:
         self._overload = Overload(enabled=config.overload == "half")
         self._sequel = Sequel()
         self._garbage, self.pauses = Garbage(), Pauses()
-        self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
+        self._changes: deque[tuple[Callable[[], Reconstructs | None], Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
+        self._ended: Future[None] = Future()
 
     @property
     def every(self) -> int:
@@ -85,21 +85,36 @@ class Worker:
         self._thread.start()
         return self._made
 
-    def replace(self, make: Make, timeout_s: float) -> None:
-        """Make another reconstructor between two pairs and use it from then on.
+    def replace(self, make: Callable[[], Reconstructs | None], timeout_s: float) -> None:
+        """Make another reconstructor between two pairs and use it from then on; None: keep the one that is there.
 
-        It is made in the pipeline's thread, because not every threading layer of numba bears two callers.
+        It is made in the pipeline's thread, because not every threading layer of numba bears two callers. ``make`` may
+        change what else must change between two pairs, as its last act.
 
         Raises:
-            DaemonError: when the pipeline does not get to it in time; PipelineError: from ``make``.
+            DaemonError: when the pipeline does not get to it in time, or ends; PipelineError: from ``make``.
         """
         done: Future[None] = Future()
         self._changes.append((make, done))
-        try:
-            done.result(timeout_s)
-        except FutureTimeoutError as error:
-            done.cancel()
-            raise DaemonError(f"the pipeline did not take over the change within {timeout_s:g} s") from error
+        wait((done, self._ended), timeout_s, FIRST_COMPLETED)
+        if done.done():
+            done.result()
+        elif not done.cancel() and not self._ended.done():
+            raise DaemonError(f"the pipeline is still at it after {timeout_s:g} s; ask later whether the change came")
+        elif self._ended.done():
+            raise DaemonError("the daemon is stopping; nothing was changed")
+        else:
+            raise DaemonError(f"the pipeline did not take over the change within {timeout_s:g} s; nothing was changed")
+
+    def end_changes(self) -> None:
+        """Refuse changes from now on, those that wait at once."""
+        if not self._ended.done():
+            self._ended.set_result(None)
+
+    def configure(self, config: Pipeline) -> None:
+        """Overload and temporal prior from now on; to be called between two pairs."""
+        self._config = config
+        self._overload.enable(config.overload == "half")
 
     def offer(self, pair: Pair) -> None:
         """Take a pair; the freshest wins."""
@@ -125,6 +140,7 @@ class Worker:
         Compiling, up to a minute after an update, is not waited for: the end of the program ends it.
         """
         self._stop.set()
+        self.end_changes()
         self._drops.add("pairs_stopped", len(self._box.close()))
         if not self._running():
             return True
@@ -178,9 +194,11 @@ class Worker:
             if not done.set_running_or_notify_cancel():
                 continue
             try:
-                self._reconstructor = make()
-                self._sequel.forget()
-                self._hold_garbage()  # the reconstructor that was frozen before can go
+                made = make()
+                if made is not None:
+                    self._reconstructor = made
+                    self._sequel.forget()
+                    self._hold_garbage()  # the reconstructor that was frozen before can go
                 done.set_result(None)
             except Exception as error:
                 done.set_exception(error)
