@@ -40,27 +40,20 @@ def explained(row: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def listed(rows: list[dict[str, Any]], width: int | None = None) -> str:
-    """Many settings as a table; ``width`` in characters, that of the terminal without one."""
-    from io import StringIO
-
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("setting", no_wrap=True)
-    table.add_column("value", overflow="fold", max_width=24)
-    table.add_column("allowed", overflow="fold")
-    table.add_column("", no_wrap=True)
-    table.add_column("meaning", ratio=1)
+def listed(rows: list[dict[str, Any]]) -> str:
+    """Many settings, two lines each, a gap between the sections of rig.yaml."""
+    lines: list[str] = []
+    section = rows[0]["path"].partition(".")[0] if rows else ""
     for row in rows:
-        value = f"{shown(row['value'])} {row.get('unit', '')}".rstrip()
-        cells = (row["path"], value, bounds(row), "live" if row["live"] else "restart", row["doc"])
-        table.add_row(*(Text(cell) for cell in cells))
-    console = Console(file=StringIO(), width=width or max(100, Console().width))
-    console.print(table)
-    return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines())  # type: ignore[attr-defined]
+        if row["path"].partition(".")[0] != section:
+            section = row["path"].partition(".")[0]
+            lines.append("")
+        notes = [text for text in (bounds(row), "live" if row["live"] else "needs a restart") if text]
+        lines.append(
+            f"{row['path']} = {shown(row['value'])} {row.get('unit', '')}".rstrip() + f"  ({', '.join(notes)})"
+        )
+        lines.append(f"    {row['doc']}")
+    return "\n".join(lines)
 
 
 def shown(value: Any) -> str:
@@ -75,7 +68,7 @@ def bounds(row: dict[str, Any]) -> str:
     low = f"{row['min']:g}" if "min" in row else f"> {row['above']:g}" if "above" in row else ""
     high = f"{row['max']:g}" if "max" in row else f"< {row['below']:g}" if "below" in row else ""
     if low and high:
-        return f"{low} to {high}"
+        return f"{low} to {high}" if "min" in row else f"{low}, up to {high}"
     if high:
         return f"at most {high}"
     return f"from {low}" if "min" in row else low

@@ -9,7 +9,11 @@ import typer
 
 from daemon.commands.asking import SLOW_S, Endpoint, RigFile, Timeout, ask
 
+app = typer.Typer(add_completion=False)
 
+
+# A negative number is a value, not an option.
+@app.command(context_settings={"ignore_unknown_options": True})
 def main(
     path: Annotated[str, typer.Argument(help="The setting, as `fringed get` lists it.")],
     value: Annotated[str, typer.Argument(help="A number, true, false or text; JSON for more than that.")],

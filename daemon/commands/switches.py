@@ -21,7 +21,7 @@ def start(endpoint: Endpoint = None, rig: RigFile = None, timeout: Timeout = 5.0
 
 
 def stop(endpoint: Endpoint = None, rig: RigFile = None, timeout: Timeout = 5.0) -> None:
-    """Let a daemon pause: it measures nothing and stays connected. (To end it: Ctrl-C, or systemctl stop.)"""
+    """Let a daemon pause: it measures nothing and stays connected; `systemctl stop` or Ctrl-C ends it."""
     typer.echo(ask("stop", endpoint, rig, timeout)["state"])
 
 
