@@ -117,7 +117,7 @@ def _install(fresh: Path, source: Source) -> None:
 
 def requirement() -> str:
     """What pip is to install: the checkout that runs this, or the same version from where packages come from."""
-    from daemon.service import program_version
+    from daemon.version import program_version
 
     if (_CHECKOUT / "pyproject.toml").is_file():
         return f"{_CHECKOUT}[rig]"
