@@ -7,10 +7,14 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 import yaml
 
+from daemon.capture import Capture
+from daemon.control.calibrate import CalibrateMethods
+from daemon.control.methods import Methods
 from daemon.control.protocol import FAILED, INVALID_PARAMS, RpcError
 from daemon.errors import DaemonError
 from daemon.service import Service
@@ -185,6 +189,20 @@ def test_no_reload_while_a_take_is_written(running: Running) -> None:
         assert "take" in refused(running, "reload").message
     finally:
         running.call("record.stop")
+
+
+def test_no_reload_while_pictures_are_captured(running: Running) -> None:
+    class Busy:
+        active = True
+
+    calibrate = CalibrateMethods(running.service, cast(Capture, Busy()))
+    methods = Methods(
+        running.service, running.recorder, path=running.rig_file, base_dir=running.path, calibrate=calibrate
+    ).table()
+    running.write("pairing: {max_wait_ms: 250}\n")
+    with pytest.raises(RpcError, match="capture"):
+        methods["reload"]({})
+    assert running.service.config.pairing.max_wait_ms == 500
 
 
 def test_every_setting_is_listed_with_its_meaning(running: Running) -> None:
