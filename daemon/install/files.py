@@ -11,6 +11,7 @@ from daemon.install.target import Target
 
 _WRAPPER = """\
 #!/bin/sh
+unset PYTHONPATH PYTHONHOME
 exec {prefix}/env/bin/python -P -c 'import sys; from daemon.entry import main; sys.argv[0] = "fringed"; main()' "$@"
 """
 
