@@ -12,7 +12,7 @@ import pytest
 
 from daemon.config import parse_rig
 from daemon.errors import ConfigError
-from daemon.install import config_files, layout, work
+from daemon.install import config_files, environment, layout, work
 from daemon.install.environment import Source, default_python, fingerprint
 from daemon.install.errors import InstallError
 from daemon.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, Place
@@ -235,6 +235,20 @@ def test_an_interpreter_that_the_service_cannot_reach_is_refused(tmp_path: Path)
     assert reachable(python) is not None
     with pytest.raises(InstallError, match=r"may not enter .*; name an interpreter"):
         Source(python).check(Target())
+
+
+def test_the_environment_before_stays_for_a_daemon_that_runs_with_it(tmp_path: Path) -> None:
+    target = Target(tmp_path, Path("/opt/fringed"))
+    prefix = target.path(PREFIX)
+    for number, name in enumerate(("env-a", "env-b", "env-c", "env-broken")):
+        (prefix / name).mkdir(parents=True)
+        if name != "env-broken":
+            mark = prefix / name / "made-from"
+            mark.touch()
+            os.utime(mark, (number, number))
+    (prefix / "env").symlink_to("env-c")
+    environment.remove_old(target)
+    assert {path.name for path in prefix.iterdir()} == {"env", "env-b", "env-c"}
 
 
 def test_the_environment_is_known_by_what_it_is_made_from() -> None:
