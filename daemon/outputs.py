@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from daemon.config.models import RigConfig
 from daemon.rig import Rig
 from daemon.sinks import Sink
+
+if TYPE_CHECKING:
+    from daemon.health.sink import Health
 
 MEGABYTE = 1_000_000
 
@@ -87,4 +90,20 @@ def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
         pattern=rig.pattern,
         volume=rig.volume,
         identity=rig.identity,
+    )
+
+
+def open_health(config: RigConfig, rig: Rig, base_dir: Path) -> Health:
+    """The watch over how the daemon fares, running."""
+    from daemon.calibration_file import created_at, load_mapping
+    from daemon.health.sink import Health
+
+    # A simulated rig makes its own calibration, which does not grow old.
+    made = None if config.calibration is None else created_at(load_mapping(rig.calibration_data, "calibration"))
+    return Health(
+        config.health,
+        config.path(config.recording.dir, base_dir),
+        calibration=rig.calibration,
+        pattern=rig.pattern,
+        created=made,
     )

@@ -16,6 +16,7 @@ from daemon.config.models import RigConfig
 from daemon.control.calibrate import CalibrateMethods
 from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
 from daemon.errors import ConfigError, DaemonError
+from daemon.health.methods import HealthMethods
 from daemon.recorder import Recorder
 from daemon.service import Service, program_version
 from drivers.errors import DriverError
@@ -38,6 +39,7 @@ class Methods:
     Args:
         service: the daemon; recorder: its recording switch; path: its rig.yaml, for ``reload``.
         base_dir: where its relative paths start; calibrate: the methods ``calibrate.*``, if it offers them.
+        health: the methods ``health*``, if it watches itself.
     """
 
     def __init__(
@@ -48,9 +50,10 @@ class Methods:
         path: Path | None,
         base_dir: Path,
         calibrate: CalibrateMethods | None = None,
+        health: HealthMethods | None = None,
     ) -> None:
         self._service, self._recorder, self._path, self._base_dir = service, recorder, path, base_dir
-        self._calibrate = calibrate
+        self._calibrate, self._health = calibrate, health
 
     def table(self) -> Mapping[str, Method]:
         """Every method by its name, with the parameters that it takes."""
@@ -69,6 +72,8 @@ class Methods:
         }
         if self._calibrate is not None:
             own |= self._calibrate.table()
+        if self._health is not None:
+            own |= self._health.table()
         return {name: _checked(method, allowed) for name, (method, allowed) in own.items()}
 
     def hello(self, _: dict[str, Any]) -> dict[str, Any]:
