@@ -55,8 +55,11 @@ class Health(Section):
     looks_hz: Annotated[float, Field(ge=0, le=2, description="Pairs a second whose light is looked at; 0 = none.")] = (
         2.0
     )
-    window_s: Annotated[int, Field(ge=2, le=60, description="Seconds over which is judged.")] = 10
-    raise_s: Annotated[float, Field(ge=0, le=3600, description="Seconds beyond a limit before it is told.")] = 3.0
+    window_s: Annotated[int, Field(ge=2, le=60, description="Seconds over which is judged.")] = 5
+    raise_s: Annotated[
+        float,
+        Field(ge=0, le=3600, description="Seconds beyond before it is told; over window_s, one outlier is not told."),
+    ] = 8.0
     clear_s: Annotated[float, Field(ge=0, le=3600, description="Seconds well within before it is taken back.")] = 10.0
     margin: Annotated[float, Field(ge=0, le=0.9, description="How far within its limit is well within, share.")] = 0.1
     history_h: Annotated[float, Field(ge=0.1, le=72, description="Hours of minutes kept in memory.")] = 12.0
