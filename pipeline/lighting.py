@@ -19,7 +19,7 @@ from pipeline.raw import BAYER
 
 Plane = NDArray[np.float32]
 
-LINES = 12
+LINES = 8
 _WHITE = 254.0
 _LEAST = 5.0  # counts of modulation from which there is light
 _ENOUGH = 64  # samples that tell an amplitude

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +18,14 @@ _ENOUGH = 4
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class _Pair:
+class _Pair(NamedTuple):
     now_ns: int
     seq: int
     t_ns: int
     residual_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Cloud:
+class _Cloud(NamedTuple):
     now_ns: int
     latency_ms: float
     arrival_ms: float

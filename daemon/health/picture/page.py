@@ -27,7 +27,7 @@ def html(courses: Courses) -> bytes:
     report = courses.report
     cards = [Card("verdict", report["verdict"], level=_LEVELS.get(report["verdict"], ""))]
     cards += [Card(label, _value(report, name)) for name, label in _CARDS if report["values"].get(name) is not None]
-    lines = [f"{_time(report['t_ns'])}, running for {layout.span_words(report['uptime_s'])}, {report['state']}"]
+    lines = [f"{_stamp(report['t_ns'])} UTC, up for {layout.span_words(report['uptime_s'])}, {report['state']}"]
     lines += [event["text"] for event in report["open"]]
     span = layout.span_words(courses.end_s - courses.begin_s)
     charts = Svg(*layout.size(courses, head=False))
@@ -57,17 +57,17 @@ def _value(report: Any, name: str) -> str:
     return shown(name, report["values"][name])
 
 
-def _time(t_ns: int) -> str:
-    return f"{datetime.fromtimestamp(t_ns / 1e9, tz=UTC):%Y-%m-%d %H:%M:%S} UTC"
+def _stamp(t_ns: int) -> str:
+    return f"{datetime.fromtimestamp(t_ns / 1e9, tz=UTC):%Y-%m-%d %H:%M:%S}"
 
 
 def _events(events: list[dict[str, Any]]) -> str:
     rows = [
-        (_time(e["t_ns"]), _time(e["ended_ns"]) if e["ended_ns"] else "lasts", e["level"], e["text"], e["end"])
+        (_stamp(e["t_ns"]), _stamp(e["ended_ns"]) if e["ended_ns"] else "lasts", e["level"], e["text"], e["end"])
         for e in reversed(events)
     ]
     lasting = [n for n, row in enumerate(rows) if row[1] == "lasts"]
-    return table(("began", "ended", "level", "what", "how"), rows, text=(1, 2, 3, 4), out=lasting) if rows else ""
+    return table(("began, UTC", "ended", "level", "what", "how"), rows, text=(1, 2, 3, 4), out=lasting) if rows else ""
 
 
 def _limits(report: Any) -> str:
