@@ -123,7 +123,7 @@ class Pixels:
 
     def done(self) -> bytes:
         """The bytes of a PNG file."""
-        good, data = self._cv.imencode(".png", self._image)
+        good, data = self._cv.imencode(".png", self._image, [self._cv.IMWRITE_PNG_COMPRESSION, 9])
         if not good:
             raise ValueError("OpenCV cannot encode the picture")
         return bytes(data)
