@@ -93,7 +93,7 @@ class Monitor:
         opened = self.judge.open
         return {
             "verdict": self.verdict,
-            "open": {event.rule: event.text[:120] for event in opened[:4]},
+            "open": {event.rule: event.text[:80] for event in opened[:4]},
             "open_count": len(opened),
             "events": self.judge.count,
         }
