@@ -95,15 +95,6 @@ def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
 
 def open_health(config: RigConfig, rig: Rig, base_dir: Path) -> Health:
     """The watch over how the daemon fares, running."""
-    from daemon.calibration_file import created_at, load_mapping
     from daemon.health.sink import Health
 
-    # A simulated rig makes its own calibration, which does not grow old.
-    made = None if config.calibration is None else created_at(load_mapping(rig.calibration_data, "calibration"))
-    return Health(
-        config.health,
-        config.path(config.recording.dir, base_dir),
-        calibration=rig.calibration,
-        pattern=rig.pattern,
-        created=made,
-    )
+    return Health(config, rig, base_dir)

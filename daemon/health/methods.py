@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-from daemon.control.protocol import INVALID_PARAMS, RpcError
+from daemon.control.protocol import INVALID_PARAMS, Method, Role, RpcError
 from daemon.health.events import KEPT
 from daemon.health.quantities import BY_NAME, NAMES
 from daemon.health.sink import Health
-
-Table = dict[str, tuple[Callable[[dict[str, Any]], Any], tuple[str, ...]]]
 
 MOST_SERIES, MOST_POINTS, LONGEST_S = 8, 600, 72 * 3600
 
@@ -21,12 +18,12 @@ class HealthMethods:
     def __init__(self, health: Health) -> None:
         self.watch = health
 
-    def table(self) -> Table:
-        """Every method by its name, with the parameters that it takes."""
+    def table(self) -> dict[str, Method]:
+        """Every method by its name."""
         return {
-            "health": (lambda _: self.watch.report(), ()),
-            "health.history": (self.history, ("quantities", "seconds", "points")),
-            "health.events": (self.events, ("most",)),
+            "health": Method(lambda _: self.watch.report(), role=Role.VIEW),
+            "health.history": Method(self.history, ("quantities", "seconds", "points"), role=Role.VIEW),
+            "health.events": Method(self.events, ("most",), role=Role.VIEW),
         }
 
     def history(self, params: dict[str, Any]) -> dict[str, Any]:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import os
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from daemon.calibration_file import created_at, load_mapping
 from daemon.clock import SystemClock
-from daemon.config.health import Health as Config
+from daemon.config.models import RigConfig
 from daemon.health.clock_sync import ClockSync, clock_sync
 from daemon.health.endpoint import MetricsServer
 from daemon.health.events import Event
@@ -21,10 +23,9 @@ from daemon.health.monitor import Monitor, known
 from daemon.health.probe import Probe, free_gb, memory_mb
 from daemon.health.quantities import NAMES
 from daemon.mailbox import Mailbox
+from daemon.rig import Rig
 from daemon.sinks import CloudItem, Item, PairItem
 from drivers.protocols import Clock
-from pipeline.calibration import Calibration
-from pipeline.pattern import ColorFringe
 
 log = logging.getLogger("fringed.health")
 
@@ -38,33 +39,25 @@ class Health:
     """Watches how the daemon fares; running once it is made.
 
     Args:
-        config: of rig.yaml; takes: directory whose disk is watched.
-        calibration, pattern: as of the reconstruction; created: when the calibration was made, None = unknown.
+        config: of rig.yaml; rig: what is measured with; base_dir: where relative paths start.
 
     Raises:
         DaemonError: the port of the metrics cannot be had.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        takes: Path,
-        *,
-        calibration: Calibration,
-        pattern: ColorFringe,
-        created: datetime | None = None,
-        clock: Clock | None = None,
-    ) -> None:
+    def __init__(self, config: RigConfig, rig: Rig, base_dir: Path, *, clock: Clock | None = None) -> None:
         self._clock: Clock = clock or SystemClock()
-        self.monitor = Monitor(config)
-        self._metrics = None if config.metrics_port is None else MetricsServer(config.metrics_port, self.metrics)
-        self._light, self._created = Light(calibration, pattern), created
+        self._base_dir, health = base_dir, config.health
+        self.monitor = Monitor(health)
+        self._metrics = None if health.metrics_port is None else MetricsServer(health.metrics_port, self.metrics)
+        self._light, self._created = Light(rig.calibration, rig.pattern), _created(config, rig)
+        self._takes = config.path(config.recording.dir, base_dir)
         self._box: Mailbox[CloudItem | dict[str, Any]] = Mailbox(4)
         self._due_ns = 0
         self._looks, self._ms = 0, 0.0
         self._failed: dict[str, str] = {}
         self._short = self.monitor.short()
-        self._disk: Probe[float] = Probe("disk", lambda: free_gb(takes), period_s=_DISK_S, clock=self._clock)
+        self._disk: Probe[float] = Probe("disk", lambda: free_gb(self._takes), period_s=_DISK_S, clock=self._clock)
         self._time: Probe[ClockSync] = Probe("clock", clock_sync, period_s=_CLOCK_S, clock=self._clock)
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -91,9 +84,16 @@ class Health:
         """Take the status of this second; returns at once."""
         self._box.put(status)
 
-    def configure(self, config: Config) -> None:
-        """Use other limits and times from now on; history and port stay as they were at the start."""
-        self.monitor.configure(config)
+    def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:
+        """Other limits, another calibration, other takes; history and port stay as they were at the start."""
+        light, created = Light(rig.calibration, rig.pattern), _created(config, rig)
+        takes = config.path(config.recording.dir, self._base_dir)
+
+        def now() -> None:
+            self._light, self._created, self._takes = light, created, takes
+            self.monitor.configure(config.health)
+
+        return now
 
     def close(self) -> None:
         """Stop watching."""
@@ -180,3 +180,8 @@ class Health:
         with self._lock:
             self.monitor.second(self._clock.monotonic_ns(), status, machine, self._time.answer())
             self._short = self.monitor.short()
+
+
+def _created(config: RigConfig, rig: Rig) -> datetime | None:
+    """When the calibration was made; a simulated rig makes its own one, which does not grow old."""
+    return None if config.calibration is None else created_at(load_mapping(rig.calibration_data, "calibration"))

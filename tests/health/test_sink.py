@@ -6,21 +6,38 @@ import json
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from daemon.config import RigConfig, parse_rig
 from daemon.control.protocol import RpcError
 from daemon.health.methods import HealthMethods
 from daemon.health.picture import courses, page
 from daemon.health.quantities import NAMES
 from daemon.health.sink import Health
+from daemon.rig import Rig
+from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
 from tests.daemon.rigs import wait_until
-from tests.health.made import Clock, cloud, config, frame, pair, status
+from tests.health.made import Clock, cloud, frame, pair, status
 from tests.stream.clouds import calibration
+
+
+def rig_yaml(more: str = "margin: 0.1", limit_ms: float = 100.0) -> RigConfig:
+    limits = f"{{latency_p99_ms: {limit_ms}, least_modulation: null, least_disk_free_gb: null}}"
+    return parse_rig(f"cameras: {{driver: sim}}\nhealth: {{raise_s: 3.0, {more}, limits: {limits}}}\n")
+
+
+def rig(**changes: Any) -> Rig:
+    """Nothing but what is known of a rig."""
+    known = calibration()
+    pattern = ColorFringe(size=known.projector.size, periods=60)
+    made = Rig({}, None, known, pattern, Volume(1200, 1500), b"created: 2026-01-01\n", "sha256:0", lambda: None)  # type: ignore[arg-type]
+    return replace(made, **changes)
 
 
 @pytest.fixture
@@ -30,13 +47,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def watch(tmp_path: Path, clock: Clock) -> Iterator[Health]:
-    made = Health(
-        config(metrics_port=0, raise_s=3.0, limits={"latency_p99_ms": 100.0, "least_modulation": None}),
-        tmp_path / "takes",
-        calibration=calibration(),
-        pattern=ColorFringe(size=calibration().projector.size, periods=60),
-        clock=clock,
-    )
+    made = Health(rig_yaml("metrics_port: 0"), rig(), tmp_path, clock=clock)
     yield made
     made.close()
 
@@ -87,7 +98,7 @@ def test_pictures_that_cannot_be_looked_at_are_told_and_the_seconds_go_on(watch:
 
 def test_the_methods_answer_and_refuse(watch: Health, clock: Clock) -> None:
     seconds(watch, clock, 20)
-    table = {name: method for name, (method, _) in HealthMethods(watch).table().items()}
+    table = HealthMethods(watch).table()
     report = json.loads(json.dumps(table["health"]({})))
     assert report["verdict"] == "healthy" and report["values"]["cloud_rate_hz"] == 10.0
     wait_until(lambda: watch._disk.answer() is not None)
@@ -122,7 +133,7 @@ def test_the_pictures_are_made_from_what_the_methods_tell(watch: Health, clock: 
 
     seconds(watch, clock, 15)
     seconds(watch, clock, 15, latency_ms=300.0)
-    table = {name: method for name, (method, _) in HealthMethods(watch).table().items()}
+    table = HealthMethods(watch).table()
     shown = courses.ask(lambda name, /, **params: json.loads(json.dumps(table[name](params))), 60.0)
     assert "Latency" in [panel.title for panel in shown.panels()]
     html = page.html(shown).decode()
@@ -133,13 +144,35 @@ def test_the_pictures_are_made_from_what_the_methods_tell(watch: Health, clock: 
 
 
 def test_pictures_of_a_daemon_that_has_just_begun(watch: Health) -> None:
-    table = {name: method for name, (method, _) in HealthMethods(watch).table().items()}
+    table = HealthMethods(watch).table()
     shown = courses.ask(lambda name, /, **params: table[name](params), 600.0)
     assert not shown.panels() and b"nothing is known" in page.html(shown) and page.png(shown)
 
 
+def test_other_limits_and_another_calibration_are_taken_over_at_once(watch: Health, clock: Clock) -> None:
+    seconds(watch, clock, 5)
+    now = watch.change(rig_yaml(limit_ms=10.0), rig())
+    seconds(watch, clock, 5)
+    wait_until(lambda: watch.status()["verdict"] == "healthy")
+    now()
+    seconds(watch, clock, 10)
+    wait_until(lambda: watch.status()["verdict"] == "ill")
+
+
+def test_a_calibration_from_a_file_has_an_age(watch: Health, clock: Clock) -> None:
+    config = rig_yaml()
+    watch.change(config.model_copy(update={"calibration": "calibration.yaml"}), rig())()
+    clock.now_ns += int(datetime(2026, 4, 11, tzinfo=UTC).timestamp() * 1e9) - clock.realtime_ns()
+    seconds(watch, clock, 5)
+    assert watch.monitor.values["calibration_age_d"] == pytest.approx(100, abs=0.01)
+    wait_until(lambda: "calibration_age_d" in watch.status()["open"])
+    watch.change(config, rig())()
+    seconds(watch, clock, 1)
+    assert np.isnan(watch.monitor.values["calibration_age_d"])
+
+
 def test_it_ends_while_it_is_busy_and_takes_nothing_afterwards(tmp_path: Path) -> None:
-    made = Health(config(), tmp_path, calibration=calibration(), pattern=ColorFringe())
+    made = Health(rig_yaml(), rig(), tmp_path)
     for n in range(50):
         made.offer(cloud(n, 0))
         made.note_status(status())
