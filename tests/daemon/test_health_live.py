@@ -34,7 +34,16 @@ health:
   raise_s: 1.0
   clear_s: 1.0
   # On a busy machine everything may be late; what is judged here is the room for takes alone.
-  limits: {{latency_p99_ms: null, dropped_share: null, lone_share: null, least_disk_free_gb: {room}}}
+  limits:
+    least_disk_free_gb: {room}
+    latency_p99_ms: null
+    dropped_share: null
+    lone_share: null
+    refused_hz: null
+    pairing_residual_us: null
+    saturated_share: null
+    least_modulation: null
+    clock_offset_ms: null
 """
 _FRINGED = "from daemon.entry import main; main()"
 

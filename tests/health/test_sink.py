@@ -28,7 +28,8 @@ from tests.stream.clouds import calibration
 
 
 def rig_yaml(more: str = "margin: 0.1", limit_ms: float = 100.0) -> RigConfig:
-    limits = f"{{latency_p99_ms: {limit_ms}, least_modulation: null, least_disk_free_gb: null}}"
+    # The machine's own disk and clock are not what these tests are about.
+    limits = f"{{latency_p99_ms: {limit_ms}, least_modulation: null, least_disk_free_gb: null, clock_offset_ms: null}}"
     return parse_rig(f"cameras: {{driver: sim}}\nhealth: {{raise_s: 3.0, {more}, limits: {limits}}}\n")
 
 
@@ -141,6 +142,19 @@ def test_the_pictures_are_made_from_what_the_methods_tell(watch: Health, clock: 
     assert "latency 300 ms, more than 100 ms" in html and "nan" not in html
     picture = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None and picture.shape[1] == 2 * 1160 and len(np.unique(picture)) > 50
+
+
+def test_without_fonts_the_picture_is_drawn_with_strokes(
+    watch: Health, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import cv2
+
+    monkeypatch.delattr(cv2, "FontFace", raising=False)
+    seconds(watch, clock, 12)
+    table = HealthMethods(watch).table()
+    shown = courses.ask(lambda name, /, **params: table[name](params), 60.0)
+    picture = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None and (picture[:100] < 128).any()
 
 
 def test_pictures_of_a_daemon_that_has_just_begun(watch: Health) -> None:

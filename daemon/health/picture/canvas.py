@@ -146,7 +146,7 @@ _HERSHEY = 30.0  # pixels that a letter of scale 1 is high, line to line
 
 def _plain(text: str) -> str:
     """For the fonts of OpenCV 4, which have ASCII alone."""
-    return text.replace("°", " deg ").replace("–", "-").encode("ascii", "replace").decode()
+    return text.replace("°", " deg ").replace("–", "-").replace("µ", "u").encode("ascii", "replace").decode()
 
 
 def _bgr(color: str) -> tuple[int, int, int]:
