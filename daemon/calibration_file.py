@@ -68,6 +68,16 @@ def parse_calibration(data: bytes, name: str) -> CalibrationFile:
     return CalibrationFile(_named(name, lambda: model.from_mapping(mapping)), identity(data), data, mapping)
 
 
+def created_at(mapping: Mapping[str, Any]) -> datetime | None:
+    """When a calibration was made by its own date, None where it does not tell."""
+    created = mapping.get("created")
+    try:
+        stamp = created if isinstance(created, datetime) else datetime.fromisoformat(str(created))
+    except ValueError:
+        return None
+    return stamp if stamp.tzinfo is not None else stamp.replace(tzinfo=UTC)
+
+
 def read_cameras(path: Path) -> CamerasFile:
     """Read a calibration file whose projector may be missing, as :func:`read_calibration` does."""
     return parse_cameras(read_at_most(path, SIZE_LIMIT, CalibrationError), str(path))

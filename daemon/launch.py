@@ -18,7 +18,8 @@ from daemon.control.calibrate import CalibrateMethods
 from daemon.control.methods import Methods
 from daemon.control.server import ControlServer
 from daemon.errors import DaemonError
-from daemon.outputs import open_capture, open_publisher, open_selfcheck, open_take
+from daemon.health.methods import HealthMethods
+from daemon.outputs import open_capture, open_health, open_publisher, open_selfcheck, open_take
 from daemon.recorder import Recorder
 from daemon.rig import OptionsError, Progress, open_rig
 from daemon.runtime import runtime_beside
@@ -131,9 +132,13 @@ def _run(
         rig.release()
         raise
 
+    health: HealthMethods | None = None
+
     def publish(status: dict[str, Any]) -> None:
         publisher.publish_status(status)
         supervisor.told(status)
+        if health is not None:
+            health.watch.note_status(status)
         if on_status is not None:
             on_status(status)
 
@@ -141,6 +146,9 @@ def _run(
     try:
         if config.selfcheck.enabled:
             sinks["selfcheck"] = open_selfcheck(config, rig, base_dir)
+        if config.health.enabled:
+            health = HealthMethods(open_health(config, rig, base_dir))
+            sinks["health"] = health.watch
         service = Service(config, rig, sinks, on_status=publish, session=session)
         takes = config.path(config.recording.dir, base_dir)
         recorder = Recorder(
@@ -156,7 +164,7 @@ def _run(
             directories=(runtime_beside(config.control.endpoint) or takes, takes),
         )
         calibrate = CalibrateMethods(service, capture)
-        methods = Methods(service, recorder, path=path, base_dir=base_dir, calibrate=calibrate)
+        methods = Methods(service, recorder, path=path, base_dir=base_dir, calibrate=calibrate, health=health)
         control = ControlServer(config.control.endpoint, methods.table())
     except BaseException:
         for sink in sinks.values():

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from daemon.config.models import RigConfig
 from daemon.rig import Rig
 from daemon.sinks import Sink
+
+if TYPE_CHECKING:
+    from daemon.health.sink import Health
 
 MEGABYTE = 1_000_000
 
@@ -88,3 +91,10 @@ def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
         volume=rig.volume,
         identity=rig.identity,
     )
+
+
+def open_health(config: RigConfig, rig: Rig, base_dir: Path) -> Health:
+    """The watch over how the daemon fares, running."""
+    from daemon.health.sink import Health
+
+    return Health(config, rig, base_dir)

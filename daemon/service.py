@@ -242,6 +242,7 @@ class Service:
             cameras=cameras,
             recorder=sinks.pop("recorder", {"recording": False}),
             selfcheck={"enabled": "selfcheck" in sinks, **sinks.pop("selfcheck", {})},
+            health={"enabled": "health" in sinks, **sinks.pop("health", {})},
             sinks=sinks,
         )
 

@@ -70,6 +70,7 @@ class Status:
             nobody reads clouds. Both over the last ten minutes or so.
         selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
             nobody looks.
+        health: the verdict and what is beyond its limits; only ``enabled: false`` when nobody judges.
         garbage: collections of Python's garbage since the start, and how long they held everything up.
     """
 
@@ -99,6 +100,7 @@ class Status:
     sinks: dict[str, dict[str, Any]]
     recorder: dict[str, Any]
     selfcheck: dict[str, Any]
+    health: dict[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -15,7 +15,7 @@ from tests import kernels
 # As the program itself has it (daemon.tuning), before anything imports numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-WITHOUT_KERNELS = "stream", "drivers", "calibrate"
+WITHOUT_KERNELS = "stream", "drivers", "calibrate", "health"
 """Directories of tests that neither measure nor render."""
 
 

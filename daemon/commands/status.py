@@ -93,6 +93,9 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         out.append(
             ("self-check", f"{check['verdict']}, {check['checked']} pairs; {', '.join(shown) or 'nothing seen yet'}")
         )
+    health = status.get("health", {})
+    if health.get("enabled"):
+        out.append(("health", "; ".join([health["verdict"], *health["open"].values()])))
     recorder = status["recorder"]
     out.append(("recorder", ", ".join(f"{k} {v}" for k, v in recorder.items()) if recorder.get("recording") else "off"))
     return out

@@ -5,15 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag
 
 from daemon import runtime
-
-
-class Section(BaseModel):
-    """A part of rig.yaml."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+from daemon.config.health import Health
+from daemon.config.section import Section
 
 
 class Device(Section):
@@ -168,6 +164,7 @@ class RigConfig(Section):
     control: Control = Field(default_factory=Control)
     recording: Recording = Recording()
     selfcheck: SelfCheck = SelfCheck()
+    health: Health = Health()
 
     def path(self, name: str, base_dir: Path) -> Path:
         """A path of the file; relative ones start at the directory of rig.yaml."""

@@ -15,6 +15,7 @@ from daemon.atomic import write_atomically
 from daemon.control.calibrate import CalibrateMethods
 from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, Role, RpcError
 from daemon.errors import DaemonError
+from daemon.health.methods import HealthMethods
 from daemon.recorder import Recorder
 from daemon.reload import Reloader
 from daemon.service import Service
@@ -41,6 +42,7 @@ class Methods:
     Args:
         service: the daemon; recorder: its recording switch; path: its rig.yaml, for ``reload``.
         base_dir: where its relative paths start; calibrate: the methods ``calibrate.*``, if it offers them.
+        health: the methods ``health*``, if it watches itself.
     """
 
     def __init__(
@@ -51,9 +53,10 @@ class Methods:
         path: Path | None,
         base_dir: Path,
         calibrate: CalibrateMethods | None = None,
+        health: HealthMethods | None = None,
     ) -> None:
         self._service, self._recorder, self._base_dir = service, recorder, base_dir
-        self._calibrate = calibrate
+        self._calibrate, self._health = calibrate, health
         self._changer = Changer(service, base_dir)
         self._reloader = Reloader(self._changer, path, self._refusal)
 
@@ -75,6 +78,8 @@ class Methods:
         }
         if self._calibrate is not None:
             own |= self._calibrate.table()
+        if self._health is not None:
+            own |= self._health.table()
         return own
 
     def hello(self, _: dict[str, Any]) -> dict[str, Any]:

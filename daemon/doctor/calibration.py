@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-from daemon.calibration_file import CalibrationFile
+from daemon.calibration_file import CalibrationFile, created_at
 from daemon.config.models import RigConfig
 from daemon.doctor import transport
 from daemon.doctor.finding import Area, Finding
@@ -68,12 +67,9 @@ def described(file: CalibrationFile) -> Finding:
 
 def age(file: CalibrationFile, now_s: float | None = None) -> Finding:
     """How old it is by its own date."""
-    created = file.mapping.get("created")
-    try:
-        stamp = created if isinstance(created, datetime) else datetime.fromisoformat(str(created))
-    except ValueError:
+    stamp = created_at(file.mapping)
+    if stamp is None:
         return area.note("age", "it does not tell when it was made")
-    stamp = stamp if stamp.tzinfo is not None else stamp.replace(tzinfo=UTC)
     days = ((time.time() if now_s is None else now_s) - stamp.timestamp()) / 86400
     if days > OLD_DAYS:
         text = f"made {days:.0f} days ago; rigs move with temperature and time"

@@ -13,6 +13,12 @@ LIVE: tuple[str, ...] = (
     "recording.*",
     "selfcheck.rate_hz",
     "selfcheck.limits.*",
+    "health.looks_hz",
+    "health.window_s",
+    "health.raise_s",
+    "health.clear_s",
+    "health.margin",
+    "health.limits.*",
 )
 """Paths, or sections with ``.*``. Who takes one over is a sink (:class:`daemon.sinks.Changeable`), or reads the
 service's ``config`` anew each time."""

@@ -1,0 +1,69 @@
+"""``fringed health``: how a running daemon fares, now and over the last hours."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+EXIT = {"healthy": 0, "warning": 0, "ill": 1, "unknown": 4}
+NO_DAEMON = 3
+
+_UNITS = {"s": 1, "m": 60, "min": 60, "h": 3600}
+
+
+def main(
+    endpoint: Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")] = None,
+    rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with charts.")] = None,
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the charts as a picture.")] = None,
+    last: Annotated[str, typer.Option(metavar="TIME", help="How far the charts go back: 90s, 15min, 6h.")] = "1h",
+    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for each answer.")] = 5.0,
+) -> None:
+    """Tell how a running daemon fares.
+
+    Exit status: 0 healthy, or with a warning; 1 ill; 3 no daemon; 4 nothing to judge by, it starts or is paused.
+    """
+    from daemon.commands.status import control_endpoint
+    from daemon.control.client import ControlClient
+    from daemon.errors import ControlError
+    from daemon.health import words
+
+    seconds = span_s(last)
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout) as client:
+        try:
+            client.call("hello")
+        except ControlError as error:
+            typer.echo(f"fringed: {error}", err=True)
+            raise typer.Exit(NO_DAEMON) from error
+        report, events = client.call("health"), client.call("health.events", most=100)
+        _write(client.call, seconds, html, png)
+    typer.echo(json.dumps(report | {"events": events}, indent=2) if as_json else words.text(report, events))
+    raise typer.Exit(EXIT[report["verdict"]])
+
+
+def _write(call: object, seconds: float, html: Path | None, png: Path | None) -> None:
+    """The pictures that are wanted."""
+    if html is None and png is None:
+        return
+    from daemon.atomic import write_atomically
+    from daemon.health.picture import courses, page
+
+    shown = courses.ask(call, seconds)  # type: ignore[arg-type]
+    for path, made in ((html, page.html), (png, page.png)):
+        if path is not None:
+            write_atomically(path, made(shown))
+            typer.echo(f"wrote {path}", err=True)
+
+
+def span_s(text: str) -> float:
+    """Seconds of a span such as ``90s``, ``15min`` or ``6h``."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)(s|m|min|h)", text)
+    seconds = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    if not 10 <= seconds <= 72 * 3600:
+        raise typer.BadParameter(f"{text!r} is no time from 10s to 72h; write 90s, 15min or 6h", param_hint="--last")
+    return seconds

@@ -1,0 +1,1 @@
+"""How the daemon fares: watched and judged once a second, remembered for hours; measuring never waits for it."""

@@ -1,0 +1,86 @@
+"""Whether somebody sets this machine's clock right, and how far it is off: chrony, else the kernel, else systemd.
+
+What nobody can tell is unknown, which is neither well nor ill.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from pathlib import Path
+
+from daemon.doctor.ask import ask, there
+
+_TIMESYNCD = Path("/run/systemd/timesync/synchronized")
+_ANSWER_S = 5.0
+_UNSYNC, _NANO, _ERROR = 0x40, 0x2000, 5  # STA_UNSYNC, STA_NANO, TIME_ERROR of adjtimex(2)
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSync:
+    """What is known of the clock.
+
+    Args:
+        source: who tells: ``chrony``, ``kernel``, ``systemd``, empty where nobody does.
+        synchronised: None = unknown; offset_ms: against the time servers, None = unknown.
+    """
+
+    source: str = ""
+    synchronised: bool | None = None
+    offset_ms: float | None = None
+
+
+def clock_sync() -> ClockSync:
+    """Ask everyone who may know; takes milliseconds, at worst five seconds."""
+    if there("chronyc"):
+        try:
+            answer = ask(["chronyc", "-c", "tracking"], _ANSWER_S)
+            found = chrony(answer.out) if answer.status == 0 else None
+        except OSError:
+            found = None
+        if found is not None:
+            return found
+    return kernel() or (ClockSync("systemd", True) if _TIMESYNCD.exists() else ClockSync())
+
+
+def chrony(text: str) -> ClockSync | None:
+    """From the line of comma-separated values of ``chronyc -c tracking``; None when it is something else."""
+    fields = text.strip().split(",")
+    try:
+        offset_ms, leap = 1e3 * float(fields[4]), fields[13]
+    except (IndexError, ValueError):
+        return None
+    synchronised = leap != "Not synchronised"
+    return ClockSync("chrony", synchronised, offset_ms if synchronised else None)
+
+
+class _Timex(ctypes.Structure):
+    """The beginning of struct timex; the rest is left to the kernel."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_char * 256),
+    )
+
+
+def kernel() -> ClockSync | None:
+    """What the kernel's clock says of itself (adjtimex); None where it may not be asked, in a container for example."""
+    try:
+        adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
+    except (OSError, AttributeError):
+        return None
+    timex = _Timex()
+    state = int(adjtimex(ctypes.byref(timex)))
+    return None if state < 0 else from_timex(state, timex.status, timex.offset)
+
+
+def from_timex(state: int, status: int, offset: int) -> ClockSync:
+    """From the answer of adjtimex: its result, status and offset (microseconds, or nanoseconds with STA_NANO)."""
+    synchronised = state != _ERROR and not status & _UNSYNC
+    per_ms = 1e6 if status & _NANO else 1e3
+    return ClockSync("kernel", synchronised, offset / per_ms if synchronised else None)

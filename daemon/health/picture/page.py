@@ -1,0 +1,92 @@
+"""The page: verdict, figures, charts, events; one HTML file without anything from elsewhere."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from daemon.calibrate.report.page import Card, figure, page, table
+from daemon.health.picture import layout
+from daemon.health.picture.canvas import Pixels, Svg
+from daemon.health.picture.courses import Courses
+from daemon.health.quantities import BY_NAME, shown
+
+_LEVELS = {"healthy": "good", "warning": "warn", "ill": "bad"}
+_CARDS = (
+    ("cloud_rate_hz", "clouds a second"),
+    ("latency_p99_ms", "latency, 99 %"),
+    ("dropped_share", "pairs dropped"),
+    ("lone_share", "frames alone"),
+    ("coverage", "coverage"),
+    ("disk_free_gb", "room for takes"),
+)
+
+
+def html(courses: Courses) -> bytes:
+    """The bytes of the HTML file."""
+    report = courses.report
+    cards = [Card("verdict", report["verdict"], level=_LEVELS.get(report["verdict"], ""))]
+    cards += [Card(label, _value(report, name)) for name, label in _CARDS if report["values"].get(name) is not None]
+    lines = [f"{_stamp(report['t_ns'])} UTC, up for {layout.span_words(report['uptime_s'])}, {report['state']}"]
+    lines += [event["text"] for event in report["open"]]
+    span = layout.span_words(courses.end_s - courses.begin_s)
+    charts = Svg(*layout.size(courses, head=False))
+    layout.draw(charts, courses, head=False)
+    caption = "Lines: mean; bands: least to most; dashed: limit; shaded: beyond it. Times are UTC."
+    return page(
+        f"Health of {report['device']}",
+        lines,
+        cards,
+        [
+            (f"The last {span}", figure(charts.done(), caption)),
+            ("Events", _events(courses.events)),
+            ("Limits", _limits(report)),
+            ("Stages over the last minute, ms", _stages(report)),
+        ],
+    )
+
+
+def png(courses: Courses) -> bytes:
+    """The bytes of the PNG file."""
+    canvas = Pixels(*layout.size(courses))
+    layout.draw(canvas, courses)
+    return canvas.done()
+
+
+def _value(report: Any, name: str) -> str:
+    return shown(name, report["values"][name])
+
+
+def _stamp(t_ns: int) -> str:
+    return f"{datetime.fromtimestamp(t_ns / 1e9, tz=UTC):%Y-%m-%d %H:%M:%S}"
+
+
+def _events(events: list[dict[str, Any]]) -> str:
+    rows = [
+        (_stamp(e["t_ns"]), _stamp(e["ended_ns"]) if e["ended_ns"] else "lasts", e["level"], e["text"], e["end"])
+        for e in reversed(events)
+    ]
+    lasting = [n for n, row in enumerate(rows) if row[1] == "lasts"]
+    return table(("began, UTC", "ended", "level", "what", "how"), rows, text=(1, 2, 3, 4), out=lasting) if rows else ""
+
+
+def _limits(report: Any) -> str:
+    rows = [
+        (
+            BY_NAME[rule["quantity"]].text,
+            "unknown" if rule["value"] is None else shown(rule["quantity"], rule["value"]),
+            f"{'least' if rule['below'] else 'most'} {shown(rule['quantity'], rule['limit'])}",
+            rule["verdict"],
+        )
+        for rule in report["rules"]
+        if rule["limit"] is not None and rule["name"] not in ("degraded", "clock_synchronised")
+    ]
+    beyond = [n for n, row in enumerate(rows) if row[3] in ("warning", "ill")]
+    return table(("what", "now", "limit", "verdict"), rows, text=(3,), out=beyond)
+
+
+def _stages(report: Any) -> str:
+    stages = report["windows"]["60s"]["stages_ms"]
+    names = ("p50", "p95", "p99", "max")
+    rows = [(stage, *(f"{spread[name]:.1f}" for name in names)) for stage, spread in stages.items()]
+    return table(("stage", *names), rows) if rows else ""
