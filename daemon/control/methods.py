@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,10 @@ from daemon.atomic import write_atomically
 from daemon.config import load_rig
 from daemon.config.models import RigConfig
 from daemon.control.calibrate import CalibrateMethods
-from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
+from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, Role, RpcError
 from daemon.errors import ConfigError, DaemonError
 from daemon.recorder import Recorder
 from daemon.service import Service, program_version
-from drivers.errors import DriverError
 from pipeline.errors import PipelineError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -53,23 +52,24 @@ class Methods:
         self._calibrate = calibrate
 
     def table(self) -> Mapping[str, Method]:
-        """Every method by its name, with the parameters that it takes."""
-        own: dict[str, tuple[Callable[[dict[str, Any]], Any], tuple[str, ...]]] = {
-            "hello": (self.hello, ()),
-            "status": (self.status, ()),
-            "start": (lambda _: self._measure(True), ()),
-            "stop": (lambda _: self._measure(False), ()),
-            "get": (self.get, ("path",)),
-            "set": (self.set, ("path", "value")),
-            "reload": (self.reload, ()),
-            "snapshot": (self.snapshot, ("name",)),
-            "record.start": (self.record_start, ("name",)),
-            "record.stop": (lambda _: self._recorder.stop(), ()),
-            "pattern.show": (self.pattern_show, ("name",)),
+        """Every method by its name."""
+        view = Role.VIEW
+        own = {
+            "hello": Method(self.hello, role=view),
+            "status": Method(self.status, role=view),
+            "get": Method(self.get, ("path",), role=view),
+            "start": Method(lambda _: self._measure(True)),
+            "stop": Method(lambda _: self._measure(False)),
+            "set": Method(self.set, ("path", "value"), slow=True),
+            "reload": Method(self.reload, slow=True),
+            "snapshot": Method(self.snapshot, ("name",), slow=True),
+            "record.start": Method(self.record_start, ("name",), slow=True),
+            "record.stop": Method(lambda _: self._recorder.stop(), slow=True),
+            "pattern.show": Method(self.pattern_show, ("name",), slow=True),
         }
         if self._calibrate is not None:
             own |= self._calibrate.table()
-        return {name: _checked(method, allowed) for name, (method, allowed) in own.items()}
+        return own
 
     def hello(self, _: dict[str, Any]) -> dict[str, Any]:
         """Who answers."""
@@ -183,20 +183,6 @@ def _without_settings(config: RigConfig) -> dict[str, Any]:
     values = config.model_dump(mode="json")
     del values["pipeline"]["settings"]
     return values
-
-
-def _checked(method: Method, allowed: tuple[str, ...]) -> Method:
-    def call(params: dict[str, Any]) -> Any:
-        unknown = sorted(set(params) - set(allowed))
-        if unknown:
-            known = ", ".join(allowed) or "none"
-            raise RpcError(INVALID_PARAMS, f"unknown parameter {unknown[0]!r:.60}; known: {known}")
-        try:
-            return method(params)
-        except (DaemonError, DriverError) as error:
-            raise RpcError(FAILED, str(error)) from error
-
-    return call
 
 
 def _text(params: dict[str, Any], key: str, default: str | None = None) -> str:
