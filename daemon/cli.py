@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "devices": ("daemon.commands.devices", "List cameras and projector outputs, with what rig.yaml calls them by."),
     "projector": ("daemon.commands.projector", "Find the projector's output and show test pictures on it."),
     "calibrate": ("daemon.commands.calibrate", "Calibrate cameras, projector and colours, and check them."),
+    "keys": ("daemon.commands.keys", "Say who may connect from other machines: make, allow, list and revoke keys."),
     "export": ("daemon.commands.export", "Turn clouds into PLY, PCD or a video."),
 }
 

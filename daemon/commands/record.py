@@ -8,6 +8,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
+
 _DIRECT = "direct"
 _SHOWN = ("file", "recording")
 
@@ -38,16 +40,20 @@ def start(
     name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
     endpoint: Endpoint = None,
     rig: RigOption = None,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Begin a take in a running daemon."""
-    answer = _ask("record.start", endpoint, rig, name=name)
+    answer = _ask("record.start", endpoint, rig, chosen_keys(key, server_key), name=name)
     typer.echo(f"recording to {answer['file']}")
 
 
 @app.command()
-def stop(endpoint: Endpoint = None, rig: RigOption = None) -> None:
+def stop(
+    endpoint: Endpoint = None, rig: RigOption = None, key: KeyOption = None, server_key: ServerKeyOption = None
+) -> None:
     """End the take of a running daemon."""
-    answer = _ask("record.stop", endpoint, rig)
+    answer = _ask("record.stop", endpoint, rig, chosen_keys(key, server_key))
     if "file" not in answer:
         typer.echo("no take was being written")
         return
@@ -80,9 +86,9 @@ def direct(
         run_rig(rig, progress=progress, flag=flag, record=name, on_status=on_status)
 
 
-def _ask(method: str, endpoint: str | None, rig: Path | None, **params: Any) -> Any:
+def _ask(method: str, endpoint: str | None, rig: Path | None, keys: Any, /, **params: Any) -> Any:
     from daemon.commands.status import control_endpoint
     from daemon.control.client import ControlClient
 
-    with ControlClient(control_endpoint(endpoint, rig), timeout_s=30.0) as client:
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=30.0, keys=keys) as client:
         return client.call(method, **params)

@@ -8,17 +8,22 @@ from typing import Annotated, Any
 
 import typer
 
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys, remote_rows
+
 
 def main(
     endpoint: Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")] = None,
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the answer.")] = 5.0,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Show what a running daemon is doing."""
     from daemon.control.client import ControlClient
 
-    with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout) as client:
+    keys = chosen_keys(key, server_key)
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout, keys=keys) as client:
         status = client.call("status")
     typer.echo(json.dumps(status, indent=2) if as_json else table(status))
 
@@ -82,6 +87,7 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         out.append(
             ("self-check", f"{check['verdict']}, {check['checked']} pairs; {', '.join(shown) or 'nothing seen yet'}")
         )
+    out.extend(remote_rows(status.get("sinks", {}).get("remote", {})))
     recorder = status["recorder"]
     out.append(("recorder", ", ".join(f"{k} {v}" for k, v in recorder.items()) if recorder.get("recording") else "off"))
     return out

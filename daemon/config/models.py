@@ -5,15 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag
 
 from daemon import runtime
-
-
-class Section(BaseModel):
-    """A part of rig.yaml."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+from daemon.config.section import Section
+from daemon.config.security import Security
 
 
 class Device(Section):
@@ -85,7 +81,9 @@ class Stream(Section):
     endpoints: Annotated[list[str], Field(min_length=1, max_length=8, description="Where the stream is bound.")] = (
         Field(default_factory=lambda: [runtime.stream_endpoint(), runtime.TCP_STREAM])
     )
-    allow_remote: Annotated[bool, Field(description="Allow addresses that other machines can reach.")] = False
+    allow_remote: Annotated[
+        bool, Field(description="Allow addresses that other machines can reach, with keys only.")
+    ] = False
     preview_hz: Annotated[float, Field(ge=0, le=10, description="Pictures a second; 0 = none.")] = 2.0
 
 
@@ -93,6 +91,8 @@ class Control(Section):
     """The control socket."""
 
     endpoint: str = Field(default_factory=runtime.control_endpoint)
+    remote: Annotated[list[str], Field(max_length=8, description="Addresses for other machines, with keys only.")] = []
+    allow_remote: Annotated[bool, Field(description="Listen at those addresses.")] = False
 
 
 class Recording(Section):
@@ -166,6 +166,7 @@ class RigConfig(Section):
     control: Control = Field(default_factory=Control)
     recording: Recording = Recording()
     selfcheck: SelfCheck = SelfCheck()
+    security: Security = Security()
 
     def path(self, name: str, base_dir: Path) -> Path:
         """A path of the file; relative ones start at the directory of rig.yaml."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,13 +11,12 @@ from typing import Any
 
 import zmq
 
-from daemon.control.protocol import FAILED, INVALID_REQUEST, MAX_BYTES, RpcError, parsed
+from daemon.control.protocol import BUSY, FAILED, FORBIDDEN, INVALID_REQUEST, MAX_BYTES, PARSE_ERROR, RpcError
 from daemon.counters import Counters
-from daemon.security.allowed import Allowed, Role
+from daemon.security.allowed import Allowed, Role, Service
 from daemon.security.front import Front
 from fringed.keys import Key
 
-NOT_ALLOWED, BUSY = -32001, -32002
 _MOST_WAITING, _MOST_WAITING_EACH = 256, 16
 _PATIENCE_S = 120.0
 _PER_SECOND = 500.0  # requests passed on; more than that wait in the senders' queues
@@ -40,6 +40,8 @@ class ControlGate:
         roles: of the methods; one that is not named needs ``operate``. allowed: gives the list of keys.
     """
 
+    service: Service = "control"
+
     def __init__(
         self,
         context: zmq.Context[Any],
@@ -54,9 +56,7 @@ class ControlGate:
         self._roles, self._allowed, self._refused = roles, allowed, refused
         # What CURVE adds to a message fits into the rest.
         options = {zmq.MAXMSGSIZE: MAX_BYTES + 1024, zmq.RCVHWM: 64, zmq.SNDHWM: 64}
-        self.front = Front(
-            context, zmq.ROUTER, "control", endpoints, server=server, options=options, refused=refused
-        )
+        self.front = Front(context, zmq.ROUTER, "control", endpoints, server=server, options=options, refused=refused)
         self.daemon: zmq.Socket[Any] = context.socket(zmq.DEALER)
         for option, value in ((zmq.LINGER, 0), (zmq.SNDHWM, 64), (zmq.RECONNECT_IVL, 50)):
             self.daemon.setsockopt(option, value)
@@ -112,18 +112,18 @@ class ControlGate:
             return
         envelope, request_id = parts[:-1], None
         try:
-            request = parsed(parts[-1])
+            request = _read(parts[-1])
             request_id = request.get("id")
             self._judge(_role(frames[-1], self._allowed()), request["method"])
             self._pass_on(envelope, request)
         except RpcError as error:
-            self._refused.add("control_role" if error.code == NOT_ALLOWED else "control_request")
+            self._refused.add("control_role" if error.code == FORBIDDEN else "control_request")
             self._answer(envelope, {"jsonrpc": "2.0", "id": request_id, "error": error.as_object()})
 
     def _judge(self, role: Role, method: str) -> None:
         needed = "view" if self._roles.get(method) == "view" else "operate"
         if role != "operate" and role != needed:
-            raise RpcError(NOT_ALLOWED, f"{method:.60}: this key may {_words(role)}, the method needs operate")
+            raise RpcError(FORBIDDEN, f"{method:.60}: this key may {_words(role)}, the method needs operate")
 
     def _pass_on(self, envelope: list[bytes], request: dict[str, Any]) -> None:
         """Written anew, so that the daemon cannot read anything else in it than what was judged here."""
@@ -132,9 +132,14 @@ class ControlGate:
             self._make_room(envelope)
             self._number += 1
             fresh["id"] = self._number
-        text = json.dumps(fresh).encode()
+        try:
+            text = json.dumps(fresh, allow_nan=False).encode()
+        except RecursionError:
+            raise RpcError(INVALID_REQUEST, "nested too deeply") from None
         if len(text) > MAX_BYTES:
-            raise RpcError(INVALID_REQUEST, f"{len(text)} bytes when written in full, a request has at most {MAX_BYTES}")
+            raise RpcError(
+                INVALID_REQUEST, f"{len(text)} bytes when written in full, a request has at most {MAX_BYTES}"
+            )
         try:
             self.daemon.send(text, zmq.NOBLOCK)
         except zmq.Again:
@@ -159,7 +164,7 @@ class ControlGate:
             except zmq.Again:
                 return
             response = json.loads(parts[-1])
-            waiting = self._waiting.pop(response.get("id"), None) if isinstance(response, dict) else None
+            waiting = self._waiting.pop(response.get("id", 0), None) if isinstance(response, dict) else None
             if waiting is not None:
                 self._answer(waiting.envelope, response | {"id": waiting.request_id})
 
@@ -168,6 +173,30 @@ class ControlGate:
             self.front.socket.send_multipart([*envelope, json.dumps(response).encode()], zmq.NOBLOCK)
         except zmq.ZMQError:  # a client that reads nothing, or has gone
             self._refused.add("control_answer")
+
+
+def _read(message: bytes) -> dict[str, Any]:
+    """The one request of a message."""
+    try:
+        request = json.loads(message.decode("utf-8"), parse_constant=_finite, parse_float=_finite)
+    except (ValueError, RecursionError) as error:
+        raise RpcError(PARSE_ERROR, f"not JSON: {type(error).__name__}") from error
+    if isinstance(request, list):
+        raise RpcError(INVALID_REQUEST, "batches are not taken from other machines; send one request at a time")
+    if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":
+        raise RpcError(INVALID_REQUEST, 'not a JSON-RPC 2.0 request: "jsonrpc": "2.0" is missing')
+    request_id = request.get("id")
+    proper = isinstance(request_id, str | int | float | None) and not isinstance(request_id, bool)
+    if not isinstance(request.get("method"), str) or not proper:
+        raise RpcError(INVALID_REQUEST, "a request has a text as method, and a text or number as id")
+    return request
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
 
 
 def _role(frame: Any, allowed: Allowed) -> Role:

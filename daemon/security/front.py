@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -21,6 +20,9 @@ _FAILED = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DE
 _EVENTS_AT_ONCE = 256
 
 
+Options = dict[zmq.SocketOption, int]
+
+
 class Front:
     """Binds, counts, and can cut everybody off by beginning anew at the same addresses.
 
@@ -36,7 +38,7 @@ class Front:
         endpoints: list[str],
         *,
         server: Key,
-        options: Mapping[int, int],
+        options: Options,
         refused: Counters,
     ) -> None:
         self._context, self._kind, self._service = context, kind, service
@@ -70,8 +72,7 @@ class Front:
 
     def _open(self, server: Key, patience_s: float) -> None:
         self.socket: zmq.Socket[Any] = self._context.socket(self._kind)
-        defaults = {zmq.LINGER: 0, zmq.IPV6: 1, zmq.HANDSHAKE_IVL: _HANDSHAKE_MS, zmq.BACKLOG: 64} | _KEEPALIVE
-        for option, value in {**defaults, **self._options}.items():
+        for option, value in (_DEFAULTS | self._options).items():
             self.socket.setsockopt(option, value)
         self.socket.setsockopt(zmq.CURVE_SERVER, 1)
         self.socket.setsockopt(zmq.CURVE_SECRETKEY, str(server.secret).encode())
@@ -102,7 +103,11 @@ class Front:
             time.sleep(0.02)
 
 
-_KEEPALIVE = {
+_DEFAULTS: Options = {
+    zmq.LINGER: 0,
+    zmq.IPV6: 1,
+    zmq.HANDSHAKE_IVL: _HANDSHAKE_MS,
+    zmq.BACKLOG: 64,
     zmq.TCP_KEEPALIVE: 1,
     zmq.TCP_KEEPALIVE_IDLE: 10,
     zmq.TCP_KEEPALIVE_INTVL: 5,

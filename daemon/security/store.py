@@ -37,6 +37,11 @@ class KeyStore:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
 
+    @property
+    def public(self) -> Path:
+        """The file for everybody who connects."""
+        return self.directory / SERVER_PUBLIC
+
     def server(self) -> Key:
         """The daemon's own pair.
 
@@ -62,6 +67,14 @@ class KeyStore:
             raise DaemonError(f"{path}: others can change it, so that anybody could get in; chmod go-w {path}")
         return allowed.parse(text, str(path))
 
+    def readable(self) -> bool:
+        """Whether this user may look at all; what is not there counts as looked at."""
+        paths = (self.directory, self.directory / SERVER_KEY, self.directory / LIST)
+        try:
+            return all(os.access(path, os.R_OK) or not path.exists() for path in paths)
+        except PermissionError:
+            return False
+
     def signature(self) -> tuple[tuple[int, int, int], ...]:
         """Changes whenever one of the files does; costs no descriptor."""
         found = []
@@ -80,9 +93,9 @@ class KeyStore:
                 key = self.server()
             else:
                 key = new_key("server")
-                self._write(SERVER_KEY, key.text(secret=True), secret=True)
-            if not (self.directory / SERVER_PUBLIC).exists():
-                self._write(SERVER_PUBLIC, key.text(secret=False), secret=False)
+                self._write(SERVER_KEY, key.text(secret=True))
+            if not self.public.exists():
+                write_key(self.public, key, secret=False)
             return key
 
     def allow(self, entry: Entry) -> None:
@@ -90,7 +103,7 @@ class KeyStore:
         with self._changing():
             text = allowed.with_entry(self._text(), entry)
             allowed.parse(text, str(self.directory / LIST))
-            self._write(LIST, text, secret=True)
+            self._write(LIST, text)
 
     def revoke(self, name: str) -> Entry:
         """Let the key of a name connect no more."""
@@ -98,7 +111,7 @@ class KeyStore:
             entry = next((one for one in self.allowed().entries.values() if one.name == name), None)
             if entry is None:
                 raise DaemonError(f"no key is called {name!r:.80} in {self.directory / LIST}; see: fringed keys list")
-            self._write(LIST, allowed.without(self._text(), name), secret=True)
+            self._write(LIST, allowed.without(self._text(), name))
             return entry
 
     def _text(self) -> str:
@@ -111,15 +124,9 @@ class KeyStore:
         except (OSError, UnicodeDecodeError) as error:
             raise DaemonError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not text'}") from error
 
-    def _write(self, name: str, text: str, *, secret: bool) -> None:
+    def _write(self, name: str, text: str) -> None:
         shared = bool(self.directory.stat().st_mode & stat.S_ISGID)
-        mode = (0o640 if shared else 0o600) if secret else 0o644
-        before = os.umask(0o777 & ~mode)
-        try:
-            write_atomically(self.directory / name, text.encode())
-            (self.directory / name).chmod(mode)
-        finally:
-            os.umask(before)
+        _write(self.directory / name, text, 0o640 if shared else 0o600)
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
@@ -135,3 +142,17 @@ class KeyStore:
             raise DaemonError(f"{self.directory}: {error.strerror}; run it as the owner of the directory") from error
         finally:
             os.close(handle)
+
+
+def write_key(path: Path, key: Key, *, secret: bool) -> None:
+    """Write a key, for its owner alone if the secret is in it."""
+    _write(path, key.text(secret=secret), 0o600 if secret else 0o644)
+
+
+def _write(path: Path, text: str, mode: int) -> None:
+    before = os.umask(0o777 & ~mode)
+    try:
+        write_atomically(path, text.encode())
+        path.chmod(mode)
+    finally:
+        os.umask(before)

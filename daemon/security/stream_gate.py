@@ -7,6 +7,7 @@ from typing import Any
 import zmq
 
 from daemon.counters import Counters
+from daemon.security.allowed import Service
 from daemon.security.front import Front
 from fringed.keys import Key
 
@@ -23,14 +24,14 @@ class StreamGate:
     What nobody here subscribes to is not read from the daemon. A slow reader loses messages, never holds up others.
     """
 
+    service: Service = "stream"
+
     def __init__(
         self, context: zmq.Context[Any], endpoints: list[str], source: str, *, server: Key, refused: Counters
     ) -> None:
         self._context, self._source, self._refused = context, source, refused
         options = {zmq.XPUB_VERBOSE: 1, zmq.SNDHWM: _QUEUE, zmq.MAXMSGSIZE: 4096}
-        self.front = Front(
-            context, zmq.XPUB, "stream", endpoints, server=server, options=options, refused=refused
-        )
+        self.front = Front(context, zmq.XPUB, "stream", endpoints, server=server, options=options, refused=refused)
         self.skipped = self.sent = 0
         self._connect()
 
