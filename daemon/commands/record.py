@@ -72,7 +72,9 @@ def direct(
 
     from daemon.commands.progress import rendering
     from daemon.launch import StopFlag, log_to_stderr, run_rig
+    from daemon.security.modes import keep_from_others
 
+    keep_from_others()
     log_to_stderr()
     with StopFlag().on_signals() as flag, rendering() as progress:
         timer: list[threading.Timer] = []

@@ -17,7 +17,9 @@ def main(
     """Measure: run the daemon of a rig until SIGTERM or Ctrl-C."""
     from daemon.commands.progress import rendering
     from daemon.launch import StopFlag, log_to_stderr, run_rig
+    from daemon.security.modes import keep_from_others
 
+    keep_from_others()
     log_to_stderr(logging.DEBUG if verbose else logging.INFO)
     with StopFlag().on_signals() as flag, rendering() as progress:
         run_rig(rig, progress=progress, flag=flag, record=record)

@@ -27,6 +27,8 @@ class ControlClient:
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._hint = "start one with `fringed run rig.yaml`, or name its control endpoint"
+        if endpoint.startswith("tcp://"):
+            self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
         if keys is not None:
             keys.apply(self._socket)
             self._hint = "is it running, does it know this key, and is that its server key?"

@@ -72,7 +72,9 @@ class Front:
 
     def _open(self, server: Key, patience_s: float) -> None:
         self.socket: zmq.Socket[Any] = self._context.socket(self._kind)
-        for option, value in (_DEFAULTS | self._options).items():
+        # Only where it is wanted: addresses of IPv4 would be told in the form of IPv6.
+        named = {zmq.IPV6: int(any("[" in endpoint for endpoint in self.endpoints))}
+        for option, value in (_DEFAULTS | named | self._options).items():
             self.socket.setsockopt(option, value)
         self.socket.setsockopt(zmq.CURVE_SERVER, 1)
         self.socket.setsockopt(zmq.CURVE_SECRETKEY, str(server.secret).encode())
@@ -105,7 +107,6 @@ class Front:
 
 _DEFAULTS: Options = {
     zmq.LINGER: 0,
-    zmq.IPV6: 1,
     zmq.HANDSHAKE_IVL: _HANDSHAKE_MS,
     zmq.BACKLOG: 64,
     zmq.TCP_KEEPALIVE: 1,

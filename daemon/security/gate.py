@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import socket
 import sys
 import time
@@ -182,6 +183,8 @@ class Gate:
 def main(arguments: list[str]) -> int:
     """Read the order from the link, serve, end with the daemon."""
     descriptor, parent = int(arguments[0]), int(arguments[1])
+    for number in (signal.SIGTERM, signal.SIGINT):  # sent to the whole group; it ends with the daemon, not before
+        signal.signal(number, signal.SIG_IGN)
     die_with_parent(parent)
     limits.prepare()
     link = socket.socket(fileno=descriptor)
