@@ -53,20 +53,21 @@ def open_gate(
     """The gate between other machines and the stream and ``control``; None when no address is meant for them."""
     from daemon.security.order import Order
     from daemon.security.remote import RemoteGate
+    from daemon.security.store import KeyStore
 
     stream = [endpoint for endpoint in config.stream.endpoints if for_others(endpoint)]
     if config.security.keys is None or not (stream or config.control.remote):
         return None
     return RemoteGate(
         Order(
-            keys=str(config.path(config.security.keys, base_dir)),
             stream=stream,
             control=config.control.remote,
             source=publisher.endpoints[0],
             target=control,
             roles={name: str(method.role) for name, method in methods.items()},
             connections=config.security.connections,
-        )
+        ),
+        KeyStore(config.path(config.security.keys, base_dir)),
     )
 
 

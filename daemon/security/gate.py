@@ -13,7 +13,6 @@ import socket
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -24,68 +23,62 @@ from daemon.errors import DaemonError
 from daemon.security import limits
 from daemon.security.allowed import Allowed
 from daemon.security.control_gate import ControlGate
-from daemon.security.order import Order, Told
-from daemon.security.store import KeyStore
+from daemon.security.link import Link
+from daemon.security.order import Keyring, Order, Told
 from daemon.security.stream_gate import StreamGate
 from daemon.security.zap import Gatekeeper
 from drivers.remote.spawn import die_with_parent
-from fringed.errors import FringedError
 
 log = logging.getLogger("fringed.gate")
 
-_LOOK_S = 0.25  # so soon does a revoked key lose its connection
 _TELL_S = 1.0
-_MAX_ORDER_BYTES = 1 << 20
 
 
 class Gate:
     """Both services behind one list of keys; one thread.
 
     Raises:
-        DaemonError: keys that cannot be used, an address that cannot be bound.
+        DaemonError: an address that cannot be bound.
     """
 
-    def __init__(self, order: Order) -> None:
+    def __init__(self, order: Order, keyring: Keyring) -> None:
         self._order = order
-        self._store = KeyStore(Path(order.keys))
-        self._seen = self._store.signature()
-        self._server, self._allowed = self._store.server(), self._store.allowed()
-        self._problem = ""
+        self._server, self._allowed = keyring.server, keyring.allowed()
         self._refused, self._cut = Counters(), Counters()
         self._context: zmq.Context[Any] = zmq.Context(io_threads=2)
         self._keeper = Gatekeeper(self.allowed, self._refused)
         self._zap = self._context.socket(zmq.ROUTER)
         self._zap.bind("inproc://zeromq.zap.01")
         self._stream, self._control = self._open_stream(), self._open_control()
+        self._memory = limits.Memory()
         self._own_descriptors = limits.open_descriptors()
         limits.allow_descriptors(self._own_descriptors + order.connections)
-        self._connections = 0
 
     def allowed(self) -> Allowed:
         """The list as it is now."""
         return self._allowed
 
-    def run(self, link: socket.socket) -> None:
+    def run(self, link: Link) -> None:
         """Serve until the daemon closes its end of the link."""
-        look_s = tell_s = time.monotonic()
+        tell_s = time.monotonic()
         while True:
             poller = zmq.Poller()
-            for one in [link, self._zap, *(s for part in self._parts() for s in part.sockets())]:
+            for one in [link.descriptor, self._zap, *(s for part in self._parts() for s in part.sockets())]:
                 poller.register(one, zmq.POLLIN)
             ready = {key for key, _ in poller.poll(100)}
             now_s = time.monotonic()
-            if link.fileno() in ready:
-                return  # it says nothing after its order: this is its end
+            if link.descriptor in ready:
+                word = link.next()
+                if word is None:
+                    return
+                self._use(msgspec.json.decode(word, type=Keyring))
             self._answer_zap()
             for part in self._parts():
                 part.serve(ready)
-            if now_s >= look_s:
-                look_s = now_s + _LOOK_S
-                self._look_at_keys()
             if now_s >= tell_s:
                 tell_s = now_s + _TELL_S
                 self._guard_memory()
-                link.sendall(msgspec.json.encode(self.told()) + b"\n")
+                link.say(self.told())
 
     def told(self) -> Told:
         """How it goes."""
@@ -93,16 +86,14 @@ class Gate:
         return Told(
             stream=stream.front.endpoints if stream else [],
             control=control.front.endpoints if control else [],
-            keys=len(self._allowed.entries),
-            problem=self._problem,
             refused=self._refused.snapshot(),
             accepted=sum(part.front.accepted for part in self._parts()),
-            connections=self._connections,
+            connections=max(0, limits.open_descriptors() - self._own_descriptors),
             sent=stream.sent if stream else 0,
             skipped=stream.skipped if stream else 0,
             requests=control.passed if control else 0,
             cut=self._cut.snapshot(),
-            memory_mb=limits.memory_bytes() >> 20,
+            memory_mb=self._memory.bytes() >> 20,
             last=self._keeper.last,
         )
 
@@ -141,37 +132,22 @@ class Gate:
                 return
             self._zap.send_multipart([frames[0], b"", *self._keeper.reply(frames[2:])])
 
-    def _look_at_keys(self) -> None:
-        """Use changed files; a mistake in them changes nothing, and is told."""
-        seen = self._store.signature()
-        if seen == self._seen:
-            return
-        self._seen = seen
-        try:
-            with limits.spare_descriptors():
-                server, newer = self._store.server(), self._store.allowed()
-        except (DaemonError, FringedError, OSError) as error:
-            self._problem = f"the keys are those of before: {error}"
-            return
-        self._problem = ""
-        before, self._allowed = self._allowed, newer
-        all_new, self._server = server != self._server, server
-        self._cut_off(
-            "server_key" if all_new else "revoked",
-            [part for part in self._parts() if all_new or before.lost(part.service, newer)],
-        )
+    def _use(self, keyring: Keyring) -> None:
+        """Other keys from now on; who may connect no more is cut off, which ZeroMQ can only do to all at once."""
+        before, self._allowed = self._allowed, keyring.allowed()
+        renewed, self._server = keyring.server != self._server, keyring.server
+        lost = [part for part in self._parts() if renewed or before.lost(part.service, self._allowed)]
+        self._cut_off("server_key" if renewed else "revoked", lost)
 
     def _guard_memory(self) -> None:
         """Begin anew when a flood has filled the memory: what the allocator only keeps is given back first."""
-        with limits.spare_descriptors():
-            self._connections = max(0, limits.open_descriptors() - self._own_descriptors)
-            most = self._order.memory_mb << 20
-            if limits.memory_bytes() <= most:
-                return
+        most = self._order.memory_mb << 20
+        if self._memory.bytes() <= most:
+            return
+        limits.trim()
+        if self._memory.bytes() > most:
+            self._cut_off("memory", self._parts())
             limits.trim()
-            if limits.memory_bytes() > most:
-                self._cut_off("memory", self._parts())
-                limits.trim()
 
     def _cut_off(self, reason: str, parts: list[StreamGate | ControlGate]) -> None:
         for part in parts:
@@ -187,26 +163,21 @@ def main(arguments: list[str]) -> int:
         signal.signal(number, signal.SIG_IGN)
     die_with_parent(parent)
     limits.prepare()
-    link = socket.socket(fileno=descriptor)
+    link = Link(socket.socket(fileno=descriptor))
+    words = link.next(), link.next()
+    if None in words:
+        return 1
     try:
-        gate = Gate(_order(link))
-    except (DaemonError, FringedError, OSError, zmq.ZMQError) as error:
-        link.sendall(msgspec.json.encode(Told(failed=str(error))) + b"\n")
+        gate = Gate(
+            msgspec.json.decode(words[0] or b"", type=Order), msgspec.json.decode(words[1] or b"", type=Keyring)
+        )
+    except (DaemonError, OSError, zmq.ZMQError) as error:
+        link.say(Told(failed=str(error)))
         return 1
     with suppress(BrokenPipeError, ConnectionResetError):
         gate.run(link)
     gate.close()
     return 0
-
-
-def _order(link: socket.socket) -> Order:
-    text = b""
-    while b"\n" not in text and len(text) <= _MAX_ORDER_BYTES:
-        more = link.recv(65536)
-        if not more:
-            break
-        text += more
-    return msgspec.json.decode(text.partition(b"\n")[0], type=Order)
 
 
 if __name__ == "__main__":

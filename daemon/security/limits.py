@@ -7,9 +7,9 @@ import os
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 _SPARE = 32
+_MOST_LOOKED_AT = 4096
 _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # numbers of mallopt(3)
 
 
@@ -30,14 +30,29 @@ def trim() -> None:
         trimmer(0)
 
 
-def memory_bytes() -> int:
-    """What this process has in memory."""
-    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+class Memory:
+    """What this process has in memory; its file stays open for the time when there are no descriptors left."""
+
+    def __init__(self) -> None:
+        self._file = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
+
+    def bytes(self) -> int:
+        """Now."""
+        return int(os.pread(self._file, 200, 0).split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def open_descriptors() -> int:
-    """How many files and sockets this process has open."""
-    return len(os.listdir("/proc/self/fd")) - 1  # noqa: PTH208 - and one for looking
+    """How many files and sockets this process has open; costs no descriptor."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return sum(map(_is_open, range(min(soft + _SPARE, _MOST_LOOKED_AT))))
+
+
+def _is_open(descriptor: int) -> bool:
+    try:
+        os.fstat(descriptor)
+    except OSError:
+        return False
+    return True
 
 
 def allow_descriptors(most: int) -> None:
@@ -50,7 +65,7 @@ def allow_descriptors(most: int) -> None:
 
 @contextmanager
 def spare_descriptors() -> Iterator[None]:
-    """Some more descriptors for the block: when connections have taken all, one's own files can still be read."""
+    """Some more descriptors for the block, to begin anew when connections have taken all."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     more = soft + _SPARE if hard == resource.RLIM_INFINITY else min(soft + _SPARE, hard)
     resource.setrlimit(resource.RLIMIT_NOFILE, (more, hard))

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import msgspec
 
+from daemon.security.allowed import Allowed, Entry
+from fringed.keys import Key
+
+
+class Keyring(msgspec.Struct, frozen=True):
+    """The daemon's own pair, and those that may connect."""
+
+    server: Key
+    entries: list[Entry]
+
+    def allowed(self) -> Allowed:
+        """The list by key."""
+        return Allowed({entry.public: entry for entry in self.entries})
+
 
 class Order(msgspec.Struct, frozen=True, kw_only=True):
-    """What to guard.
+    """What to guard, the first word of the daemon; each later one is a Keyring that replaces the one before.
 
     Args:
-        keys: the directory of keys. stream, control: addresses to bind, either may be empty.
+        stream, control: addresses to bind, either may be empty.
         source, target: the daemon's own stream and control endpoints, on this machine.
         roles: needed for each method of control, view or operate.
         connections: at most so many at a time. memory_mb: of the gate; beyond it everybody is cut off.
     """
 
-    keys: str
     stream: list[str]
     control: list[str]
     source: str
@@ -30,8 +43,7 @@ class Told(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     Args:
         stream, control: addresses with their real ports. failed: why it cannot begin.
-        keys: how many are allowed. problem: what is wrong with the files of keys.
-        refused: how often, by service and reason. accepted: connections that were let in.
+        refused: how often, by service and reason. accepted: connections that were let in, connections: now.
         sent, skipped: messages of the stream; requests: passed on. cut: how often everybody was cut off, by reason.
         last: the newest refusal, in words.
     """
@@ -39,8 +51,6 @@ class Told(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     stream: list[str] = []
     control: list[str] = []
     failed: str = ""
-    keys: int = 0
-    problem: str = ""
     refused: dict[str, int] = {}
     accepted: int = 0
     connections: int = 0

@@ -14,7 +14,10 @@ from typing import Any
 import msgspec
 
 from daemon.errors import DaemonError
+from daemon.security.link import Link
 from daemon.security.order import Order, Told
+from daemon.security.store import KeyStore
+from daemon.security.watch import KeyWatch
 from daemon.sinks import Item
 from drivers.errors import DriverError
 from drivers.remote import spawn
@@ -25,21 +28,21 @@ _START_S = 60.0
 _SILENCE_S = 30.0  # a gate that says nothing for so long hangs, and is replaced
 _PAUSES_S = (0.5, 1.0, 2.0, 5.0)
 _JOIN_S = 5.0
-_MAX_LINE = 64 * 1024
+_LOOK_S = 0.25  # so soon does a revoked key lose its connections
 
 
 class RemoteGate:
     """Lets other machines in, as far as their keys allow.
 
     Args:
-        order: what to guard.
+        order: what to guard; store: the keys.
 
     Raises:
         DaemonError: keys that cannot be used, an address that cannot be bound.
     """
 
-    def __init__(self, order: Order) -> None:
-        self._order = order
+    def __init__(self, order: Order, store: KeyStore) -> None:
+        self._order, self._keys = order, KeyWatch(store)
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._restarts = 0
@@ -50,7 +53,12 @@ class RemoteGate:
         self._order = msgspec.structs.replace(order, stream=self._told.stream, control=self._told.control)
         for service, endpoints in (("stream", self._told.stream), ("control", self._told.control)):
             if endpoints:
-                log.info("%s for other machines at %s, %d keys", service, ", ".join(endpoints), self._told.keys)
+                log.info(
+                    "%s for other machines at %s, %d keys",
+                    service,
+                    ", ".join(endpoints),
+                    len(self._keys.keyring.entries),
+                )
         self._thread = threading.Thread(target=self._run, name="gate", daemon=True)
         self._thread.start()
 
@@ -69,7 +77,7 @@ class RemoteGate:
         values: dict[str, Any] = {
             "stream": told.stream,
             "control": told.control,
-            "keys": told.keys,
+            "keys": len(self._keys.keyring.entries),
             "accepted": told.accepted,
             "connections": told.connections,
             "refused": told.refused,
@@ -81,20 +89,20 @@ class RemoteGate:
             "memory_mb": told.memory_mb,
             "restarts": self._restarts,
         }
-        problem = down or told.problem
+        problem = down or self._keys.problem
         return values | ({"problem": problem} if problem else {})
 
     def close(self) -> None:
         """Let nobody in any more; may be called twice."""
         self._closing.set()
         with self._lock:
-            _hang_up(self._link)
+            self._link.hang_up()
         self._thread.join(_JOIN_S)
         self._link.close()
         spawn.end(self._process, _JOIN_S)
         self._prints.join(1.0)
 
-    def _start(self) -> tuple[socket.socket, subprocess.Popen[bytes], spawn.Prints]:
+    def _start(self) -> tuple[Link, subprocess.Popen[bytes], spawn.Prints]:
         ours, theirs = socket.socketpair()
         try:
             arguments = [str(theirs.fileno()), str(os.getpid())]
@@ -105,14 +113,18 @@ class RemoteGate:
         finally:
             theirs.close()
         prints = spawn.Prints(process, log, "gate-prints")
-        ours.settimeout(_START_S)
+        link = Link(ours)
         with suppress(OSError):  # it has ended; what it printed is told when its first word does not come
-            ours.sendall(msgspec.json.encode(self._order) + b"\n")
-        return ours, process, prints
+            link.say(self._order)
+            link.say(self._keys.keyring)
+        return link, process, prints
 
     def _first(self) -> Told:
         """The first word of the gate that was just started."""
-        told = _Lines(self._link).next()
+        try:
+            told = self._word(_START_S)
+        except TimeoutError:
+            told = None
         if told is not None and not told.failed:
             return told
         self._link.close()
@@ -133,20 +145,35 @@ class RemoteGate:
             self._begin_again(failures)
 
     def _listen(self) -> str:
-        """Hear what the gate tells until it ends or falls silent; the reason."""
-        self._link.settimeout(_SILENCE_S)
-        lines = _Lines(self._link)
-        while (told := lines.next()) is not None:
-            if told.last != self._told.last:
-                log.warning("%s", told.last)
-            if told.problem and told.problem != self._told.problem:
-                log.error("%s", told.problem)
-            self._told = told
+        """Hear what the gate tells, and tell it of other keys, until it ends or falls silent; the reason."""
+        heard_s = time.monotonic()
+        while time.monotonic() - heard_s < _SILENCE_S:
+            try:
+                told = self._word(_LOOK_S)
+            except TimeoutError:
+                pass
+            else:
+                if told is None:
+                    break
+                heard_s = time.monotonic()
+                if told.last != self._told.last:
+                    log.warning("%s", told.last)
+                self._told = told
+            if self._keys.changed():
+                with suppress(OSError):
+                    self._link.say(self._keys.keyring)
         if self._closing.is_set():
             return ""
         status = spawn.end(self._process, 1.0)
         self._prints.join(1.0)
         return f"the gate ended with exit status {status}: {self._prints.text()}"
+
+    def _word(self, timeout_s: float) -> Told | None:
+        word = self._link.next(timeout_s)
+        try:
+            return None if word is None else msgspec.json.decode(word, type=Told)
+        except msgspec.MsgspecError:
+            return None
 
     def _begin_again(self, failures: int) -> None:
         while not self._closing.wait(_PAUSES_S[min(failures, len(_PAUSES_S) - 1)]):
@@ -160,7 +187,7 @@ class RemoteGate:
                 self._link.close()
                 self._link, self._process, self._prints = link, process, prints
                 if self._closing.is_set():
-                    _hang_up(link)
+                    link.hang_up()
                     return
             self._restarts += 1
             try:
@@ -170,32 +197,3 @@ class RemoteGate:
                 continue
             self._down = ""
             return
-
-
-def _hang_up(link: socket.socket) -> None:
-    """Wakes whoever reads it, here and in the gate."""
-    with suppress(OSError):
-        link.shutdown(socket.SHUT_RDWR)
-
-
-class _Lines:
-    """Words of the gate, one a line."""
-
-    def __init__(self, link: socket.socket) -> None:
-        self._link, self._text = link, b""
-
-    def next(self) -> Told | None:
-        """The next word; None when it has ended, or says nothing in time."""
-        while b"\n" not in self._text:
-            try:
-                more = self._link.recv(65536)
-            except OSError:
-                return None
-            if not more or len(self._text) > _MAX_LINE:
-                return None
-            self._text += more
-        line, _, self._text = self._text.partition(b"\n")
-        try:
-            return msgspec.json.decode(line, type=Told)
-        except (msgspec.MsgspecError, ValueError):
-            return None
