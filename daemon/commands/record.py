@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from daemon.commands.asking import SLOW_S, ask
 from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
 
 _DIRECT = "direct"
@@ -44,7 +45,7 @@ def start(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Begin a take in a running daemon."""
-    answer = _ask("record.start", endpoint, rig, chosen_keys(key, server_key), name=name)
+    answer = ask("record.start", endpoint, rig, SLOW_S, chosen_keys(key, server_key), name=name)
     typer.echo(f"recording to {answer['file']}")
 
 
@@ -53,7 +54,7 @@ def stop(
     endpoint: Endpoint = None, rig: RigOption = None, key: KeyOption = None, server_key: ServerKeyOption = None
 ) -> None:
     """End the take of a running daemon."""
-    answer = _ask("record.stop", endpoint, rig, chosen_keys(key, server_key))
+    answer = ask("record.stop", endpoint, rig, SLOW_S, chosen_keys(key, server_key))
     if "file" not in answer:
         typer.echo("no take was being written")
         return
@@ -71,11 +72,12 @@ def direct(
     import threading
 
     from daemon.commands.progress import rendering
-    from daemon.launch import StopFlag, log_to_stderr, run_rig
+    from daemon.launch import StopFlag, run_rig
     from daemon.security.modes import keep_from_others
+    from daemon.supervision.log import log_events
 
     keep_from_others()
-    log_to_stderr()
+    log_events()
     with StopFlag().on_signals() as flag, rendering() as progress:
         timer: list[threading.Timer] = []
 
@@ -86,11 +88,3 @@ def direct(
                 timer[0].start()
 
         run_rig(rig, progress=progress, flag=flag, record=name, on_status=on_status)
-
-
-def _ask(method: str, endpoint: str | None, rig: Path | None, keys: Any, /, **params: Any) -> Any:
-    from daemon.commands.status import control_endpoint
-    from daemon.control.client import ControlClient
-
-    with ControlClient(control_endpoint(endpoint, rig), timeout_s=30.0, keys=keys) as client:
-        return client.call(method, **params)

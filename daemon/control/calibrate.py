@@ -68,6 +68,11 @@ class CalibrateMethods:
             raise RpcError(FAILED, "no simulated hand holds the board of this rig: move it yourself")
         return {"pose": move()}
 
+    @property
+    def capturing(self) -> bool:
+        """Whether the projector belongs to a capture."""
+        return self._capture.active
+
     def refuse_while_capturing(self) -> None:
         """RpcError while the projector belongs to a capture."""
         if self._capture.active:

@@ -62,7 +62,6 @@ class ControlServer:
         self.endpoint = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()  # type: ignore[union-attr]
         self._lane = Lane()
         self._outbox: deque[list[bytes]] = deque(maxlen=_MOST_WAITING)
-        self._notices: deque[str] = deque(maxlen=_MOST_WAITING)
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         weakref.finalize(self, os.close, self._wake_fd)  # not earlier: the lane may be left behind and wake it still
         self._stop = False
@@ -72,11 +71,6 @@ class ControlServer:
         """Begin to answer."""
         self._lane.start()
         self._thread.start()
-
-    def notify(self, method: str) -> None:
-        """Carry out a method soon, its result is nobody's; takes no lock, so that a signal handler may call it."""
-        self._notices.append(method)
-        self._wake()
 
     def close(self) -> None:
         """Answer no more; the socket file is removed."""
@@ -118,13 +112,9 @@ class ControlServer:
             self._tend()
 
     def _tend(self) -> None:
-        """Send what the lane has answered; hand on what a signal asked for."""
+        """Send what the lane has answered."""
         while self._outbox:
             self._socket.send_multipart(self._outbox.popleft())
-        while self._notices:
-            name = self._notices.popleft()
-            request = Received(b'{"jsonrpc": "2.0", "method": "%s"}' % name.encode())
-            self._hand_on(name, [], request, Role.OPERATE)
 
     def _serve_one(self, parts: list[bytes]) -> None:
         """Request parts: sender, perhaps an empty one (REQ sockets), the JSON text."""
@@ -133,7 +123,7 @@ class ControlServer:
             return
         request, role = Received(parts[-1]), Role.OPERATE
         if request.slow(self._methods):
-            self._hand_on(request.name, parts[:-1], request, role)
+            self._hand_on(parts[:-1], request, role)
         else:
             self._reply(parts[:-1], request.answered(self._methods, role))
 
@@ -141,22 +131,22 @@ class ControlServer:
         if response is not None:
             self._socket.send_multipart([*to, response])
 
-    def _hand_on(self, name: str, to: list[bytes], request: Received, role: Role) -> None:
+    def _hand_on(self, to: list[bytes], request: Received, role: Role) -> None:
         """Let the lane answer."""
 
         def send(response: bytes | None) -> None:
-            if response is not None and to:
+            if response is not None:
                 self._outbox.append([*to, response])
                 self._wake()
 
         job = Job(
-            name,
+            request.name,
             run=lambda: send(request.answered(self._methods, role)),
             give_up=lambda: send(request.refused(RpcError(FAILED, "the daemon is stopping"))),
         )
         if not self._lane.submit(job):
-            busy = RpcError(BUSY, f"busy: {self._lane.doing or 'earlier requests'} must end first; try again later")
-            self._reply(to, request.refused(busy)) if to else log.warning("control: %s: %s", name, busy.message)
+            busy = f"busy: {self._lane.doing or 'earlier requests'} must end first; try again later"
+            self._reply(to, request.refused(RpcError(BUSY, busy)))
 
 
 def _refuse_if_alive(endpoint: str) -> None:

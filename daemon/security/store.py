@@ -31,7 +31,7 @@ def default_dir() -> Path:
 class KeyStore:
     """Keys in a directory; changes are whole files, and two programs that change it wait for each other.
 
-    A directory with the set-group-ID bit shares its secrets with its group (the service's user), others are private.
+    A directory that its group alone may enter (0750, the service's) shares its secrets with the group.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -81,7 +81,7 @@ class KeyStore:
         for name in (SERVER_KEY, LIST):
             try:
                 status = (self.directory / name).stat()
-                found.append((status.st_ino, status.st_mtime_ns, status.st_size))
+                found.append((status.st_ino, status.st_ctime_ns, status.st_size))
             except OSError:
                 found.append((0, 0, 0))
         return tuple(found)
@@ -125,8 +125,11 @@ class KeyStore:
             raise DaemonError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not text'}") from error
 
     def _write(self, name: str, text: str) -> None:
-        shared = bool(self.directory.stat().st_mode & stat.S_ISGID)
+        directory = self.directory.stat()
+        shared = directory.st_mode & (stat.S_IXGRP | stat.S_IXOTH) == stat.S_IXGRP
         _write(self.directory / name, text, 0o640 if shared else 0o600)
+        if shared:
+            os.chown(self.directory / name, -1, directory.st_gid)
 
     @contextmanager
     def _changing(self) -> Iterator[None]:

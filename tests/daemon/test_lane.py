@@ -109,12 +109,6 @@ def test_who_waits_when_the_daemon_stops_is_told(client: Asking, slow: Slow, ser
     closing.join(30)
 
 
-def test_a_method_can_be_asked_for_without_an_answer(server: ControlServer, slow: Slow) -> None:
-    slow.go.set()
-    server.notify("slow")
-    wait_until(lambda: slow.calls == 1)
-
-
 def test_a_job_that_fails_does_not_end_the_lane() -> None:
     lane, done = Lane(), threading.Event()
     lane.start()

@@ -146,7 +146,7 @@ def test_programs_that_change_the_list_at_the_same_time_lose_nothing(tmp_path: P
     assert set(KeyStore(tmp_path).allowed().entries) == {one.public for one in entries}
 
 
-@pytest.mark.parametrize(("directory", "secret"), [(0o700, 0o600), (0o2750, 0o640)])
+@pytest.mark.parametrize(("directory", "secret"), [(0o700, 0o600), (0o750, 0o640), (0o755, 0o600)])
 def test_secrets_are_for_the_owner_or_for_the_group_that_the_directory_is_shared_with(
     tmp_path: Path, directory: int, secret: int
 ) -> None:
