@@ -181,5 +181,6 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    os.nice(5)
+    with suppress(OSError):
+        os.nice(5)
     sys.exit(main(sys.argv[1:]))
