@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
+.PHONY: help env demo test audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
 .DEFAULT_GOAL := help
 
 help:
@@ -33,6 +33,9 @@ check: $(STAMP)  ## style, types and layers only
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+audit: $(STAMP)  ## known vulnerabilities of the pinned dependencies; says NOT AUDITED where nobody can be asked
+	$(BIN)/python tools/audit.py
 
 bench: $(STAMP) $(PEERS)/.complete  ## speed, scale, accuracy, and other programs beside ours; options in BENCH="--quick"
 	$(BIN)/python -m benchmarks.bench $(BENCH)
@@ -79,4 +82,4 @@ uninstall: $(STAMP)  ## take the service away; configuration and takes stay
 	$(BIN)/fringed uninstall $(UNINSTALL)
 
 clean:  ## remove the environment and everything made
-	rm -rf $(VENV) $(PEERS) dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) .audit-venv dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

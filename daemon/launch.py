@@ -19,7 +19,7 @@ from daemon.control.methods import Methods
 from daemon.control.server import ControlServer
 from daemon.errors import DaemonError
 from daemon.health.methods import HealthMethods
-from daemon.outputs import open_capture, open_health, open_publisher, open_selfcheck, open_take
+from daemon.outputs import open_capture, open_gate, open_health, open_publisher, open_selfcheck, open_take
 from daemon.recorder import Recorder
 from daemon.rig import OptionsError, Progress, open_rig
 from daemon.runtime import runtime_beside
@@ -143,6 +143,7 @@ def _run(
             on_status(status)
 
     sinks: dict[str, Sink] = {"stream": publisher}
+    control: ControlServer | None = None
     try:
         if config.selfcheck.enabled:
             sinks["selfcheck"] = open_selfcheck(config, rig, base_dir)
@@ -166,7 +167,12 @@ def _run(
         calibrate = CalibrateMethods(service, capture)
         methods = Methods(service, recorder, path=path, base_dir=base_dir, calibrate=calibrate, health=health)
         control = ControlServer(config.control.endpoint, methods.table())
+        gate = open_gate(config, base_dir, publisher, control.endpoint, methods.table())
+        if gate is not None:
+            service.add_sink("remote", gate)
     except BaseException:
+        if control is not None:
+            control.close()
         for sink in sinks.values():
             sink.close()
         rig.release()

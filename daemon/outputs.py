@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from daemon.config.checks import for_others
 from daemon.config.models import RigConfig
+from daemon.control.protocol import Method
 from daemon.rig import Rig
+from daemon.runtime import stream_endpoint
 from daemon.sinks import Sink
 
 if TYPE_CHECKING:
@@ -19,6 +22,8 @@ MEGABYTE = 1_000_000
 class StatusSink(Sink, Protocol):
     """The stream: a sink that also carries the status."""
 
+    endpoints: list[str]
+
     def publish_status(self, status: dict[str, Any]) -> None:
         """Send the status; never blocks."""
 
@@ -28,7 +33,7 @@ def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
     from daemon.publisher import Publisher
 
     return Publisher(
-        config.stream.endpoints,
+        local_endpoints(config),
         device=config.device.name,
         session=session,
         calibration=rig.calibration,
@@ -36,6 +41,36 @@ def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
         identity=rig.identity,
         config=config.model_dump(mode="json"),
         preview_hz=config.stream.preview_hz,
+    )
+
+
+def local_endpoints(config: RigConfig) -> list[str]:
+    """Of the stream: those that only this machine can reach, at least one; the gate reads the first."""
+    local = [endpoint for endpoint in config.stream.endpoints if not for_others(endpoint)]
+    return local or [stream_endpoint()]
+
+
+def open_gate(
+    config: RigConfig, base_dir: Path, publisher: StatusSink, control: str, methods: Mapping[str, Method]
+) -> Sink | None:
+    """The gate between other machines and the stream and ``control``; None when no address is meant for them."""
+    from daemon.security.order import Order
+    from daemon.security.remote import RemoteGate
+    from daemon.security.store import KeyStore
+
+    stream = [endpoint for endpoint in config.stream.endpoints if for_others(endpoint)]
+    if config.security.keys is None or not (stream or config.control.remote):
+        return None
+    return RemoteGate(
+        Order(
+            stream=stream,
+            control=config.control.remote,
+            source=publisher.endpoints[0],
+            target=control,
+            roles={name: str(method.role) for name, method in methods.items()},
+            connections=config.security.connections,
+        ),
+        KeyStore(config.path(config.security.keys, base_dir)),
     )
 
 

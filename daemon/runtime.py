@@ -47,6 +47,12 @@ def runtime_beside(endpoint: str) -> Path | None:
     return Path(endpoint.removeprefix("ipc://")).parent if endpoint.startswith("ipc://") else None
 
 
+def share_ipc(endpoint: str) -> None:
+    """Let the group of a socket's directory connect; ZeroMQ leaves it to the umask, which would shut the group out."""
+    if endpoint.startswith("ipc://"):
+        Path(endpoint.removeprefix("ipc://")).chmod(0o660)
+
+
 def prepare_ipc(endpoint: str) -> None:
     """Make the directory of an ipc endpoint, for this user alone; refuses one that belongs to somebody else."""
     if not endpoint.startswith("ipc://"):

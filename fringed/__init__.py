@@ -15,12 +15,24 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fringed.client import ReceivedCloud, asubscribe, subscribe
-    from fringed.errors import FringedError, SilenceError, WireError
+    from fringed.errors import FringedError, KeyFileError, SilenceError, WireError
+    from fringed.keys import Keys
 
-__all__ = ["FringedError", "ReceivedCloud", "SilenceError", "WireError", "asubscribe", "subscribe"]
+__all__ = [
+    "FringedError",
+    "KeyFileError",
+    "Keys",
+    "ReceivedCloud",
+    "SilenceError",
+    "WireError",
+    "asubscribe",
+    "subscribe",
+]
 
 _HOMES = {
     "FringedError": "fringed.errors",
+    "KeyFileError": "fringed.errors",
+    "Keys": "fringed.keys",
     "ReceivedCloud": "fringed.client",
     "SilenceError": "fringed.errors",
     "WireError": "fringed.errors",

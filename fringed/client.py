@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fringed import wire
 from fringed.errors import FringedError, SilenceError, WireError
+from fringed.keys import Keys
 from fringed.losses import Losses
 from fringed.receiver import Receiver
 
@@ -57,19 +58,22 @@ class ReceivedCloud:
 class _Stream:
     """What the blocking and the async subscription share; takes messages, never waits."""
 
-    def __init__(self, endpoint: str, topic: str, *, latest: bool, timeout_s: float | None) -> None:
+    def __init__(
+        self, endpoint: str, topic: str, *, latest: bool, timeout_s: float | None, keys: Keys | None = None
+    ) -> None:
         if topic not in TOPICS:
             raise FringedError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}")
         self.topic, self.latest, self.timeout_s = topic, latest, timeout_s
+        self._with_keys = keys is not None
         self.received = self.skipped = 0
         self._losses = Losses()
         self._rays: wire.Message | None = None
         self._asked_s = time.monotonic()
-        self._clouds = Receiver(endpoint, [topic], queue=_LATEST_QUEUE if latest else _EVERY_QUEUE)
+        self._clouds = Receiver(endpoint, [topic], queue=_LATEST_QUEUE if latest else _EVERY_QUEUE, keys=keys)
         self._meta: Receiver | None = None
         if topic == "cloud/depth":
             # A socket of its own: clouds must never push the rays out of a short queue.
-            self._meta = Receiver(endpoint, ["meta/rays"], queue=4)
+            self._meta = Receiver(endpoint, ["meta/rays"], queue=4, keys=keys)
 
     @property
     def lost(self) -> int:
@@ -133,8 +137,9 @@ class _Stream:
         return False
 
     def _silence(self) -> SilenceError:
+        hint = ", does it know this key, and is that its server key?" if self._with_keys else "?"
         return SilenceError(
-            f"no {self.topic} from {self._clouds.endpoint} within {self.timeout_s} s; is a daemon running?"
+            f"no {self.topic} from {self._clouds.endpoint} within {self.timeout_s} s; is a daemon running{hint}"
         )
 
     def _deadline_s(self) -> float:
@@ -206,6 +211,7 @@ def subscribe(
     topic: str = "cloud/full",
     latest: bool = True,
     timeout_s: float | None = None,
+    keys: Keys | None = None,
 ) -> Subscription:
     """Clouds of a daemon, for ``for`` and ``with``; it connects, and connects again, by itself.
 
@@ -214,8 +220,9 @@ def subscribe(
         topic: ``cloud/full``, or ``cloud/depth`` for a slow line (points only; needs the package blosc2).
         latest: always give the newest cloud and skip older ones; False: every cloud, as far as the queues reach.
         timeout_s: longest silence before SilenceError; None waits for ever.
+        keys: for a daemon on another machine: ``Keys.load("laptop.key", "server.pub")``.
     """
-    return Subscription(endpoint, topic, latest=latest, timeout_s=timeout_s)
+    return Subscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
 
 
 def asubscribe(
@@ -224,9 +231,10 @@ def asubscribe(
     topic: str = "cloud/full",
     latest: bool = True,
     timeout_s: float | None = None,
+    keys: Keys | None = None,
 ) -> AsyncSubscription:
     """The same for ``async for`` and ``async with``."""
-    return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s)
+    return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
 
 
 def _wait_ms(left_s: float) -> int:

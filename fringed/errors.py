@@ -17,3 +17,7 @@ class CodecMissingError(WireError):
 
 class SilenceError(FringedError, TimeoutError):
     """No cloud came within the time-out."""
+
+
+class KeyFileError(FringedError):
+    """A key file that cannot be used; the message tells file and line, never the key."""

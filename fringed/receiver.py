@@ -9,6 +9,7 @@ import zmq
 
 from fringed import wire
 from fringed.errors import FringedError
+from fringed.keys import Keys
 
 
 class Receiver:
@@ -17,13 +18,20 @@ class Receiver:
     Args:
         endpoint: of the daemon's stream; topics: prefixes.
         queue: messages that wait here before further ones are lost.
+        keys: for a daemon on another machine; a key that is allowed later gets in by itself.
 
     Raises:
         FringedError: an endpoint that ZeroMQ cannot connect to.
     """
 
     def __init__(
-        self, endpoint: str, topics: Iterable[str], *, queue: int = 2, context: zmq.Context[Any] | None = None
+        self,
+        endpoint: str,
+        topics: Iterable[str],
+        *,
+        queue: int = 2,
+        context: zmq.Context[Any] | None = None,
+        keys: Keys | None = None,
     ) -> None:
         self.endpoint = endpoint
         self._own = context is None
@@ -32,6 +40,8 @@ class Receiver:
         for option, value in _OPTIONS.items():
             self.socket.setsockopt(option, value)
         self.socket.setsockopt(zmq.RCVHWM, queue)
+        if keys is not None:
+            keys.apply(self.socket)
         try:
             for topic in topics:
                 self.socket.subscribe(topic)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from daemon.commands import calibrate_board, calibrate_check, calibrate_exchange, calibrate_refine, calibrate_steps
+from daemon.security.modes import keep_from_others
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
@@ -12,6 +13,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=N
 @app.callback()
 def _root() -> None:
     """Calibrate cameras, projector and colours from pictures of a board, and check that they are still true."""
+    keep_from_others()
 
 
 app.command("board")(calibrate_board.main)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from daemon.commands.asking import Endpoint, RigFile, Timeout, ask
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
 
 
 def main(
@@ -17,9 +18,11 @@ def main(
     live: Annotated[bool, typer.Option("--live", help="Only those that can be set while it measures.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows, or the one value, as JSON.")] = False,
     timeout: Timeout = 5.0,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Show the settings of a running daemon: value, unit, bounds, meaning, and which can be set live."""
-    rows = ask("get", endpoint, rig, timeout, path=path, detail=True)["settings"]
+    rows = ask("get", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, detail=True)["settings"]
     one = rows[0] if len(rows) == 1 and rows[0]["path"] == path else None
     rows = [row for row in rows if row["live"] or not live]
     if as_json:

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
 from fringed.client import DEFAULT_ENDPOINT, ReceivedCloud, Subscription, subscribe
 from fringed.errors import SilenceError
 
@@ -26,11 +27,14 @@ def main(
     save: Annotated[Path | None, typer.Option(help="Write each cloud as PLY into this directory.")] = None,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after so many clouds.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after so many seconds.")] = None,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Print rate, points, latency and losses of a stream once a second, until Ctrl-C."""
     if save is not None:
         save.mkdir(parents=True, exist_ok=True)
-    with subscribe(endpoint, topic=topic, latest=not every, timeout_s=_WAIT_S) as stream:
+    keys = chosen_keys(key, server_key)
+    with subscribe(endpoint, topic=topic, latest=not every, timeout_s=_WAIT_S, keys=keys) as stream:
         for report in reports(stream, save=save, count=count, seconds=seconds):
             typer.echo(json.dumps(asdict(report)) if as_json else line(report))
         if count is not None and stream.received < count:

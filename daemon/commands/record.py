@@ -8,6 +8,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from daemon.commands.asking import SLOW_S, ask
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
+
 _DIRECT = "direct"
 _SHOWN = ("file", "recording")
 
@@ -38,16 +41,20 @@ def start(
     name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
     endpoint: Endpoint = None,
     rig: RigOption = None,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Begin a take in a running daemon."""
-    answer = _ask("record.start", endpoint, rig, name=name)
+    answer = ask("record.start", endpoint, rig, SLOW_S, chosen_keys(key, server_key), name=name)
     typer.echo(f"recording to {answer['file']}")
 
 
 @app.command()
-def stop(endpoint: Endpoint = None, rig: RigOption = None) -> None:
+def stop(
+    endpoint: Endpoint = None, rig: RigOption = None, key: KeyOption = None, server_key: ServerKeyOption = None
+) -> None:
     """End the take of a running daemon."""
-    answer = _ask("record.stop", endpoint, rig)
+    answer = ask("record.stop", endpoint, rig, SLOW_S, chosen_keys(key, server_key))
     if "file" not in answer:
         typer.echo("no take was being written")
         return
@@ -66,8 +73,10 @@ def direct(
 
     from daemon.commands.progress import rendering
     from daemon.launch import StopFlag, run_rig
+    from daemon.security.modes import keep_from_others
     from daemon.supervision.log import log_events
 
+    keep_from_others()
     log_events()
     with StopFlag().on_signals() as flag, rendering() as progress:
         timer: list[threading.Timer] = []
@@ -79,11 +88,3 @@ def direct(
                 timer[0].start()
 
         run_rig(rig, progress=progress, flag=flag, record=name, on_status=on_status)
-
-
-def _ask(method: str, endpoint: str | None, rig: Path | None, **params: Any) -> Any:
-    from daemon.commands.status import control_endpoint
-    from daemon.control.client import ControlClient
-
-    with ControlClient(control_endpoint(endpoint, rig), timeout_s=30.0) as client:
-        return client.call(method, **params)

@@ -24,8 +24,10 @@ def main(
     from daemon.commands.progress import rendering
     from daemon.errors import ConfigError
     from daemon.launch import StopFlag, run_rig
+    from daemon.security.modes import keep_from_others
     from daemon.supervision.log import log_events
 
+    keep_from_others()
     log_events(logging.DEBUG if verbose else logging.INFO)
     supervised = "NOTIFY_SOCKET" in os.environ
     with StopFlag().on_signals() as flag, rendering() as progress:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from daemon.commands.asking import SLOW_S, Endpoint, RigFile, Timeout, ask
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
 
 app = typer.Typer(add_completion=False)
 
@@ -20,9 +21,11 @@ def main(
     endpoint: Endpoint = None,
     rig: RigFile = None,
     timeout: Timeout = SLOW_S,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Change a setting while the daemon measures; rig.yaml stays as it is, and a reload goes back to it."""
-    answer = ask("set", endpoint, rig, timeout, path=path, value=parsed(value))
+    answer = ask("set", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, value=parsed(value))
     for name, now in answer.items():
         typer.echo(f"{name} = {json.dumps(now, ensure_ascii=False)}")
 

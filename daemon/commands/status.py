@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys, remote_rows
+
 
 def main(
     endpoint: Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")] = None,
@@ -15,14 +17,16 @@ def main(
     once: Annotated[bool, typer.Option("--once", help="Print it once (so it is where this is no terminal).")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the status once, as JSON.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the answer.")] = 5.0,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Show what a running daemon is doing: a live page on a terminal, Ctrl-C ends it."""
     from rich.console import Console
 
     from daemon.control.client import ControlClient
 
-    console = Console()
-    with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout) as client:
+    console, keys = Console(), chosen_keys(key, server_key)
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout, keys=keys) as client:
         status = client.call("status")  # a daemon that is not there is told at once
         if as_json:
             typer.echo(json.dumps(status, indent=2))
@@ -96,6 +100,7 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
     health = status.get("health", {})
     if health.get("enabled"):
         out.append(("health", "; ".join([health["verdict"], *health["open"].values()])))
+    out.extend(remote_rows(status.get("sinks", {}).get("remote", {})))
     recorder = status["recorder"]
     out.append(("recorder", ", ".join(f"{k} {v}" for k, v in recorder.items()) if recorder.get("recording") else "off"))
     return out

@@ -10,9 +10,11 @@ from typing import Annotated, Any
 
 import typer
 
+from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
 from daemon.errors import DaemonError
 from daemon.view.colors import COLORS
 from fringed.client import DEFAULT_ENDPOINT
+from fringed.keys import Keys
 
 
 def main(
@@ -33,6 +35,8 @@ def main(
     grpc_port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Of the data; 0 = any free one.", show_default="9876")
     ] = None,
+    key: KeyOption = None,
+    server_key: ServerKeyOption = None,
 ) -> None:
     """Watch the stream of a daemon in the Rerun viewer: native, in a browser (--web), or as a file (--save)."""
     if color not in COLORS:
@@ -46,18 +50,25 @@ def main(
         typer.echo(f"{screenshot} written")
         return
     options = {"decimate": decimate, "color": color, "rate_hz": rate, "count": count, "seconds": seconds}
-    _watch(endpoint, options, web=web, save=save, ports=(web_port, grpc_port))
+    keys = chosen_keys(key, server_key)
+    _watch(endpoint, options, web=web, save=save, ports=(web_port, grpc_port), keys=keys)
 
 
 def _watch(
-    endpoint: str, options: dict[str, Any], *, web: bool, save: Path | None, ports: tuple[int | None, int | None]
+    endpoint: str,
+    options: dict[str, Any],
+    *,
+    web: bool,
+    save: Path | None,
+    ports: tuple[int | None, int | None],
+    keys: Keys | None,
 ) -> None:
     from daemon.view import sinks
     from daemon.view.bridge import Bridge, Options
     from daemon.view.source import NewestMessages
 
     with ExitStack() as stack:
-        source = stack.enter_context(NewestMessages(endpoint))
+        source = stack.enter_context(NewestMessages(endpoint, keys=keys))
         stopped: Callable[[], bool] = lambda: False  # noqa: E731
         if save is not None:
             stopped = _on_signals(stack)

@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from daemon.config.registry import CAMERAS, PROJECTORS, RIGS
+from daemon.config.security import key_problems
 from daemon.config.source import Path_
 from pipeline.errors import PipelineError
 from pipeline.pattern import from_mapping as pattern_from_mapping
@@ -29,6 +30,7 @@ def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = 
     yield from _settings(data)
     yield from _cpus(data)
     yield from _addresses(data)
+    yield from key_problems(data, base_dir)
     yield from _files(data, base_dir) if complete else ()
     yield from _volume(data)
 
@@ -81,42 +83,76 @@ def _cpus(data: dict[str, Any]) -> Found:
 
 
 def _addresses(data: dict[str, Any]) -> Found:
-    stream = _section(data, "stream")
-    endpoints = stream.get("endpoints")
-    remote = stream.get("allow_remote") is True
-    for i, endpoint in enumerate(endpoints if isinstance(endpoints, list) else ()):
-        if isinstance(endpoint, str) and (problem := endpoint_problem(endpoint, remote=remote)):
+    stream, control = _section(data, "stream"), _section(data, "control")
+    keys = isinstance(_section(data, "security").get("keys"), str)
+    missing = _missing_for_others("stream", stream, keys=keys)
+    for i, endpoint in _texts(stream.get("endpoints")):
+        if problem := endpoint_problem(endpoint, missing=missing):
             yield ("stream", "endpoints", i), problem
-    control = _section(data, "control").get("endpoint")
-    if isinstance(control, str) and (problem := endpoint_problem(control, remote=False)):
-        yield ("control", "endpoint"), problem
+    missing = _missing_for_others("control", control, keys=keys)
+    for i, endpoint in _texts(control.get("remote")):
+        if problem := remote_problem(endpoint, missing=missing):
+            yield ("control", "remote", i), problem
+    for _, endpoint in _texts([control.get("endpoint")]):
+        if problem := endpoint_problem(endpoint, missing="write it under control.remote"):
+            yield ("control", "endpoint"), problem
 
 
-def endpoint_problem(endpoint: str, *, remote: bool) -> str | None:
-    """What is wrong with a ZeroMQ address, or None."""
+def _texts(values: Any) -> Iterator[tuple[int, str]]:
+    for i, value in enumerate(values if isinstance(values, list) else ()):
+        if isinstance(value, str):
+            yield i, value
+
+
+def _missing_for_others(service: str, section: dict[str, Any], *, keys: bool) -> str:
+    """What else the file needs before other machines may connect, "" when nothing."""
+    switch = section.get("allow_remote") is True
+    wanted = ([] if switch else [f"{service}.allow_remote: true"]) + ([] if keys else ["security.keys"])
+    return f"set {' and '.join(wanted)}" if wanted else ""
+
+
+def endpoint_problem(endpoint: str, *, missing: str) -> str | None:
+    """What is wrong with a ZeroMQ address, or None; ``missing``: what it needs if other machines can reach it."""
     if endpoint.startswith("ipc://"):
         length = len(endpoint.removeprefix("ipc://").encode())
         if not 0 < length <= 107:
             return f"{endpoint!r}: a socket path has 1 to 107 bytes, this one {length}"
         return None
-    try:
-        parts = urlsplit(endpoint)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        parts, host, port = urlsplit(""), None, None
-    if parts.scheme != "tcp" or host is None or port is None or parts.path:
-        if not (endpoint.startswith("tcp://") and endpoint.endswith(":*") and _is_local(endpoint[6:-2])):
-            return f"{endpoint!r} is not an address; write ipc:///path or tcp://127.0.0.1:5555"
-        return None
-    if not _is_local(host) and not remote:
-        return (
-            f"{endpoint!r} can be reached by other machines; use 127.0.0.1 and a tunnel, "
-            "or for the stream set stream.allow_remote: true"
-        )
+    host = _tcp_host(endpoint)
+    if host is None:
+        return f"{endpoint!r} is not an address; write ipc:///path or tcp://127.0.0.1:5555"
+    if missing and not is_local(host):
+        return f"{endpoint!r} can be reached by other machines; use 127.0.0.1 and a tunnel, or {missing}"
     return None
 
 
-def _is_local(host: str) -> bool:
+def remote_problem(endpoint: str, *, missing: str) -> str | None:
+    """The same for an address that is meant for other machines."""
+    if _tcp_host(endpoint) is None:
+        return f"{endpoint!r} is not an address for other machines; write tcp://0.0.0.0:5556"
+    return f"{endpoint!r} is for other machines: {missing}" if missing else None
+
+
+def for_others(endpoint: str) -> bool:
+    """Whether an address can be reached by other machines."""
+    host = _tcp_host(endpoint)
+    return host is not None and not is_local(host)
+
+
+def _tcp_host(endpoint: str) -> str | None:
+    """The host of ``tcp://HOST:PORT``, port ``*`` for any free one; None where it is not of this form."""
+    text = f"{endpoint[:-1]}0" if endpoint.startswith("tcp://") and endpoint.endswith(":*") else endpoint
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        return None
+    whole = parts.scheme == "tcp" and port is not None and not (parts.path or parts.query or parts.fragment)
+    return host if whole and "@" not in text else None
+
+
+def is_local(host: str) -> bool:
+    """Whether a host is this machine and nobody else's."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -10,6 +10,7 @@ from pydantic import Discriminator, Field, Tag
 from daemon import runtime
 from daemon.config.health import Health
 from daemon.config.section import Section
+from daemon.config.security import Security
 
 
 class Device(Section):
@@ -81,7 +82,9 @@ class Stream(Section):
     endpoints: Annotated[list[str], Field(min_length=1, max_length=8, description="Where the stream is bound.")] = (
         Field(default_factory=lambda: [runtime.stream_endpoint(), runtime.TCP_STREAM])
     )
-    allow_remote: Annotated[bool, Field(description="Allow addresses that other machines can reach.")] = False
+    allow_remote: Annotated[
+        bool, Field(description="Allow addresses that other machines can reach, with keys only.")
+    ] = False
     preview_hz: Annotated[float, Field(ge=0, le=10, description="Pictures a second; 0 = none.")] = 2.0
 
 
@@ -91,6 +94,8 @@ class Control(Section):
     endpoint: Annotated[str, Field(description="Where requests are answered.")] = Field(
         default_factory=runtime.control_endpoint
     )
+    remote: Annotated[list[str], Field(max_length=8, description="Addresses for other machines, with keys only.")] = []
+    allow_remote: Annotated[bool, Field(description="Listen at those addresses.")] = False
 
 
 class Recording(Section):
@@ -165,6 +170,7 @@ class RigConfig(Section):
     recording: Recording = Recording()
     selfcheck: SelfCheck = SelfCheck()
     health: Health = Health()
+    security: Security = Security()
 
     def path(self, name: str, base_dir: Path) -> Path:
         """A path of the file; relative ones start at the directory of rig.yaml."""

@@ -10,6 +10,7 @@ from typing import Any, Self
 import zmq
 
 from daemon.errors import ControlError
+from fringed.keys import Keys
 
 
 class ControlClient:
@@ -17,13 +18,20 @@ class ControlClient:
 
     Args:
         endpoint: where the daemon listens; timeout_s: how long to wait for each answer.
+        keys: for a daemon on another machine.
     """
 
-    def __init__(self, endpoint: str, *, timeout_s: float = 5.0) -> None:
+    def __init__(self, endpoint: str, *, timeout_s: float = 5.0, keys: Keys | None = None) -> None:
         self.endpoint, self._timeout_s = endpoint, timeout_s
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.LINGER, 0)
+        self._hint = "start one with `fringed run rig.yaml`, or name its control endpoint"
+        if endpoint.startswith("tcp://"):
+            self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
+        if keys is not None:
+            keys.apply(self._socket)
+            self._hint = "is it running, does it know this key, and is that its server key?"
         try:
             self._socket.connect(endpoint)
         except zmq.ZMQError as error:
@@ -58,6 +66,4 @@ class ControlClient:
             if "error" in response:
                 raise ControlError(f"the daemon refused {method}: {response['error'].get('message')}")
             return response.get("result")
-        raise ControlError(
-            f"no daemon answers at {self.endpoint}; start one with `fringed run rig.yaml`, or name its control endpoint"
-        )
+        raise ControlError(f"no daemon answers at {self.endpoint}; {self._hint}")

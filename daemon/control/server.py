@@ -19,7 +19,7 @@ import zmq
 from daemon.control.lane import Job, Lane
 from daemon.control.protocol import BUSY, FAILED, MAX_BYTES, Method, Received, Role, RpcError
 from daemon.errors import DaemonError
-from daemon.runtime import prepare_ipc
+from daemon.runtime import prepare_ipc, share_ipc
 
 log = logging.getLogger("fringed.control")
 
@@ -53,6 +53,7 @@ class ControlServer:
             prepare_ipc(endpoint)
             _refuse_if_alive(endpoint)
             self._socket.bind(endpoint)
+            share_ipc(endpoint)
         except (zmq.ZMQError, OSError, DaemonError) as error:
             self._context.destroy(linger=0)
             if isinstance(error, DaemonError):

@@ -12,7 +12,7 @@ from typing import Any
 import zmq
 
 from daemon.errors import DaemonError
-from daemon.runtime import prepare_ipc
+from daemon.runtime import prepare_ipc, share_ipc
 
 _MAX_IPC_BYTES = 107  # sun_path of Linux
 
@@ -42,7 +42,8 @@ def _bind(publisher: zmq.Socket[Any], endpoint: str) -> str:
         endpoint = endpoint[:-1] + "*"
     try:
         publisher.bind(endpoint)
-    except zmq.ZMQError as error:
+        share_ipc(endpoint)
+    except (zmq.ZMQError, OSError) as error:
         raise DaemonError(
             f"stream: cannot bind {endpoint}: {error}; stop what uses it or change stream.endpoints"
         ) from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import socket
 import subprocess
@@ -15,6 +16,9 @@ from typing import Any
 
 from daemon.errors import DaemonError
 from daemon.view.quiet import rerun
+from drivers.remote import spawn
+
+log = logging.getLogger("fringed.view")
 
 VIEWER_MEMORY = "2GB"
 SERVER_MEMORY = "256MiB"
@@ -22,7 +26,7 @@ WEB_PORT, GRPC_PORT = 9090, 9876
 
 _HOST = "127.0.0.1"
 _FLUSH_S = 5.0
-_START_S, _WINDOW_S = 20.0, 0.5
+_START_S, _WINDOW_S = 60.0, 0.5
 
 
 def to_viewer() -> Any:
@@ -68,18 +72,13 @@ def file_recording(path: Path) -> Iterator[Any]:
 
 @contextmanager
 def web_recording(*, web_port: int | None, grpc_port: int | None) -> Iterator[tuple[Any, str]]:
-    """A recording served to browsers on this machine, and the address to open.
-
-    The data is served to this machine alone. Rerun serves the page of the viewer, which holds no data, on every
-    network interface.
+    """A recording served to browsers on this machine, and the address to open; no other machine reaches either.
 
     Args:
         web_port, grpc_port: of the page and of the data; 0 = any free one; None = the usual one, or a free one.
     """
-    rr = rerun()
-    page, data = _port(web_port, WEB_PORT, ""), _port(grpc_port, GRPC_PORT, _HOST)
-    with _served(data) as recording:
-        rr.serve_web_viewer(web_port=page, open_browser=False)
+    page, data = _port(web_port, WEB_PORT, _HOST), _port(grpc_port, GRPC_PORT, _HOST)
+    with _served(data) as recording, _page(page, data):
         yield recording, f"http://{_HOST}:{page}/?url=rerun%2Bhttp://{_HOST}:{data}/proxy"
 
 
@@ -93,6 +92,20 @@ def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
     with _served(data) as recording:
         address = f"rerun+http://{_HOST}:{data}/proxy"
         yield recording, _open_viewer(_port(0, GRPC_PORT, _HOST), ["--connect", address])
+
+
+@contextmanager
+def _page(page: int, data: int) -> Iterator[None]:
+    """The page of the viewer, in a process of its own."""
+    process = spawn.start("daemon.view.page", [str(page), str(data), str(os.getpid())])
+    prints = spawn.Prints(process, log, "page-prints")
+    try:
+        _await(process, page)
+        yield
+    finally:
+        process.terminate()
+        spawn.end(process, _FLUSH_S)
+        prints.join(1.0)
 
 
 @contextmanager

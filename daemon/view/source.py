@@ -10,6 +10,7 @@ import zmq
 
 from fringed import wire
 from fringed.errors import WireError
+from fringed.keys import Keys
 from fringed.losses import Losses
 from fringed.receiver import Receiver
 
@@ -23,13 +24,13 @@ class NewestMessages:
     A socket for each topic, so that the large clouds cannot push the others out of the short queues.
 
     Args:
-        endpoint: of the stream, ``tcp://HOST:PORT`` or ``ipc://PATH``.
+        endpoint: of the stream, ``tcp://HOST:PORT`` or ``ipc://PATH``; keys: for one on another machine.
 
     Raises:
         FringedError: an endpoint that cannot be connected to.
     """
 
-    def __init__(self, endpoint: str, topics: tuple[str, ...] = TOPICS) -> None:
+    def __init__(self, endpoint: str, topics: tuple[str, ...] = TOPICS, *, keys: Keys | None = None) -> None:
         self.endpoint = endpoint
         self.damaged = self.skipped = 0
         self._losses = Losses()
@@ -39,7 +40,7 @@ class NewestMessages:
         self._poller = zmq.Poller()
         try:
             for topic in topics:
-                self._receivers[topic] = Receiver(endpoint, [topic], queue=_QUEUE, context=self._context)
+                self._receivers[topic] = Receiver(endpoint, [topic], queue=_QUEUE, context=self._context, keys=keys)
                 self._poller.register(self._receivers[topic].socket, zmq.POLLIN)
         except BaseException:
             self.close()

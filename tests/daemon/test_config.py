@@ -56,6 +56,9 @@ def test_all_mistakes_are_told_at_once_each_with_its_place() -> None:
         (GOOD + "stream: {preview_hz: .nan}\n", "not a finite number"),
         (GOOD + "stream: {endpoints: ['tcp://0.0.0.0:5555']}\n", "other machines"),
         (GOOD + "stream: {endpoints: ['udp://x']}\n", "not an address"),
+        (GOOD + "control: {remote: ['ipc:///x']}\n", "not an address for other machines"),
+        (GOOD + "security: {keys: nowhere}\n", "fringed keys server"),
+        (GOOD + "security: {connections: 0}\n", "greater than or equal to 1"),
         (GOOD + "control: {endpoint: 'tcp://*:5556'}\n", "other machines"),
         (GOOD + "calibration: nowhere.yaml\n", "there is no file"),
         (GOOD + "1: 2\n", "not plain text"),
@@ -73,8 +76,11 @@ def test_a_mistake_is_told_in_words(text: str, told: str) -> None:
 
 
 def test_remote_addresses_need_a_clear_yes() -> None:
-    config = parse_rig(GOOD + "stream: {endpoints: ['tcp://0.0.0.0:5555'], allow_remote: true}\n")
-    assert config.stream.allow_remote
+    stream = "stream: {endpoints: ['tcp://0.0.0.0:5555']%s}\n"
+    assert any("set stream.allow_remote: true and security.keys" in told for told in problems(GOOD + stream % ""))
+    assert any("set security.keys" in told for told in problems(GOOD + stream % ", allow_remote: true"))
+    control = "control: {remote: ['tcp://0.0.0.0:5556']}\n"
+    assert any("set control.allow_remote: true and security.keys" in told for told in problems(GOOD + control))
 
 
 def test_a_bomb_of_aliases_is_refused() -> None:

@@ -1,0 +1,42 @@
+"""The options ``--key`` and ``--server-key`` of every command that may speak to a daemon on another machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fringed.keys import Keys
+
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--key", envvar="FRINGED_KEY", metavar="NAME.key", help="For a daemon on another machine: your own key."
+    ),
+]
+ServerKeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--server-key", envvar="FRINGED_SERVER_KEY", metavar="server.pub", help="The same: that daemon's public key."
+    ),
+]
+
+
+def chosen_keys(key: Path | None, server_key: Path | None) -> Keys | None:
+    """The keys of the two options, None when neither is given."""
+    if key is None and server_key is None:
+        return None
+    if key is None or server_key is None:
+        raise typer.BadParameter("--key and --server-key belong together: your own key, and the daemon's public one")
+    return Keys.load(key, server_key)
+
+
+def remote_rows(remote: dict[str, object]) -> list[tuple[str, str]]:
+    """Lines of the status about other machines; none when there is no gate."""
+    if not remote:
+        return []
+    refused = remote.get("refused")
+    counted = ", ".join(f"{name} {count}" for name, count in refused.items()) if isinstance(refused, dict) else ""
+    let_in = f"{remote.get('connections')} connections, {remote.get('accepted')} let in, {remote.get('keys')} keys"
+    return [("remote", f"{let_in}; refused: {counted or 'nobody'}")]

@@ -1,0 +1,161 @@
+"""The directory of keys: the daemon's own pair, and the list of those that may connect."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from daemon.atomic import write_atomically
+from daemon.errors import DaemonError
+from daemon.security import allowed
+from daemon.security.allowed import Allowed, Entry
+from fringed.errors import KeyFileError
+from fringed.keys import Key, new_key, read_key
+
+SERVER_KEY, SERVER_PUBLIC, LIST = "server.key", "server.pub", "allowed"
+SYSTEM_DIR = Path("/etc/fringed/keys")
+
+
+def default_dir() -> Path:
+    """The machine's directory where it is there, or may be made; else the user's."""
+    if SYSTEM_DIR.is_dir() or os.geteuid() == 0:
+        return SYSTEM_DIR
+    base = os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()
+    return Path(base) / "fringed" / "keys"
+
+
+class KeyStore:
+    """Keys in a directory; changes are whole files, and two programs that change it wait for each other.
+
+    A directory that its group alone may enter (0750, the service's) shares its secrets with the group.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    @property
+    def public(self) -> Path:
+        """The file for everybody who connects."""
+        return self.directory / SERVER_PUBLIC
+
+    def server(self) -> Key:
+        """The daemon's own pair.
+
+        Raises:
+            DaemonError: there is none, or it cannot be used.
+        """
+        path = self.directory / SERVER_KEY
+        try:
+            return read_key(path, secret=True)
+        except KeyFileError as error:
+            hint = "" if path.exists() else f"; make it with: fringed keys server --dir {self.directory}"
+            raise DaemonError(f"{error}{hint}") from error
+
+    def allowed(self) -> Allowed:
+        """Who may connect; nobody while there is no list.
+
+        Raises:
+            DaemonError: a list with a mistake, with file:line, or one that others can change.
+        """
+        path = self.directory / LIST
+        text = self._text()
+        if text and path.stat().st_mode & (stat.S_IWOTH | stat.S_IWGRP):
+            raise DaemonError(f"{path}: others can change it, so that anybody could get in; chmod go-w {path}")
+        return allowed.parse(text, str(path))
+
+    def readable(self) -> bool:
+        """Whether this user may look at all; what is not there counts as looked at."""
+        paths = (self.directory, self.directory / SERVER_KEY, self.directory / LIST)
+        try:
+            return all(os.access(path, os.R_OK) or not path.exists() for path in paths)
+        except PermissionError:
+            return False
+
+    def signature(self) -> tuple[tuple[int, int, int], ...]:
+        """Changes whenever one of the files does; costs no descriptor."""
+        found = []
+        for name in (SERVER_KEY, LIST):
+            try:
+                status = (self.directory / name).stat()
+                found.append((status.st_ino, status.st_ctime_ns, status.st_size))
+            except OSError:
+                found.append((0, 0, 0))
+        return tuple(found)
+
+    def make_server(self) -> Key:
+        """The daemon's own pair, made if it is not there yet."""
+        with self._changing():
+            if (self.directory / SERVER_KEY).exists():
+                key = self.server()
+            else:
+                key = new_key("server")
+                self._write(SERVER_KEY, key.text(secret=True))
+            if not self.public.exists():
+                write_key(self.public, key, secret=False)
+            return key
+
+    def allow(self, entry: Entry) -> None:
+        """Let a key connect; one of the same name is replaced, the old list stays when anything is wrong."""
+        with self._changing():
+            text = allowed.with_entry(self._text(), entry)
+            allowed.parse(text, str(self.directory / LIST))
+            self._write(LIST, text)
+
+    def revoke(self, name: str) -> Entry:
+        """Let the key of a name connect no more."""
+        with self._changing():
+            entry = next((one for one in self.allowed().entries.values() if one.name == name), None)
+            if entry is None:
+                raise DaemonError(f"no key is called {name!r:.80} in {self.directory / LIST}; see: fringed keys list")
+            self._write(LIST, allowed.without(self._text(), name))
+            return entry
+
+    def _text(self) -> str:
+        path = self.directory / LIST
+        try:
+            with path.open(encoding="utf-8") as file:
+                return file.read(allowed.MAX_BYTES + 1)
+        except FileNotFoundError:
+            return ""
+        except (OSError, UnicodeDecodeError) as error:
+            raise DaemonError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not text'}") from error
+
+    def _write(self, name: str, text: str) -> None:
+        directory = self.directory.stat()
+        shared = directory.st_mode & (stat.S_IXGRP | stat.S_IXOTH) == stat.S_IXGRP
+        _write(self.directory / name, text, 0o640 if shared else 0o600)
+        if shared:
+            os.chown(self.directory / name, -1, directory.st_gid)
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        try:
+            self.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+            handle = os.open(self.directory, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError as error:
+            raise DaemonError(f"{self.directory}: cannot be used for keys: {error.strerror}") from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+        except PermissionError as error:
+            raise DaemonError(f"{self.directory}: {error.strerror}; run it as the owner of the directory") from error
+        finally:
+            os.close(handle)
+
+
+def write_key(path: Path, key: Key, *, secret: bool) -> None:
+    """Write a key, for its owner alone if the secret is in it."""
+    _write(path, key.text(secret=secret), 0o600 if secret else 0o644)
+
+
+def _write(path: Path, text: str, mode: int) -> None:
+    before = os.umask(0o777 & ~mode)
+    try:
+        write_atomically(path, text.encode())
+        path.chmod(mode)
+    finally:
+        os.umask(before)

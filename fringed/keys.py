@@ -1,0 +1,139 @@
+"""Keys for a daemon on another machine: who may connect, and that it is really that daemon (CURVE of ZeroMQ).
+
+A key file has a line for each value, ``name: text``; lines that begin with ``#`` are comments. ``*.pub`` holds what
+everybody may know, ``*.key`` the secret as well.
+"""
+
+from __future__ import annotations
+
+import re
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zmq
+from zmq.utils import z85
+
+from fringed.errors import KeyFileError
+
+MAX_BYTES = 4096
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_FIELDS = ("name", "public", "secret")
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key: ``public`` and ``secret`` are 40 characters of Z85; no secret: only what everybody may know."""
+
+    name: str
+    public: str
+    secret: str | None = None
+
+    def text(self, *, secret: bool) -> str:
+        """The contents of a file with it."""
+        about = "Keep it to yourself: it lets its owner in." if secret else "Not secret: give it to the other side."
+        lines = [f"# A key of fringed. {about}", f"name: {self.name}", f"public: {self.public}"]
+        return "\n".join([*lines, *([f"secret: {self.secret}"] if secret else [])]) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """What a client needs: its own pair, and the public key of the daemon."""
+
+    public: str
+    secret: str
+    server: str
+
+    @classmethod
+    def load(cls, key: str | Path, server_key: str | Path) -> Keys:
+        """The keys of two files.
+
+        Args:
+            key: ``NAME.key``, made by ``fringed keys new NAME``; server_key: ``server.pub`` of the daemon.
+
+        Raises:
+            KeyFileError: a file that is no key, or a secret that others can read.
+        """
+        own, server = read_key(Path(key), secret=True), read_key(Path(server_key))
+        return cls(own.public, str(own.secret), server.public)
+
+    def apply(self, socket: zmq.Socket[Any]) -> None:
+        """Let a socket that is not connected yet use them."""
+        socket.setsockopt(zmq.CURVE_SERVERKEY, self.server.encode())
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, self.public.encode())
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self.secret.encode())
+
+
+def new_key(name: str) -> Key:
+    """A fresh pair."""
+    if not is_name(name):
+        raise KeyFileError(f"{name!r:.80} is no name of a key: letters, digits, '.', '_' and '-', at most 64")
+    public, secret = zmq.curve_keypair()
+    return Key(name, public.decode(), secret.decode())
+
+
+def is_name(text: str) -> bool:
+    """Whether a key can have this name."""
+    return bool(_NAME.fullmatch(text))
+
+
+def is_z85(text: str) -> bool:
+    """Whether a text is 32 bytes in Z85, written in the only way that gives these bytes."""
+    if len(text) != 40 or not text.isascii():
+        return False
+    try:
+        data: bytes = z85.decode(text.encode())
+        return z85.encode(data) == text.encode()
+    except Exception:  # whatever the decoder stumbles over, it is no key
+        return False
+
+
+def read_key(path: Path, *, secret: bool = False) -> Key:
+    """The key of a file; ``secret``: the secret must be there, and hidden from others.
+
+    Raises:
+        KeyFileError: with file and line, and what to do.
+    """
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_BYTES:
+            raise KeyFileError(f"{path}: not a key file (a plain file of at most {MAX_BYTES} bytes)")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise KeyFileError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not text'}") from error
+    key = parse_key(text, str(path))
+    if key.secret is not None and status.st_mode & (stat.S_IRWXO | stat.S_IWGRP):
+        raise KeyFileError(f"{path}: others can read or change this secret; chmod 600 {path}, better make a new key")
+    if secret and key.secret is None:
+        raise KeyFileError(f"{path}: no secret in it; name the file that ends with .key")
+    return key
+
+
+def parse_key(text: str, where: str) -> Key:
+    """The key of a text; ``where`` stands in the messages."""
+    values: dict[str, str] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        field, colon, value = (part.strip() for part in line.partition(":"))
+        if not colon or field not in _FIELDS:
+            raise KeyFileError(f"{where}:{number}: expected one of {', '.join(_FIELDS)} with a colon")
+        if field in values:
+            raise KeyFileError(f"{where}:{number}: {field} stands here twice")
+        if not (is_name(value) if field == "name" else is_z85(value)):
+            raise KeyFileError(f"{where}:{number}: {_expected(field)}")
+        values[field] = value
+    for field in ("name", "public"):
+        if field not in values:
+            raise KeyFileError(f"{where}: {field} is missing")
+    key = Key(values["name"], values["public"], values.get("secret"))
+    if key.secret is not None and zmq.curve_public(key.secret.encode()).decode() != key.public:
+        raise KeyFileError(f"{where}: public and secret do not belong together; make a new key")
+    return key
+
+
+def _expected(field: str) -> str:
+    if field == "name":
+        return "a name has letters, digits, '.', '_' and '-', at most 64"
+    return f"the {field} key is not 40 characters of Z85"  # the value itself may be a secret: never shown

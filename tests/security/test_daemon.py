@@ -1,0 +1,140 @@
+"""A daemon as its users have it: reached from elsewhere with keys, and its files closed to others."""
+
+from __future__ import annotations
+
+import json
+import signal
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.control.client import ControlClient
+from daemon.errors import ControlError
+from tests.security import listening
+from tests.security.world import until
+
+RIG = """
+cameras: {{driver: sim}}
+simulation: {{scene: plane, frames: 2, rate_hz: 5.0, layout: {{scale: 0.125}}, cache_dir: cache}}
+stream:
+  endpoints: ["ipc://{tmp}/run/s", "tcp://0.0.0.0:{stream}"]
+  allow_remote: true
+control:
+  endpoint: "ipc://{tmp}/run/c"
+  remote: ["tcp://0.0.0.0:{control}"]
+  allow_remote: true
+security: {{keys: keys}}
+recording: {{min_free_mb: 1}}
+"""
+_FRINGED = "import os; os.umask(0o022); from daemon.entry import main; main()"
+Fringed = Callable[..., subprocess.CompletedProcess[str]]
+pytestmark = pytest.mark.timeout(600)
+
+
+class Running:
+    """A daemon with its keys, in a directory of its own."""
+
+    def __init__(self, folder: Path, fringed: Fringed) -> None:
+        self.folder, self.fringed = folder, fringed
+        self.stream, self.control = listening.free_port(), listening.free_port()
+        (folder / "rig.yaml").write_text(RIG.format(tmp=folder, stream=self.stream, control=self.control))
+        for name, role in (("screen", "view"), ("boss", "operate")):
+            assert fringed("keys", "new", name, "--to", str(folder)).returncode == 0
+            self.keys("allow", str(folder / f"{name}.pub"), "--control", role)
+        self.log = (folder / "log").open("w")
+        command = [sys.executable, "-c", _FRINGED, "run", str(folder / "rig.yaml"), "--record", "first"]
+        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log)
+        try:
+            until(lambda: self.status().get("clouds"))
+        except BaseException:
+            self.process.kill()
+            raise
+
+    def status(self) -> dict[str, Any]:
+        with ControlClient(f"ipc://{self.folder}/run/c", timeout_s=10.0) as client:
+            try:
+                return dict(client.call("status"))
+            except ControlError:
+                assert self.process.poll() is None, (self.folder / "log").read_text()
+                return {}
+
+    def keys(self, *arguments: str) -> None:
+        done = self.fringed("keys", *arguments, "--rig", str(self.folder / "rig.yaml"))
+        assert done.returncode == 0, done.stderr
+
+    def remotely(self, name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """A command on another machine, with this key."""
+        own = ["--key", str(self.folder / f"{name}.key"), "--server-key", str(self.folder / "keys" / "server.pub")]
+        return self.fringed(*arguments, *own)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory, fringed: Fringed) -> Iterator[Running]:
+    made = Running(tmp_path_factory.mktemp("rig"), fringed)
+    yield made
+    made.process.kill()
+    made.process.wait()
+    made.log.close()
+
+
+def test_a_screen_elsewhere_sees_the_status_and_the_clouds(running: Running) -> None:
+    endpoint = f"tcp://127.0.0.1:{running.control}"
+    told = running.remotely("screen", "status", "--endpoint", endpoint, "--json", "--timeout", "60")
+    assert told.returncode == 0, told.stderr
+    assert json.loads(told.stdout)["sinks"]["remote"]["keys"] == 2
+    heard = running.remotely("screen", "listen", f"tcp://127.0.0.1:{running.stream}", "--count", "2", "--seconds", "60")
+    assert heard.returncode == 0, heard.stderr
+
+
+def test_it_may_not_operate_and_the_status_tells_that_it_tried(running: Running) -> None:
+    endpoint = f"tcp://127.0.0.1:{running.control}"
+    before = running.status()["recorder"]
+    refused = running.remotely("screen", "record", "stop", "--endpoint", endpoint)
+    assert refused.returncode == 1 and "may only view" in refused.stderr
+    assert running.status()["recorder"]["recording"] == before["recording"] is True
+    until(lambda: running.status()["sinks"]["remote"]["refused"].get("control_role"))
+    paused = running.remotely("boss", "stop", "--endpoint", endpoint, "--timeout", "60")
+    assert paused.returncode == 0 and "paused" in paused.stdout, paused.stderr
+    assert running.remotely("boss", "start", "--endpoint", endpoint, "--timeout", "60").returncode == 0
+
+
+def test_it_listens_where_rig_yaml_says_and_nowhere_else(running: Running) -> None:
+    assert listening.addresses(running.process.pid) == {("0.0.0.0", running.stream), ("0.0.0.0", running.control)}
+
+
+def test_its_files_are_closed_to_others(running: Running) -> None:
+    until(lambda: any((running.folder / "takes").glob("first*")))
+    made = [path for path in running.folder.rglob("*") if path.parent != running.folder or path.name == "takes"]
+    assert len(made) > 5
+    for path in made:
+        if path.name != "server.pub" and not path.is_socket():
+            mode = stat.S_IMODE(path.stat().st_mode)
+            assert not mode & (stat.S_IRWXO | stat.S_IWGRP), f"{path} has mode {mode:o}"
+    for name in ("s", "c"):
+        assert stat.S_IMODE((running.folder / "run" / name).stat().st_mode) == 0o660
+    assert stat.S_IMODE((running.folder / "run").stat().st_mode) == 0o700
+
+
+def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) -> None:
+    running.keys("revoke", "screen")
+    until(lambda: running.status()["sinks"]["remote"]["cut"].get("control_revoked"))
+    endpoint = f"tcp://127.0.0.1:{running.control}"
+    refused = running.remotely("screen", "status", "--endpoint", endpoint, "--timeout", "2")
+    assert refused.returncode == 1 and "does it know this key" in refused.stderr
+    family = listening.family(running.process.pid)
+    running.process.send_signal(signal.SIGTERM)
+    running.process.wait(90)
+    log = (running.folder / "log").read_text()
+    assert running.process.returncode == 0 and "started again" not in log, log
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))
+
+
+def test_a_daemon_whose_key_is_missing_says_so_with_the_line_of_the_file(tmp_path: Path, fringed: Fringed) -> None:
+    (tmp_path / "rig.yaml").write_text(RIG.format(tmp=tmp_path, stream=1, control=2))
+    done = fringed("run", str(tmp_path / "rig.yaml"))
+    assert done.returncode == 1 and "rig.yaml:11:18: security.keys" in done.stderr and "keys server" in done.stderr

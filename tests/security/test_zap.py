@@ -1,0 +1,56 @@
+"""Whether a key may connect is decided by the list alone."""
+
+from __future__ import annotations
+
+import pytest
+from zmq.utils import z85
+
+from daemon.counters import Counters
+from daemon.security.allowed import Allowed, Entry
+from daemon.security.zap import Gatekeeper
+from fringed.keys import new_key
+
+VIEWER, OPERATOR, STRANGER = (new_key(name) for name in ("viewer", "operator", "stranger"))
+LIST = Allowed(
+    {
+        VIEWER.public: Entry("viewer", "view", "none", VIEWER.public),
+        OPERATOR.public: Entry("operator", "none", "operate", OPERATOR.public),
+    }
+)
+
+
+def code(domain: bytes, public: str, *, mechanism: bytes = b"CURVE") -> bytes:
+    request = [b"1.0", b"1", domain, b"10.0.0.7", b"", mechanism, z85.decode(public.encode())]
+    reply = Gatekeeper(lambda: LIST, Counters()).reply(request)
+    assert reply[:2] == [b"1.0", b"1"] and len(reply) == 6
+    return reply[2]
+
+
+@pytest.mark.parametrize(
+    ("public", "domain", "expected"),
+    [
+        (VIEWER.public, b"stream", b"200"),
+        (VIEWER.public, b"control", b"300"),
+        (OPERATOR.public, b"control", b"200"),
+        (OPERATOR.public, b"stream", b"300"),
+        (STRANGER.public, b"stream", b"300"),
+        (OPERATOR.public, b"", b"300"),
+        (OPERATOR.public, b"elsewhere", b"300"),
+    ],
+)
+def test_a_key_gets_in_where_the_list_says_so(public: str, domain: bytes, expected: bytes) -> None:
+    assert code(domain, public) == expected
+
+
+@pytest.mark.parametrize("mechanism", [b"NULL", b"PLAIN", b"GSSAPI", b""])
+def test_no_other_mechanism_gets_in(mechanism: bytes) -> None:
+    assert code(b"control", OPERATOR.public, mechanism=mechanism) == b"400"
+
+
+@pytest.mark.parametrize(
+    "frames", [[], [b"1.0"], [b"1.0"] * 6, [b"1.0", b"1", b"stream", b"", b"", b"CURVE", b"short"]]
+)
+def test_an_odd_request_is_refused_and_counted(frames: list[bytes]) -> None:
+    refused = Counters()
+    assert Gatekeeper(lambda: LIST, refused).reply(frames)[2] == b"400"
+    assert refused.snapshot() == {"request_odd": 1}
