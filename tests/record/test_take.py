@@ -240,9 +240,8 @@ def test_a_disk_that_cannot_keep_the_data_ends_the_take(tmp_path: Path, monkeypa
 def test_what_was_written_is_synced_while_the_take_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []
     recorder = writer(tmp_path / "take.mcap")
-    assert recorder.offer(pair(0))
-    wait_until(lambda: recorder.status()["pairs"] == 1)
     monkeypatch.setattr("daemon.recording.syncer.os.fdatasync", lambda handle: synced.append(os.fstat(handle).st_size))
+    assert recorder.offer(pair(0))
     wait_until(lambda: bool(synced))
     assert synced[0] >= 2 * pair(0).left.image.nbytes
     recorder.close()
