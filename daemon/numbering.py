@@ -29,14 +29,15 @@ class Numbering:
         Args:
             waiting: numbers of frames without a fate; those of older frames must not come again either.
         """
-        if self._last is None or not self._began_anew(number, t_ns):
+        if not self._began_anew(number, t_ns):
             return 0
         behind = ((number - other) % TRIGGER_MODULUS for other in waiting)
         room = max((steps for steps in behind if steps <= _LATE), default=0)
         return (self._highest + 1 + room - number) % TRIGGER_MODULUS
 
     def _began_anew(self, number: int, t_ns: int) -> bool:
-        assert self._last is not None
+        if self._last is None:
+            return False
         last, last_ns = self._last
         back = (last - number) % TRIGGER_MODULUS
         return back < _HALF and (t_ns > last_ns or back > _LATE)

@@ -14,7 +14,6 @@ import logging
 import shutil
 import threading
 import time
-from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,11 +23,12 @@ from daemon.errors import DaemonError
 from daemon.recording.chain import Limits, PartChain
 from daemon.recording.disk import Disk
 from daemon.recording.errors import TakeError
+from daemon.recording.inbox import Inbox, Picture
 from daemon.recording.part_writer import PartWriter
 from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME
 from daemon.recording.raw_image import ImageError
 from daemon.recording.syncer import Mark, Policy, Syncer
-from daemon.sinks import CloudItem, Item, LoneItem, PairItem
+from daemon.sinks import CloudItem, Item, PairItem
 from drivers.protocols import Frame
 
 CLOSE_S = 30.0
@@ -46,7 +46,6 @@ class _State:
     lone_frames: int = 0
     written_bytes: int = 0
     mark: Mark = field(default_factory=Mark)
-    dropped: Counter[str] = field(default_factory=Counter)
     problem: str | None = None
     failed: bool = False
     interruptions: int = 0
@@ -102,10 +101,9 @@ class TakeWriter:
         attachments = {CALIBRATION: calibration_data, PATTERN: _json(pattern), VOLUME: _json(volume)}
         if rig_data is not None:
             attachments[RIG] = rig_data
-        self._queue: deque[PairItem | LoneItem] = deque()
-        self._backlog = 0
-        self._changed = threading.Condition()
-        self._closing = self._interrupted = False
+        self._inbox = Inbox(queue)
+        self._lock = threading.Lock()  # of the state
+        self._interrupted = False
         self._accounted = 0
         self._state = _State()
         self._sync_error: OSError | None = None
@@ -128,49 +126,26 @@ class TakeWriter:
 
     def offer(self, item: Item) -> bool:
         """Take a pair or a lone frame; False when the queue is full or the take has ended. Never blocks."""
-        if isinstance(item, CloudItem):
-            return True
-        with self._changed:
-            reason = self._refusal()
-            if reason is not None:
-                self._state.dropped[reason] += 1
-                return False
-            self._queue.append(item)
-            self._changed.notify()
-            return True
+        return isinstance(item, CloudItem) or self._inbox.offer(item)
 
-    def take_over(self, items: Iterable[PairItem | LoneItem]) -> None:
+    def take_over(self, items: Iterable[Picture]) -> None:
         """Write these first: what came before the take began. They need not fit into the queue."""
-        with self._changed:
-            before = list(items)
-            self._queue.extend(before)
-            self._backlog += len(before)
-            self._changed.notify()
-
-    def _refusal(self) -> str | None:
-        state = self._state
-        if state.failed:
-            return "failed"
-        if self._closing:
-            return "closed"
-        if len(self._queue) < self._capacity + self._backlog:
-            return None
-        return "no_disk" if self._interrupted else "queue_full"
+        self._inbox.take_over(items)
 
     def status(self) -> dict[str, Any]:
         """Counts, files and, if anything is wrong, the ``problem``."""
-        with self._changed:
+        with self._lock:
             state, chain = self._state, self._chain
             status: dict[str, Any] = {
-                "recording": self._thread.is_alive() and not self._closing and not state.failed,
+                "recording": self._thread.is_alive() and not self._inbox.closing and not state.failed,
                 "file": str(self._path),
                 "files": list(chain.files),
                 "parts": chain.begun,
                 "pairs": state.pairs,
                 "lone_frames": state.lone_frames,
                 "bytes": state.written_bytes,
-                "queued": len(self._queue),
-                "dropped": dict(state.dropped),
+                "queued": len(self._inbox),
+                "dropped": self._inbox.drops(),
                 "synced": self._syncer.status(),
             }
             extra = {
@@ -190,9 +165,7 @@ class TakeWriter:
 
     def close(self) -> None:
         """Write what is queued and finish the file; never raises, may be called twice."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify()
+        self._inbox.close()
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():
             self._fail(f"{self._path}: the disk did not take the rest within {CLOSE_S:.0f} s")
@@ -216,7 +189,7 @@ class TakeWriter:
         while True:
             if self._interrupted and not self._goes_on():
                 return
-            item = self._next()
+            item = self._inbox.next()
             if item is None:
                 self._finish()
                 return
@@ -224,17 +197,11 @@ class TakeWriter:
                 self._write(item)
             except (OSError, TakeError, _NoRoomError) as error:
                 if self._retry_s is None:
-                    self._count_lost(1)
+                    self._inbox.drop("failed")
                     raise
                 self._interrupt(item, error)
 
-    def _next(self) -> PairItem | LoneItem | None:
-        """What is to be written next; None once everything is and the take is to end."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._queue or self._closing)
-            return self._queue.popleft() if self._queue else None
-
-    def _write(self, item: PairItem | LoneItem) -> None:
+    def _write(self, item: Picture) -> None:
         if self._sync_error is not None:
             raise self._sync_error
         frames = _frames(item)
@@ -249,7 +216,6 @@ class TakeWriter:
                 self._sync_now()
         finally:
             self._busy_ns = 0
-        self._backlog = max(0, self._backlog - 1)
 
     def _sync_now(self) -> None:
         try:
@@ -265,39 +231,37 @@ class TakeWriter:
     def _write_frames(self, frames: tuple[Frame, ...]) -> None:
         refused = self._chain.refusal(frames)
         if refused is not None:
-            self._count_lost(1, refused)
+            self._inbox.drop(refused)
             return
         try:
             size = self._chain.write(frames)
         except ImageError as error:
             log.warning("not recorded: %s", error)
-            self._count_lost(1, "refused")
+            self._inbox.drop("refused")
             return
-        with self._changed:
+        with self._lock:
             state = self._state
             state.written_bytes += size
             state.pairs += len(frames) == 2
             state.lone_frames += len(frames) == 1
             state.mark = Mark(state.written_bytes, state.pairs, frames[0].trigger, frames[0].t_exposure_ns)
 
-    def _interrupt(self, item: PairItem | LoneItem, error: Exception) -> None:
+    def _interrupt(self, item: Picture, error: Exception) -> None:
         """The disk is full or in trouble: close the part as well as can be, keep what waits, and try again later."""
         trouble = str(error) if isinstance(error, _NoRoomError) else f"{self._path.parent}: {error}"
         log.warning("recording is interrupted: %s", trouble)
-        with self._changed:
-            self._queue.appendleft(item)
+        self._inbox.put_back(item)
+        self._inbox.no_disk(True)
+        with self._lock:
             self._state.problem, self._interrupted = trouble, True
             self._state.interruptions += 1
         self._close_part(whole=self._sync_error is None)
 
     def _goes_on(self) -> bool:
         """Wait for the disk and open a new part; False when the take is to end without."""
-        assert self._retry_s is not None
         while True:
-            with self._changed:
-                closing = self._closing
-                if not closing:
-                    self._changed.wait_for(lambda: self._closing, self._retry_s)
+            closing = self._inbox.closing
+            self._inbox.pause(self._retry_s or 0.0)
             self._busy_ns = time.monotonic_ns()
             try:
                 problem = self._resumed()
@@ -305,17 +269,18 @@ class TakeWriter:
                 problem = f"{self._path.parent}: {error}"
             finally:
                 self._busy_ns = 0
-            with self._changed:
+            with self._lock:
                 self._state.problem, self._interrupted = problem, problem is not None
             if problem is None:
+                self._inbox.no_disk(False)
                 log.info("recording goes on in %s", self._chain.files[-1])
                 return True
             if closing:
                 return False
 
     def _resumed(self) -> str | None:
-        with self._changed:
-            size = sum(frame.image.nbytes for frame in _frames(self._queue[0])) if self._queue else 0
+        waits = self._inbox.first()
+        size = 0 if waits is None else sum(frame.image.nbytes for frame in _frames(waits))
         problem = self._disk.is_another(self._chain.known())
         if problem is not None:
             return problem
@@ -340,7 +305,7 @@ class TakeWriter:
         if self._chain.let_go(whole=whole):
             self._syncer.all_is(self._state.mark)
             return
-        with self._changed:
+        with self._lock:
             state = self._state
             state.unsynced_pairs += state.mark.pairs - max(self._syncer.synced.pairs, self._accounted)
             self._accounted = state.mark.pairs
@@ -348,28 +313,21 @@ class TakeWriter:
     def _let_go(self, *, whole: bool) -> None:
         """The end: the part as well as can be, and a count of what nobody will write."""
         self._close_part(whole=whole)
-        with self._changed:
-            lost = len(self._queue)
-            self._queue.clear()
-        self._count_lost(lost)
+        self._inbox.clear("failed")
 
     def _cannot_sync(self, error: OSError) -> None:
         """Told by the syncer; the writing thread ends the part."""
         self._sync_error = error
 
-    def _count_lost(self, count: int, reason: str = "failed") -> None:
-        if count:
-            with self._changed:
-                self._state.dropped[reason] += count
-
     def _fail(self, problem: str) -> None:
-        with self._changed:
+        self._inbox.refuse("failed")
+        with self._lock:
             self._state.failed = True
             if self._state.problem is None:
                 self._state.problem = problem
 
 
-def _frames(item: PairItem | LoneItem) -> tuple[Frame, ...]:
+def _frames(item: Picture) -> tuple[Frame, ...]:
     return (item.left, item.right) if isinstance(item, PairItem) else (item.frame,)
 
 

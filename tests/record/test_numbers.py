@@ -83,7 +83,7 @@ def test_counts_that_begin_anew_make_no_wrong_pair_and_the_numbers_go_on(tmp_pat
 
 
 def test_a_lone_frame_carries_the_common_count(tmp_path: Path) -> None:
-    """The right camera counted one frame more; where the left one lost a frame, the right one stands under its number."""
+    """The right camera counted one frame more; where the left one lost a frame, it stands under the left number."""
     sent = [Sent(_frame("right", 0, -PERIOD_NS * 3 // 2, 1), 250)]
     sent += [
         Sent(_frame(side, k + (side == "right"), k * PERIOD_NS, 1), k)
