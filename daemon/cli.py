@@ -15,6 +15,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "listen": ("daemon.commands.listen", "Print rate, points, latency and losses of a stream."),
     "status": ("daemon.commands.status", "Show what a running daemon is doing."),
     "record": ("daemon.commands.record", "Record raw pictures: start, stop, or directly from the rig."),
+    "takes": ("daemon.commands.takes", "List, show, check, repair and remove takes."),
     "replay": ("daemon.commands.replay", "Reconstruct a recorded take."),
     "info": ("daemon.commands.info", "Tell what a take holds and whether it is whole."),
     "check": ("daemon.commands.check", "Check a rig.yaml, a calibration or a take."),

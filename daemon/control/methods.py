@@ -63,8 +63,9 @@ class Methods:
             "set": (self.set, ("path", "value")),
             "reload": (self.reload, ()),
             "snapshot": (self.snapshot, ("name",)),
-            "record.start": (self.record_start, ("name",)),
+            "record.start": (self.record_start, ("name", "before_s")),
             "record.stop": (lambda _: self._recorder.stop(), ()),
+            "takes.list": (lambda _: self._recorder.takes(), ()),
             "pattern.show": (self.pattern_show, ("name",)),
         }
         if self._calibrate is not None:
@@ -144,9 +145,12 @@ class Methods:
         return {"file": str(target), "seq": item.seq, "t_ns": item.t_ns, "points": item.cloud.points}
 
     def record_start(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Begin a take."""
+        """Begin a take, ``before_s`` seconds ago if they were kept."""
+        name, before_s = _name(params, "take"), params.get("before_s", 0.0)
+        if isinstance(before_s, bool) or not isinstance(before_s, int | float) or not 0 <= before_s <= 3600:
+            raise RpcError(INVALID_PARAMS, "before_s must be a number of seconds, 0 to 3600")
         try:
-            return self._recorder.start(_name(params, "take"))
+            return self._recorder.start(name, before_s)
         except (DaemonError, OSError) as error:
             raise RpcError(FAILED, str(error)) from error
 
