@@ -38,7 +38,7 @@ def list_(context: typer.Context, directory: DirOption = None, rig: RigOption = 
         takes = [take.as_dict() for take in listing.takes]
         typer.echo(json.dumps({"directory": str(where), "takes": takes, "garbage": listing.garbage}, indent=2))
         return
-    _print(("take", "begun", "length", "frames", "files", "size", "state"), map(row, listing.takes))
+    _print(("take", "begun", "length", "pairs", "files", "size", "state"), map(row, listing.takes))
     for name, problem in listing.garbage.items():
         typer.echo(f"{where / name}: no take: {problem}", err=True)
 
@@ -167,9 +167,9 @@ def row(take: TakeEntry) -> tuple[str, ...]:
     note = f", {take.interruptions} interruption(s)" if take.interruptions else ""
     return (
         take.name,
-        _when(take.start_ns),
+        _when(take.start_ns)[5:16],  # the name has the year
         f"{take.duration_s:.1f} s",
-        f"{take.frames[0]} + {take.frames[1]}",
+        str(min(take.frames)),
         str(len(take.files)),
         f"{take.bytes / 1e6:.1f} MB",
         take.state + note,
@@ -191,7 +191,7 @@ def details(where: Path, take: TakeEntry) -> Iterator[tuple[str, str]]:
 
 
 def _when(t_ns: int) -> str:
-    return datetime.fromtimestamp(t_ns / 1e9).astimezone().strftime("%Y-%m-%d %H:%M:%S") if t_ns else "no frame"
+    return datetime.fromtimestamp(t_ns / 1e9).astimezone().strftime("%Y-%m-%d %H:%M:%S") if t_ns else "     nothing"
 
 
 def _print(header: tuple[str, ...], rows: Any) -> None:

@@ -17,15 +17,17 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def of_take(path: Path) -> list[Path]:
-    """The existing files of a take in order, given its first or their directory; the last may be unfinished.
+    """The existing files of a take in order, given its first or their directory; any of them may be unfinished.
 
     Any other file is a take of its own.
     """
     if path.is_dir():
         return _of_directory(path)
     first = path.with_name(path.name.removesuffix(PARTIAL))
-    later = _later_parts(first)
-    return later if later and not path.exists() else [path, *later]
+    unfinished, later = first.with_name(first.name + PARTIAL), _later_parts(first)
+    if path.exists():
+        return [path, *later]
+    return [unfinished, *later] if unfinished.exists() else later or [path]
 
 
 def _later_parts(first: Path) -> list[Path]:
