@@ -48,14 +48,14 @@ def repair(path: Path, progress: Callable[[int, int], Any] | None = None) -> Rep
         raise TakeError(f"{path}: it is being written; stop the recording first")
     final = path.with_name(path.name.removesuffix(PARTIAL))
     kept = path.with_name(final.name + BROKEN)
-    for name in (kept, *([final] if final != path else [])):
-        if name.exists():
-            raise TakeError(f"{path}: {name} is there already; move it away first")
     part = PartReader(path)
     try:
         frames = sum(1 for _ in part.frames())
         if not part.problems:
-            return None
+            return _named(path, final, frames)
+        for name in (kept, *([final] if final != path else [])):
+            if name.exists():
+                raise TakeError(f"{path}: {name} is there already; move it away first")
         fresh = _copied(part, final, progress)
     finally:
         part.close()
@@ -63,6 +63,17 @@ def repair(path: Path, progress: Callable[[int, int], Any] | None = None) -> Rep
     fresh.rename(final)
     sync_directory(path.parent)
     return Repaired(final, kept, frames, part.problems)
+
+
+def _named(path: Path, final: Path, frames: int) -> Repaired | None:
+    """Give a file that is whole its final name, which a crash may have kept from it."""
+    if path == final:
+        return None
+    if final.exists():
+        raise TakeError(f"{path}: {final} is there already; move it away first")
+    path.rename(final)
+    sync_directory(final.parent)
+    return Repaired(final, final, frames, ["only the name was missing"])
 
 
 def _copied(part: PartReader, final: Path, progress: Callable[[int, int], Any] | None) -> Path:
