@@ -32,11 +32,13 @@ class Recorder:
 
     Args:
         service: whose pairs are recorded.
-        directory: of the takes; made when the first one begins.
+        directory: of the takes, as it is when one begins; made then.
         open_take: makes the writer of a take from its path; the path's end is the take's to choose.
     """
 
-    def __init__(self, service: Service, directory: Path, open_take: Callable[[Path], Any]) -> None:
+    def __init__(
+        self, service: Service, directory: Path | Callable[[], Path], open_take: Callable[[Path], Any]
+    ) -> None:
         self._service, self._directory, self._open_take = service, directory, open_take
         self._switch = threading.Lock()  # held while a take begins or ends, which may take long
         self._hand = threading.Lock()  # held for moments: who takes an item, ring or take
@@ -47,8 +49,8 @@ class Recorder:
 
     @property
     def directory(self) -> Path:
-        """Of the takes."""
-        return self._directory
+        """Of the takes, as it is now."""
+        return self._directory if isinstance(self._directory, Path) else self._directory()
 
     @property
     def recording(self) -> bool:
@@ -82,14 +84,13 @@ class Recorder:
             return {"recording": True, "file": str(path), "before_items": len(early)}
 
     def _new_path(self, name: str) -> Path:
+        directory = self.directory
         try:
-            self._directory.mkdir(parents=True, exist_ok=True)
+            directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise DaemonError(
-                f"{self._directory}: cannot be made: {error.strerror or error}; set recording.dir"
-            ) from error
+            raise DaemonError(f"{directory}: cannot be made: {error.strerror or error}; set recording.dir") from error
         stamp = datetime.fromtimestamp(self._service.clock.realtime_ns() / 1e9, tz=UTC)
-        path = self._directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
+        path = directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
         if path.exists():
             raise DaemonError(f"{path} exists already; try again")
         return path
@@ -116,15 +117,13 @@ class Recorder:
 
     def takes(self) -> dict[str, Any]:
         """The takes of the directory and the files there that are none; may read from a slow disk."""
-        if not self._directory.is_dir():
-            return {"directory": str(self._directory), "takes": [], "garbage": {}}
-        listing = scan(self._directory)
-        takes = [take.as_dict() for take in listing.takes[-MOST_TAKES:]]
-        return {
-            "directory": str(self._directory),
-            "takes": takes,
-            "garbage": dict(list(listing.garbage.items())[:MOST_TAKES]),
-        }
+        directory = self.directory
+        told: dict[str, Any] = {"directory": str(directory), "takes": [], "garbage": {}}
+        if directory.is_dir():
+            listing = scan(directory)
+            told["takes"] = [take.as_dict() for take in listing.takes[-MOST_TAKES:]]
+            told["garbage"] = dict(list(listing.garbage.items())[:MOST_TAKES])
+        return told
 
     def offer(self, item: Item) -> bool:
         """Keep an item for later, and pass it on to the take; False when the take refuses it. Never blocks."""

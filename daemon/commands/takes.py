@@ -164,7 +164,7 @@ def _checked(where: Path, take: TakeEntry) -> bool:
 
 def row(take: TakeEntry) -> tuple[str, ...]:
     """A take as a line of the table."""
-    note = f", {take.interruptions} interruption(s)" if take.interruptions else ""
+    note = f", interrupted {take.interruptions}x" if take.interruptions else ""
     return (
         take.name,
         _when(take.start_ns)[5:16],  # the name has the year
@@ -200,7 +200,7 @@ def _print(header: tuple[str, ...], rows: Any) -> None:
 
     table = Table(show_header=any(header), box=None, pad_edge=False, header_style="bold")
     for i, name in enumerate(header):
-        table.add_column(name, overflow="fold", no_wrap=i == 0)
+        table.add_column(name, overflow="fold", no_wrap=i < len(header) - 1)
     for cells in rows:
         table.add_row(*cells)
     Console(highlight=False, markup=False).print(table)

@@ -36,13 +36,13 @@ class Disk:
         """Why an interrupted take, of which so many bytes wait, cannot go on yet."""
         wanted = max(self._min_free_bytes, _CLOSING_BYTES)
         margin = min(_MARGIN_BYTES, wanted // 10)
-        return self._told(size + margin, f"it goes on at {(wanted + size + margin) >> 20} MB")
+        return self._told(size + margin, f"it goes on at {(wanted + size + margin) / 1e6:.0f} MB")
 
     def _told(self, size: int, advice: str) -> str | None:
         free = self._free_bytes(self.directory)
         if free - size >= max(self._min_free_bytes, _CLOSING_BYTES):
             return None
         return (
-            f"{self.directory}: {free >> 20} MB free, recording needs {self._min_free_bytes >> 20} MB and room for"
-            f" what is written; {advice}"
+            f"{self.directory}: {free / 1e6:.0f} MB free, recording leaves {self._min_free_bytes / 1e6:.0f} MB and"
+            f" writes no more; {advice}"
         )

@@ -108,9 +108,9 @@ def test_the_guard_stops_before_the_disk_is_full_and_goes_on_when_there_is_room(
     free[0] = 1 << 30
     assert recorder.offer(pair(1))
     wait_until(lambda: "problem" in recorder.status())
-    assert "1024 MB free" in recorder.status()["problem"]
+    assert "1074 MB free" in recorder.status()["problem"]
     free[0] += 10 << 20
-    wait_until(lambda: "it goes on at 1088 MB" in recorder.status()["problem"])
+    wait_until(lambda: "it goes on at 1141 MB" in recorder.status()["problem"])
     assert (tmp_path / "take.mcap").exists()  # whole, while there is still room for its index
     free[0] = 2 << 30
     written(recorder, 2)

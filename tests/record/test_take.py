@@ -331,7 +331,7 @@ def test_the_guard_ends_the_take_while_it_can_still_be_finished(tmp_path: Path) 
     wait_until(lambda: "problem" in recorder.status())
     recorder.close()
     status = recorder.status()
-    assert "1024 MB free" in status["problem"]
+    assert "1074 MB free" in status["problem"]
     assert "recording.min_free_mb" in status["problem"]
     assert status["dropped"] == {"failed": 1}
     assert [p.sequence for p in pairs_of(tmp_path / "take.mcap")] == [0]
