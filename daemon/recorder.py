@@ -16,8 +16,8 @@ from daemon.service import Service
 from daemon.sinks import CloudItem, Item, Sink
 
 SINK = "recorder"
-MOST_TAKES = 1000
-"""So many, the newest, are told over the control socket."""
+MOST_TAKES, MOST_GARBAGE = 1000, 100
+"""So many takes, the newest, and so many other files are told over the control socket."""
 
 
 class Take(Sink, Protocol):
@@ -121,8 +121,8 @@ class Recorder:
         told: dict[str, Any] = {"directory": str(directory), "takes": [], "garbage": {}}
         if directory.is_dir():
             listing = scan(directory)
-            told["takes"] = [take.as_dict() for take in listing.takes[-MOST_TAKES:]]
-            told["garbage"] = dict(list(listing.garbage.items())[:MOST_TAKES])
+            told["takes"] = [take.brief() for take in listing.takes[-MOST_TAKES:]]
+            told["garbage"] = dict(list(listing.garbage.items())[:MOST_GARBAGE])
         return told
 
     def offer(self, item: Item) -> bool:

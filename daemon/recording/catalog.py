@@ -73,6 +73,10 @@ class TakeEntry:
         """Plain values for JSON."""
         return asdict(self) | {"duration_s": round(self.duration_s, 3)}
 
+    def brief(self) -> dict[str, Any]:
+        """The same without the files' names, for messages of bounded size."""
+        return self.as_dict() | {"files": len(self.files), "problems": [text[:200] for text in self.problems[:3]]}
+
 
 @dataclass(slots=True)
 class Listing:
