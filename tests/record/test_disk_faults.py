@@ -229,7 +229,7 @@ def test_any_sequence_of_faults_leaves_a_readable_take_and_true_counts(tmp_path:
     recorder.close()
     status = recorder.status()
     assert status["pairs"] + sum(status["dropped"].values()) == offered
-    assert slowest_s < 5.0
+    assert slowest_s < 20.0
     first = next(iter(sorted(tmp_path.glob("take.mcap*"))))
     numbers = read(first)
     assert len(set(numbers)) == len(numbers)

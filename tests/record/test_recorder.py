@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daemon.commands.status import recorder_text
 from daemon.config import RigConfig, parse_rig
 from daemon.errors import ConfigError, DaemonError
 from daemon.recorder import Recorder
@@ -20,7 +22,7 @@ from daemon.recording.errors import TakeError
 from daemon.recording.reader import TakeReader
 from daemon.recording.writer import TakeWriter
 from daemon.sinks import CloudItem
-from tests.record.takes import lone, pair, writer
+from tests.record.takes import lone, pair, wait_until, writer
 
 RATE_HZ = 20
 
@@ -171,6 +173,18 @@ def test_the_takes_of_the_directory_are_told(tmp_path: Path) -> None:
     told = recorder.takes()
     assert [(take["state"], take["frames"]) for take in told["takes"]] == [("whole", [3, 3])]
     assert list(told["garbage"]) == ["x.mcap"]
+
+
+def test_the_status_tells_it_in_a_line(tmp_path: Path) -> None:
+    rig = Rig("before_s: 1")
+    recorder = recorder_of(rig, tmp_path)
+    rig.measures(recorder, 0, 10)
+    assert recorder_text(recorder.status()) == "off, 0.5 s before now kept"
+    recorder.start("a")
+    rig.measures(recorder, 10, 3)
+    wait_until(lambda: recorder.status()["pairs"] == 3)
+    assert re.match(r"a_\S+\.mcap, 3 pairs, 0\.\d MB in 1 file\(s\), safe up to", recorder_text(recorder.status()))
+    recorder.close()
 
 
 def test_keeping_little_needs_the_word_endless() -> None:
