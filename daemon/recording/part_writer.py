@@ -57,6 +57,7 @@ class PartWriter:
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._file: int | None = os.open(self.partial, flags, 0o666)
         self._end = 0
+        self.kept = True  # False once a sync failed: nobody knows then which pages are on the disk
         self._contents = Contents()
         try:
             lock(self.handle)
@@ -158,10 +159,19 @@ class PartWriter:
         """Bring everything written so far to the disk."""
         os.fdatasync(self.handle)
 
+    def _sync_all(self) -> None:
+        try:
+            os.fsync(self.handle)
+        except OSError:
+            self.kept = False
+            raise
+
     def finish(self) -> None:
         """Write index and footer, and give the file its name."""
+        if not self.kept:
+            raise OSError(errno.EIO, "not all of it is on the disk", str(self.partial))
         self._append([self._contents.ending(self._end)])
-        os.fsync(self.handle)
+        self._sync_all()
         self._close()
         if self.path.exists():
             raise FileExistsError(

@@ -15,7 +15,6 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +25,9 @@ from daemon.recording.errors import TakeError
 from daemon.recording.inbox import Inbox, Picture
 from daemon.recording.part_writer import PartWriter
 from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME
+from daemon.recording.progress import Progress
 from daemon.recording.raw_image import ImageError
-from daemon.recording.syncer import Mark, Policy, Syncer
+from daemon.recording.syncer import Policy, Syncer
 from daemon.sinks import CloudItem, Item, PairItem
 from drivers.protocols import Frame
 
@@ -38,18 +38,6 @@ log = logging.getLogger("fringed.recorder")
 
 class _NoRoomError(Exception):
     """The guard says so: nothing went wrong yet."""
-
-
-@dataclass(slots=True)
-class _State:
-    pairs: int = 0
-    lone_frames: int = 0
-    written_bytes: int = 0
-    mark: Mark = field(default_factory=Mark)
-    problem: str | None = None
-    failed: bool = False
-    interruptions: int = 0
-    unsynced_pairs: int = 0
 
 
 class TakeWriter:
@@ -102,10 +90,8 @@ class TakeWriter:
         if rig_data is not None:
             attachments[RIG] = rig_data
         self._inbox = Inbox(queue)
-        self._lock = threading.Lock()  # of the state
         self._interrupted = False
-        self._accounted = 0
-        self._state = _State()
+        self._progress = Progress()
         self._sync_error: OSError | None = None
         self._busy_ns = 0
         self._disk = Disk(self._path.parent, min_free_bytes, free_bytes)
@@ -120,7 +106,7 @@ class TakeWriter:
             limits=Limits(max_part_bytes, max_part_s, endless, keep_bytes, keep_s),
             tolerance_ns=tolerance_ns,
         )
-        self._syncer = Syncer(self._chain.handle, self._cannot_sync, written=lambda: self._state.mark, policy=sync)
+        self._syncer = Syncer(self._chain.handle, self._cannot_sync, written=lambda: self._progress.mark, policy=sync)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -134,28 +120,20 @@ class TakeWriter:
 
     def status(self) -> dict[str, Any]:
         """Counts, files and, if anything is wrong, the ``problem``."""
-        with self._lock:
-            state, chain = self._state, self._chain
-            status: dict[str, Any] = {
-                "recording": self._thread.is_alive() and not self._inbox.closing and not state.failed,
-                "file": str(self._path),
-                "files": list(chain.files),
-                "parts": chain.begun,
-                "pairs": state.pairs,
-                "lone_frames": state.lone_frames,
-                "bytes": state.written_bytes,
-                "queued": len(self._inbox),
-                "dropped": self._inbox.drops(),
-                "synced": self._syncer.status(),
-            }
-            extra = {
-                "removed_parts": chain.removed,
-                "removed_bytes": chain.removed_bytes,
-                "interruptions": state.interruptions,
-                "unsynced_pairs": state.unsynced_pairs,
-            }
-            problem = state.problem or self._hanging()
-        status |= {key: count for key, count in extra.items() if count}
+        progress, chain = self._progress, self._chain
+        status = {
+            "recording": self._thread.is_alive() and not self._inbox.closing and not progress.failed,
+            "file": str(self._path),
+            "files": list(chain.files),
+            "parts": chain.begun,
+            "queued": len(self._inbox),
+            "dropped": self._inbox.drops(),
+            "synced": self._syncer.status(),
+            **progress.status(),
+        }
+        if chain.removed:
+            status |= {"removed_parts": chain.removed, "removed_bytes": chain.removed_bytes}
+        problem = progress.problem or self._hanging()
         return status if problem is None else status | {"problem": problem}
 
     def _hanging(self) -> str | None:
@@ -210,7 +188,7 @@ class TakeWriter:
         try:
             self._make_room(size)
             if self._chain.rotate(size, frames[0].t_host_ns):
-                self._syncer.all_is(self._state.mark)
+                self._syncer.all_is(self._progress.mark)
             self._write_frames(frames)
             if self._syncer.policy == "chunk":
                 self._sync_now()
@@ -239,12 +217,7 @@ class TakeWriter:
             log.warning("not recorded: %s", error)
             self._inbox.drop("refused")
             return
-        with self._lock:
-            state = self._state
-            state.written_bytes += size
-            state.pairs += len(frames) == 2
-            state.lone_frames += len(frames) == 1
-            state.mark = Mark(state.written_bytes, state.pairs, frames[0].trigger, frames[0].t_exposure_ns)
+        self._progress.wrote(frames, size)
 
     def _interrupt(self, item: Picture, error: Exception) -> None:
         """The disk is full or in trouble: close the part as well as can be, keep what waits, and try again later."""
@@ -252,9 +225,8 @@ class TakeWriter:
         log.warning("recording is interrupted: %s", trouble)
         self._inbox.put_back(item)
         self._inbox.no_disk(True)
-        with self._lock:
-            self._state.problem, self._interrupted = trouble, True
-            self._state.interruptions += 1
+        self._progress.interrupted(trouble)
+        self._interrupted = True
         self._close_part(whole=self._sync_error is None)
 
     def _goes_on(self) -> bool:
@@ -269,8 +241,7 @@ class TakeWriter:
                 problem = f"{self._path.parent}: {error}"
             finally:
                 self._busy_ns = 0
-            with self._lock:
-                self._state.problem, self._interrupted = problem, problem is not None
+            self._progress.problem, self._interrupted = problem, problem is not None
             if problem is None:
                 self._inbox.no_disk(False)
                 log.info("recording goes on in %s", self._chain.files[-1])
@@ -297,18 +268,15 @@ class TakeWriter:
             self._chain.finish()
         finally:
             self._busy_ns = 0
-        self._syncer.all_is(self._state.mark)
+        self._syncer.all_is(self._progress.mark)
 
     def _close_part(self, *, whole: bool) -> None:
         if self._chain.part is None:
             return
         if self._chain.let_go(whole=whole):
-            self._syncer.all_is(self._state.mark)
-            return
-        with self._lock:
-            state = self._state
-            state.unsynced_pairs += state.mark.pairs - max(self._syncer.synced.pairs, self._accounted)
-            self._accounted = state.mark.pairs
+            self._syncer.all_is(self._progress.mark)
+        else:
+            self._progress.unsure(self._syncer.synced)
 
     def _let_go(self, *, whole: bool) -> None:
         """The end: the part as well as can be, and a count of what nobody will write."""
@@ -321,10 +289,7 @@ class TakeWriter:
 
     def _fail(self, problem: str) -> None:
         self._inbox.refuse("failed")
-        with self._lock:
-            self._state.failed = True
-            if self._state.problem is None:
-                self._state.problem = problem
+        self._progress.fail(problem)
 
 
 def _frames(item: Picture) -> tuple[Frame, ...]:
