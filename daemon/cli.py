@@ -14,6 +14,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "view": ("daemon.commands.view", "Watch the stream of a daemon in the Rerun viewer."),
     "listen": ("daemon.commands.listen", "Print rate, points, latency and losses of a stream."),
     "status": ("daemon.commands.status", "Show what a running daemon is doing."),
+    "mode": ("daemon.commands.mode", "Tell or change how many pictures make a cloud."),
     "record": ("daemon.commands.record", "Record raw pictures: start, stop, or directly from the rig."),
     "replay": ("daemon.commands.replay", "Reconstruct a recorded take."),
     "info": ("daemon.commands.info", "Tell what a take holds and whether it is whole."),

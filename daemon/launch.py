@@ -121,7 +121,11 @@ def _run(
             sinks["selfcheck"] = open_selfcheck(config, rig, base_dir)
         service = Service(config, rig, sinks, on_status=publish, session=session)
         takes = config.path(config.recording.dir, base_dir)
-        recorder = Recorder(service, takes, lambda take: open_take(config, rig, session, take, path))
+        recorder = Recorder(
+            service,
+            takes,
+            lambda take: open_take(config, rig, session, take, path, shown=service.sequencing.shown),
+        )
         capture = Capture(
             service,
             lambda file, pattern, least: open_capture(config, rig, session, file, pattern, min_free_bytes=least),

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from daemon.config.models import RigConfig
 from daemon.rig import Rig
+from daemon.sequencing.sets import Shown
 from daemon.sinks import Sink
 
 MEGABYTE = 1_000_000
@@ -36,8 +37,14 @@ def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
     )
 
 
-def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path) -> Sink:
-    """The writer of a take, its first part open; everything that a replay needs is attached."""
+def open_take(
+    config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path, *, shown: Shown | None = None
+) -> Sink:
+    """The writer of a take, its first part open; everything that a replay needs is attached.
+
+    Args:
+        shown: what is shown instead of the rig's pattern.
+    """
     from daemon.recording.writer import TakeWriter
 
     recording = config.recording
@@ -46,12 +53,13 @@ def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: P
         session=session,
         device=config.device.name,
         calibration_data=rig.calibration_data,
-        pattern=rig.pattern.as_mapping(),
+        pattern=rig.pattern.as_mapping() if shown is None else shown.pattern,
         volume={"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm},
         rig_data=rig_file.read_bytes(),
         queue=recording.queue,
         max_part_bytes=recording.max_part_mb * MEGABYTE,
         min_free_bytes=recording.min_free_mb * MEGABYTE,
+        extra_metadata=None if shown is None else shown.metadata,
     )
 
 

@@ -21,11 +21,12 @@ from daemon.errors import DaemonError
 from daemon.pairing import Pair, PairingSettings
 from daemon.pairing_desk import PairingDesk
 from daemon.rig import Rig
+from daemon.sequencing.desk import Outlets, Sequencing
 from daemon.sinks import CloudItem, Item, LoneItem, PairItem, Sink
 from daemon.status import CameraState, CameraStatus, State, Status
 from daemon.stop import StopEvent
 from daemon.suitability import projector_problem, size_problem, timing_warnings
-from daemon.worker import Worker
+from daemon.worker import Reconstructs, ReconstructsSets, Worker
 from drivers.protocols import SIDES, Clock, Frame, ProjectorInfo, Side
 from pipeline.reconstruct import Reconstructor
 from pipeline.settings import Settings
@@ -82,6 +83,7 @@ class Service:
         )
         self.desk = PairingDesk(limits, paired=self._paired, lone=self._lone, clock=self.clock)
         self.worker = Worker(config.pipeline, emit=self.emit, drops=self.drops, clock=self.clock)
+        self.sequencing = Sequencing(config, rig, Outlets(self.emit, self.worker.offer, self.drops), clock=self.clock)
         self.cameras: dict[Side, CameraThread] = {
             side: CameraThread(
                 side,
@@ -120,29 +122,46 @@ class Service:
     def measure(self, wanted: bool) -> None:
         """Accept triggers, or pause: everything stays connected."""
         self._paused = not wanted
+        if wanted:
+            self.sequencing.release("pause")
+        else:
+            self.sequencing.hold("pause", wait=False)
         for camera in self.cameras.values():
             camera.measure(wanted or self._taker is not None)
 
     def divert(self, taker: Callable[[Pair], object] | None) -> None:
         """Hand every pair to ``taker`` alone, neither measured nor recorded; None: measure as before."""
+        if taker is not None:
+            self.sequencing.hold("capture")
         self._taker = taker
         self.measure(not self._paused)
+        if taker is None:
+            self.sequencing.release("capture")
         self._note_state()
 
-    def reconstructor(self, settings: Settings) -> Reconstructor:
-        """A reconstructor for these settings and the cameras' encoding; not warmed up."""
+    def reconstructor(self, settings: Settings) -> Reconstructor | ReconstructsSets:
+        """A reconstructor for these settings, the cameras' encoding and the mode; not warmed up."""
         encodings = {self.cameras[side].status.encoding for side in SIDES}
         if len(encodings) != 1 or "" in encodings:
             raise DaemonError(f"the cameras send {sorted(encodings)}; both must send the same encoding")
-        return Reconstructor(
-            self.rig.calibration,
-            self.rig.pattern,
-            self.rig.volume,
-            encoding=encodings.pop(),
-            settings=settings,
-            clock=self.clock.monotonic_ns,
-            threads=self.config.pipeline.threads or len(self.config.pipeline.cpus),
-        )
+        options: dict[str, Any] = {
+            "encoding": encodings.pop(),
+            "settings": settings,
+            "clock": self.clock.monotonic_ns,
+            "threads": self.config.pipeline.threads or len(self.config.pipeline.cpus),
+        }
+        if self.sequencing.plan is not None:
+            return self.sequencing.plan.reconstructor(self.rig, **options)
+        return Reconstructor(self.rig.calibration, self.rig.pattern, self.rig.volume, **options)
+
+    @property
+    def capturing(self) -> bool:
+        """Whether pairs go to a capture instead."""
+        return self._taker is not None
+
+    def take_over(self, timeout_s: float) -> None:
+        """Measure as the mode and the settings say now, every kernel compiled; returns when it does."""
+        self.worker.replace(self._warm, timeout_s)
 
     def apply(self, settings: Settings) -> None:
         """Use other settings from the next pair on."""
@@ -218,6 +237,8 @@ class Service:
             cameras=cameras,
             recorder=sinks.pop("recorder", {"recording": False}),
             selfcheck={"enabled": "selfcheck" in sinks, **sinks.pop("selfcheck", {})},
+            mode=self.sequencing.mode,
+            sequence=self.sequencing.status(),
             sinks=sinks,
         )
 
@@ -236,6 +257,9 @@ class Service:
         dark = self.rig.projector.problem()
         if dark:
             reasons.append(f"projector: {dark}")
+        sequence = self.sequencing.problem()
+        if sequence:
+            reasons.append(sequence)
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():
@@ -253,7 +277,7 @@ class Service:
         if unfit:
             raise DaemonError(unfit)
         self.projector = projector
-        self.rig.projector.show(self.rig.pattern.picture(self.rig.calibration.response))
+        self.sequencing.light(projector)
         for camera in self.cameras.values():
             camera.start()
         while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
@@ -261,6 +285,7 @@ class Service:
             self._publish_status()
         if self._stop.is_set():
             return
+        self.sequencing.release("start")
         made = self.worker.start(self._warm)
         while not made.done() and not self._stop.wait(_TICK_S):
             self._publish_status()
@@ -271,9 +296,12 @@ class Service:
             for warning in self.status().warnings:
                 log.warning("%s", warning)
 
-    def _warm(self) -> Reconstructor:
+    def _warm(self) -> Reconstructs | ReconstructsSets:
         """A reconstructor with all kernels compiled, which takes up to a minute after an update."""
         made = self.reconstructor(self.settings)
+        if not isinstance(made, Reconstructor):
+            made.warm_up()
+            return made
         pipeline = self.config.pipeline
         made.warm_up(every=(1, 2) if pipeline.overload == "half" else (1,), follow=pipeline.temporal_prior)
         return made
@@ -312,6 +340,8 @@ class Service:
             if not camera.join(_JOIN_S):
                 log.error("camera %s: its driver does not come back; left behind", side)
         self.desk.flush()
+        if not self.sequencing.close():
+            log.error("the projector's driver does not come back; left behind")
         if not self.worker.stop(_JOIN_S):
             log.error("the pipeline does not come back; left behind")
         if self._on_status is not None:
@@ -336,11 +366,13 @@ class Service:
         if taker is not None:
             taker(pair)
             return
+        if self.sequencing.takes(pair):
+            return
         self.emit(PairItem(pair.left, pair.right))
         self.worker.offer(pair)
 
     def _lone(self, frame: Frame) -> None:
-        if self._taker is None:
+        if self._taker is None and not self.sequencing.takes_alone():
             self.emit(LoneItem(frame))
 
     def _note_state(self) -> None:

@@ -70,6 +70,7 @@ class Status:
             nobody reads clouds. Both over the last ten minutes or so.
         selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
             nobody looks.
+        mode: single, or the name of a multi-frame mode; sequence: its pictures and sets.
         garbage: collections of Python's garbage since the start, and how long they held everything up.
     """
 
@@ -99,6 +100,8 @@ class Status:
     sinks: dict[str, dict[str, Any]]
     recorder: dict[str, Any]
     selfcheck: dict[str, Any]
+    mode: str = "single"
+    sequence: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -31,6 +31,7 @@ def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = 
     yield from _addresses(data)
     yield from _files(data, base_dir) if complete else ()
     yield from _volume(data)
+    yield from _mode(data)
 
 
 def _section(data: dict[str, Any], name: str) -> dict[str, Any]:
@@ -140,3 +141,27 @@ def _volume(data: dict[str, Any]) -> Found:
     near, far = volume.get("near_mm"), volume.get("far_mm")
     if isinstance(near, int | float) and isinstance(far, int | float) and near >= far:
         yield ("volume", "far_mm"), f"volume.far_mm {far} must be larger than near_mm {near}"
+
+
+def _mode(data: dict[str, Any]) -> Found:
+    """A multi-frame mode needs a projector that shows more than one picture."""
+    mode, projector = data.get("mode", "single"), _section(data, "projector").get("driver")
+    if mode == "single" or not isinstance(mode, str):
+        return
+    stored = _section(data, "sequence").get("display") == "stored"
+    if _section(data, "cameras").get("driver") == "sim":
+        if _section(data, "simulation").get("live") is False:
+            yield (
+                ("simulation", "live"),
+                f"simulation.live is false: a rendered loop has one picture, mode {mode} several",
+            )
+    elif projector == "external" and not stored:
+        yield (
+            ("mode",),
+            (
+                f"mode {mode}: projector.driver external cannot be told to show a picture; let it hold them and set "
+                "sequence.display: stored, or use projector.driver: x11"
+            ),
+        )
+    elif projector == "x11" and stored:
+        yield ("sequence", "display"), "sequence.display: projector.driver x11 holds no pictures; set driven"

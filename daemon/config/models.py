@@ -5,15 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag
 
 from daemon import runtime
-
-
-class Section(BaseModel):
-    """A part of rig.yaml."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+from daemon.config.section import Section
+from daemon.config.sequencing import Mode, Sequencing
 
 
 class Device(Section):
@@ -160,6 +156,8 @@ class RigConfig(Section):
     calibration: Annotated[str | None, Field(description="Path of calibration.yaml.")] = None
     pattern: PathOrPattern | None = None
     volume: PathOrVolume | None = None
+    mode: Mode = "single"
+    sequence: Sequencing = Sequencing()
     pairing: Pairing = Pairing()
     pipeline: Pipeline = Pipeline()
     stream: Stream = Field(default_factory=Stream)

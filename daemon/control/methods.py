@@ -66,6 +66,7 @@ class Methods:
             "record.start": (self.record_start, ("name",)),
             "record.stop": (lambda _: self._recorder.stop(), ()),
             "pattern.show": (self.pattern_show, ("name",)),
+            "pattern.mode": (self.pattern_mode, ("name",)),
         }
         if self._calibrate is not None:
             own |= self._calibrate.table()
@@ -155,15 +156,25 @@ class Methods:
         name = _text(params, "name", "fringe")
         if self._calibrate is not None:
             self._calibrate.refuse_while_capturing()
-        rig = self._service.rig
+        size, sequencing = self._service.rig.pattern.size, self._service.sequencing
         if name == "fringe":
-            picture = rig.pattern.picture(rig.calibration.response)
+            sequencing.show_measuring()
         elif name in _PLAIN:
-            picture = np.full((*rig.pattern.size[::-1], 3), _PLAIN[name], np.uint8)
+            sequencing.show_plain(np.full((*size[::-1], 3), _PLAIN[name], np.uint8))
         else:
             raise RpcError(INVALID_PARAMS, f"there is no picture {name!r:.60}; there are fringe, {', '.join(_PLAIN)}")
-        rig.projector.show(picture)
         return {"shown": name}
+
+    def pattern_mode(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Tell the mode, or measure in another one: ``single``, ``two_color``, ``heterodyne``, ``gray``."""
+        from daemon.sequencing.change import change_mode
+
+        if "name" in params:
+            try:
+                change_mode(self._service, _text(params, "name"))
+            except PipelineError as error:
+                raise RpcError(FAILED, str(error)) from error
+        return self._service.sequencing.status()
 
     def _measure(self, wanted: bool) -> dict[str, Any]:
         self._service.measure(wanted)
@@ -176,6 +187,7 @@ def current(service: Service) -> dict[str, Any]:
 
     values = service.config.model_dump(mode="json")
     values["pipeline"]["settings"] = asdict(service.settings)
+    values["mode"] = service.sequencing.mode
     return values
 
 

@@ -8,6 +8,7 @@ its set and never mixes two.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -40,7 +41,7 @@ class _Open(Generic[T]):
     def in_order(self) -> bool:
         """Whether the exposures began in the order of the pictures, without a long pause."""
         times_ns = [self.times_ns[index] for index in sorted(self.times_ns)]
-        gaps = [after - before for before, after in zip(times_ns, times_ns[1:], strict=False)]
+        gaps = [after - before for before, after in itertools.pairwise(times_ns)]
         return all(0 < gap <= MOST_GAP_NS for gap in gaps)
 
 

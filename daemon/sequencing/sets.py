@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from daemon.pairing import Pair
 from drivers.protocols import Frame
+
+SINGLE = "single"
+"""The mode in which a single picture makes a cloud."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,3 +58,11 @@ class PictureSet:
     def rights(self) -> list[Any]:
         """The right pictures."""
         return [pair.right.image for pair in self.pairs]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a take needs to know of a sequence: its description, and the record ``fringed``'s keys for it."""
+
+    pattern: Mapping[str, Any]
+    metadata: Mapping[str, str]
