@@ -22,7 +22,7 @@ from daemon.errors import DaemonError
 from daemon.mailbox import Mailbox
 from daemon.pairing import Pair
 from daemon.rig import Rig
-from daemon.sequencing.driver import Driver
+from daemon.sequencing.driver import HOLD_S, Driver
 from daemon.sequencing.gather import Gatherer
 from daemon.sequencing.plan import Plan, plan_of
 from daemon.sequencing.sets import SINGLE, PictureSet, Shown
@@ -125,10 +125,11 @@ class Sequencing:
         """
         with self._lock:
             self._held.add(by)
-        if wait:
-            self._driver.hold()
-        else:
-            self._driver.hold(None)
+        try:
+            self._driver.hold(HOLD_S if wait else None)
+        except DaemonError:
+            self.release(by)
+            raise
 
     def release(self, by: str) -> None:
         """The projector is needed no longer for this; the set goes on with its first picture if nobody else has it."""

@@ -81,7 +81,7 @@ class Driver:
                 self._thread.start()
             self._changed.notify_all()
 
-    def hold(self, timeout_s: float | None = HOLD_S) -> None:
+    def hold(self, timeout_s: float | None) -> None:
         """Show nothing more; returns when the projector belongs to the caller.
 
         Args:
