@@ -71,7 +71,7 @@ class Reconstructor:
         self._left = View.of(calibration, pattern, volume, self.settings, calibration.left_color, mosaic)
         # The right view only confirms the left one: fewer rows serve.
         self._right = View.of(
-            swapped, pattern, _volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
+            swapped, pattern, volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
             inside=(swapped.right, volume), coarser=2,
         )  # fmt: skip
         labels = max(self._left.labels, self._right.labels)
@@ -178,7 +178,7 @@ class Reconstructor:
         return self._stages[every]
 
 
-def _volume_of_right(calibration: Calibration, volume: Volume) -> Volume:
+def volume_of_right(calibration: Calibration, volume: Volume) -> Volume:
     """Limits along the right camera's z axis that hold the whole measuring volume of the left one."""
     width, height = calibration.left.size
     corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], dtype=np.float64)
