@@ -68,7 +68,7 @@ def plan_of(mode: str, config: Sequencing, rig: Rig) -> Plan | None:
     if mode not in MODES:
         raise DaemonError(f"there is no mode {mode!r:.60}; there are {SINGLE}, {', '.join(MODES)}")
     pattern = rig.pattern
-    steps = {} if config.steps is None else {"steps": config.steps}
+    steps: dict[str, Any] = {} if config.steps is None else {"steps": config.steps}
     periods = pattern.periods if config.periods is None else config.periods
     sequence = mode_sequence(mode, pattern.size, periods=periods, axis=pattern.axis, **steps)
     response = rig.calibration.response

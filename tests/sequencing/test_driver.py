@@ -68,8 +68,9 @@ def played(monkeypatch: pytest.MonkeyPatch, *, most: int = 20, **options: Any) -
 def test_each_pair_of_a_set_shows_its_picture_whatever_is_lost_or_late(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with played(monkeypatch, lost=0.2, late_ms=25.0, jitter_us=300.0, latency_ms=15.0 + 5 * seed, told_ms=15.0 + 5 * seed,
-                period_ms=12.0 + 7 * seed, exposure_ms=4.0 + seed, seed=seed) as made:  # fmt: skip
+    latency_ms = 15.0 + 5 * seed
+    times = {"latency_ms": latency_ms, "told_ms": latency_ms, "period_ms": 12.0 + 7 * seed, "exposure_ms": 4.0 + seed}
+    with played(monkeypatch, lost=0.2, late_ms=25.0, jitter_us=300.0, seed=seed, **times) as made:
         made.play()
         made.finish()
         assert [[level(pair) for pair in one.pairs] for one in made.sets] == [[{one} for one in LEVELS]] * 20
