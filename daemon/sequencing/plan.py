@@ -15,9 +15,8 @@ from pipeline.cloud import Cloud
 from pipeline.sequence import Sequence
 
 if TYPE_CHECKING:
-    from pipeline.modes.reconstruct import SetReconstructor
-
     from daemon.rig import Rig
+    from pipeline.modes.reconstruct import SetReconstructor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
