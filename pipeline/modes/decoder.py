@@ -86,6 +86,10 @@ class SetDecoder:
         self._mean, self._misfit = (np.empty((height, width), np.float32) for _ in range(2))
         self._order, self._phasor = np.empty((height, width), np.int16), np.empty((height, width), np.int32)
         self._clipped = np.empty(height, np.int32)
+        self._bits = np.empty((len(plan.bits), height, width), np.int8)
+        self._bit_index = np.array([frame for frame, _ in plan.bits], np.int32)
+        self._bit_sign = np.array([-1 if b.inverted else 1 for _, b in plan.bits], np.float32)
+        self._number = np.array([b.bits - 1 - b.bit for _, b in plan.bits], np.int32)
 
     def decode(self, pictures: Items[NDArray[Any]], side: str) -> SetPhase:
         """Phases and orders of a set of raw pictures; ``side`` is for errors."""
@@ -99,13 +103,27 @@ class SetDecoder:
         )  # fmt: skip
         bend = bends(self._plan, self._stack, self._channels, float(smallest)).astype(np.float32)
         samples.phases(
-            *given, bend, self._phase, self._amplitude, self._variance, self._mean, self._misfit, self._clipped
-        )
-        orders.by_phase(
-            self._phase, self._amplitude, self._variance, self._tables.low, self._tables.high, self._ratio,
-            self._weight, smallest, np.float32(self._limits[0]), self._misfit, self._order, self._phasor,
+            *given, bend, self._bit_index, self._bit_sign, self._phase, self._amplitude, self._variance, self._mean,
+            self._misfit, self._bits, self._clipped,
         )  # fmt: skip
+        self._decide(smallest)
         return self._settled(smallest)
+
+    def _decide(self, smallest: np.float32) -> None:
+        """The orders, by what the set has for them."""
+        plan = self._plan
+        planes = self._phase, self._amplitude, self._variance, self._tables.low, self._tables.high
+        if plan.bits:
+            fringe = plan.fringes[0]
+            orders.by_bits(
+                *planes, self._bits, self._number, np.float32(plan.bits[0][1].cells / fringe.periods),
+                len(fringe.frames), smallest, self._misfit, self._order, self._phasor,
+            )  # fmt: skip
+        else:
+            orders.by_phase(
+                *planes, self._ratio, self._weight, smallest, np.float32(self._limits[0]), self._misfit, self._order,
+                self._phasor,
+            )  # fmt: skip
 
     def _settled(self, smallest: np.float32) -> SetPhase:
         absolute = self._phase[0].copy()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
+from pipeline.modes.samples import BIT_STEPS
 from pipeline.packed import PHASOR_SCALE, pack
 from pipeline.tiles import turns
 
@@ -19,6 +20,8 @@ UNIT = np.float32(100.0)
 """Size of all phasors, counts: a bright pixel does not pull the phase between it and a dark one."""
 _ZERO, _ONE, _TURN = np.float32(0), np.float32(1), np.float32(2 * np.pi)
 _FAR, _CLEAR = np.float32(1e9), np.float32(4.0)
+_EDGE = np.float32(0.25)
+_CERTAIN = np.float32(0.2) * BIT_STEPS
 
 
 @inline
@@ -81,6 +84,86 @@ def by_phase(
             misfit[i, j] += (best - expected) / others
             main += shift
             phase[0, i, j], variance[0, i, j], order[i, j] = main, noise, np.int16(chosen)
+            phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
+
+
+@inline
+def _changing(edge: Any) -> Any:
+    """The bit of a Gray code that changes at the edge between cells ``edge - 1`` and ``edge``, as a mask."""
+    return (edge ^ (edge >> 1)) ^ ((edge - 1) ^ ((edge - 1) >> 1))
+
+
+@inline
+def _clearest(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
+    """How clearly the bits say that a pixel lies at this place of the code: the least clear one's contrast.
+
+    The bit whose edge is near says nothing.
+    """
+    cell, edge = np.int32(np.floor(place)), np.int32(np.rint(place))
+    near = abs(place - np.float32(edge)) < _EDGE
+    unclear = _changing(edge) if near else np.int32(0)
+    code = cell ^ (cell >> 1)
+    least = _FAR
+    for b in range(bits.shape[0]):
+        mask = np.int32(1) << number[b]
+        if unclear & mask:
+            continue
+        value = np.float32(bits[b, i, j])
+        value = value if code & mask else -value
+        least = value if value < least else least
+    return least
+
+
+@inline
+def _unevenness(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
+    """Mean square deviation of the contrasts of the bits that have no edge near, in amplitudes^2."""
+    cell = np.int32(np.floor(place))
+    unclear = _changing(cell) | _changing(cell + np.int32(1))
+    n, total, square = _ZERO, _ZERO, _ZERO
+    for b in range(bits.shape[0]):
+        if unclear & (np.int32(1) << number[b]) == 0:
+            value = abs(np.float32(bits[b, i, j])) / BIT_STEPS
+            n += _ONE
+            total += value
+            square += value * value
+    return (square - total * total / n) / (n - _ONE) if n > _ONE else _ZERO
+
+
+@parallel
+def by_bits(
+    phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, bits: Any, number: Any, per_period: float,
+    steps: int, smallest: float, misfit: Any, order: Any, phasor: Any,
+) -> None:  # fmt: skip
+    """Orders of one fringe from the bits of a Gray code.
+
+    Args:
+        phase, amplitude, variance: (1, H, W); low, high, smallest, order, phasor: see :func:`by_phase`.
+        bits: (n, H, W) int8, see :func:`pipeline.modes.samples.phases`; number: (n,) int32, place of each in the code,
+            0 = the least significant; per_period: cells of the code per period; steps: pictures of the fringe.
+        misfit: (H, W), the mean square of what noise does not explain of the bits' contrasts is added.
+    """
+    height, width = order.shape
+    for i in prange(height):
+        for j in range(width):
+            order[i, j], phasor[i, j] = NONE, 0
+            if not amplitude[0, i, j] >= smallest or not high[i, j] > low[i, j]:
+                continue
+            main = phase[0, i, j]
+            k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
+            k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
+            best, second, chosen = -_FAR, -_FAR, int(k0)
+            for k in range(k0, k1 + 1):
+                clear = _clearest(bits, number, i, j, (main / _TURN + np.float32(k)) * np.float32(per_period))
+                if clear > best:
+                    second, best, chosen = best, clear, k
+                elif clear > second:
+                    second = clear
+            if best < _CERTAIN or second > -_CERTAIN:
+                continue
+            place = (main / _TURN + np.float32(chosen)) * np.float32(per_period)
+            noise = np.float32(0.5) * np.float32(steps) * variance[0, i, j]
+            misfit[i, j] += _unevenness(bits, number, i, j, place) - noise
+            order[i, j] = np.int16(chosen)
             phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
 
 

@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import parallel, prange, serial
-from pipeline.tiles import angle, root
+from pipeline.tiles import angle, clamped, root
 
+BIT_STEPS = np.float32(64.0)
+"""Steps of a bit's contrast: 64 is the fringe's own amplitude."""
 _ZERO, _ONE, _TINY = np.float32(0), np.float32(1), np.float32(1e-12)
+_MOST = np.float32(127)
 
 
 @serial
@@ -72,8 +75,8 @@ def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share:
 @parallel
 def phases(
     stack: Any, channels: int, scale: float, black: Any, share: Any, clip: float, floor: float, gain: float,
-    index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, bend: Any,
-    phase: Any, amplitude: Any, variance: Any, mean: Any, misfit: Any, clipped: Any,
+    index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, bend: Any, bit_index: Any, bit_sign: Any,
+    phase: Any, amplitude: Any, variance: Any, mean: Any, misfit: Any, bits: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Phase, amplitude and fit of every fringe of a set.
 
@@ -83,10 +86,12 @@ def phases(
         solve: (3, n), samples -> A, C, S; rest: (n, most) rows of what is left over, fringe ``q`` has
             ``rest_first[q + 1] - rest_first[q]`` of them, each with as many numbers as the fringe has pictures.
         bend: (J, 2), second harmonic that the pictures are known to have, as the first of those rows sees it.
+        bit_index, bit_sign: (n,) pictures of a Gray code, and -1 where one is inverted.
         phase, amplitude, variance: (J, H, W) float32, written: radians, counts, radians^2.
         mean: (H, W) float32, counts, written.
         misfit: (H, W) float32, written: mean square, in radians^2 of a phase, of what noise does not explain of the
             left over parts and of the differences between the fringes' means.
+        bits: (n, H, W) int8, written: how far above the mean each bit is, in :data:`BIT_STEPS` per amplitude.
         clipped: (H,) int32, pixels with a saturated sample.
     """
     height, width = mean.shape
@@ -146,3 +151,8 @@ def phases(
             misfit[i, j] = (left[j] + away / size - (n - _ONE) * np.float32(0.5) * variance[0, i, j]) / (
                 np.float32(pieces) + n - _ONE + _TINY
             )
+        for b in range(bit_index.shape[0]):
+            line, sign = row[bit_index[b]], bit_sign[b] * BIT_STEPS
+            for j in range(width):
+                value = sign * (line[j] - mean[i, j]) / (amplitude[0, i, j] + _TINY)
+                bits[b, i, j] = np.int8(np.int32(np.rint(clamped(value, -_MOST, _MOST))))
