@@ -15,6 +15,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "listen": ("daemon.commands.listen", "Print rate, points, latency and losses of a stream."),
     "status": ("daemon.commands.status", "Show what a running daemon is doing."),
     "mode": ("daemon.commands.mode", "Tell or change how many pictures make a cloud."),
+    "get": ("daemon.commands.get", "List the settings of a running daemon, or show one."),
+    "set": ("daemon.commands.set", "Change a setting while the daemon measures."),
+    "reload": ("daemon.commands.switches:reload", "Let a running daemon read its rig.yaml and files again."),
+    "start": ("daemon.commands.switches:start", "Let a paused daemon measure again."),
+    "stop": ("daemon.commands.switches:stop", "Let a daemon pause; everything stays connected."),
+    "snapshot": ("daemon.commands.switches:snapshot", "Write the newest cloud of a running daemon to a file."),
+    "pattern": ("daemon.commands.switches:pattern", "Show the fringe or a plain picture on the projector."),
     "record": ("daemon.commands.record", "Record raw pictures: start, stop, or directly from the rig."),
     "replay": ("daemon.commands.replay", "Reconstruct a recorded take."),
     "info": ("daemon.commands.info", "Tell what a take holds and whether it is whole."),
@@ -23,6 +30,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "devices": ("daemon.commands.devices", "List cameras and projector outputs, with what rig.yaml calls them by."),
     "projector": ("daemon.commands.projector", "Find the projector's output and show test pictures on it."),
     "calibrate": ("daemon.commands.calibrate", "Calibrate cameras, projector and colours, and check them."),
+    "install": ("daemon.commands.install", "Put the daemon onto this machine as a systemd service."),
+    "uninstall": ("daemon.commands.uninstall", "Take the service away; data and configuration stay."),
     "export": ("daemon.commands.export", "Turn clouds into PLY, PCD or a video."),
 }
 
@@ -50,12 +59,14 @@ class LazyGroup(TyperGroup):
 
 
 def load(name: str, module: str, summary: str) -> Any:
-    """Import a command's module: its ``app`` (a typer app with sub-commands) or its function ``main``."""
+    """Import a command's module: its ``app`` (with sub-commands), its ``main``, or the function after a colon."""
+    module, _, function = module.partition(":")
     loaded = importlib.import_module(module)
-    app = getattr(loaded, "app", None)
+    app = None if function else getattr(loaded, "app", None)
     if app is None:
+        main = getattr(loaded, function or "main")
         app = typer.Typer(add_completion=False)
-        app.command(name=name, help=(loaded.main.__doc__ or summary))(loaded.main)
+        app.command(name=name, help=(main.__doc__ or summary))(main)
     command = typer.main.get_command(app)
     command.name = name
     return command

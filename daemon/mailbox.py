@@ -37,6 +37,11 @@ class Mailbox(Generic[T]):
             self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
             return self._items.popleft() if self._items else None
 
+    def clear(self) -> None:
+        """Forget what is inside."""
+        with self._changed:
+            self._items.clear()
+
     def close(self) -> list[T]:
         """Take no more; returns what was still inside."""
         with self._changed:

@@ -36,6 +36,13 @@ class Overload:
         #: 1 = every pixel is measured, 2 = every second of both axes.
         self.every = 1
 
+    def enable(self, enabled: bool) -> None:
+        """Allow half measurements from now on, or end them."""
+        self._enabled = enabled
+        if not enabled:
+            self.every = 1
+            self._behind.clear()
+
     def offered(self, now_ns: int) -> None:
         """A pair came."""
         self._offered.append(now_ns)

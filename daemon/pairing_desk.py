@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable
 
+from daemon.config.models import Pairing
 from daemon.counters import Rate
 from daemon.pairing import Event, Fate, Lost, Pair, Pairer, PairingSettings, Resynced
 from drivers.protocols import Clock, Frame, Side
@@ -13,6 +14,15 @@ from drivers.protocols import Clock, Frame, Side
 log = logging.getLogger("fringed.pairing")
 
 RECORDED_ALONE = frozenset({Fate.PARTNER_MISSING, Fate.LATE, Fate.ROOM_FULL, Fate.BEFORE_SYNC})
+
+
+def pairing_settings(config: Pairing) -> PairingSettings:
+    """The limits as rig.yaml gives them."""
+    return PairingSettings(
+        tolerance_ns=round(1000 * config.tolerance_us),
+        max_wait_ns=round(1e6 * config.max_wait_ms),
+        resync_after=config.resync_after,
+    )
 
 
 class PairingDesk:
@@ -48,6 +58,11 @@ class PairingDesk:
         """A camera was started anew."""
         with self._lock:
             self._pairer.doubt(side)
+
+    def limit(self, settings: PairingSettings) -> None:
+        """Other limits from the next frame on."""
+        with self._lock:
+            self._pairer.settings = settings
 
     def flush(self) -> None:
         """The end: every frame meets its fate."""

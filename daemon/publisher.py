@@ -18,12 +18,15 @@ from typing import Any
 import zmq
 
 from daemon.clock import SystemClock
+from daemon.config.models import RigConfig
 from daemon.counters import Counters, Percentiles
+from daemon.rig import Rig
 from daemon.sinks import CloudItem, Item
 from daemon.stream import messages
 from daemon.stream.endpoints import bind_all, remove_files
 from daemon.stream.log import StreamHandler
 from daemon.stream.messages import Frames, Origin
+from daemon.supervision.pulse import Pulse
 from drivers.protocols import Clock
 from pipeline.calibration import Calibration
 
@@ -35,6 +38,7 @@ _LOG_QUEUE = 64
 _MAX_PREFIXES = 256
 _MAX_PREFIX_BYTES = 64
 _JOIN_S = 5.0
+_IDLE_MS, _TURN_S = 1000, 15.0  # of waiting; longest time of a turn
 _LINGER_MS = 200  # at the end only, so that the last status goes out
 
 
@@ -74,11 +78,12 @@ class Publisher:
             config=config,
             t_ns=self._clock.realtime_ns(),
         )
-        self._preview_ns = round(1e9 / min(preview_hz, MAX_PREVIEW_HZ)) if preview_hz > 0 else None
+        self._retold = False
+        self._preview_ns = _period_ns(preview_hz)
         self._preview_due_ns = 0
         # Re-entrant: a signal handler that logs may interrupt the very thread that holds it.
         self._lock = threading.RLock()
-        self._cloud: CloudItem | None = None
+        self._cloud: tuple[CloudItem, Origin] | None = None
         self._status: dict[str, Any] | None = None
         self._lines: deque[tuple[int, str, str, str]] = deque(maxlen=_LOG_QUEUE)
         self._prefixes: set[bytes] = set()
@@ -87,6 +92,7 @@ class Publisher:
         self._line_count = self._status_count = 0
         self._problems: dict[str, str] = {}
         self._closing = False
+        self.pulse = Pulse()
         self._context: zmq.Context[Any] = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -112,9 +118,28 @@ class Publisher:
                 if self._closing:
                     return False
                 self._dropped += self._cloud is not None
-                self._cloud = item
+                self._cloud = (item, self._origin)
                 self._wake()
         return True
+
+    def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:
+        """Prepare to tell other ``meta/`` messages; clouds carry the calibration that they were made with."""
+        origin = Origin(self._origin.device, self._origin.session, rig.identity)
+        retained = messages.retained(
+            origin,
+            calibration=rig.calibration_data,
+            rays=rig.calibration.left.rays(),
+            config=config.model_dump(mode="json"),
+            t_ns=self._clock.realtime_ns(),
+        )
+
+        def commit() -> None:
+            with self._lock:
+                self._origin, self._retained, self._retold = origin, retained, True
+                self._preview_ns = _period_ns(config.stream.preview_hz)
+                self._wake()
+
+        return commit
 
     def publish_status(self, status: dict[str, Any]) -> None:
         """Send the status; never blocks."""
@@ -167,7 +192,8 @@ class Publisher:
         poller.register(self._wake_fd, zmq.POLLIN)
         try:
             while not self._closing:
-                events = dict(poller.poll())
+                self.pulse.expect(_TURN_S)
+                events = dict(poller.poll(_IDLE_MS))
                 if self._wake_fd in events:
                     os.eventfd_read(self._wake_fd)
                 self._serve_subscriptions()
@@ -177,6 +203,7 @@ class Publisher:
             self._problems["thread"] = f"it ended: {error}"
             log.exception("the stream's thread ended")
         finally:
+            self.pulse.rest()
             with self._lock:
                 self._closing = True
                 self._release()
@@ -212,12 +239,18 @@ class Publisher:
 
     def _send_waiting(self) -> None:
         with self._lock:
-            item, self._cloud = self._cloud, None
+            cloud, self._cloud = self._cloud, None
+            retold, self._retold = self._retold, False
             status, self._status = self._status, None
             lines = list(self._lines)
             self._lines.clear()
-        if item is not None:
-            self._send_cloud(item)
+        old = cloud is not None and cloud[1] is not self._origin
+        if cloud is not None and old:
+            self._send_cloud(*cloud)
+        if retold:
+            self._retell()
+        if cloud is not None and not old:
+            self._send_cloud(*cloud)
         if status is not None:
             self._status_count += 1
             self._send_if_wanted("status", lambda: messages.status(self._origin, status, seq=self._status_count))
@@ -225,10 +258,16 @@ class Publisher:
             self._line_count += 1
             self._send_if_wanted("log", lambda line=(t_ns, level, logger, text): self._line(*line))  # type: ignore[misc]
 
-    def _send_cloud(self, item: CloudItem) -> None:
+    def _retell(self) -> None:
+        """Tell the changed ``meta/`` messages to everybody who wants them."""
+        for topic, frames in self._retained.items():
+            if self.wants(topic):
+                self._send(topic, frames)
+
+    def _send_cloud(self, item: CloudItem, origin: Origin) -> None:
         out = False
         for topic, make in (("cloud/full", messages.full), ("cloud/depth", messages.depth)):
-            if self._send_if_wanted(topic, lambda make=make: make(self._origin, item)) and not out:  # type: ignore[misc]
+            if self._send_if_wanted(topic, lambda make=make: make(origin, item)) and not out:  # type: ignore[misc]
                 out = True
                 self._latency_ms.note((self._clock.realtime_ns() - item.t_arrived_ns) / 1e6)
         now_ns = self._clock.monotonic_ns()
@@ -236,7 +275,7 @@ class Publisher:
             self._preview_due_ns = now_ns + self._preview_ns
             from daemon.stream.preview import preview
 
-            self._send_if_wanted("preview", lambda: preview(self._origin, item))
+            self._send_if_wanted("preview", lambda: preview(origin, item))
 
     def _line(self, t_ns: int, level: str, logger: str, text: str) -> Frames:
         return messages.log(self._origin, seq=self._line_count, t_ns=t_ns, level=level, logger=logger, text=text)
@@ -259,6 +298,10 @@ class Publisher:
     def _send(self, topic: str, frames: Frames) -> None:
         self._socket.send_multipart(frames, zmq.NOBLOCK, copy=False)
         self._sent.add(topic)
+
+
+def _period_ns(preview_hz: float) -> int | None:
+    return round(1e9 / min(preview_hz, MAX_PREVIEW_HZ)) if preview_hz > 0 else None
 
 
 def _load_codecs() -> None:

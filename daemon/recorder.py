@@ -20,14 +20,21 @@ class Recorder:
 
     Args:
         service: whose pairs are recorded.
-        directory: of the takes; made when the first one begins.
+        directory: of the takes, as it is when one begins; made then.
         open_take: makes the writer of a take from its path; the path's end is the take's to choose.
     """
 
-    def __init__(self, service: Service, directory: Path, open_take: Callable[[Path], Sink]) -> None:
+    def __init__(
+        self, service: Service, directory: Path | Callable[[], Path], open_take: Callable[[Path], Sink]
+    ) -> None:
         self._service, self._directory, self._open_take = service, directory, open_take
         self._lock = threading.Lock()
         self._path: Path | None = None
+
+    @property
+    def recording(self) -> bool:
+        """Whether a take is being written."""
+        return self._path is not None
 
     def start(self, name: str) -> dict[str, Any]:
         """Begin a take; its file is told.
@@ -38,9 +45,10 @@ class Recorder:
         with self._lock:
             if self._path is not None:
                 raise DaemonError(f"a take is being written already: {self._path}; stop it first")
-            self._directory.mkdir(parents=True, exist_ok=True)
+            directory = self._directory if isinstance(self._directory, Path) else self._directory()
+            directory.mkdir(parents=True, exist_ok=True)
             stamp = datetime.fromtimestamp(self._service.clock.realtime_ns() / 1e9, tz=UTC)
-            path = self._directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
+            path = directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
             if path.exists():
                 raise DaemonError(f"{path} exists already; try again")
             self._service.add_sink(SINK, self._open_take(path))

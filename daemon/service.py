@@ -6,10 +6,8 @@ import logging
 import os
 import threading
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import version as version_of
 from typing import Any
 
 from daemon import threads
@@ -18,14 +16,16 @@ from daemon.clock import SystemClock
 from daemon.config.models import RigConfig
 from daemon.counters import Counters
 from daemon.errors import DaemonError
-from daemon.pairing import Pair, PairingSettings
-from daemon.pairing_desk import PairingDesk
+from daemon.pairing import Pair
+from daemon.pairing_desk import PairingDesk, pairing_settings
+from daemon.reconstruction import make_reconstructor, warm_up
 from daemon.rig import Rig
 from daemon.sequencing.desk import Outlets, Sequencing
 from daemon.sinks import CloudItem, Item, LoneItem, PairItem, Sink
 from daemon.status import CameraState, CameraStatus, State, Status
 from daemon.stop import StopEvent
 from daemon.suitability import projector_problem, size_problem, timing_warnings
+from daemon.version import program_version
 from daemon.worker import Reconstructs, ReconstructsSets, Worker
 from drivers.protocols import SIDES, Clock, Frame, ProjectorInfo, Side
 from pipeline.reconstruct import Reconstructor
@@ -36,6 +36,7 @@ log = logging.getLogger("fringed")
 _TICK_S = 0.1
 _JOIN_S = 5.0
 _CHANGE_S = 20.0
+_MODE_S = 180.0  # the kernels of another mode may have to be compiled
 
 
 class Service:
@@ -66,6 +67,8 @@ class Service:
         self.settings = Settings().with_overrides(config.pipeline.settings)
         self.drops = Counters()
         self._on_status = on_status
+        #: Called by the main loop ten times a second, from the start to the wish to stop.
+        self.on_tick: list[Callable[[], None]] = []
         self._started_ns = self.clock.monotonic_ns()
         self._ready, self._paused = False, False
         self._taker: Callable[[Pair], object] | None = None
@@ -73,14 +76,11 @@ class Service:
         self._stop = StopEvent()
         self._namer = threads.Namer("fringed")
         self._sinks_lock = threading.Lock()
+        self._wishes = threading.Lock()
         self._cpus_before: frozenset[int] = frozenset()
         self._last_state: State | None = None
         self._status_due_ns = 0
-        limits = PairingSettings(
-            tolerance_ns=round(1000 * config.pairing.tolerance_us),
-            max_wait_ns=round(1e6 * config.pairing.max_wait_ms),
-            resync_after=config.pairing.resync_after,
-        )
+        limits = pairing_settings(config.pairing)
         self.desk = PairingDesk(limits, paired=self._paired, lone=self._lone, clock=self.clock)
         self.worker = Worker(config.pipeline, emit=self.emit, drops=self.drops, clock=self.clock)
         self.sequencing = Sequencing(config, rig, Outlets(self.emit, self.worker.offer, self.drops), clock=self.clock)
@@ -121,54 +121,71 @@ class Service:
 
     def measure(self, wanted: bool) -> None:
         """Accept triggers, or pause: everything stays connected."""
-        self._paused = not wanted
-        if wanted:
-            self.sequencing.release("pause")
-        else:
-            self.sequencing.hold("pause", wait=False)
-        for camera in self.cameras.values():
-            camera.measure(wanted or self._taker is not None)
+        with self._wishes:
+            self._paused = not wanted
+            self._let_cameras()
+            self.sequencing.pause(self._paused)
 
     def divert(self, taker: Callable[[Pair], object] | None) -> None:
         """Hand every pair to ``taker`` alone, neither measured nor recorded; None: measure as before."""
         if taker is not None:
             self.sequencing.hold("capture")
-        self._taker = taker
-        self.measure(not self._paused)
+        with self._wishes:
+            self._taker = taker
+            self._let_cameras()
         if taker is None:
             self.sequencing.release("capture")
         self._note_state()
 
-    def reconstructor(self, settings: Settings) -> Reconstructor | ReconstructsSets:
-        """A reconstructor for these settings, the cameras' encoding and the mode; not warmed up."""
-        encodings = {self.cameras[side].status.encoding for side in SIDES}
-        if len(encodings) != 1 or "" in encodings:
-            raise DaemonError(f"the cameras send {sorted(encodings)}; both must send the same encoding")
-        options: dict[str, Any] = {
-            "encoding": encodings.pop(),
-            "settings": settings,
-            "clock": self.clock.monotonic_ns,
-            "threads": self.config.pipeline.threads or len(self.config.pipeline.cpus),
-        }
-        if self.sequencing.plan is not None:
-            return self.sequencing.plan.reconstructor(self.rig, **options)
-        return Reconstructor(self.rig.calibration, self.rig.pattern, self.rig.volume, **options)
+    def _let_cameras(self) -> None:
+        """With the lock of the wishes: a pause that comes at the end of a capture is not lost."""
+        for camera in self.cameras.values():
+            camera.measure(not self._paused or self._taker is not None)
 
-    @property
-    def capturing(self) -> bool:
-        """Whether pairs go to a capture instead."""
-        return self._taker is not None
-
-    def take_over(self, timeout_s: float) -> None:
-        """Measure as the mode and the settings say now, every kernel compiled; returns when it does."""
-        self.worker.replace(self._warm, timeout_s)
+    def reconstructor(self, settings: Settings, rig: Rig | None = None) -> Reconstructor | ReconstructsSets:
+        """A reconstructor for these settings, the cameras' encoding, the mode and a rig (its own); not warmed up."""
+        encodings = [self.cameras[side].status.encoding for side in SIDES]
+        return make_reconstructor(
+            self.config, rig or self.rig, settings, encodings, self.clock, plan=self.sequencing.plan
+        )
 
     def apply(self, settings: Settings) -> None:
         """Use other settings from the next pair on."""
+        self.change(self.config, self.rig, settings, ())
+
+    def change(self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]) -> None:
+        """Take over all of this between two pairs, or nothing of it.
+
+        Args:
+            config, settings: checked, differing from what holds now in nothing that needs a restart.
+            rig: the same devices, perhaps another calibration or volume.
+            commits: quick, called between the same two pairs; see :class:`daemon.sinks.Changeable`.
+
+        Raises:
+            DaemonError: while starting or stopping, or when the pipeline does not get to it; PipelineError.
+        """
         if not self._ready:
             raise DaemonError("the daemon is still starting; try again when it is running")
-        self.worker.replace(lambda: self.reconstructor(settings), _CHANGE_S)
-        self.settings = settings
+        patience_s = _CHANGE_S if config.mode == self.sequencing.mode else _MODE_S
+        with self.sequencing.changing(config.mode):
+            self.worker.replace(lambda: self._changed(config, rig, settings, commits), patience_s)
+
+    def _changed(
+        self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]
+    ) -> Reconstructs | ReconstructsSets | None:
+        """In the pipeline's thread: first what can fail, then what cannot."""
+        made = None
+        ways = [(c.pipeline.overload, c.pipeline.temporal_prior, c.mode) for c in (self.config, config)]
+        if settings != self.settings or rig is not self.rig or ways[0] != ways[1]:
+            made = self.reconstructor(settings, rig)
+            if rig is not self.rig or ways[0] != ways[1]:
+                warm_up(made, config.pipeline)
+        self.config, self.rig, self.settings = config, rig, settings
+        self.desk.limit(pairing_settings(config.pairing))
+        self.worker.configure(config.pipeline)
+        for commit in commits:
+            self._guarded("a change", commit)
+        return made
 
     def add_sink(self, name: str, sink: Sink) -> None:
         """Offer everything to this sink too."""
@@ -257,9 +274,7 @@ class Service:
         dark = self.rig.projector.problem()
         if dark:
             reasons.append(f"projector: {dark}")
-        sequence = self.sequencing.problem()
-        if sequence:
-            reasons.append(sequence)
+        reasons += filter(None, (self.sequencing.problem(),))
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():
@@ -282,13 +297,13 @@ class Service:
             camera.start()
         while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
             self._stop.wait(_TICK_S)
-            self._publish_status()
+            self._look_up()
         if self._stop.is_set():
             return
         self.sequencing.release("start")
         made = self.worker.start(self._warm)
         while not made.done() and not self._stop.wait(_TICK_S):
-            self._publish_status()
+            self._look_up()
         if made.done():
             made.result()
             self._ready = not self._stop.is_set()
@@ -299,11 +314,7 @@ class Service:
     def _warm(self) -> Reconstructs | ReconstructsSets:
         """A reconstructor with all kernels compiled, which takes up to a minute after an update."""
         made = self.reconstructor(self.settings)
-        if not isinstance(made, Reconstructor):
-            made.warm_up()
-            return made
-        pipeline = self.config.pipeline
-        made.warm_up(every=(1, 2) if pipeline.overload == "half" else (1,), follow=pipeline.temporal_prior)
+        warm_up(made, self.config.pipeline)
         return made
 
     def _keep_off(self) -> None:
@@ -318,6 +329,12 @@ class Service:
     def _tick(self) -> None:
         self.desk.tick()
         self._note_state()
+        self._look_up()
+
+    def _look_up(self) -> None:
+        """What the main loop does besides, in every state."""
+        for action in self.on_tick:
+            self._guarded("looking after the daemon", action)
         self._publish_status()
 
     def _publish_status(self) -> None:
@@ -333,6 +350,7 @@ class Service:
 
     def _shut_down(self) -> None:
         self._stop.set()
+        self.worker.end_changes()
         self._note_state()
         for camera in self.cameras.values():
             camera.ask_stop()
@@ -383,11 +401,3 @@ class Service:
 
 
 _KINDS: dict[type, str] = {PairItem: "pairs", LoneItem: "frames", CloudItem: "clouds"}
-
-
-def program_version() -> str:
-    """The installed version of the project."""
-    try:
-        return version_of("fringed")
-    except PackageNotFoundError:
-        return "unknown"

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from drivers.protocols import Frame
 from pipeline.cloud import Cloud
+
+if TYPE_CHECKING:
+    from daemon.config.models import RigConfig
+    from daemon.rig import Rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +66,19 @@ class CloudItem:
 
 
 Item = PairItem | LoneItem | CloudItem
+
+
+@runtime_checkable
+class Changeable(Protocol):
+    """A sink that can take over other settings, or another calibration, while it runs."""
+
+    def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:
+        """Prepare for them; nothing changes yet, and DaemonError refuses.
+
+        Returns:
+            What makes it so: called between two pairs, in the pipeline's thread; quick, never fails. Clouds that were
+            offered before it are of the old calibration, those after it of the new one.
+        """
 
 
 class Sink(Protocol):

@@ -6,8 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any, Protocol
 
 from daemon import threads
@@ -21,6 +20,7 @@ from daemon.pairing import Pair
 from daemon.sequel import Sequel
 from daemon.sequencing.sets import SINGLE, PictureSet
 from daemon.sinks import CloudItem
+from daemon.supervision.pulse import Pulse
 from drivers.protocols import Clock
 from pipeline.cloud import Cloud
 from pipeline.errors import PipelineError
@@ -28,6 +28,7 @@ from pipeline.errors import PipelineError
 log = logging.getLogger("fringed.pipeline")
 
 _IDLE_S = 0.2
+_TURN_S, _MEASURE_S, _MAKE_S = 10.0, 30.0, 900.0  # longest times of a turn; compiling takes minutes
 
 
 class Reconstructs(Protocol):
@@ -53,7 +54,7 @@ class ReconstructsSets(Protocol):
         """The cloud of the raw pictures of a set, in the order of its sequence."""
 
 
-Make = Callable[[], Reconstructs | ReconstructsSets]
+Make = Callable[[], Reconstructs | ReconstructsSets | None]
 Shot = Pair | PictureSet
 
 
@@ -73,6 +74,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
         self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
+        self.finished, self.pulse = 0, Pulse(clock.monotonic_ns)
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
         self.last: CloudItem | None = None
@@ -81,11 +83,17 @@ class Worker:
         self._garbage, self.pauses = Garbage(), Pauses()
         self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
+        self._ended: Future[None] = Future()
 
     @property
     def every(self) -> int:
         """Spacing of the pixels that are measured now: 2 while the pipeline is overloaded and may skip pixels."""
         return self._overload.every
+
+    @property
+    def waiting(self) -> int:
+        """Pairs that wait to be measured."""
+        return len(self._box)
 
     def start(self, make: Make) -> Future[None]:
         """Begin: make a reconstructor, every kernel compiled, and measure from then on.
@@ -100,20 +108,35 @@ class Worker:
         return self._made
 
     def replace(self, make: Make, timeout_s: float) -> None:
-        """Make another reconstructor between two pairs and use it from then on.
+        """Make another reconstructor between two pairs and use it from then on; None: keep the one that is there.
 
-        It is made in the pipeline's thread, because not every threading layer of numba bears two callers.
+        It is made in the pipeline's thread, because not every threading layer of numba bears two callers. ``make`` may
+        change what else must change between two pairs, as its last act.
 
         Raises:
-            DaemonError: when the pipeline does not get to it in time; PipelineError: from ``make``.
+            DaemonError: when the pipeline does not get to it in time, or ends; PipelineError: from ``make``.
         """
         done: Future[None] = Future()
         self._changes.append((make, done))
-        try:
-            done.result(timeout_s)
-        except FutureTimeoutError as error:
-            done.cancel()
-            raise DaemonError(f"the pipeline did not take over the change within {timeout_s:g} s") from error
+        wait((done, self._ended), timeout_s, FIRST_COMPLETED)
+        if done.done():
+            done.result()
+        elif not done.cancel() and not self._ended.done():
+            raise DaemonError(f"the pipeline is still at it after {timeout_s:g} s; ask later whether the change came")
+        elif self._ended.done():
+            raise DaemonError("the daemon is stopping; nothing was changed")
+        else:
+            raise DaemonError(f"the pipeline did not take over the change within {timeout_s:g} s; nothing was changed")
+
+    def end_changes(self) -> None:
+        """Refuse changes from now on, those that wait at once."""
+        if not self._ended.done():
+            self._ended.set_result(None)
+
+    def configure(self, config: Pipeline) -> None:
+        """Overload and temporal prior from now on; to be called between two pairs."""
+        self._config = config
+        self._overload.enable(config.overload == "half")
 
     def offer(self, shot: Shot) -> None:
         """Take a pair or a set; the freshest wins."""
@@ -145,6 +168,7 @@ class Worker:
         Compiling, up to a minute after an update, is not waited for: the end of the program ends it.
         """
         self._stop.set()
+        self.end_changes()
         for shot in self._box.close():
             self._count(shot, "stopped")
         if not self._running():
@@ -157,8 +181,10 @@ class Worker:
             threads.name(threading.get_native_id(), self._thread.name)
             if self._config.cpus:
                 threads.pin([threading.get_native_id()], self._config.cpus)
+            self.pulse.expect(_MAKE_S)
             self._reconstructor = self._make()
         except Exception as error:
+            self.pulse.rest()
             self._made.set_exception(error)
             return
         self._made.set_result(None)
@@ -168,14 +194,19 @@ class Worker:
             while not self._stop.is_set():
                 self._next()
         finally:
+            self.pulse.rest()
             self.pauses.stop()
             self._garbage.release()
 
     def _next(self) -> None:
         self._change()
+        self.pulse.expect(_TURN_S)
         shot = self._box.get(_IDLE_S)
         if shot is not None:
+            self.pulse.expect(_MEASURE_S)
             self._try(shot)
+            self.finished += 1
+            self.pulse.expect(_TURN_S)
         self._garbage.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._box)
 
     def _hold_garbage(self) -> None:
@@ -201,10 +232,13 @@ class Worker:
             make, done = self._changes.popleft()
             if not done.set_running_or_notify_cancel():
                 continue
+            self.pulse.expect(_MAKE_S)
             try:
-                self._reconstructor = make()
-                self._sequel.forget()
-                self._hold_garbage()  # the reconstructor that was frozen before can go
+                made = make()
+                if made is not None:
+                    self._reconstructor = made
+                    self._sequel.forget()
+                    self._hold_garbage()  # the reconstructor that was frozen before can go
                 done.set_result(None)
             except Exception as error:
                 done.set_exception(error)

@@ -12,15 +12,26 @@ import typer
 def main(
     endpoint: Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")] = None,
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Print it once (so it is where this is no terminal).")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the status once, as JSON.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the answer.")] = 5.0,
 ) -> None:
-    """Show what a running daemon is doing."""
+    """Show what a running daemon is doing: a live page on a terminal, Ctrl-C ends it."""
+    from rich.console import Console
+
     from daemon.control.client import ControlClient
 
+    console = Console()
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout) as client:
-        status = client.call("status")
-    typer.echo(json.dumps(status, indent=2) if as_json else table(status))
+        status = client.call("status")  # a daemon that is not there is told at once
+        if as_json:
+            typer.echo(json.dumps(status, indent=2))
+        elif once or not console.is_terminal:
+            typer.echo(table(status))
+        else:
+            from daemon.commands.status_page import watch
+
+            watch(lambda: dict(client.call("status")), console)
 
 
 def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
@@ -31,7 +42,7 @@ def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
         from daemon.config import load_rig
 
         return load_rig(rig).control.endpoint
-    from daemon.runtime import control_endpoint as default
+    from daemon.runtime import found_control_endpoint as default
 
     return default()
 

@@ -43,6 +43,31 @@ def load_rig(path: Path, *, complete: bool = True) -> RigConfig:
 def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None, complete: bool = True) -> RigConfig:
     """The rig of a YAML text; ``name`` stands in the messages, relative paths are looked for in ``base_dir``."""
     source = read_yaml(text)
+    config = _validated(source, base_dir or Path(), complete=complete)
+    if source.problems or config is None:
+        ordered = sorted(set(source.problems), key=lambda p: (p.line, p.column, p.message))
+        raise ConfigError([f"{name}:{p.line}:{p.column}: {p.message}" for p in ordered])
+    return config
+
+
+def check_rig(data: dict[str, Any], *, base_dir: Path) -> RigConfig:
+    """The rig of plain values, which no file holds: the same rules, messages without a place."""
+    source = Source(data, places=dict.fromkeys(_paths(data), (1, 1)))
+    config = _validated(source, base_dir, complete=True)
+    if source.problems or config is None:
+        raise ConfigError(sorted({problem.message for problem in source.problems}))
+    return config
+
+
+def _paths(value: Any, above: Path_ = ()) -> Iterator[Path_]:
+    yield above
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in inner:
+        yield from _paths(item, (*above, key))
+
+
+def _validated(source: Source, base_dir: Path, *, complete: bool) -> RigConfig | None:
+    """The rig of a source; what is wrong is added to its problems."""
     config: RigConfig | None = None
     if source.data is not None or not source.problems:
         try:
@@ -50,11 +75,8 @@ def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None
         except ValidationError as error:
             _translate(error, source)
         if isinstance(source.data, dict):
-            for path, message in semantic_problems(source.data, base_dir or Path(), complete=complete):
+            for path, message in semantic_problems(source.data, base_dir, complete=complete):
                 source.complain(path, message)
-    if source.problems or config is None:
-        ordered = sorted(set(source.problems), key=lambda p: (p.line, p.column, p.message))
-        raise ConfigError([f"{name}:{p.line}:{p.column}: {p.message}" for p in ordered])
     return config
 
 

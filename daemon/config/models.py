@@ -48,8 +48,8 @@ class Pairing(Section):
 class Volume(Section):
     """Measuring volume along the left camera's z axis."""
 
-    near_mm: Annotated[float, Field(gt=0)]
-    far_mm: Annotated[float, Field(gt=0)]
+    near_mm: Annotated[float, Field(gt=0, description="Nearest surface.")]
+    far_mm: Annotated[float, Field(gt=0, description="Farthest surface.")]
 
 
 class Pipeline(Section):
@@ -88,7 +88,9 @@ class Stream(Section):
 class Control(Section):
     """The control socket."""
 
-    endpoint: str = Field(default_factory=runtime.control_endpoint)
+    endpoint: Annotated[str, Field(description="Where requests are answered.")] = Field(
+        default_factory=runtime.control_endpoint
+    )
 
 
 class Recording(Section):

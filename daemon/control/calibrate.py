@@ -7,20 +7,18 @@ file: a take whose ``pattern.json`` is the sequence. Solving is not the daemon's
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from daemon.capture import LONGEST_HOLD_S, MOST_PAIRS, Capture, Order
-from daemon.control.protocol import FAILED, INVALID_PARAMS, RpcError
+from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
 from daemon.service import Service
 from pipeline.calibration import Response
 from pipeline.errors import CalibrationError, PatternError
 from pipeline.sequence import Sequence
 from pipeline.sequence import from_mapping as sequence_from_mapping
-
-Table = dict[str, tuple[Callable[[dict[str, Any]], Any], tuple[str, ...]]]
 
 _MOST_LEVELS = 256
 _CURVES = ("red", "green", "blue")
@@ -32,13 +30,13 @@ class CalibrateMethods:
     def __init__(self, service: Service, capture: Capture) -> None:
         self._service, self._capture = service, capture
 
-    def table(self) -> Table:
-        """Every method by its name, with the parameters that it takes."""
+    def table(self) -> dict[str, Method]:
+        """Every method by its name."""
         return {
-            "calibrate.capture": (self.capture, ("frames", "pairs", "hold_s", "name", "response")),
-            "calibrate.status": (self.status, ()),
-            "calibrate.cancel": (lambda _: self._capture.cancel(), ()),
-            "calibrate.next_pose": (self.next_pose, ()),
+            "calibrate.capture": Method(self.capture, ("frames", "pairs", "hold_s", "name", "response")),
+            "calibrate.status": Method(self.status),
+            "calibrate.cancel": Method(lambda _: self._capture.cancel()),
+            "calibrate.next_pose": Method(self.next_pose, slow=True),
         }
 
     def capture(self, params: dict[str, Any]) -> dict[str, Any]:
@@ -69,6 +67,11 @@ class CalibrateMethods:
         if move is None:
             raise RpcError(FAILED, "no simulated hand holds the board of this rig: move it yourself")
         return {"pose": move()}
+
+    @property
+    def capturing(self) -> bool:
+        """Whether the projector belongs to a capture."""
+        return self._capture.active
 
     def refuse_while_capturing(self) -> None:
         """RpcError while the projector belongs to a capture."""

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from daemon.atomic import write_atomically
-from daemon.config import load_rig
-from daemon.config.models import RigConfig
 from daemon.control.calibrate import CalibrateMethods
-from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
-from daemon.errors import ConfigError, DaemonError
+from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, Role, RpcError
+from daemon.errors import DaemonError
 from daemon.recorder import Recorder
-from daemon.service import Service, program_version
-from drivers.errors import DriverError
+from daemon.reload import Reloader
+from daemon.service import Service
+from daemon.settings.catalogue import catalogue
+from daemon.settings.change import Changer, NeedsRestartError, SettingError
+from daemon.version import program_version
 from pipeline.errors import PipelineError
 
+log = logging.getLogger("fringed.control")
+
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-_LIVE = "pipeline.settings"
 _PLAIN = {
     "white": (255, 255, 255),
     "black": (0, 0, 0),
@@ -49,28 +52,31 @@ class Methods:
         base_dir: Path,
         calibrate: CalibrateMethods | None = None,
     ) -> None:
-        self._service, self._recorder, self._path, self._base_dir = service, recorder, path, base_dir
+        self._service, self._recorder, self._base_dir = service, recorder, base_dir
         self._calibrate = calibrate
+        self._changer = Changer(service, base_dir)
+        self._reloader = Reloader(self._changer, path, self._refusal)
 
     def table(self) -> Mapping[str, Method]:
-        """Every method by its name, with the parameters that it takes."""
-        own: dict[str, tuple[Callable[[dict[str, Any]], Any], tuple[str, ...]]] = {
-            "hello": (self.hello, ()),
-            "status": (self.status, ()),
-            "start": (lambda _: self._measure(True), ()),
-            "stop": (lambda _: self._measure(False), ()),
-            "get": (self.get, ("path",)),
-            "set": (self.set, ("path", "value")),
-            "reload": (self.reload, ()),
-            "snapshot": (self.snapshot, ("name",)),
-            "record.start": (self.record_start, ("name",)),
-            "record.stop": (lambda _: self._recorder.stop(), ()),
-            "pattern.show": (self.pattern_show, ("name",)),
-            "pattern.mode": (self.pattern_mode, ("name",)),
+        """Every method by its name."""
+        view = Role.VIEW
+        own = {
+            "hello": Method(self.hello, role=view),
+            "status": Method(self.status, role=view),
+            "get": Method(self.get, ("path", "detail"), role=view),
+            "start": Method(lambda _: self._measure(True)),
+            "stop": Method(lambda _: self._measure(False)),
+            "set": Method(self.set, ("path", "value"), slow=True),
+            "reload": Method(self.reload, slow=True),
+            "snapshot": Method(self.snapshot, ("name",), slow=True),
+            "record.start": Method(self.record_start, ("name",), slow=True),
+            "record.stop": Method(lambda _: self._recorder.stop(), slow=True),
+            "pattern.show": Method(self.pattern_show, ("name",), slow=True),
+            "pattern.mode": Method(self.pattern_mode, ("name",), slow=True),
         }
         if self._calibrate is not None:
             own |= self._calibrate.table()
-        return {name: _checked(method, allowed) for name, (method, allowed) in own.items()}
+        return own
 
     def hello(self, _: dict[str, Any]) -> dict[str, Any]:
         """Who answers."""
@@ -90,45 +96,55 @@ class Methods:
         return self._service.status().as_dict()
 
     def get(self, params: dict[str, Any]) -> Any:
-        """The configuration as it is now, or the part at ``path`` (``pipeline.settings.min_modulation``)."""
-        path = _text(params, "path", "")
-        value: Any = current(self._service)
-        for part in path.split(".") if path else ():
-            if not isinstance(value, dict) or part not in value:
-                raise RpcError(INVALID_PARAMS, f"there is no setting {path!r:.100}", path)
-            value = value[part]
-        return value
+        """Settings.
+
+        Params: ``path`` of a setting or a section, for its value; without one, or with ``detail: true``: a row for
+        each, see :func:`daemon.settings.catalogue.catalogue`.
+        """
+        path, detail = _text(params, "path", ""), params.get("detail", False)
+        if not isinstance(detail, bool):
+            raise RpcError(INVALID_PARAMS, "detail must be true or false")
+        config, settings = self._service.config, self._service.settings
+        rows = catalogue(config, settings, path)
+        if not rows:
+            raise RpcError(INVALID_PARAMS, f"there is no setting {path!r:.100}; get without a path lists them", path)
+        if detail or not path:
+            return {"settings": rows}
+        return rows[0]["value"] if rows[0]["path"] == path else _nested(rows, path)
 
     def set(self, params: dict[str, Any]) -> Any:
-        """Change a setting that can change while measuring."""
+        """Change a setting that can change while measuring; the value as it is now."""
         path = _text(params, "path")
-        section, _, key = path.rpartition(".")
-        if section != _LIVE or "value" not in params:
-            raise RpcError(INVALID_PARAMS, f"{path!r:.100} cannot be set live; only {_LIVE}.* can, with a value", path)
+        if "value" not in params:
+            raise RpcError(INVALID_PARAMS, "the parameter value is missing", path)
+        if path == "mode" and (refusal := self._refusal()):
+            raise RpcError(FAILED, f"the mode stays as it is: {refusal}", path)
         try:
-            settings = self._service.settings.with_overrides({key: params["value"]})
-        except PipelineError as error:
-            raise RpcError(INVALID_PARAMS, str(error), path) from error
-        self._service.apply(settings)
-        return {path: getattr(settings, key)}
+            value = self._changer.set(path, params["value"])
+        except SettingError as error:
+            raise RpcError(INVALID_PARAMS, str(error), error.path) from error
+        except (DaemonError, PipelineError, OSError) as error:
+            raise RpcError(FAILED, str(error), path) from error
+        log.info("set: %s = %s", path, value)
+        return {path: value}
 
     def reload(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Read rig.yaml again; take over what can change live, or refuse all of it."""
-        if self._path is None:
-            raise RpcError(FAILED, "this daemon was not started from a file")
+        """Read rig.yaml and its files again; take over all of it, or refuse all of it."""
         try:
-            fresh = load_rig(self._path)
-        except (ConfigError, OSError) as error:
+            return self._reloader.reload()
+        except NeedsRestartError as error:
+            data = {"changed": [], "restart": error.restart, "live": error.live}
+            raise RpcError(FAILED, str(error), error.restart[0], data=data) from error
+        except (DaemonError, PipelineError, OSError) as error:
             raise RpcError(FAILED, str(error)) from error
-        old, new = _without_settings(self._service.config), _without_settings(fresh)
-        restart = sorted(name for name in new if new[name] != old[name])
-        if restart:
-            raise RpcError(FAILED, f"nothing was changed: {', '.join(restart)} need a restart", restart[0])
-        before = self._service.settings
-        settings = type(before)().with_overrides(fresh.pipeline.settings)
-        if settings != before:
-            self._service.apply(settings)
-        return {"changed": settings != before}
+
+    def _refusal(self) -> str:
+        """Why a reload must wait."""
+        if self._recorder.recording:
+            return "a take is being written, which carries the calibration and the mode; stop it first"
+        if self._calibrate is not None and self._calibrate.capturing:
+            return "a capture for a calibration is going on; end it with calibrate.cancel"
+        return ""
 
     def snapshot(self, params: dict[str, Any]) -> dict[str, Any]:
         """Write the newest cloud into the recording directory."""
@@ -166,14 +182,9 @@ class Methods:
         return {"shown": name}
 
     def pattern_mode(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Tell the mode, or measure in another one: ``single``, ``two_color``, ``heterodyne``, ``gray``."""
-        from daemon.sequencing.change import change_mode
-
+        """Tell the mode, or measure in another one: as setting ``mode``."""
         if "name" in params:
-            try:
-                change_mode(self._service, _text(params, "name"))
-            except PipelineError as error:
-                raise RpcError(FAILED, str(error)) from error
+            self.set({"path": "mode", "value": _text(params, "name")})
         return self._service.sequencing.status()
 
     def _measure(self, wanted: bool) -> dict[str, Any]:
@@ -181,34 +192,16 @@ class Methods:
         return {"state": str(self._service.state()[0])}
 
 
-def current(service: Service) -> dict[str, Any]:
-    """The configuration with the pipeline's settings as they are now, every default filled in."""
-    from dataclasses import asdict
-
-    values = service.config.model_dump(mode="json")
-    values["pipeline"]["settings"] = asdict(service.settings)
-    values["mode"] = service.sequencing.mode
-    return values
-
-
-def _without_settings(config: RigConfig) -> dict[str, Any]:
-    values = config.model_dump(mode="json")
-    del values["pipeline"]["settings"]
-    return values
-
-
-def _checked(method: Method, allowed: tuple[str, ...]) -> Method:
-    def call(params: dict[str, Any]) -> Any:
-        unknown = sorted(set(params) - set(allowed))
-        if unknown:
-            known = ", ".join(allowed) or "none"
-            raise RpcError(INVALID_PARAMS, f"unknown parameter {unknown[0]!r:.60}; known: {known}")
-        try:
-            return method(params)
-        except (DaemonError, DriverError) as error:
-            raise RpcError(FAILED, str(error)) from error
-
-    return call
+def _nested(rows: list[dict[str, Any]], path: str) -> dict[str, Any]:
+    """The section at ``path`` as it would stand in rig.yaml."""
+    out: dict[str, Any] = {}
+    for row in rows:
+        *above, name = row["path"].removeprefix(path + ".").split(".")
+        inner = out
+        for part in above:
+            inner = inner.setdefault(part, {})
+        inner[name] = row["value"]
+    return out
 
 
 def _text(params: dict[str, Any], key: str, default: str | None = None) -> str:

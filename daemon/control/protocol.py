@@ -1,76 +1,191 @@
-"""JSON-RPC 2.0: bytes in, bytes out. Whatever comes in, the answer is a proper response or nothing."""
+"""JSON-RPC 2.0: bytes in, bytes out. Whatever comes in, the answer is a proper response or nothing.
+
+Requests, notifications (no ``id``, never answered) and batches of at most 32; parameters by name or by position.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
+
+from daemon.errors import DaemonError
+from drivers.errors import DriverError
 
 log = logging.getLogger("fringed.control")
 
 MAX_BYTES = 64 * 1024
+MAX_ANSWER_BYTES = 1024 * 1024
+MAX_BATCH = 32
 
 PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS, INTERNAL_ERROR = -32700, -32600, -32601, -32602, -32603
-FAILED = -32000
-
-Method = Callable[[dict[str, Any]], Any]
+FAILED, FORBIDDEN, BUSY = -32000, -32001, -32002
 
 
 class RpcError(Exception):
-    """An error for the caller; ``path`` names the setting that it is about."""
+    """An error for the caller.
 
-    def __init__(self, code: int, message: str, path: str | None = None) -> None:
+    Args:
+        path: names the setting that it is about; data: more members of the error's ``data``.
+    """
+
+    def __init__(
+        self, code: int, message: str, path: str | None = None, *, data: Mapping[str, Any] | None = None
+    ) -> None:
         super().__init__(message)
-        self.code, self.message, self.path = code, message, path
+        self.code, self.message, self.path, self.data = code, message, path, dict(data or {})
 
     def as_object(self) -> dict[str, Any]:
         """The ``error`` member of a response."""
-        data = {} if self.path is None else {"data": {"path": self.path}}
-        return {"code": self.code, "message": self.message} | data
+        data = self.data | ({} if self.path is None else {"path": self.path})
+        return {"code": self.code, "message": self.message} | ({"data": data} if data else {})
 
 
-def answer(message: bytes, methods: Mapping[str, Method]) -> bytes | None:
-    """The response to a request; None for a notification (a request without id)."""
-    request_id: Any = None
-    try:
-        request = _parsed(message)
-        request_id = request.get("id")
-        result = _called(request, methods)
-        response = {"jsonrpc": "2.0", "id": request_id, "result": result}
-        return None if "id" not in request else json.dumps(response).encode()
-    except RpcError as error:
-        failed = {"jsonrpc": "2.0", "id": request_id, "error": error.as_object()}
-        return json.dumps(failed).encode()
+class Role(StrEnum):
+    """What a caller may do: only look, or everything."""
+
+    VIEW = "view"
+    OPERATE = "operate"
 
 
-def _parsed(message: bytes) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One method of the table.
+
+    Args:
+        call: takes the parameters by name; params: their names, in the order of parameters by position.
+        role: that a caller needs at least.
+        slow: may wait (for a disk, for the pipeline): it is carried out beside the others, one at a time.
+    """
+
+    call: Callable[[dict[str, Any]], Any]
+    params: tuple[str, ...] = ()
+    role: Role = Role.OPERATE
+    slow: bool = False
+
+    def __call__(self, params: dict[str, Any]) -> Any:
+        """The result; RpcError for unknown parameters and for what the daemon refuses."""
+        unknown = sorted(set(params) - set(self.params))
+        if unknown:
+            known = ", ".join(self.params) or "none"
+            raise RpcError(INVALID_PARAMS, f"unknown parameter {unknown[0]!r:.60}; known: {known}")
+        try:
+            return self.call(params)
+        except (DaemonError, DriverError, OSError) as error:
+            raise RpcError(FAILED, str(error)) from error
+
+
+class Received:
+    """A message that came in: one request, a batch of them, or a ``problem``."""
+
+    def __init__(self, message: bytes) -> None:
+        self.problem: RpcError | None = None
+        self._requests: list[Any] = []
+        self._batch = False
+        try:
+            parsed = _parsed(message)
+        except RpcError as error:
+            self.problem = error
+            return
+        self._batch = isinstance(parsed, list)
+        self._requests = parsed if isinstance(parsed, list) else [parsed]
+        if self._batch and not 0 < len(parsed) <= MAX_BATCH:
+            self.problem = RpcError(INVALID_REQUEST, f"a batch has 1 to {MAX_BATCH} requests, this one {len(parsed)}")
+
+    @property
+    def name(self) -> str:
+        """What is asked for, for people."""
+        if self._batch:
+            return f"a batch of {len(self._requests)}"
+        return f"{self._requests[0].get('method', '')!s:.60}" if isinstance(self._requests[0], dict) else ""
+
+    def slow(self, methods: Mapping[str, Method]) -> bool:
+        """Whether any of its methods may wait."""
+        if self.problem is not None:
+            return False
+        named = [request.get("method") for request in self._requests if isinstance(request, dict)]
+        return any(isinstance(name, str) and name in methods and methods[name].slow for name in named)
+
+    def answered(self, methods: Mapping[str, Method], role: Role = Role.OPERATE) -> bytes | None:
+        """Carry out what is asked and tell the response, None when none is wanted."""
+        return self._each(lambda request: _called(request, methods, role))
+
+    def refused(self, error: RpcError) -> bytes | None:
+        """The response that carries nothing out."""
+
+        def refuse(_: dict[str, Any]) -> Any:
+            raise error
+
+        return self._each(refuse)
+
+    def _each(self, call: Callable[[dict[str, Any]], Any]) -> bytes | None:
+        if self.problem is not None:
+            return _dumped(_failed(None, self.problem))
+        answers = [answer for request in self._requests if (answer := _answer(request, call)) is not None]
+        if not answers:
+            return None
+        return _dumped(answers if self._batch else answers[0])
+
+
+def answer(message: bytes, methods: Mapping[str, Method], role: Role = Role.OPERATE) -> bytes | None:
+    """The response to a message; None for a notification (a request without id)."""
+    return Received(message).answered(methods, role)
+
+
+def _parsed(message: bytes) -> Any:
     if len(message) > MAX_BYTES:
         raise RpcError(INVALID_REQUEST, f"{len(message)} bytes, a request has at most {MAX_BYTES}")
     try:
-        request = json.loads(message.decode("utf-8"), parse_constant=_no_constant)
+        return json.loads(message.decode("utf-8"), parse_constant=_no_constant, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise RpcError(PARSE_ERROR, f"not JSON: {type(error).__name__}") from error
-    if isinstance(request, list):
-        raise RpcError(INVALID_REQUEST, "batches are not answered; send one request at a time")
-    if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":
-        raise RpcError(INVALID_REQUEST, 'not a JSON-RPC 2.0 request: "jsonrpc": "2.0" is missing')
-    if not isinstance(request.get("method"), str) or not isinstance(request.get("id"), str | int | float | None):
-        raise RpcError(INVALID_REQUEST, "a request has a text as method, and a text or number as id")
-    return request
 
 
 def _no_constant(name: str) -> float:
     raise ValueError(name)
 
 
-def _called(request: dict[str, Any], methods: Mapping[str, Method]) -> Any:
-    name, params = request["method"], request.get("params", {})
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
+
+
+def _answer(request: Any, call: Callable[[dict[str, Any]], Any]) -> dict[str, Any] | None:
+    request_id = None
+    try:
+        _check(request)
+        request_id = request.get("id")
+        response = {"jsonrpc": "2.0", "id": request_id, "result": call(request)}
+    except RpcError as error:
+        response = _failed(request_id, error)
+        if error.code == INVALID_REQUEST:
+            return response
+    return response if "id" in request else None
+
+
+def _check(request: Any) -> None:
+    if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":
+        raise RpcError(INVALID_REQUEST, 'not a JSON-RPC 2.0 request: "jsonrpc": "2.0" is missing')
+    request_id = request.get("id")
+    proper = isinstance(request_id, str | int | float | None) and not isinstance(request_id, bool)
+    if not isinstance(request.get("method"), str) or not proper:
+        raise RpcError(INVALID_REQUEST, "a request has a text as method, and a text or number as id")
+
+
+def _called(request: dict[str, Any], methods: Mapping[str, Method], role: Role) -> Any:
+    name = request["method"]
     method = methods.get(name)
     if method is None:
         raise RpcError(METHOD_NOT_FOUND, f"there is no method {name!r:.60}; there are {', '.join(sorted(methods))}")
-    if not isinstance(params, dict):
-        raise RpcError(INVALID_PARAMS, "params must be an object with named values")
+    if method.role is Role.OPERATE and role is not Role.OPERATE:
+        raise RpcError(FORBIDDEN, f"{name} needs the role operate, this key has the role {role}")
+    params = _named(request.get("params", {}), method)
     try:
         return method(params)
     except RpcError:
@@ -78,3 +193,37 @@ def _called(request: dict[str, Any], methods: Mapping[str, Method]) -> Any:
     except Exception as error:
         log.exception("control: %s failed", name)
         raise RpcError(INTERNAL_ERROR, f"{name} failed: {type(error).__name__}: {error}") from error
+
+
+def _named(params: Any, method: Method) -> dict[str, Any]:
+    if isinstance(params, list) and len(params) <= len(method.params):
+        return dict(zip(method.params, params, strict=False))
+    if not isinstance(params, dict):
+        known = ", ".join(method.params) or "none"
+        raise RpcError(INVALID_PARAMS, f"params must be an object, or a list of at most these: {known}")
+    return params
+
+
+def _failed(request_id: Any, error: RpcError) -> dict[str, Any]:
+    return {"jsonrpc": "2.0", "id": request_id, "error": error.as_object()}
+
+
+def _dumped(response: Any) -> bytes:
+    try:
+        text = json.dumps(response, allow_nan=False)
+    except ValueError:
+        text = json.dumps(_without_nan(response), allow_nan=False)
+    if len(text) > MAX_ANSWER_BYTES:
+        request_id = response.get("id") if isinstance(response, dict) else None
+        too_long = RpcError(INTERNAL_ERROR, f"the answer has {len(text)} bytes, limit {MAX_ANSWER_BYTES}; ask for less")
+        text = json.dumps(_failed(request_id, too_long))
+    return text.encode()
+
+
+def _without_nan(value: Any) -> Any:
+    """The same with null for numbers that JSON does not know."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,21 +1,31 @@
-"""The control socket: one thread owns a ROUTER and answers requests one after the other."""
+"""The control socket: one thread owns a ROUTER and answers; what may wait is answered from a lane beside it.
+
+Answers to slow requests may come after those to later ones: they are told apart by their ids.
+"""
 
 from __future__ import annotations
 
 import logging
+import os
 import threading
+import weakref
+from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import zmq
 
-from daemon.control.protocol import MAX_BYTES, Method, answer
+from daemon.control.lane import Job, Lane
+from daemon.control.protocol import BUSY, FAILED, MAX_BYTES, Method, Received, Role, RpcError
 from daemon.errors import DaemonError
 from daemon.runtime import prepare_ipc
 
 log = logging.getLogger("fringed.control")
 
 _MOST_PARTS = 3
+_MOST_WAITING = 256
+_LANE_S = 3.0
 
 
 class ControlServer:
@@ -49,16 +59,24 @@ class ControlServer:
                 raise
             raise DaemonError(f"control cannot listen on {endpoint}: {error}") from error
         self.endpoint = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()  # type: ignore[union-attr]
-        self._stop = threading.Event()
+        self._lane = Lane()
+        self._outbox: deque[list[bytes]] = deque(maxlen=_MOST_WAITING)
+        self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        weakref.finalize(self, os.close, self._wake_fd)  # not earlier: the lane may be left behind and wake it still
+        self._stop = False
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
 
     def start(self) -> None:
         """Begin to answer."""
+        self._lane.start()
         self._thread.start()
 
     def close(self) -> None:
         """Answer no more; the socket file is removed."""
-        self._stop.set()
+        if not self._lane.close(_LANE_S):
+            log.error("control: %s does not come back; left behind", self._lane.doing)
+        self._stop = True
+        self._wake()
         if self._thread.ident is not None:
             self._thread.join(5.0)
         if not self._thread.is_alive():
@@ -66,24 +84,68 @@ class ControlServer:
         if self.endpoint.startswith("ipc://"):
             Path(self.endpoint.removeprefix("ipc://")).unlink(missing_ok=True)
 
+    def _wake(self) -> None:
+        os.eventfd_write(self._wake_fd, 1)
+
     def _run(self) -> None:
-        while not self._stop.is_set():
+        poller = zmq.Poller()
+        poller.register(self._socket, zmq.POLLIN)
+        poller.register(self._wake_fd, zmq.POLLIN)
+        while not self._stop:
             try:
-                if self._socket.poll(100):
-                    self._serve_one(self._socket.recv_multipart())
+                ready = dict(poller.poll())
+                if self._wake_fd in ready:
+                    os.eventfd_read(self._wake_fd)
+                self._tend()
+                if self._socket in ready:
+                    self._serve_one(self._socket.recv_multipart(zmq.NOBLOCK))
+            except zmq.Again:
+                continue
             except zmq.ZMQError as error:
                 if error.errno == zmq.ETERM:
                     return
                 log.warning("control: %s", error)
+            except Exception:
+                log.exception("control: a message failed")
+        with suppress(zmq.ZMQError):
+            self._tend()
+
+    def _tend(self) -> None:
+        """Send what the lane has answered."""
+        while self._outbox:
+            self._socket.send_multipart(self._outbox.popleft())
 
     def _serve_one(self, parts: list[bytes]) -> None:
         """Request parts: sender, perhaps an empty one (REQ sockets), the JSON text."""
         if not 2 <= len(parts) <= _MOST_PARTS or (len(parts) == _MOST_PARTS and parts[1]):
             log.warning("control: a message of %d parts is not a request", len(parts))
             return
-        response = answer(parts[-1], self._methods)
+        request, role = Received(parts[-1]), Role.OPERATE
+        if request.slow(self._methods):
+            self._hand_on(parts[:-1], request, role)
+        else:
+            self._reply(parts[:-1], request.answered(self._methods, role))
+
+    def _reply(self, to: list[bytes], response: bytes | None) -> None:
         if response is not None:
-            self._socket.send_multipart([*parts[:-1], response])
+            self._socket.send_multipart([*to, response])
+
+    def _hand_on(self, to: list[bytes], request: Received, role: Role) -> None:
+        """Let the lane answer."""
+
+        def send(response: bytes | None) -> None:
+            if response is not None:
+                self._outbox.append([*to, response])
+                self._wake()
+
+        job = Job(
+            request.name,
+            run=lambda: send(request.answered(self._methods, role)),
+            give_up=lambda: send(request.refused(RpcError(FAILED, "the daemon is stopping"))),
+        )
+        if not self._lane.submit(job):
+            busy = f"busy: {self._lane.doing or 'earlier requests'} must end first; try again later"
+            self._reply(to, request.refused(RpcError(BUSY, busy)))
 
 
 def _refuse_if_alive(endpoint: str) -> None:

@@ -8,6 +8,7 @@ import logging
 import math
 import os
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from daemon.clock import SystemClock
+from daemon.config.models import RigConfig
 from daemon.config.models import SelfCheck as Config
 from daemon.mailbox import Mailbox
+from daemon.rig import Rig
 from daemon.selfcheck import words
 from daemon.selfcheck.store import Store
 from daemon.selfcheck.watch import Found, Verdict, Watch, limits_of
@@ -65,6 +68,7 @@ class SelfCheck:
         self._due_ns = 0
         self._history_due_ns = 0
         self._encoding = ""
+        self._fresh: tuple[Config, Rig] | None = None
         self._observer: Observer | None = None
         self._store: Store | None = None
         self._watch = Watch(limits_of(config.limits), {})
@@ -87,6 +91,17 @@ class SelfCheck:
                 self._due_ns = max(self._due_ns + self._period_ns, now_ns + self._period_ns // 2)
                 self._box.put(item)
         return True
+
+    def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:
+        """Prepare for other limits, or another calibration: its reference is another one, perhaps to be learned."""
+        fresh = (config.selfcheck, rig)
+
+        def commit() -> None:
+            self._period_ns = round(1e9 / config.selfcheck.rate_hz)
+            self._box.clear()  # what waits was measured with the calibration before
+            self._fresh = fresh
+
+        return commit
 
     def close(self) -> None:
         """Stop, and keep what is known."""
@@ -119,7 +134,7 @@ class SelfCheck:
         rehearse()
         while not self._stop.is_set():
             item = self._box.get(_IDLE_S)
-            if item is None:
+            if self._take_over() or item is None:
                 continue
             try:
                 self._check(item)
@@ -130,6 +145,21 @@ class SelfCheck:
                 if not self._failed:
                     log.exception("the self-check failed")
                 self._failed = "the self-check failed; see the log"
+
+    def _take_over(self) -> bool:
+        """In the thread of the checks: use what was committed; True: the pair at hand may be older than that."""
+        if self._fresh is None:
+            return False
+        (config, rig), self._fresh = self._fresh, None
+        self._config = config
+        if (rig.identity, rig.volume) == (self._identity, self._volume):
+            self._watch.limit(limits_of(config.limits))
+            return True
+        self._calibration, self._pattern = rig.calibration, rig.pattern
+        self._volume, self._identity = rig.volume, rig.identity
+        self._encoding = ""  # the next pair begins anew
+        self._problem = ""
+        return True
 
     def _check(self, item: CloudItem) -> None:
         began_ns = self._clock.monotonic_ns()

@@ -169,6 +169,11 @@ class Watch:
     def __init__(self, limits: Mapping[str, Limit], references: Mapping[str, Reference]) -> None:
         self._series = {name: _Series(limit, references.get(name)) for name, limit in limits.items()}
 
+    def limit(self, limits: Mapping[str, Limit]) -> None:
+        """Judge by other limits from the next pair on."""
+        for name, limit in limits.items():
+            self._series[name].limit = limit
+
     @property
     def references(self) -> dict[str, Reference]:
         """What has been learned."""

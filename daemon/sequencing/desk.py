@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,7 +63,7 @@ class Sequencing:
         )
         self._gatherer = self._new_gatherer()
         self._held: set[str] = {"start"}
-        self._lock, self._change_lock = threading.Lock(), threading.Lock()
+        self._lock = threading.Lock()
         self._changing = False
         self._lit_ns = 0  # no pair that was exposed earlier shows the single picture
         self._refresh_hz = 0.0
@@ -131,6 +131,13 @@ class Sequencing:
             self.release(by)
             raise
 
+    def pause(self, paused: bool) -> None:
+        """No triggers are accepted, so that no picture needs to change; comes back at once."""
+        if paused:
+            self.hold("pause", wait=False)
+        else:
+            self.release("pause")
+
     def release(self, by: str) -> None:
         """The projector is needed no longer for this; the set goes on with its first picture if nobody else has it."""
         with self._lock:
@@ -157,24 +164,16 @@ class Sequencing:
             self._rig.projector.show(self._first_picture(self.plan))
         self.release("picture")
 
-    def change(self, mode: str, take_over: Callable[[], None]) -> None:
-        """Measure in another mode, or go on as before if that cannot be.
-
-        Args:
-            take_over: makes the pipeline measure what :attr:`plan` says then.
+    @contextmanager
+    def changing(self, mode: str) -> Iterator[None]:
+        """In the block the mode is another one and nothing is shown but its first picture; an error takes it back.
 
         Raises:
-            DaemonError, DriverError, PipelineError: why it cannot; nothing has changed.
+            DaemonError, DriverError, PipelineError: why it cannot be; nothing has changed.
         """
-        if not self._change_lock.acquire(blocking=False):
-            raise DaemonError("the mode is being changed already; try again when that is done")
-        try:
-            if mode != self.mode:
-                self._change(mode, take_over)
-        finally:
-            self._change_lock.release()
-
-    def _change(self, mode: str, take_over: Callable[[], None]) -> None:
+        if mode == self.mode:
+            yield
+            return
         if self._config.sequence.display == "stored":
             raise DaemonError("sequence.display is stored: what the projector holds changes with rig.yaml alone")
         plan, before = plan_of(mode, self._config.sequence, self._rig), self.plan
@@ -183,7 +182,7 @@ class Sequencing:
         try:
             self._show_first(plan)
             self.plan = plan
-            take_over()
+            yield
         except BaseException:
             self.plan = before
             with suppress(DriverError):

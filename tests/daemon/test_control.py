@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.control.client import ControlClient
-from daemon.control.protocol import MAX_BYTES, RpcError, answer
+from daemon.control.protocol import MAX_BYTES, Method, Role, RpcError, answer
 from daemon.control.server import ControlServer
 from daemon.errors import ControlError, DaemonError
 
@@ -23,7 +23,11 @@ def refuse(_: dict[str, Any]) -> None:
     raise RpcError(-32602, "too large", "pipeline.settings.x")
 
 
-METHODS = {"echo": lambda params: params, "refuse": refuse, "crash": lambda params: params["nothing"]}
+METHODS = {
+    "echo": Method(lambda params: params, ("a",), role=Role.VIEW),
+    "refuse": Method(refuse),
+    "crash": Method(lambda params: params["nothing"]),
+}
 
 
 @pytest.fixture
@@ -58,11 +62,10 @@ def test_an_error_carries_code_message_and_path() -> None:
         (b'{"jsonrpc": "2.0", "id": 1, "method": "echo", "params": {"a": NaN}}', -32700),
         (b"[" * 60_000, -32700),
         (b"[]", -32600),
-        (b'[{"jsonrpc": "2.0", "id": 1, "method": "echo"}]', -32600),
         (b'{"id": 1, "method": "echo"}', -32600),
         (b'{"jsonrpc": "2.0", "id": {}, "method": "echo"}', -32600),
         (b'{"jsonrpc": "2.0", "id": 1, "method": "nothing"}', -32601),
-        (b'{"jsonrpc": "2.0", "id": 1, "method": "echo", "params": [1]}', -32602),
+        (b'{"jsonrpc": "2.0", "id": 1, "method": "echo", "params": [1, 2]}', -32602),
         (b'{"jsonrpc": "2.0", "id": 1, "method": "crash"}', -32603),
         (b" " * (MAX_BYTES + 1), -32600),
     ],

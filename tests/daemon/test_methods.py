@@ -105,22 +105,6 @@ def test_patterns_are_shown_by_name(methods: Methods) -> None:
         call(methods, "pattern.show", name="white")
 
 
-def test_reload_takes_live_settings_or_nothing_at_all(methods: Methods) -> None:
-    path = methods._path
-    assert path is not None
-    same = f"stream: {{endpoints: ['ipc://{path.parent}/s']}}\ncontrol: {{endpoint: 'ipc://{path.parent}/c'}}\n"
-    path.write_text(RIG.format(9.0, same))
-    assert call(methods, "reload") == {"changed": True}
-    assert methods._service.settings.min_modulation == 9.0
-    path.write_text(RIG.format(11.0, same + "device: {name: other}\n"))
-    with pytest.raises(RpcError, match="device need a restart"):
-        call(methods, "reload")
-    path.write_text("cameras: {driver: smi}\n")
-    with pytest.raises(RpcError, match=r"rig\.yaml:1:19"):
-        call(methods, "reload")
-    assert methods._service.settings.min_modulation == 9.0
-
-
 def test_measuring_stops_and_starts(methods: Methods) -> None:
     assert call(methods, "stop") == {"state": "paused"}
     assert call(methods, "start") == {"state": "running"}

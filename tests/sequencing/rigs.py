@@ -84,12 +84,19 @@ class FlatSets:
         return FlatReconstructor().reconstruct(lefts[0], rights[0])
 
 
+class FlatPairs(FlatReconstructor):
+    """The same for pairs."""
+
+    def warm_up(self) -> None:
+        pass
+
+
 class UnmeasuringService(Service):
     """The daemon without its pipeline, in any mode."""
 
-    def _warm(self) -> Any:
+    def reconstructor(self, *_: Any) -> Any:
         plan = self.sequencing.plan
-        return FlatReconstructor() if plan is None else FlatSets(plan.mode, self.seen)
+        return FlatPairs() if plan is None else FlatSets(plan.mode, self.seen)
 
     @property
     def seen(self) -> list[list[int]]:

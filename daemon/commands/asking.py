@@ -1,0 +1,24 @@
+"""What the commands that ask a running daemon share: their options and the question."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Endpoint = Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")]
+RigFile = Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")]
+Timeout = Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the answer.")]
+
+SLOW_S = 30.0
+"""For what waits for the pipeline or for a disk."""
+
+
+def ask(method: str, endpoint: str | None, rig: Path | None, timeout_s: float = SLOW_S, /, **params: Any) -> Any:
+    """The daemon's answer; ControlError in its own words."""
+    from daemon.commands.status import control_endpoint
+    from daemon.control.client import ControlClient
+
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout_s) as client:
+        return client.call(method, **params)

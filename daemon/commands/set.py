@@ -1,0 +1,35 @@
+"""``fringed set``: change a setting of a running daemon."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from daemon.commands.asking import SLOW_S, Endpoint, RigFile, Timeout, ask
+
+app = typer.Typer(add_completion=False)
+
+
+# A negative number is a value, not an option.
+@app.command(context_settings={"ignore_unknown_options": True})
+def main(
+    path: Annotated[str, typer.Argument(help="The setting, as `fringed get` lists it.")],
+    value: Annotated[str, typer.Argument(help="A number, true, false or text; JSON for more than that.")],
+    endpoint: Endpoint = None,
+    rig: RigFile = None,
+    timeout: Timeout = SLOW_S,
+) -> None:
+    """Change a setting while the daemon measures; rig.yaml stays as it is, and a reload goes back to it."""
+    answer = ask("set", endpoint, rig, timeout, path=path, value=parsed(value))
+    for name, now in answer.items():
+        typer.echo(f"{name} = {json.dumps(now, ensure_ascii=False)}")
+
+
+def parsed(text: str) -> Any:
+    """The value that was typed; what is no JSON is text."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

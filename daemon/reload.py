@@ -1,0 +1,51 @@
+"""Reload: rig.yaml and the files that it names are read again, and taken over live as a whole or not at all."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from daemon.config import load_rig
+from daemon.errors import DaemonError
+from daemon.settings.change import Changer
+
+log = logging.getLogger("fringed.reload")
+
+
+class Reloader:
+    """Reads the rig file again, for ``fringed reload`` and SIGHUP.
+
+    Args:
+        path: of rig.yaml, None for a daemon that was not started from a file.
+        refusal: tells why now is no time for it, empty when it is.
+    """
+
+    def __init__(self, changer: Changer, path: Path | None, refusal: Callable[[], str]) -> None:
+        self._changer, self._path, self._refusal = changer, path, refusal
+
+    def reload(self) -> dict[str, Any]:
+        """Take over what the files say; ``changed`` names the settings.
+
+        What was set live and does not stand in the file goes back to what the file says.
+
+        Raises:
+            ConfigError: a file with mistakes; NeedsRestartError: where anything of it needs a restart; DaemonError,
+                PipelineError, OSError: refused. Nothing was changed then.
+        """
+        try:
+            changed = self._reload()
+        except Exception as error:
+            log.warning("reload refused: %s", error)
+            raise
+        log.info("reloaded: %s", ", ".join(changed) or "nothing has changed")
+        return {"changed": changed, "restart": []}
+
+    def _reload(self) -> list[str]:
+        if self._path is None:
+            raise DaemonError("this daemon was not started from a file")
+        refusal = self._refusal()
+        if refusal:
+            raise DaemonError(f"no reload now, nothing was changed: {refusal}")
+        return self._changer.take_over(load_rig(self._path))

@@ -1,0 +1,132 @@
+"""Every setting with what a person must know of it: value, type, bounds, unit, meaning, and whether it changes live."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+from dataclasses import asdict
+from typing import Any
+
+from daemon.config.models import RigConfig
+from daemon.settings.leaves import PIPELINE, leaves
+from daemon.settings.live import is_live
+from pipeline import settings as pipeline_settings
+from pipeline.settings import LIMITS, Settings
+
+_BOUNDS = {
+    "minimum": "min",
+    "maximum": "max",
+    "exclusiveMinimum": "above",
+    "exclusiveMaximum": "below",
+    "enum": "choices",
+    "minItems": "least_items",
+    "maxItems": "most_items",
+    "pattern": "pattern",
+}
+_SUFFIXES = {
+    "us": "µs",
+    "ms": "ms",
+    "s": "s",
+    "hz": "Hz",
+    "mb": "MB",
+    "mm": "mm",
+    "px": "px",
+    "rad": "rad",
+    "c": "°C",
+    "percent": "%",
+    "days": "d",
+    "hours": "h",
+}
+_UNITS = dict.fromkeys(("window_radius", "window_sigma", "lattice_x", "lattice_y"), "px") | {
+    "min_modulation": "counts",
+    "saturation": "counts",
+    "read_noise": "counts",
+    "max_check": "rad",
+    "max_residual": "rad",
+    "max_phase_error": "rad",
+    "max_surface_error": "rad",
+    "cost_sigma": "rad",
+    "min_component": "pixels",
+    "self_calibration_range": "projector px",
+}
+
+
+def catalogue(config: RigConfig, settings: Settings, below: str = "") -> list[dict[str, Any]]:
+    """A row for every setting at or below a path, in the order of rig.yaml.
+
+    Keys: ``path``, ``value``, ``type``, ``live``, ``doc`` and, where there are any, ``unit``, ``default``, ``min``,
+    ``max``, ``above``, ``below`` (bounds that are not allowed themselves), ``choices``, ``pattern``.
+    """
+    return [
+        {"path": path, "value": value, "live": is_live(path)} | _known(path)
+        for path, value in leaves(config, settings).items()
+        if not below or path == below or path.startswith(below + ".")
+    ]
+
+
+def _known(path: str) -> dict[str, Any]:
+    if path.startswith(PIPELINE + "."):
+        return _of_pipeline(path.removeprefix(PIPELINE + "."))
+    return _of_schema(path)
+
+
+@functools.cache
+def _schema() -> dict[str, Any]:
+    return RigConfig.model_json_schema()
+
+
+@functools.cache
+def _of_schema(path: str) -> dict[str, Any]:
+    """What the schema of rig.yaml says of a setting."""
+    node = _schema()
+    for part in path.split("."):
+        section = next((kind for kind in _kinds(node) if part in kind.get("properties", {})), {})
+        node = section.get("properties", {}).get(part, {})
+    kinds, name = _kinds(node), path.rpartition(".")[2]
+    row: dict[str, Any] = {"type": " or ".join(dict.fromkeys(str(kind.get("type", "string")) for kind in kinds))}
+    for kind in kinds:
+        row |= {ours: kind[theirs] for theirs, ours in _BOUNDS.items() if theirs in kind}
+    row |= {"default": node["default"]} if "default" in node else {}
+    row |= {"unit": _SUFFIXES[end]} if (end := name.rpartition("_")[2]) in _SUFFIXES and end != name else {}
+    return row | {"doc": next((text for text in (one.get("description") for one in (node, *kinds)) if text), "")}
+
+
+def _kinds(node: dict[str, Any]) -> list[dict[str, Any]]:
+    """What a value may be: the branches of a union, references followed."""
+    if "$ref" in node:
+        return _kinds(_schema()["$defs"][node["$ref"].rpartition("/")[2]])
+    inner = node.get("anyOf", node.get("oneOf"))
+    if inner is None:
+        return [node]
+    doc = {"description": node["description"]} if "description" in node else {}
+    return [doc | kind for branch in inner for kind in _kinds(branch)]
+
+
+def _of_pipeline(name: str) -> dict[str, Any]:
+    default = asdict(Settings())[name]
+    row: dict[str, Any] = {"type": _JSON[type(default)], "default": default}
+    if name in LIMITS:
+        row |= dict(zip(("min", "max"), LIMITS[name], strict=True))
+    return row | ({"unit": _UNITS[name]} if name in _UNITS else {}) | {"doc": _docs().get(name, "")}
+
+
+_JSON = {bool: "boolean", int: "integer", float: "number"}
+
+
+@functools.cache
+def _docs() -> dict[str, str]:
+    """The texts below the fields of the pipeline's settings; Python keeps them in the source alone."""
+    try:
+        (made,) = (
+            node
+            for node in ast.parse(inspect.getsource(pipeline_settings)).body
+            if isinstance(node, ast.ClassDef) and node.name == Settings.__name__
+        )
+    except (OSError, ValueError):
+        return {}
+    docs = {}
+    for field, text in zip(made.body, made.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+            docs[field.target.id] = " ".join(str(getattr(text.value, "value", "")).split())
+    return docs

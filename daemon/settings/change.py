@@ -1,0 +1,98 @@
+"""Changes of a running daemon: everything that can fail comes first, then all of it at one border between two pairs."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from daemon.config.models import RigConfig
+from daemon.errors import ConfigError, DaemonError
+from daemon.service import Service
+from daemon.settings.files import changed_files, check_fit, needs_restart, read_again
+from daemon.settings.leaves import differences, leaves, settings_of, with_value
+from daemon.settings.live import FILES, is_live
+from daemon.sinks import Changeable
+
+
+class NeedsRestartError(DaemonError):
+    """Changes that a running daemon cannot take over; nothing was changed.
+
+    Args:
+        restart: paths that need a restart; live: those that would not.
+    """
+
+    def __init__(self, restart: list[str], live: list[str]) -> None:
+        self.restart, self.live = restart, live
+        also = f" ({', '.join(live)} would not)" if live else ""
+        need = "needs" if len(restart) == 1 else "need"
+        super().__init__(f"nothing was changed: {', '.join(restart)} {need} a restart{also}")
+
+
+class SettingError(DaemonError):
+    """A setting that is not there, or a value that it does not take; ``path`` names it."""
+
+    def __init__(self, path: str, message: str) -> None:
+        self.path = path
+        super().__init__(message)
+
+
+class Changer:
+    """Takes over other settings, one change at a time.
+
+    Args:
+        service: whose; base_dir: where the relative paths of its rig.yaml start.
+    """
+
+    def __init__(self, service: Service, base_dir: Path) -> None:
+        self._service, self._base_dir = service, base_dir
+        self._lock = threading.Lock()
+
+    def set(self, path: str, value: Any) -> Any:
+        """Change one setting; its value afterwards is returned.
+
+        Raises:
+            SettingError: a path or value that is not one; NeedsRestartError; DaemonError, PipelineError: refused.
+        """
+        with self._lock:
+            service = self._service
+            if path not in leaves(service.config, service.settings):
+                raise SettingError(path, f"there is no setting {path!r:.100}; `get` without a path lists them all")
+            if not is_live(path):
+                raise SettingError(
+                    path,
+                    f"{path} cannot be set live; change it in rig.yaml and restart the daemon. Nothing was changed",
+                )
+            try:
+                config = with_value(service.config, service.settings, path, value, self._base_dir)
+            except (ConfigError, ValueError, TypeError, RecursionError) as error:
+                raise SettingError(path, str(error)) from error
+            self._take_over(config, files=path in FILES)
+            return leaves(service.config, service.settings)[path]
+
+    def take_over(self, config: RigConfig) -> list[str]:
+        """Change to a whole configuration, and to what the files that it names say now; the changed paths.
+
+        Raises:
+            NeedsRestartError: where anything of it needs a restart; DaemonError, PipelineError, OSError: refused.
+        """
+        with self._lock:
+            return self._take_over(config, files=True)
+
+    def _take_over(self, config: RigConfig, *, files: bool) -> list[str]:
+        service = self._service
+        settings = settings_of(config)
+        rig = read_again(service.rig, config, self._base_dir) if files else service.rig
+        paths = differences((service.config, service.settings), (config, settings))
+        changed = list(dict.fromkeys((*paths, *changed_files(service.rig, rig))))
+        lost = [p for p in FILES if getattr(config, p) is None and getattr(service.config, p) is not None]
+        restart = [p for p in changed if not is_live(p) or p in lost or p in needs_restart(service.rig, rig)]
+        if restart:
+            raise NeedsRestartError(restart, [p for p in changed if p not in restart])
+        if not changed:
+            return []
+        if rig is not service.rig:
+            check_fit(rig, {side: camera.status for side, camera in service.cameras.items()})
+        sinks = [sink for sink in service.sinks.values() if isinstance(sink, Changeable)]
+        service.change(config, rig, settings, [sink.change(config, rig) for sink in sinks])
+        return changed

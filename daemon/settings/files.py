@@ -1,0 +1,74 @@
+"""The files that rig.yaml names, read again: what of them has changed, and whether the rig can take it over live."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from daemon.calibration_file import read_calibration
+from daemon.config.models import RigConfig
+from daemon.errors import DaemonError
+from daemon.pattern_file import read_pattern, read_volume
+from daemon.rig import Rig
+from daemon.status import CameraStatus
+from daemon.suitability import size_problem
+from drivers.protocols import SIDES, Side
+from pipeline.calibration import Calibration
+from pipeline.cloud import Volume
+from pipeline.pattern import from_mapping as pattern_from_mapping
+
+
+def read_again(rig: Rig, config: RigConfig, base_dir: Path) -> Rig:
+    """The same devices with calibration, pattern and volume as the files say now; what no file says stays.
+
+    Raises:
+        PipelineError: a file that cannot be used. OSError: one that cannot be read.
+    """
+    changes: dict[str, object] = {}
+    if config.calibration is not None:
+        read = read_calibration(config.path(config.calibration, base_dir))
+        changes |= {"calibration": read.calibration, "calibration_data": read.data, "identity": read.identity}
+    if isinstance(config.pattern, str):
+        changes["pattern"] = read_pattern(config.path(config.pattern, base_dir))
+    elif config.pattern is not None:
+        changes["pattern"] = pattern_from_mapping(config.pattern)
+    if isinstance(config.volume, str):
+        changes["volume"] = read_volume(config.path(config.volume, base_dir))
+    elif config.volume is not None:
+        changes["volume"] = Volume(config.volume.near_mm, config.volume.far_mm)
+    fresh = replace(rig, **changes)  # type: ignore[arg-type]
+    return fresh if changed_files(rig, fresh) else rig
+
+
+def changed_files(old: Rig, new: Rig) -> list[str]:
+    """Which of calibration, pattern and volume differ."""
+    same = {
+        "calibration": old.identity == new.identity,
+        "pattern": old.pattern.as_mapping() == new.pattern.as_mapping(),
+        "volume": (old.volume.near_mm, old.volume.far_mm) == (new.volume.near_mm, new.volume.far_mm),
+    }
+    return [name for name, is_same in same.items() if not is_same]
+
+
+def needs_restart(old: Rig, new: Rig) -> list[str]:
+    """Of the changed files those that change the projected picture: pictures of both would be measured for a while."""
+    pattern = ["pattern"] if "pattern" in changed_files(old, new) else []
+    return pattern if same_light(old.calibration, new.calibration) else ["calibration", *pattern]
+
+
+def same_light(old: Calibration, new: Calibration) -> bool:
+    """Whether the projector is driven alike under both."""
+    a, b = old.response, new.response
+    if a is None or b is None:
+        return a is b
+    return np.array_equal(a.levels, b.levels) and np.array_equal(a.curves, b.curves)
+
+
+def check_fit(new: Rig, cameras: dict[Side, CameraStatus]) -> None:
+    """DaemonError where a calibration is not of these cameras and this pattern."""
+    problems = [size_problem(side, cameras[side].size, new.calibration) for side in SIDES]
+    told = [problem for problem in problems if problem]
+    if told:
+        raise DaemonError("; ".join(told))

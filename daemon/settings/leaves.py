@@ -1,0 +1,65 @@
+"""A configuration as a flat table, path to value: what two of them differ in, and one of them with a value changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from daemon.config.load import check_rig
+from daemon.config.models import RigConfig
+from pipeline.settings import Settings
+
+PIPELINE = "pipeline.settings"
+
+
+def leaves(config: RigConfig, settings: Settings) -> dict[str, Any]:
+    """Every setting by its path, plain values; the pipeline's with their defaults filled in."""
+    return dict(_walk(config, "", settings))
+
+
+def _walk(section: BaseModel, above: str, settings: Settings) -> Iterator[tuple[str, Any]]:
+    for name in type(section).model_fields:
+        path, value = f"{above}{name}", getattr(section, name)
+        if path == PIPELINE:
+            yield from ((f"{path}.{key}", item) for key, item in asdict(settings).items())
+        elif isinstance(value, BaseModel) and path != "volume":
+            yield from _walk(value, f"{path}.", settings)
+        else:
+            yield path, value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+
+
+def settings_of(config: RigConfig) -> Settings:
+    """The pipeline's settings that a configuration wants."""
+    return Settings().with_overrides(config.pipeline.settings)
+
+
+def differences(old: tuple[RigConfig, Settings], new: tuple[RigConfig, Settings]) -> list[str]:
+    """Paths of the settings that differ, in the order of rig.yaml."""
+    before, after = leaves(*old), leaves(*new)
+    absent = object()
+    return [p for p in dict.fromkeys((*before, *after)) if before.get(p, absent) != after.get(p, absent)]
+
+
+def with_value(config: RigConfig, settings: Settings, path: str, value: Any, base_dir: Path) -> RigConfig:
+    """The configuration with one setting changed, checked like a whole rig.yaml.
+
+    Raises:
+        ConfigError: a value that rig.yaml would not take.
+    """
+    data = config.model_dump(mode="json")
+    data["pipeline"]["settings"] = _changed(asdict(Settings()), asdict(settings))
+    *above, name = path.split(".")
+    section = data
+    for part in above:
+        section = section[part]
+    section[name] = json.loads(json.dumps(value))
+    return check_rig(data, base_dir=base_dir)
+
+
+def _changed(defaults: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in now.items() if value != defaults[name]}

@@ -1,0 +1,29 @@
+"""Which settings can change while the daemon measures; all others need a restart."""
+
+from __future__ import annotations
+
+LIVE: tuple[str, ...] = (
+    "calibration",
+    "volume",
+    "mode",
+    "pairing.*",
+    "pipeline.overload",
+    "pipeline.temporal_prior",
+    "pipeline.settings.*",
+    "stream.preview_hz",
+    "recording.*",
+    "selfcheck.rate_hz",
+    "selfcheck.limits.*",
+)
+"""Paths, or sections with ``.*``. Who takes one over is a sink (:class:`daemon.sinks.Changeable`), or reads the
+service's ``config`` anew each time."""
+
+FILES = ("calibration", "pattern", "volume")
+"""Settings that name a file, whose content counts like a setting."""
+
+
+def is_live(path: str) -> bool:
+    """Whether a setting can change while the daemon measures."""
+    return any(
+        path == entry or (entry.endswith(".*") and (path + ".").startswith(entry.removesuffix("*"))) for entry in LIVE
+    )

@@ -1,0 +1,13 @@
+"""Which version of the project this is."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+
+def program_version() -> str:
+    """The installed version of the project."""
+    try:
+        return version("fringed")
+    except PackageNotFoundError:
+        return "unknown"

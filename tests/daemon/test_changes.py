@@ -1,0 +1,321 @@
+"""Changes of a running daemon: all of it between two pairs, or nothing."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from daemon.config import load_rig
+from daemon.config.models import RigConfig
+from daemon.control.methods import Methods
+from daemon.control.protocol import FAILED, INVALID_PARAMS, RpcError
+from daemon.errors import DaemonError
+from daemon.recorder import Recorder
+from daemon.rig import Rig
+from daemon.service import Service
+from daemon.settings.files import read_again
+from daemon.status import State
+from pipeline import pattern
+from pipeline.pattern import ColorFringe
+from tests.daemon.rigs import Collector, devices, rig_of, step, wait_until
+
+RIG = """cameras: {{driver: sim}}
+calibration: calibration.yaml
+volume: {{near_mm: {near}, far_mm: {far}}}
+stream: {{endpoints: ['ipc://{tmp}/s']}}
+control: {{endpoint: 'ipc://{tmp}/c'}}
+"""
+
+
+class Listening(Collector):
+    """A sink that takes changes over, and knows what it was when each cloud came."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.refusal = ""
+        self.committed: list[tuple[RigConfig, Rig]] = []
+
+    def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:
+        if self.refusal:
+            raise DaemonError(self.refusal)
+        return lambda: self.committed.append((config, rig))
+
+
+class Running:
+    """A daemon over pictures of nothing, with its files."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.devices = path, devices()
+        self.write_calibration(self.devices.calibration)
+        self.rig_file = path / "rig.yaml"
+        self.write()
+        config = load_rig(self.rig_file)
+        self.sink = Listening()
+        rig = read_again(rig_of(self.devices), config, path)
+        self.service = Service(config, rig, {"stream": self.sink})
+        self.recorder = Recorder(self.service, path / "takes", lambda _: Collector())
+        self.methods = Methods(self.service, self.recorder, path=self.rig_file, base_dir=path).table()
+        self.thread = threading.Thread(target=self.service.run)
+        self.thread.start()
+        wait_until(lambda: self.service.state()[0] is State.RUNNING, 90)
+        wait_until(lambda: all(camera.status.state == "acquiring" for camera in self.service.cameras.values()))
+
+    def write_calibration(self, data: Any) -> None:
+        (self.path / "calibration.yaml").write_text(yaml.safe_dump(dict(data), sort_keys=False))
+
+    def write(self, more: str = "", near: float = 1200.0, far: float = 1500.0) -> None:
+        self.rig_file.write_text(RIG.format(tmp=self.path, near=near, far=far) + more)
+
+    def call(self, method: str, /, **params: object) -> Any:
+        return self.methods[method](params)
+
+    def clouds(self, count: int) -> None:
+        """So many pairs, each of which becomes a cloud."""
+        for _ in range(count):
+            before = self.service.worker.clouds
+            step(self.devices)
+            wait_until(lambda before=before: self.service.worker.clouds > before)  # type: ignore[misc]
+
+    def as_it_is(self) -> tuple[object, ...]:
+        service = self.service
+        return service.config, service.settings, service.rig, service.worker._reconstructor, len(self.sink.committed)
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    made = Running(tmp_path_factory.mktemp("rig"))
+    for _ in range(4):  # the first ones wait until the cameras' counts are believed
+        step(made.devices)
+    wait_until(lambda: made.service.worker.clouds >= 1)
+    wait_until(lambda: made.service.desk.pairs == 4 and not made.service.worker._box)
+    yield made
+    made.service.ask_stop()
+    made.thread.join(30)
+
+
+@pytest.fixture
+def running(daemon: Running) -> Running:
+    """As its file says."""
+    daemon.sink.refusal = ""
+    daemon.write_calibration(daemon.devices.calibration)
+    daemon.write()
+    daemon.call("reload")
+    return daemon
+
+
+def refused(running: Running, method: str, /, **params: object) -> RpcError:
+    """The refusal of a call that must change nothing."""
+    before = running.as_it_is()
+    with pytest.raises(RpcError) as caught:
+        running.call(method, **params)
+    assert running.as_it_is() == before
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "read"),
+    [
+        ("pipeline.settings.min_modulation", 7, lambda s: s.settings.min_modulation),
+        ("pipeline.overload", "half", lambda s: s.config.pipeline.overload),
+        ("pipeline.temporal_prior", False, lambda s: s.worker._config.temporal_prior),
+        ("pairing.tolerance_us", 1500, lambda s: s.desk._pairer.settings.tolerance_ns / 1000),
+        ("pairing.resync_after", 5, lambda s: s.desk._pairer.settings.resync_after),
+        ("recording.min_free_mb", 17, lambda s: s.config.recording.min_free_mb),
+        ("stream.preview_hz", 0.5, lambda s: s.sinks["stream"].committed[-1][0].stream.preview_hz),
+        ("selfcheck.limits.column_px", 0.5, lambda s: s.config.selfcheck.limits.column_px),
+        ("volume", {"near_mm": 1100, "far_mm": 1400}, lambda s: {"near_mm": s.rig.volume.near_mm, "far_mm": 1400.0}),
+    ],
+)
+def test_a_live_setting_is_taken_over_and_read_back(
+    running: Running, path: str, value: object, read: Callable[[Service], object]
+) -> None:
+    assert running.call("set", path=path, value=value) == {path: value}
+    assert read(running.service) == value and running.call("get", path=path) == value
+    running.clouds(2)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("pipeline.settings.min_modulation", 1e9),
+        ("pipeline.settings.min_modulation", "7"),
+        ("pipeline.settings.min_modulation", None),
+        ("pipeline.settings.min_modulation", {"a": [1]}),
+        ("pipeline.settings.nothing", 1),
+        ("pipeline.settings", {}),
+        ("pipeline.overload", "all"),
+        ("pairing.tolerance_us", -1),
+        ("pairing.tolerance_us", True),
+        ("stream.preview_hz", 1e400),
+        ("volume", {"near_mm": 5, "far_mm": 4}),
+        ("device.name", "x"),
+        ("control.endpoint", "ipc:///tmp/x"),
+        ("cameras.left.exposure_us", 5),
+        ("__class__", 1),
+        ("", 1),
+    ],
+)
+def test_what_cannot_be_set_is_refused_with_its_path_and_changes_nothing(
+    running: Running, path: str, value: object
+) -> None:
+    error = refused(running, "set", path=path, value=value)
+    assert (error.code, error.path) == (INVALID_PARAMS, path)
+
+
+def test_what_was_set_live_goes_back_to_the_file_with_a_reload(running: Running) -> None:
+    running.call("set", path="pairing.max_wait_ms", value=321)
+    assert running.call("reload")["changed"] == ["pairing.max_wait_ms"]
+    assert running.service.config.pairing.max_wait_ms == 500
+    assert running.call("reload") == {"changed": [], "restart": []}
+
+
+def test_a_good_file_changes_everything_at_once(running: Running) -> None:
+    running.write("pairing: {max_wait_ms: 250}\npipeline: {settings: {min_modulation: 9.0}}\n", near=1250)
+    before = len(running.sink.committed)
+    assert running.call("reload")["changed"] == ["volume", "pairing.max_wait_ms", "pipeline.settings.min_modulation"]
+    assert running.service.rig.volume.near_mm == 1250 and running.service.settings.min_modulation == 9
+    assert len(running.sink.committed) == before + 1
+    running.clouds(1)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("device: {name: other}\npairing: {max_wait_ms: 250}\n", "device.name needs a restart"),
+        ("pairing: {max_wait_ms: -1}\n", r"rig\.yaml:6:"),
+        ("pipeline: {settings: {min_modulation: 1e9}}\n", "min_modulation"),
+        ("cameras: {driver: sim}\n", "twice"),
+        ("\x00", "YAML"),
+    ],
+)
+def test_a_file_that_cannot_be_taken_over_changes_nothing(running: Running, more: str, told: str) -> None:
+    running.write(more)
+    error = refused(running, "reload")
+    assert error.code == FAILED and re.search(told, error.message)
+
+
+def test_what_needs_a_restart_is_listed_by_path(running: Running) -> None:
+    running.write("device: {name: other}\npairing: {max_wait_ms: 250}\npipeline: {threads: 1}\n")
+    error = refused(running, "reload")
+    assert error.as_object()["data"] == {
+        "changed": [],
+        "restart": ["device.name", "pipeline.threads"],
+        "live": ["pairing.max_wait_ms"],
+        "path": "device.name",
+    }
+
+
+def test_another_calibration_is_taken_over_between_two_pairs(running: Running) -> None:
+    data = dict(running.devices.calibration) | {"quality": {"made": "again"}}
+    old = running.service.rig.identity
+    running.write_calibration(data)
+    assert running.call("reload")["changed"] == ["calibration"]
+    assert running.service.rig.identity != old
+    assert running.sink.committed[-1][1] is running.service.rig
+    running.clouds(2)
+
+
+def test_a_calibration_that_cannot_be_used_changes_nothing(running: Running) -> None:
+    (running.path / "calibration.yaml").write_text("fringed_calibration: 1\n")
+    assert "calibration.yaml" in refused(running, "reload").message
+    (running.path / "calibration.yaml").unlink()
+    assert "calibration.yaml" in refused(running, "reload").message
+
+
+def test_a_calibration_of_other_cameras_changes_nothing(running: Running) -> None:
+    data = yaml.safe_load(yaml.safe_dump(dict(running.devices.calibration)))
+    data["cameras"]["left"]["size"] = [64, 48]
+    running.write_calibration(data)
+    assert "64 x 48" in refused(running, "reload").message
+
+
+def test_another_projected_picture_needs_a_restart(running: Running) -> None:
+    other = ColorFringe(size=running.service.rig.pattern.size, periods=7)
+    running.service.rig = replace(running.service.rig, pattern=other)
+    try:
+        running.write(f"pattern: {dict(running.devices.pattern)}\n")
+        assert "pattern" in refused(running, "reload").as_object()["data"]["restart"]
+    finally:
+        running.service.rig = replace(running.service.rig, pattern=pattern.from_mapping(running.devices.pattern))
+
+
+def test_a_sink_that_refuses_keeps_everything_as_it_was(running: Running) -> None:
+    running.sink.refusal = "the disk is elsewhere"
+    assert "elsewhere" in refused(running, "set", path="pairing.max_wait_ms", value=20).message
+
+
+def test_no_reload_while_a_take_is_written(running: Running) -> None:
+    running.call("record.start", name="a")
+    try:
+        assert "take" in refused(running, "reload").message
+    finally:
+        running.call("record.stop")
+
+
+def test_every_setting_is_listed_with_its_meaning(running: Running) -> None:
+    rows = {row["path"]: row for row in running.call("get")["settings"]}
+    assert all(row["doc"] and row["type"] for row in rows.values())
+    row = rows["pairing.tolerance_us"]
+    assert (row["unit"], row["above"], row["max"], row["value"], row["live"]) == ("µs", 0, 1e6, 2000.0, True)
+    row = rows["pipeline.settings.min_modulation"]
+    assert (row["min"], row["max"], row["unit"], row["live"]) == (0.5, 100, "counts", True)
+    assert rows["pipeline.overload"]["choices"] == ["skip", "half"] and not rows["device.name"]["live"]
+    assert [row["path"] for row in running.call("get", path="device", detail=True)["settings"]] == ["device.name"]
+
+
+def test_a_section_is_told_as_it_stands_in_the_file(running: Running) -> None:
+    assert running.call("get", path="pairing") == {"tolerance_us": 2000.0, "max_wait_ms": 500.0, "resync_after": 3}
+    assert running.call("get", path="selfcheck")["limits"]["column_px"] == 0.04
+
+
+def test_a_pause_that_comes_while_a_capture_ends_is_not_lost(running: Running) -> None:
+    service = running.service
+    for _ in range(200):
+        service.divert(lambda _: None)
+        ends = threading.Thread(target=service.divert, args=(None,))
+        ends.start()
+        service.measure(False)
+        ends.join()
+        assert service.state()[0] is State.PAUSED and not service.cameras["left"]._wanted.is_set()
+        service.measure(True)
+
+
+def test_a_change_that_waits_when_the_daemon_stops_fails_at_once(tmp_path: Path) -> None:
+    running = Running(tmp_path)
+    held, go = threading.Event(), threading.Event()
+    failures: list[str] = []
+
+    def hold() -> None:
+        held.set()
+        assert go.wait(60)
+
+    def change() -> None:
+        try:
+            running.call("set", path="pairing.max_wait_ms", value=77)
+        except RpcError as error:
+            failures.append(error.message)
+
+    def keep() -> None:
+        with pytest.raises(DaemonError, match="stopping"):
+            running.service.worker.replace(hold, 60)
+
+    holding = threading.Thread(target=keep)
+    holding.start()
+    assert held.wait(30)
+    waiting = threading.Thread(target=change)
+    waiting.start()
+    wait_until(lambda: len(running.service.worker._changes) == 1)
+    running.service.ask_stop()
+    waiting.join(15)  # a change has 20 s
+    assert failures == ["the daemon is stopping; nothing was changed"]
+    go.set()
+    holding.join(30)
+    running.thread.join(60)
+    assert not running.thread.is_alive() and running.service.config.pairing.max_wait_ms == 500

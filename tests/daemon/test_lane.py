@@ -1,0 +1,176 @@
+"""What may wait is answered beside the rest: a hanging disk holds up nobody who asks for the status."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+
+from daemon.control.lane import ROOM, Job, Lane
+from daemon.control.protocol import BUSY, FAILED, FORBIDDEN, MAX_ANSWER_BYTES, MAX_BATCH, Method, Role, answer
+from daemon.control.server import ControlServer
+from tests.daemon.rigs import wait_until
+
+
+class Slow:
+    """A method that waits until it is let go."""
+
+    def __init__(self) -> None:
+        self.go = threading.Event()
+        self.calls = 0
+
+    def __call__(self, _: dict[str, Any]) -> str:
+        self.calls += 1
+        assert self.go.wait(60)
+        return "slow"
+
+
+@pytest.fixture
+def slow() -> Iterator[Slow]:
+    made = Slow()
+    yield made
+    made.go.set()
+
+
+@pytest.fixture
+def server(tmp_path: Path, slow: Slow) -> Iterator[ControlServer]:
+    methods = {"slow": Method(slow, slow=True), "quick": Method(lambda _: "quick", role=Role.VIEW)}
+    made = ControlServer(f"ipc://{tmp_path}/control", methods)
+    made.start()
+    yield made
+    slow.go.set()
+    made.close()
+
+
+class Asking:
+    """A client that need not wait for one answer before the next request."""
+
+    def __init__(self, server: ControlServer) -> None:
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket = self._context.socket(zmq.DEALER)
+        self._socket.connect(server.endpoint)
+
+    def send(self, request_id: int | None, method: str) -> None:
+        named = {} if request_id is None else {"id": request_id}
+        self._socket.send(json.dumps({"jsonrpc": "2.0", "method": method} | named).encode())
+
+    def answer(self) -> dict[str, Any]:
+        assert self._socket.poll(30_000), "no answer"
+        return dict(json.loads(self._socket.recv()))
+
+    def close(self) -> None:
+        self._context.destroy(linger=0)
+
+
+@pytest.fixture
+def client(server: ControlServer) -> Iterator[Asking]:
+    made = Asking(server)
+    yield made
+    made.close()
+
+
+def test_quick_requests_are_answered_while_a_slow_one_waits(client: Asking, slow: Slow) -> None:
+    client.send(1, "slow")
+    client.send(2, "quick")
+    assert client.answer() == {"jsonrpc": "2.0", "id": 2, "result": "quick"}
+    slow.go.set()
+    assert client.answer()["id"] == 1
+
+
+def test_more_slow_requests_than_there_is_room_for_are_busy(client: Asking, slow: Slow) -> None:
+    client.send(0, "slow")
+    wait_until(lambda: slow.calls == 1)
+    for i in range(1, ROOM + 3):
+        client.send(i, "slow")
+    refused = [client.answer(), client.answer()]
+    assert [(one["id"], one["error"]["code"]) for one in refused] == [(ROOM + 1, BUSY), (ROOM + 2, BUSY)]
+    assert "slow" in refused[0]["error"]["message"]
+    slow.go.set()
+    assert [client.answer()["id"] for _ in range(ROOM + 1)] == list(range(ROOM + 1))
+
+
+def test_who_waits_when_the_daemon_stops_is_told(client: Asking, slow: Slow, server: ControlServer) -> None:
+    client.send(1, "slow")
+    wait_until(lambda: slow.calls == 1)
+    client.send(2, "slow")
+    client.send(3, "quick")
+    assert client.answer()["id"] == 3
+    closing = threading.Thread(target=server.close)
+    closing.start()
+    wait_until(lambda: not server._lane.submit(Job("late", lambda: None, lambda: None)))
+    slow.go.set()
+    told = {one["id"]: one for one in (client.answer(), client.answer())}
+    assert told[1]["result"] == "slow" and told[2]["error"]["code"] == FAILED
+    closing.join(30)
+
+
+def test_a_job_that_fails_does_not_end_the_lane() -> None:
+    lane, done = Lane(), threading.Event()
+    lane.start()
+    assert lane.submit(Job("bad", lambda: [][0], lambda: None))
+    assert lane.submit(Job("good", done.set, lambda: None))
+    assert done.wait(30) and lane.close(30)
+
+
+METHODS = {
+    "look": Method(lambda params: params, ("a", "b"), role=Role.VIEW),
+    "touch": Method(lambda _: "touched"),
+    "much": Method(lambda _: "x" * MAX_ANSWER_BYTES),
+    "unknown": Method(lambda _: {"value": [float("nan"), 1.0]}),
+}
+
+
+def asked(request: object, role: Role = Role.OPERATE) -> Any:
+    response = answer(json.dumps(request).encode(), METHODS, role)
+    return None if response is None else json.loads(response)
+
+
+def rpc(method: str, request_id: object = 1, **more: object) -> dict[str, object]:
+    return {"jsonrpc": "2.0", "id": request_id, "method": method} | more
+
+
+def test_a_viewer_may_look_and_not_touch() -> None:
+    assert asked(rpc("look"), Role.VIEW)["result"] == {}
+    assert asked(rpc("touch"), Role.VIEW)["error"]["code"] == FORBIDDEN
+    assert asked(rpc("touch"))["result"] == "touched"
+
+
+def test_parameters_by_position_are_those_by_name() -> None:
+    assert asked(rpc("look", params=[1, 2]))["result"] == {"a": 1, "b": 2}
+    assert asked(rpc("look", params=[1]))["result"] == {"a": 1}
+
+
+def test_a_batch_is_answered_in_one_and_notifications_in_it_are_not() -> None:
+    silent = {"jsonrpc": "2.0", "method": "touch"}
+    answers = asked([rpc("look", 1), silent, 7, rpc("nothing", 2)])
+    assert [(one["id"], one.get("error", {}).get("code")) for one in answers] == [
+        (1, None),
+        (None, -32600),
+        (2, -32601),
+    ]
+    assert asked([silent, silent]) is None
+    assert asked([rpc("look")] * (MAX_BATCH + 1))["error"]["code"] == -32600
+
+
+def test_a_notification_is_not_answered_whatever_becomes_of_it() -> None:
+    assert asked({"jsonrpc": "2.0", "method": "nothing"}) is None
+
+
+def test_an_answer_has_a_bound_and_is_proper_json() -> None:
+    assert asked(rpc("much"))["error"]["code"] == -32603
+    assert asked(rpc("unknown"))["result"] == {"value": [None, 1.0]}
+
+
+@pytest.mark.parametrize("request_id", [True, [1], {}])
+def test_an_id_is_a_text_or_a_number(request_id: object) -> None:
+    assert asked(rpc("look", request_id))["error"]["code"] == -32600
+
+
+def test_a_number_that_is_not_finite_is_no_json() -> None:
+    response = answer(b'{"jsonrpc": "2.0", "id": 1e999, "method": "look"}', METHODS)
+    assert response is not None and json.loads(response)["error"]["code"] == -32700
