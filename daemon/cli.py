@@ -15,6 +15,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "listen": ("daemon.commands.listen", "Print rate, points, latency and losses of a stream."),
     "status": ("daemon.commands.status", "Show what a running daemon is doing."),
     "health": ("daemon.commands.health", "Tell how a running daemon fares; charts of the last hours."),
+    "mode": ("daemon.commands.mode", "Tell or change how many pictures make a cloud."),
     "get": ("daemon.commands.get", "List the settings of a running daemon, or show one."),
     "set": ("daemon.commands.set", "Change a setting while the daemon measures."),
     "reload": ("daemon.commands.switches:reload", "Let a running daemon read its rig.yaml and files again."),

@@ -11,6 +11,7 @@ from daemon.config.models import RigConfig
 from daemon.control.protocol import Method
 from daemon.rig import Rig
 from daemon.runtime import stream_endpoint
+from daemon.sequencing.sets import Shown
 from daemon.sinks import Sink
 
 if TYPE_CHECKING:
@@ -74,8 +75,14 @@ def open_gate(
     )
 
 
-def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path) -> Sink:
-    """The writer of a take, its first part open; everything that a replay needs is attached."""
+def open_take(
+    config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path, *, shown: Shown | None = None
+) -> Sink:
+    """The writer of a take, its first part open; everything that a replay needs is attached.
+
+    Args:
+        shown: what is shown instead of the rig's pattern.
+    """
     from daemon.recording.writer import TakeWriter
 
     recording = config.recording
@@ -84,7 +91,7 @@ def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: P
         session=session,
         device=config.device.name,
         calibration_data=rig.calibration_data,
-        pattern=rig.pattern.as_mapping(),
+        pattern=rig.pattern.as_mapping() if shown is None else shown.pattern,
         volume={"near_mm": rig.volume.near_mm, "far_mm": rig.volume.far_mm},
         rig_data=rig_file.read_bytes(),
         queue=recording.queue,
@@ -97,6 +104,7 @@ def open_take(config: RigConfig, rig: Rig, session: str, path: Path, rig_file: P
         keep_bytes=recording.keep_mb * MEGABYTE,
         keep_s=recording.keep_s,
         tolerance_ns=round(1000 * config.pairing.tolerance_us),
+        extra_metadata=None if shown is None else shown.metadata,
     )
 
 

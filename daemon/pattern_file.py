@@ -11,6 +11,8 @@ from daemon.bounded import read_at_most
 from pipeline.cloud import Volume
 from pipeline.errors import PatternError, PipelineError
 from pipeline.pattern import ColorFringe, from_mapping
+from pipeline.sequence import Sequence
+from pipeline.sequence import from_mapping as sequence_from_mapping
 
 PATTERN_LIMIT = 4 << 20
 VOLUME_LIMIT = 1 << 16
@@ -26,6 +28,14 @@ def read_pattern(path: Path) -> ColorFringe:
 def parse_pattern(data: bytes, name: str) -> ColorFringe:
     """The pattern in the bytes of a file; ``name`` is what errors call it."""
     return _named(name, PatternError, lambda: from_mapping(_object(data, name, PatternError)))
+
+
+def parse_sequence(data: bytes, name: str) -> Sequence | None:
+    """The sequence in the bytes of a file, None where it holds a single pattern; ``name`` is what errors call it."""
+    found = _object(data, name, PatternError)
+    if found.get("kind") != "sequence":
+        return None
+    return _named(name, PatternError, lambda: sequence_from_mapping(found))
 
 
 def read_volume(path: Path) -> Volume:

@@ -3,36 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from daemon.config.models import Pipeline, RigConfig
 from daemon.errors import DaemonError
 from daemon.rig import Rig
+from daemon.sequencing.plan import Plan, SetMeasure
+from daemon.worker import ReconstructsSets
 from drivers.protocols import Clock
 from pipeline.reconstruct import Reconstructor
 from pipeline.settings import Settings
 
 
 def make_reconstructor(
-    config: RigConfig, rig: Rig, settings: Settings, encodings: Sequence[str], clock: Clock
-) -> Reconstructor:
+    config: RigConfig,
+    rig: Rig,
+    settings: Settings,
+    encodings: Sequence[str],
+    clock: Clock,
+    *,
+    plan: Plan | None = None,
+) -> Reconstructor | SetMeasure:
     """A reconstructor, not warmed up.
 
     Args:
-        encodings: of both cameras, empty where one is not known yet.
+        encodings: of both cameras, empty where one is not known yet; plan: of a multi-frame mode.
     """
     if len(set(encodings)) != 1 or "" in encodings:
         raise DaemonError(f"the cameras send {sorted(set(encodings))}; both must send the same encoding")
-    return Reconstructor(
-        rig.calibration,
-        rig.pattern,
-        rig.volume,
-        encoding=encodings[0],
-        settings=settings,
-        clock=clock.monotonic_ns,
-        threads=config.pipeline.threads or len(config.pipeline.cpus),
-    )
+    options: dict[str, Any] = {
+        "encoding": encodings[0],
+        "settings": settings,
+        "clock": clock.monotonic_ns,
+        "threads": config.pipeline.threads or len(config.pipeline.cpus),
+    }
+    if plan is not None:
+        return plan.reconstructor(rig, **options)
+    return Reconstructor(rig.calibration, rig.pattern, rig.volume, **options)
 
 
-def warm_up(made: Reconstructor, config: Pipeline) -> None:
+def warm_up(made: Reconstructor | ReconstructsSets, config: Pipeline) -> None:
     """Compile every kernel that this configuration may need, up to a minute after an update."""
-    made.warm_up(every=(1, 2) if config.overload == "half" else (1,), follow=config.temporal_prior)
+    if isinstance(made, Reconstructor):
+        made.warm_up(every=(1, 2) if config.overload == "half" else (1,), follow=config.temporal_prior)
+    else:
+        made.warm_up()

@@ -20,12 +20,13 @@ from daemon.pairing import Pair
 from daemon.pairing_desk import PairingDesk, pairing_settings
 from daemon.reconstruction import make_reconstructor, warm_up
 from daemon.rig import Rig
+from daemon.sequencing.desk import Outlets, Sequencing
 from daemon.sinks import CloudItem, Item, LoneItem, PairItem, Sink
 from daemon.status import CameraState, CameraStatus, State, Status
 from daemon.stop import StopEvent
 from daemon.suitability import projector_problem, size_problem, timing_warnings
 from daemon.version import program_version
-from daemon.worker import Worker
+from daemon.worker import Reconstructs, ReconstructsSets, Worker
 from drivers.protocols import SIDES, Clock, Frame, ProjectorInfo, Side
 from pipeline.reconstruct import Reconstructor
 from pipeline.settings import Settings
@@ -35,6 +36,7 @@ log = logging.getLogger("fringed")
 _TICK_S = 0.1
 _JOIN_S = 5.0
 _CHANGE_S = 20.0
+_MODE_S = 180.0  # the kernels of another mode may have to be compiled
 
 
 class Service:
@@ -81,6 +83,7 @@ class Service:
         limits = pairing_settings(config.pairing)
         self.desk = PairingDesk(limits, paired=self._paired, lone=self._lone, clock=self.clock)
         self.worker = Worker(config.pipeline, emit=self.emit, drops=self.drops, clock=self.clock)
+        self.sequencing = Sequencing(config, rig, Outlets(self.emit, self.worker.offer, self.drops), clock=self.clock)
         self.cameras: dict[Side, CameraThread] = {
             side: CameraThread(
                 side,
@@ -121,12 +124,17 @@ class Service:
         with self._wishes:
             self._paused = not wanted
             self._let_cameras()
+            self.sequencing.pause(self._paused)
 
     def divert(self, taker: Callable[[Pair], object] | None) -> None:
         """Hand every pair to ``taker`` alone, neither measured nor recorded; None: measure as before."""
+        if taker is not None:
+            self.sequencing.hold("capture")
         with self._wishes:
             self._taker = taker
             self._let_cameras()
+        if taker is None:
+            self.sequencing.release("capture")
         self._note_state()
 
     def _let_cameras(self) -> None:
@@ -134,10 +142,12 @@ class Service:
         for camera in self.cameras.values():
             camera.measure(not self._paused or self._taker is not None)
 
-    def reconstructor(self, settings: Settings, rig: Rig | None = None) -> Reconstructor:
-        """A reconstructor for these settings, the cameras' encoding and a rig (its own); not warmed up."""
+    def reconstructor(self, settings: Settings, rig: Rig | None = None) -> Reconstructor | ReconstructsSets:
+        """A reconstructor for these settings, the cameras' encoding, the mode and a rig (its own); not warmed up."""
         encodings = [self.cameras[side].status.encoding for side in SIDES]
-        return make_reconstructor(self.config, rig or self.rig, settings, encodings, self.clock)
+        return make_reconstructor(
+            self.config, rig or self.rig, settings, encodings, self.clock, plan=self.sequencing.plan
+        )
 
     def apply(self, settings: Settings) -> None:
         """Use other settings from the next pair on."""
@@ -156,14 +166,16 @@ class Service:
         """
         if not self._ready:
             raise DaemonError("the daemon is still starting; try again when it is running")
-        self.worker.replace(lambda: self._changed(config, rig, settings, commits), _CHANGE_S)
+        patience_s = _CHANGE_S if config.mode == self.sequencing.mode else _MODE_S
+        with self.sequencing.changing(config.mode):
+            self.worker.replace(lambda: self._changed(config, rig, settings, commits), patience_s)
 
     def _changed(
         self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]
-    ) -> Reconstructor | None:
+    ) -> Reconstructs | ReconstructsSets | None:
         """In the pipeline's thread: first what can fail, then what cannot."""
         made = None
-        ways = [(c.pipeline.overload, c.pipeline.temporal_prior) for c in (self.config, config)]
+        ways = [(c.pipeline.overload, c.pipeline.temporal_prior, c.mode) for c in (self.config, config)]
         if settings != self.settings or rig is not self.rig or ways[0] != ways[1]:
             made = self.reconstructor(settings, rig)
             if rig is not self.rig or ways[0] != ways[1]:
@@ -243,6 +255,8 @@ class Service:
             recorder=sinks.pop("recorder", {"recording": False}),
             selfcheck={"enabled": "selfcheck" in sinks, **sinks.pop("selfcheck", {})},
             health={"enabled": "health" in sinks, **sinks.pop("health", {})},
+            mode=self.sequencing.mode,
+            sequence=self.sequencing.status(),
             sinks=sinks,
         )
 
@@ -261,6 +275,7 @@ class Service:
         dark = self.rig.projector.problem()
         if dark:
             reasons.append(f"projector: {dark}")
+        reasons += filter(None, (self.sequencing.problem(),))
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():
@@ -278,7 +293,7 @@ class Service:
         if unfit:
             raise DaemonError(unfit)
         self.projector = projector
-        self.rig.projector.show(self.rig.pattern.picture(self.rig.calibration.response))
+        self.sequencing.light(projector)
         for camera in self.cameras.values():
             camera.start()
         while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
@@ -286,6 +301,7 @@ class Service:
             self._look_up()
         if self._stop.is_set():
             return
+        self.sequencing.release("start")
         made = self.worker.start(self._warm)
         while not made.done() and not self._stop.wait(_TICK_S):
             self._look_up()
@@ -296,7 +312,7 @@ class Service:
             for warning in self.status().warnings:
                 log.warning("%s", warning)
 
-    def _warm(self) -> Reconstructor:
+    def _warm(self) -> Reconstructs | ReconstructsSets:
         """A reconstructor with all kernels compiled, which takes up to a minute after an update."""
         made = self.reconstructor(self.settings)
         warm_up(made, self.config.pipeline)
@@ -343,6 +359,8 @@ class Service:
             if not camera.join(_JOIN_S):
                 log.error("camera %s: its driver does not come back; left behind", side)
         self.desk.flush()
+        if not self.sequencing.close():
+            log.error("the projector's driver does not come back; left behind")
         if not self.worker.stop(_JOIN_S):
             log.error("the pipeline does not come back; left behind")
         if self._on_status is not None:
@@ -367,11 +385,13 @@ class Service:
         if taker is not None:
             taker(pair)
             return
+        if self.sequencing.takes(pair):
+            return
         self.emit(PairItem(pair.left, pair.right))
         self.worker.offer(pair)
 
     def _lone(self, frame: Frame) -> None:
-        if self._taker is None:
+        if self._taker is None and not self.sequencing.takes_alone():
             self.emit(LoneItem(frame))
 
     def _note_state(self) -> None:

@@ -31,13 +31,15 @@ class LoneItem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudItem:
-    """A reconstructed pair.
+    """A reconstructed pair, or set of pairs in a multi-frame mode.
 
     Args:
-        seq: number of the trigger; t_ns: start of exposure, CLOCK_REALTIME.
+        seq: number of the trigger; t_ns: start of exposure, CLOCK_REALTIME; both of a set's first picture.
+        left, right: the raw frames, the last ones of a set.
         latency_ms: from the start of exposure to the finished cloud.
         dropped: pairs that were dropped so far because the pipeline was busy or not ready.
         every: spacing of the measured pixels of the left camera, 2 under overload.
+        mode: name; frames: pictures of a set; span_ms: between the starts of its first and its last exposure.
     """
 
     seq: int
@@ -48,6 +50,14 @@ class CloudItem:
     latency_ms: float
     dropped: int = 0
     every: int = 1
+    mode: str = "single"
+    frames: int = 1
+    span_ms: float = 0.0
+
+    @property
+    def moved(self) -> int:
+        """Pixels of a set that are unknown because something moved there meanwhile."""
+        return self.cloud.moved
 
     @property
     def t_arrived_ns(self) -> int:

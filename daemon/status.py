@@ -71,6 +71,7 @@ class Status:
         selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
             nobody looks.
         health: the verdict and what is beyond its limits; only ``enabled: false`` when nobody judges.
+        mode: single, or the name of a multi-frame mode; sequence: its pictures and sets.
         garbage: collections of Python's garbage since the start, and how long they held everything up.
     """
 
@@ -101,6 +102,8 @@ class Status:
     recorder: dict[str, Any]
     selfcheck: dict[str, Any]
     health: dict[str, Any]
+    mode: str = "single"
+    sequence: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -18,6 +18,7 @@ from daemon.mailbox import Mailbox
 from daemon.overload import Overload
 from daemon.pairing import Pair
 from daemon.sequel import Sequel
+from daemon.sequencing.sets import SINGLE, PictureSet
 from daemon.sinks import CloudItem
 from daemon.supervision.pulse import Pulse
 from drivers.protocols import Clock
@@ -41,11 +42,24 @@ class Reconstructs(Protocol):
         """
 
 
-Make = Callable[[], Reconstructs]
+class ReconstructsSets(Protocol):
+    """What the worker needs of a reconstructor of sets."""
+
+    mode: str
+
+    def warm_up(self) -> None:
+        """Compile every kernel."""
+
+    def reconstruct(self, lefts: Any, rights: Any) -> Cloud:
+        """The cloud of the raw pictures of a set, in the order of its sequence."""
+
+
+Make = Callable[[], Reconstructs | ReconstructsSets | None]
+Shot = Pair | PictureSet
 
 
 class Worker:
-    """Reconstructs pairs, one at a time; what cannot wait is dropped and counted.
+    """Reconstructs pairs or sets, one at a time; what cannot wait is dropped and counted.
 
     Args:
         config: of the pipeline.
@@ -54,9 +68,9 @@ class Worker:
     """
 
     def __init__(self, config: Pipeline, *, emit: Callable[[CloudItem], None], drops: Counters, clock: Clock) -> None:
-        self._box: Mailbox[Pair] = Mailbox(config.queue)
+        self._box: Mailbox[Shot] = Mailbox(config.queue)
         self._config, self._emit, self._drops, self._clock = config, emit, drops, clock
-        self._reconstructor: Reconstructs | None = None
+        self._reconstructor: Reconstructs | ReconstructsSets | None = None
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
         self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
@@ -67,7 +81,7 @@ class Worker:
         self._overload = Overload(enabled=config.overload == "half")
         self._sequel = Sequel()
         self._garbage, self.pauses = Garbage(), Pauses()
-        self._changes: deque[tuple[Callable[[], Reconstructs | None], Future[None]]] = deque(maxlen=16)
+        self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
         self._ended: Future[None] = Future()
 
@@ -93,7 +107,7 @@ class Worker:
         self._thread.start()
         return self._made
 
-    def replace(self, make: Callable[[], Reconstructs | None], timeout_s: float) -> None:
+    def replace(self, make: Make, timeout_s: float) -> None:
         """Make another reconstructor between two pairs and use it from then on; None: keep the one that is there.
 
         It is made in the pipeline's thread, because not every threading layer of numba bears two callers. ``make`` may
@@ -124,23 +138,29 @@ class Worker:
         self._config = config
         self._overload.enable(config.overload == "half")
 
-    def offer(self, pair: Pair) -> None:
-        """Take a pair; the freshest wins."""
+    def offer(self, shot: Shot) -> None:
+        """Take a pair or a set; the freshest wins."""
         if not self._running():
-            self._drop("pairs_not_ready")
+            self._drop(shot, "not_ready")
             return
         now_ns = self._clock.monotonic_ns()
-        self._overload.offered(now_ns)
-        if self._box.put(pair) is not None:
-            self._overload.dropped(now_ns)
-            self._drop("pairs_pipeline_busy")
+        if isinstance(shot, Pair):
+            self._overload.offered(now_ns)
+        pushed_out = self._box.put(shot)
+        if pushed_out is not None:
+            if isinstance(pushed_out, Pair):
+                self._overload.dropped(now_ns)
+            self._drop(pushed_out, "pipeline_busy")
 
     def _running(self) -> bool:
         return self._reconstructor is not None and self._thread.is_alive()
 
-    def _drop(self, reason: str) -> None:
+    def _drop(self, shot: Shot, reason: str) -> None:
         self.dropped += 1
-        self._drops.add(reason)
+        self._count(shot, reason)
+
+    def _count(self, shot: Shot, reason: str) -> None:
+        self._drops.add(f"{_kind(shot)}s_{reason}")
 
     def stop(self, timeout_s: float) -> bool:
         """Finish the pair at hand and end; False when it does not end in time.
@@ -149,7 +169,8 @@ class Worker:
         """
         self._stop.set()
         self.end_changes()
-        self._drops.add("pairs_stopped", len(self._box.close()))
+        for shot in self._box.close():
+            self._count(shot, "stopped")
         if not self._running():
             return True
         self._thread.join(timeout_s)
@@ -180,10 +201,10 @@ class Worker:
     def _next(self) -> None:
         self._change()
         self.pulse.expect(_TURN_S)
-        pair = self._box.get(_IDLE_S)
-        if pair is not None:
+        shot = self._box.get(_IDLE_S)
+        if shot is not None:
             self.pulse.expect(_MEASURE_S)
-            self._try(pair)
+            self._try(shot)
             self.finished += 1
             self.pulse.expect(_TURN_S)
         self._garbage.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._box)
@@ -191,17 +212,20 @@ class Worker:
     def _hold_garbage(self) -> None:
         self._garbage.hold(self._clock.monotonic_ns() / 1e9)
 
-    def _try(self, pair: Pair) -> None:
+    def _try(self, shot: Shot) -> None:
         try:
-            self._measure(pair)
+            if isinstance(shot, PictureSet):
+                self._measure_set(shot)
+            else:
+                self._measure(shot)
         except PipelineError as error:
             self._sequel.forget()
-            self._drops.add("pairs_refused_by_pipeline")
-            log.warning("pair %d cannot be measured: %s", pair.seq, error)
+            self._count(shot, "refused_by_pipeline")
+            log.warning("%s %d cannot be measured: %s", _kind(shot), shot.seq, error)
         except Exception:
             self._sequel.forget()
-            self._drops.add("pairs_failed_in_pipeline")
-            log.exception("pair %d failed", pair.seq)
+            self._count(shot, "failed_in_pipeline")
+            log.exception("%s %d failed", _kind(shot), shot.seq)
 
     def _change(self) -> None:
         while self._changes:
@@ -220,11 +244,14 @@ class Worker:
                 done.set_exception(error)
 
     def _measure(self, pair: Pair) -> None:
-        assert self._reconstructor is not None  # noqa: S101 - start() has set it
+        reconstructor: Any = self._reconstructor
+        if getattr(reconstructor, "mode", SINGLE) != SINGLE:
+            self._drop(pair, "of_another_mode")
+            return
         every, t_ns = self._overload.every, pair.left.t_exposure_ns
         follow = self._config.temporal_prior and self._sequel.follows(pair.seq, t_ns, every)
         began_ns = self._clock.monotonic_ns()
-        cloud = self._reconstructor.reconstruct(pair.left.image, pair.right.image, every=every, follow=follow)
+        cloud = reconstructor.reconstruct(pair.left.image, pair.right.image, every=every, follow=follow)
         # The latency is taken here, where the result is made, not where it is written or shown.
         latency_ms = (self._clock.realtime_ns() - t_ns) / 1e6
         item = CloudItem(pair.seq, t_ns, cloud, pair.left, pair.right, latency_ms, self.dropped, every)
@@ -235,6 +262,22 @@ class Worker:
         if self._overload.measured((now_ns - began_ns) / 1e6, every, now_ns):
             log.info("load: every %s pixel is measured", "second" if self._overload.every == 2 else "single")
 
+    def _measure_set(self, shot: PictureSet) -> None:
+        """Every pixel, however long it takes: the scene is at rest."""
+        reconstructor: Any = self._reconstructor
+        if getattr(reconstructor, "mode", SINGLE) != shot.mode:
+            self._drop(shot, "of_another_mode")
+            return
+        cloud = reconstructor.reconstruct(shot.lefts, shot.rights)
+        latency_ms = (self._clock.realtime_ns() - shot.t_ns) / 1e6
+        item = CloudItem(
+            shot.seq, shot.t_ns, cloud, shot.left, shot.right, latency_ms, self.dropped,
+            mode=shot.mode, frames=len(shot.pairs), span_ms=shot.span_ms,
+        )  # fmt: skip
+        self._sequel.forget()
+        self._note(item, self._clock.monotonic_ns())
+        self._emit(item)
+
     def _note(self, item: CloudItem, now_ns: int) -> None:
         self.latency_ms.note(item.latency_ms)
         self.rate.note(now_ns)
@@ -243,3 +286,7 @@ class Worker:
         self.valid = self.points / max(1, item.cloud.gray.size)
         self.stages_ms = {name: round(ms, 2) for name, ms in item.cloud.ms.items()}
         self.last = item
+
+
+def _kind(shot: Shot) -> str:
+    return "set" if isinstance(shot, PictureSet) else "pair"

@@ -33,6 +33,7 @@ class Cloud:
         modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right picture.
         order: (H, W) int16, fringe order of the left pixel; -1 where unknown.
         saturated: share of clipped pixels, left and right.
+        moved: lit pixels of the left pictures that contradict each other, so that something moved; sets only.
         ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
     """
 
@@ -42,6 +43,7 @@ class Cloud:
     modulation: tuple[NDArray[np.uint8], NDArray[np.uint8]]
     order: NDArray[np.int16]
     saturated: tuple[float, float] = (0.0, 0.0)
+    moved: int = 0
     ms: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -64,14 +64,14 @@ class Reconstructor:
         self.calibration, self.pattern, self.volume, self.encoding = calibration, pattern, volume, encoding
         self.settings = settings or Settings()
         self.correction = self_calibration.NO_CORRECTION.copy()
-        self._calibrated = not self.settings.self_calibrate
+        self.calibrated = not self.settings.self_calibrate
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
         self._left = View.of(calibration, pattern, volume, self.settings, calibration.left_color, mosaic)
         # The right view only confirms the left one: fewer rows serve.
         self._right = View.of(
-            swapped, pattern, _volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
+            swapped, pattern, volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
             inside=(swapped.right, volume), coarser=2,
         )  # fmt: skip
         labels = max(self._left.labels, self._right.labels)
@@ -96,7 +96,7 @@ class Reconstructor:
         width, height = self.calibration.left.size
         right_width, right_height = self.calibration.right.size
         deep = (3,) if self.encoding == "rgb8" else ()
-        kept = self.correction, self._calibrated
+        kept = self.correction, self.calibrated
         rng = np.random.default_rng(0)
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
@@ -104,7 +104,7 @@ class Reconstructor:
             self.reconstruct(left, right, every=step, follow=follow)
         rehearse_contest()
         self.forget()
-        self.correction, self._calibrated = kept
+        self.correction, self.calibrated = kept
 
     def reconstruct(self, left: NDArray[Any], right: NDArray[Any], *, every: int = 1, follow: bool = False) -> Cloud:
         """The cloud of a pair of raw pictures.
@@ -118,20 +118,26 @@ class Reconstructor:
         Raises:
             PictureError: a picture of another size or type.
         """
-        left = checked(left, "left", self.encoding, self.calibration.left.size)
-        right = checked(right, "right", self.encoding, self.calibration.right.size)
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
+        decided = self.decide(left, right, watch, follow=follow)
+        return self.stage(every).cloud(*decided, self.correction, watch)
+
+    def decide(
+        self, left: NDArray[Any], right: NDArray[Any], watch: Stopwatch, *, follow: bool = False
+    ) -> tuple[PhaseMap, PhaseMap, NDArray[np.int16]]:
+        """Phases of a pair and the fringe order of every left pixel, valid until the next call; arguments as above."""
+        left = checked(left, "left", self.encoding, self.calibration.left.size)
+        right = checked(right, "right", self.encoding, self.calibration.right.size)
         if not follow:
             self.forget()
         maps = self._left.decode(left), self._right.decode(right)
         watch.lap("decode")
-        if not self._calibrated:
+        if not self.calibrated:
             self.calibrate_columns(*maps)
             watch.lap("self_calibration")
-        orders = self._orders(*maps, watch, follow=follow)
-        return self._stage(every).cloud(*maps, orders, self.correction, watch)
+        return *maps, self._orders(*maps, watch, follow=follow)
 
     def forget(self) -> None:
         """The next pair follows none: it is searched in full."""
@@ -146,10 +152,10 @@ class Reconstructor:
             if cost < least - 1e-6:
                 best, least = float(offset), cost
         self.correction = np.array([best, 0.0, 0.0])
-        self._calibrated = True
+        self.calibrated = True
         self.forget()
         orders = self._orders(left, right, Stopwatch(None), follow=False)
-        located = self._stage(1).locate(left, right, orders, self.correction)
+        located = self.stage(1).locate(left, right, orders, self.correction)
         difference, along, across = self._left.column_differences(located, self.correction)
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
@@ -170,7 +176,8 @@ class Reconstructor:
         watch.lap("propagation")
         return self._order
 
-    def _stage(self, every: int) -> SurfaceStage:
+    def stage(self, every: int) -> SurfaceStage:
+        """What makes a cloud of decided orders, for points on every n-th pixel."""
         if every not in self._stages:
             self._stages[every] = SurfaceStage(
                 self.calibration, self._left, self.settings, self._correlation, every=every
@@ -178,7 +185,7 @@ class Reconstructor:
         return self._stages[every]
 
 
-def _volume_of_right(calibration: Calibration, volume: Volume) -> Volume:
+def volume_of_right(calibration: Calibration, volume: Volume) -> Volume:
     """Limits along the right camera's z axis that hold the whole measuring volume of the left one."""
     width, height = calibration.left.size
     corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], dtype=np.float64)

@@ -1,147 +1,35 @@
-"""Pictures that the projector shows one after the other on a scene at rest, as descriptions and as pixels.
-
-Two kinds of frames beside :class:`pipeline.pattern.ColorFringe`: an even picture in drive values, as it is sent to the
-projector (its response may be what is asked for), and one fringe in light, the same in every channel that is lit.
-"""
+"""Pictures that the projector shows one after the other on a scene at rest, as descriptions and as pixels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from collections.abc import Sequence as Items
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.calibration import Response
 from pipeline.errors import PatternError
+from pipeline.frame_kinds import CHANNELS as CHANNELS
+from pipeline.frame_kinds import GREY_AMPLITUDE as GREY_AMPLITUDE
+from pipeline.frame_kinds import GREY_MEAN as GREY_MEAN
+from pipeline.frame_kinds import LARGEST_SIDE as LARGEST_SIDE
+from pipeline.frame_kinds import Axis as Axis
+from pipeline.frame_kinds import Fringe as Fringe
+from pipeline.frame_kinds import GrayBit as GrayBit
+from pipeline.frame_kinds import Picture as Picture
+from pipeline.frame_kinds import Uniform as Uniform
+from pipeline.frame_kinds import check_size as check_size
 from pipeline.pattern import ColorFringe
 from pipeline.pattern import from_mapping as fringe_from_mapping
 
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
-Axis = Literal["x", "y"]
-
-CHANNELS = ("red", "green", "blue")
-LARGEST_SIDE = 8192
 MOST_FRAMES = 512
 _LONGEST_NAME = 64
 
 WHITE_LEVEL = 192
 """Drive value of white: with all three channels lit, crosstalk makes a white board brighter than a colour fringe."""
-GREY_MEAN, GREY_AMPLITUDE = 100.0, 92.0
-"""Light of a fringe that is lit in all channels, for the same reason."""
 
-
-@dataclass(frozen=True, slots=True)
-class Uniform:
-    """The same colour everywhere.
-
-    Args:
-        size: (width, height) of the projector, pixels.
-        color: drive values of red, green and blue, whole numbers from 0 to 255, sent as they are.
-    """
-
-    size: tuple[int, int]
-    color: tuple[int, int, int]
-
-    def __post_init__(self) -> None:
-        check_size(self.size)
-        if len(self.color) != 3 or any(level not in range(256) for level in self.color):
-            raise PatternError(f"pattern.color is {self.color!r:.80}, expected three whole numbers from 0 to 255")
-
-    def picture(self, response: Response | None = None) -> Picture:  # noqa: ARG002 (drive values: as they are)
-        """The picture to send, (height, width, 3) uint8, whatever the response is."""
-        return np.full((*self.size[::-1], 3), self.color, np.uint8)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """The JSON object of this frame."""
-        return {"kind": "uniform", "size": list(self.size), "color": list(self.color)}
-
-
-@dataclass(frozen=True, slots=True)
-class Fringe:
-    """One fringe, ``mean + amplitude cos(2 pi periods (u + 1/2) / length + shift)`` in light, 0..255.
-
-    Args:
-        size: (width, height) of the projector, pixels.
-        periods: over the width (axis x) or the height (axis y); may be fractional.
-        axis: direction along which the phase grows.
-        shift: radians.
-        mean, amplitude: light, 255 = full.
-        channels: those that are lit, of red, green, blue; the others are dark.
-    """
-
-    size: tuple[int, int]
-    periods: float
-    axis: Axis = "x"
-    shift: float = 0.0
-    mean: float = GREY_MEAN
-    amplitude: float = GREY_AMPLITUDE
-    channels: tuple[str, ...] = CHANNELS
-
-    def __post_init__(self) -> None:
-        check_size(self.size)
-        if self.axis not in ("x", "y"):
-            raise PatternError(f"pattern.axis is {self.axis!r:.80}, expected 'x' or 'y'")
-        if not 0 < self.periods <= self.length / 2:
-            raise PatternError(f"pattern.periods is {self.periods}, expected more than 0 and at most {self.length / 2}")
-        if not np.isfinite(self.shift):
-            raise PatternError(f"pattern.shift is {self.shift}, expected a finite angle in radians")
-        if not (0 < self.amplitude <= self.mean and self.mean + self.amplitude <= 255.0):
-            raise PatternError(
-                f"pattern.mean {self.mean} and amplitude {self.amplitude} leave 0..255; lower the amplitude"
-            )
-        lit = tuple(name for name in CHANNELS if name in self.channels)
-        if not lit or len(lit) != len(self.channels):
-            raise PatternError(
-                f"pattern.channels is {list(self.channels)!r:.80}, expected one to three different ones of "
-                f"{', '.join(CHANNELS)}"
-            )
-        object.__setattr__(self, "channels", lit)
-
-    @property
-    def length(self) -> int:
-        """Number of projector columns (axis x) or rows (axis y)."""
-        return self.size[0] if self.axis == "x" else self.size[1]
-
-    @property
-    def phase(self) -> Array:
-        """Absolute phase at the centre of every column (or row) without the shift, (length,), radians."""
-        return 2 * np.pi * self.periods * (np.arange(self.length) + 0.5) / self.length
-
-    @property
-    def lit(self) -> NDArray[np.bool_]:
-        """Which of the three channels are lit, (3,)."""
-        return np.array([name in self.channels for name in CHANNELS])
-
-    def light(self) -> Array:
-        """Ideal light of the picture, (height, width, 3), 0..255."""
-        return self._spread(self._wave()[:, None] * self.lit)
-
-    def picture(self, response: Response | None = None) -> Picture:
-        """The picture to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
-        line = np.repeat(self._wave()[:, None], 3, axis=1)
-        drive = line if response is None else response.drive(line)
-        # A dark channel gets drive 0, not the largest drive that still gives no light.
-        return np.ascontiguousarray(self._spread(np.rint(drive * self.lit).astype(np.uint8)))
-
-    def as_mapping(self) -> dict[str, Any]:
-        """The JSON object of this frame."""
-        out: dict[str, Any] = {"kind": "fringe", "size": list(self.size), "periods": self.periods, "axis": self.axis}
-        out |= {"mean": self.mean, "amplitude": self.amplitude, "shift": self.shift}
-        return out | {"channels": list(self.channels)}
-
-    def _wave(self) -> Array:
-        return np.asarray(self.mean + self.amplitude * np.cos(self.phase + self.shift))
-
-    def _spread(self, line: NDArray[Any]) -> NDArray[Any]:
-        """A line along the axis, (length, 3), all over the picture, (height, width, 3)."""
-        return np.broadcast_to(line[None] if self.axis == "x" else line[:, None], (*self.size[::-1], 3))
-
-
-Frame: TypeAlias = Uniform | Fringe | ColorFringe
+Frame: TypeAlias = Uniform | Fringe | GrayBit | ColorFringe
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +84,7 @@ def from_mapping(data: Mapping[str, Any]) -> Sequence:
 
 
 def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
-    """The frame of a JSON object (kinds uniform, fringe, color_fringe); errors name the key."""
+    """The frame of a JSON object (kinds uniform, fringe, gray, color_fringe); errors name the key."""
     if not isinstance(data, Mapping):
         raise PatternError(f"pattern is {data!r:.80}, expected an object with a kind")
     kind = data.get("kind")
@@ -204,13 +92,15 @@ def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
         frame: Frame = fringe_from_mapping(data)
         check_size(frame.size)
         return frame
-    if kind not in ("uniform", "fringe"):
-        raise PatternError(f"pattern.kind is {kind!r:.80}, expected 'uniform', 'fringe' or 'color_fringe'")
+    if kind not in ("uniform", "fringe", "gray"):
+        raise PatternError(f"pattern.kind is {kind!r:.80}, expected 'uniform', 'fringe', 'gray' or 'color_fringe'")
     try:
         width, height = (_whole(n, "size") for n in data["size"])
         if kind == "uniform":
             red, green, blue = (_whole(n, "color") for n in data["color"])
             return Uniform((width, height), (red, green, blue))
+        if kind == "gray":
+            return _gray_bit((width, height), data)
         return Fringe(
             (width, height),
             periods=float(data["periods"]),
@@ -226,12 +116,6 @@ def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
         raise
     except (TypeError, ValueError) as error:
         raise PatternError(f"pattern description: {error}") from error
-
-
-def check_size(size: tuple[int, int]) -> None:
-    """PatternError unless both sides are whole numbers of pixels from 1 to 8192."""
-    if len(size) != 2 or any(side not in range(1, LARGEST_SIDE + 1) for side in size):
-        raise PatternError(f"pattern.size is {size!r:.80}, expected [width, height], 1 to {LARGEST_SIDE} pixels each")
 
 
 def camera_sequence(size: tuple[int, int]) -> Sequence:
@@ -266,6 +150,23 @@ def projector_sequence(size: tuple[int, int], *, finest_px: float = 12.8, steps:
             Fringe(size, periods, axis, 2 * np.pi * n / count) for periods, count in levels for n in range(count)
         ]
     return Sequence("projector", tuple(frames))
+
+
+def _gray_bit(size: tuple[int, int], data: Mapping[str, Any]) -> GrayBit:
+    inverted = data.get("inverted", False)
+    if not isinstance(inverted, bool):
+        raise PatternError(f"pattern.inverted is {inverted!r:.80}, expected true or false")
+    return GrayBit(
+        size,
+        bit=_whole(data["bit"], "bit"),
+        bits=_whole(data["bits"], "bits"),
+        inverted=inverted,
+        axis=data.get("axis", "x"),
+        cells=float(data.get("cells", 0.0)),
+        mean=float(data.get("mean", GREY_MEAN)),
+        amplitude=float(data.get("amplitude", GREY_AMPLITUDE)),
+        channels=_names(data.get("channels", CHANNELS)),
+    )
 
 
 def _frame_at(index: int, item: Any) -> Frame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -57,11 +58,23 @@ class SurfaceStage:
         return self._located
 
     def cloud(
-        self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], watch: Stopwatch
+        self,
+        left: PhaseMap,
+        right: PhaseMap,
+        order: Any,
+        correction: NDArray[np.float64],
+        watch: Stopwatch,
+        *,
+        confirm: Callable[[Located], None] | None = None,
     ) -> Cloud:
-        """The cloud on the left camera's whole pixel grid; ``left`` and ``order`` are of full resolution."""
+        """The cloud on the left camera's whole pixel grid; ``left`` and ``order`` are of full resolution.
+
+        ``confirm`` may forget points before the gates look at them.
+        """
         part, some = (left, order) if self._every == 1 else (left.every(self._every), _every(order, self._every))
         located = self.locate(part, right, some, correction)
+        if confirm is not None:
+            confirm(located)
         watch.lap("refinement")
         known = self._gates.certain(located, part.modulation)
         watch.lap("gates")

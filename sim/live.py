@@ -99,7 +99,7 @@ class LiveScene:
 
     def _counts(self, index: int) -> tuple[tuple[Light, Light], ...]:
         """(counts, deviation) of both cameras."""
-        picture, digest = self._projector.shown
+        picture, digest = self._projector.shown_at(index)
         situation = self._situation(index)
         key = situation, digest
         if key not in self._lit:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,8 @@ class LiveProjector:
     def __init__(self, first: NDArray[np.uint8]) -> None:
         self._black = _kept(np.zeros_like(first))
         self._shown = _kept(first)
+        self._stored: list[tuple[NDArray[np.uint8], bytes]] = []
+        self._first = 0
         self._open = False
 
     @property
@@ -85,9 +88,18 @@ class LiveProjector:
         """The picture that is shown now, read-only, and a digest of it."""
         return self._shown
 
+    def shown_at(self, index: int) -> tuple[NDArray[np.uint8], bytes]:
+        """The picture that trigger ``index`` sees."""
+        stored = self._stored
+        return stored[(index - self._first) % len(stored)] if stored else self._shown
+
+    def store(self, pictures: Sequence[NDArray[np.uint8]], first: int = 0) -> None:
+        """Show these from now on, one a trigger, the first of them at trigger ``first``; :meth:`show` ends it."""
+        self._first, self._stored = first, [_kept(picture) for picture in pictures]
+
     def open(self) -> ProjectorInfo:
         """Connect; the picture is black until :meth:`show`."""
-        self._open, self._shown = True, self._black
+        self._open, self._shown, self._stored = True, self._black, []
         height, width = self._black[0].shape[:2]
         return ProjectorInfo("simulated", (width, height), 0.0)
 
@@ -100,7 +112,7 @@ class LiveProjector:
             raise SettingRefused(
                 f"projector: picture {picture.shape} {picture.dtype} does not fit, expected {expected} uint8"
             )
-        self._shown = _kept(picture)
+        self._shown, self._stored = _kept(picture), []
 
     def problem(self) -> str:
         """Nothing ever is."""
@@ -108,7 +120,7 @@ class LiveProjector:
 
     def close(self) -> None:
         """Go dark and let go."""
-        self._open, self._shown = False, self._black
+        self._open, self._shown, self._stored = False, self._black, []
 
 
 def _kept(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:

@@ -81,6 +81,10 @@ def _attached_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if "pattern" in report:
         pattern = report["pattern"]
         size = " x ".join(str(n) for n in pattern["size"])
-        yield "pattern", f"{pattern['fringe']} fringe, {pattern['periods']:g} periods along {pattern['axis']}, {size}"
+        if "sequence" in pattern:
+            yield "pattern", f"sequence {pattern['sequence']!r} of {pattern['frames']} pictures, {size}"
+        else:
+            fringe = f"{pattern['fringe']} fringe, {pattern['periods']:g} periods along {pattern['axis']}"
+            yield "pattern", f"{fringe}, {size}"
     if "volume" in report:
         yield "volume", f"{report['volume']['near_mm']:g} to {report['volume']['far_mm']:g} mm"

@@ -162,8 +162,13 @@ def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
     for failure in replay.failures:
         typer.echo(f"warning: pair {failure.sequence}: {failure.error}", err=True)
     where = f" in {out}" if out is not None else ""
-    rate = summary["pairs_per_second"]
-    typer.echo(f"{summary['clouds']} clouds of {summary['pairs']} pairs{where}, {rate:.2f} pairs per second")
+    rate, sets = summary["pairs_per_second"], summary.get("sets")
+    if sets is not None:
+        lost = summary["sets_incomplete"]
+        told = f", {lost} more miss a picture" if lost else ""
+        typer.echo(f"{summary['clouds']} clouds of {sets} sets ({summary['mode']}){where}, {rate:.2f} per second{told}")
+    else:
+        typer.echo(f"{summary['clouds']} clouds of {summary['pairs']} pairs{where}, {rate:.2f} pairs per second")
     typer.echo("ms by stage: " + ", ".join(f"{name} {ms:.2f}" for name, ms in summary["ms"].items()))
 
 

@@ -34,6 +34,7 @@ def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = 
     yield from _files(data, base_dir) if complete else ()
     yield from _volume(data)
     yield from _recording(data)
+    yield from _mode(data)
 
 
 def _section(data: dict[str, Any], name: str) -> dict[str, Any]:
@@ -185,3 +186,27 @@ def _recording(data: dict[str, Any]) -> Found:
         value = recording.get(key)
         if isinstance(value, int | float) and value > 0 and recording.get("endless") is not True:
             yield ("recording", key), f"recording.{key} removes old parts, which needs recording.endless: true"
+
+
+def _mode(data: dict[str, Any]) -> Found:
+    """A multi-frame mode needs a projector that shows more than one picture."""
+    mode, projector = data.get("mode", "single"), _section(data, "projector").get("driver")
+    if mode == "single" or not isinstance(mode, str):
+        return
+    stored = _section(data, "sequence").get("display") == "stored"
+    if _section(data, "cameras").get("driver") == "sim":
+        if _section(data, "simulation").get("live") is False:
+            yield (
+                ("simulation", "live"),
+                f"simulation.live is false: a rendered loop has one picture, mode {mode} several",
+            )
+    elif projector == "external" and not stored:
+        yield (
+            ("mode",),
+            (
+                f"mode {mode}: projector.driver external cannot be told to show a picture; let it hold them and set "
+                "sequence.display: stored, or use projector.driver: x11"
+            ),
+        )
+    elif projector == "x11" and stored:
+        yield ("sequence", "display"), "sequence.display: projector.driver x11 holds no pictures; set driven"

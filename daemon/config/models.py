@@ -11,6 +11,7 @@ from daemon import runtime
 from daemon.config.health import Health
 from daemon.config.section import Section
 from daemon.config.security import Security
+from daemon.config.sequencing import Mode, Sequencing
 
 
 class Device(Section):
@@ -188,6 +189,8 @@ class RigConfig(Section):
     calibration: Annotated[str | None, Field(description="Path of calibration.yaml.")] = None
     pattern: PathOrPattern | None = None
     volume: PathOrVolume | None = None
+    mode: Mode = "single"
+    sequence: Sequencing = Sequencing()
     pairing: Pairing = Pairing()
     pipeline: Pipeline = Pipeline()
     stream: Stream = Field(default_factory=Stream)

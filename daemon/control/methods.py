@@ -76,6 +76,7 @@ class Methods:
             "record.stop": Method(lambda _: self._recorder.stop(), slow=True),
             "takes.list": Method(lambda _: self._recorder.takes(), role=view, slow=True),
             "pattern.show": Method(self.pattern_show, ("name",), slow=True),
+            "pattern.mode": Method(self.pattern_mode, ("name",), slow=True),
         }
         if self._calibrate is not None:
             own |= self._calibrate.table()
@@ -122,6 +123,8 @@ class Methods:
         path = _text(params, "path")
         if "value" not in params:
             raise RpcError(INVALID_PARAMS, "the parameter value is missing", path)
+        if path == "mode" and (refusal := self._refusal()):
+            raise RpcError(FAILED, f"the mode stays as it is: {refusal}", path)
         try:
             value = self._changer.set(path, params["value"])
         except SettingError as error:
@@ -144,7 +147,7 @@ class Methods:
     def _refusal(self) -> str:
         """Why a reload must wait."""
         if self._recorder.recording:
-            return "a take is being written, which carries the calibration; stop it first"
+            return "a take is being written, which carries the calibration and the mode; stop it first"
         if self._calibrate is not None and self._calibrate.capturing:
             return "a capture for a calibration is going on; end it with calibrate.cancel"
         return ""
@@ -178,15 +181,20 @@ class Methods:
         name = _text(params, "name", "fringe")
         if self._calibrate is not None:
             self._calibrate.refuse_while_capturing()
-        rig = self._service.rig
+        size, sequencing = self._service.rig.pattern.size, self._service.sequencing
         if name == "fringe":
-            picture = rig.pattern.picture(rig.calibration.response)
+            sequencing.show_measuring()
         elif name in _PLAIN:
-            picture = np.full((*rig.pattern.size[::-1], 3), _PLAIN[name], np.uint8)
+            sequencing.show_plain(np.full((*size[::-1], 3), _PLAIN[name], np.uint8))
         else:
             raise RpcError(INVALID_PARAMS, f"there is no picture {name!r:.60}; there are fringe, {', '.join(_PLAIN)}")
-        rig.projector.show(picture)
         return {"shown": name}
+
+    def pattern_mode(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Tell the mode, or measure in another one: as setting ``mode``."""
+        if "name" in params:
+            self.set({"path": "mode", "value": _text(params, "name")})
+        return self._service.sequencing.status()
 
     def _measure(self, wanted: bool) -> dict[str, Any]:
         self._service.measure(wanted)

@@ -143,6 +143,10 @@ def _calibration(take: TakeReader) -> dict[str, Any]:
 
 
 def _pattern(take: TakeReader) -> dict[str, Any]:
+    sequence = take.sequence()
+    if sequence is not None:
+        found = {"sequence": sequence.name, "frames": len(sequence), "size": list(sequence.size)}
+        return {"pattern": found | {"first_pattern_sequence": take.first_pattern_sequence}}
     pattern = take.pattern()
     fringe = "frequency-modulated" if pattern.profile is not None else "plain"
     values = {"size": list(pattern.size), "periods": pattern.periods, "axis": pattern.axis, "fringe": fringe}

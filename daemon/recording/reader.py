@@ -10,15 +10,16 @@ from types import TracebackType
 from typing import Any
 
 from daemon.calibration_file import CalibrationFile, parse_calibration
-from daemon.pattern_file import parse_pattern, parse_volume
+from daemon.pattern_file import parse_pattern, parse_sequence, parse_volume
 from daemon.recording import parts
 from daemon.recording.errors import TakeError
 from daemon.recording.part_reader import PartReader, Where
 from daemon.recording.parts import CALIBRATION, PATTERN, VOLUME
 from daemon.recording.raw_image import Pixels
-from drivers.protocols import Frame, Side
+from drivers.protocols import TRIGGER_MODULUS, Frame, Side
 from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
+from pipeline.sequence import Sequence
 
 WAITING_FRAMES = 16
 """Frames that are kept in memory while their partner has not come; older ones are read again when it does."""
@@ -136,6 +137,18 @@ class TakeReader:
     def pattern(self) -> ColorFringe:
         """The attached pattern description."""
         return parse_pattern(*self._attached(PATTERN))
+
+    def sequence(self) -> Sequence | None:
+        """The attached sequence of a take whose pictures differ, None for a take of a single pattern."""
+        return parse_sequence(*self._attached(PATTERN))
+
+    @property
+    def first_pattern_sequence(self) -> int:
+        """Number of a trigger that shows the first picture of the sequence; TakeError for what is no number."""
+        text = self.metadata.get("first_pattern_sequence", "0")
+        if not (text.isascii() and text.isdecimal() and len(text) <= 10 and int(text) < TRIGGER_MODULUS):
+            raise TakeError(f"{self.path}: first_pattern_sequence is {text!r:.40}, expected a trigger number")
+        return int(text)
 
     def volume(self) -> Volume:
         """The attached measuring volume."""

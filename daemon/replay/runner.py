@@ -10,10 +10,12 @@ from typing import Any
 
 from daemon.calibration_file import CalibrationFile, read_calibration
 from daemon.recording.reader import TakePair, TakeReader
+from daemon.replay.shots import Sets, Shot, pairs_of
 from daemon.sequel import Sequel
 from pipeline.cloud import Cloud
 from pipeline.errors import PipelineError
 from pipeline.reconstruct import Reconstructor
+from pipeline.sequence import Sequence
 from pipeline.settings import Settings
 
 
@@ -29,7 +31,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """The cloud of a pair, and every run that gave it."""
+    """The cloud of a pair (or of a set, with the newest of its pictures), and every run that gave it."""
 
     pair: TakePair
     cloud: Cloud
@@ -38,7 +40,7 @@ class Result:
 
 @dataclass(slots=True)
 class Failure:
-    """A pair that could not be reconstructed, and why."""
+    """A pair or set that could not be reconstructed, and why."""
 
     sequence: int
     error: str
@@ -65,7 +67,18 @@ class Replay:
     follow: bool = False
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
-    _made: Reconstructor | None = None
+    _made: Any = None
+    _sets: Sets | None = None
+
+    @property
+    def sequence(self) -> Sequence | None:
+        """The sequence of a take of a multi-frame mode, None for single shots."""
+        return self.take.sequence()
+
+    @property
+    def incomplete(self) -> int:
+        """Sets of the last walk that miss a picture."""
+        return 0 if self._sets is None else self._sets.incomplete
 
     @property
     def calibration_file(self) -> CalibrationFile:
@@ -75,7 +88,7 @@ class Replay:
         return self._file
 
     def results(self, *, repeat: int = 1, progress: Callable[[int], Any] | None = None) -> Iterator[Result]:
-        """The cloud of every pair, in the order of the take.
+        """The cloud of every pair, or of every whole set of a multi-frame mode, in the order of the take.
 
         A pair that the pipeline refuses is kept in ``failures``, and the next one follows.
 
@@ -86,14 +99,17 @@ class Replay:
             TakeError, PipelineError: files that do not fit together.
         """
         self.failures.clear()
-        sequel = Sequel()
-        for pair in self.take.pairs(progress):
-            reconstructor = self._reconstructor(pair.encoding)
+        sequence, sequel = self.sequence, Sequel()
+        self._sets = None if sequence is None else Sets(self.take, sequence)
+        shots = pairs_of(self.take, progress) if self._sets is None else self._sets.shots(progress)
+        for shot in shots:
+            pair = shot.pair
+            reconstructor = self._reconstructor(pair.encoding, sequence)
             runs: list[Run] = []
             follow = self.follow and sequel.follows(pair.sequence, pair.t_ns, 1)
             try:
                 for _ in range(repeat):
-                    cloud, run = _timed(reconstructor, pair, follow=follow)
+                    cloud, run = _timed(reconstructor, shot, sequence, follow=follow)
                     runs.append(run)
                     follow = self.follow  # a repeated run has the pair itself before it
             except PipelineError as error:
@@ -103,25 +119,35 @@ class Replay:
             sequel.measured(pair.sequence, pair.t_ns, 1)
             yield Result(pair, cloud, runs)
 
-    def _reconstructor(self, encoding: str) -> Reconstructor:
+    def _reconstructor(self, encoding: str, sequence: Sequence | None) -> Any:
         """For pictures of this encoding, every kernel compiled."""
-        if self._made is None or self._made.encoding != encoding:
-            self._made = Reconstructor(
-                self.calibration_file.calibration,
-                self.take.pattern(),
-                self.take.volume(),
-                encoding=encoding,
-                settings=self.settings,
-                clock=time.perf_counter_ns,
-                threads=self.threads,
-            )
-            self._made.warm_up(follow=self.follow)
+        if self._made is not None and self._made.encoding == encoding:
+            return self._made
+        options: dict[str, Any] = {
+            "encoding": encoding,
+            "settings": self.settings,
+            "clock": time.perf_counter_ns,
+            "threads": self.threads,
+        }
+        calibration, volume = self.calibration_file.calibration, self.take.volume()
+        if sequence is None:
+            single = Reconstructor(calibration, self.take.pattern(), volume, **options)
+            single.warm_up(follow=self.follow)
+            self._made = single
+        else:
+            from pipeline.modes.reconstruct import SetReconstructor
+
+            self._made = SetReconstructor(calibration, sequence, volume, **options)
+            self._made.warm_up()
         return self._made
 
 
-def _timed(reconstructor: Reconstructor, pair: TakePair, *, follow: bool) -> tuple[Cloud, Run]:
+def _timed(reconstructor: Any, shot: Shot, sequence: Sequence | None, *, follow: bool) -> tuple[Cloud, Run]:
     start_ns = time.perf_counter_ns()
-    cloud = reconstructor.reconstruct(pair.left, pair.right, follow=follow)
+    if sequence is None:
+        cloud = reconstructor.reconstruct(shot.lefts[0], shot.rights[0], follow=follow)
+    else:
+        cloud = reconstructor.reconstruct(shot.lefts, shot.rights)
     total_ms = (time.perf_counter_ns() - start_ns) / 1e6
     stages = {name: round(ms, 3) for name, ms in cloud.ms.items()}
-    return cloud, Run(pair.sequence, cloud.points, round(total_ms, 3), stages)
+    return cloud, Run(shot.pair.sequence, cloud.points, round(total_ms, 3), stages)

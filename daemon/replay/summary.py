@@ -21,6 +21,11 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
     defaults = dataclasses.asdict(Settings())
     changed = {k: v for k, v in dataclasses.asdict(replay.settings).items() if v != defaults[k]}
     counts = replay.take.counts
+    sequence = replay.sequence
+    sets = {} if sequence is None else {
+        "mode": sequence.name, "frames": len(sequence), "sets": len(runs) + len(replay.failures),
+        "sets_incomplete": replay.incomplete,
+    }  # fmt: skip
     middle_ms = median(run.total_ms for run in runs) if runs else 0.0
     return {
         "take": str(replay.take.path),
@@ -30,7 +35,8 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "settings": changed,
         "threads": replay.threads,
         "follow": replay.follow,
-        "pairs": len(runs) + len(replay.failures),
+        **sets,
+        "pairs": len(runs) + len(replay.failures) if sequence is None else counts.pairs,
         "clouds": len(runs),
         "pairs_per_second": round(1000 / middle_ms, 3) if middle_ms > 0 else 0.0,
         "ms": stage_medians(runs),

@@ -5,6 +5,7 @@ from __future__ import annotations
 LIVE: tuple[str, ...] = (
     "calibration",
     "volume",
+    "mode",
     "pairing.*",
     "pipeline.overload",
     "pipeline.temporal_prior",

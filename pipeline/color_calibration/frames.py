@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.errors import PatternError
 from pipeline.pattern import ColorFringe
-from pipeline.sequence import CHANNELS, WHITE_LEVEL, Frame, Fringe, Sequence, Uniform
+from pipeline.sequence import CHANNELS, WHITE_LEVEL, Frame, Fringe, GrayBit, Sequence, Uniform
 
 Axis = Literal["x", "y"]
 
@@ -125,6 +125,8 @@ def roles_of(sequence: Sequence) -> Roles:
         elif isinstance(frame, Fringe):
             key = (frame.channels, frame.axis, frame.periods, frame.mean, frame.amplitude)
             groups.setdefault(key, []).append((index, frame))
+        elif isinstance(frame, GrayBit):
+            continue  # It says nothing about colours.
         elif frame.profile is None and frame.periods <= 1.5:
             coarse[frame.axis] = index
         else:

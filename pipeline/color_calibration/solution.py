@@ -27,7 +27,7 @@ from pipeline.color_calibration.response import LevelCurve, level_curve, respons
 from pipeline.errors import PictureError
 from pipeline.lateral import Registration
 from pipeline.pattern import ColorFringe
-from pipeline.sequence import Fringe, Uniform
+from pipeline.sequence import Frame, Fringe, GrayBit, Uniform
 from pipeline.sequence import Sequence as Frames
 
 Array = NDArray[np.float64]
@@ -199,9 +199,11 @@ def _check(
             quality[side]["phase_error_rad"] = [e.rms_rad for e in both]
 
 
-def _name(frame: Uniform | Fringe | ColorFringe) -> str:
+def _name(frame: Frame) -> str:
     if isinstance(frame, Uniform):
         return "even light " + " ".join(str(level) for level in frame.color)
     if isinstance(frame, Fringe):
         return f"fringe of {' '.join(frame.channels)} along {frame.axis}, shift {np.degrees(frame.shift):.0f} degrees"
+    if isinstance(frame, GrayBit):
+        return f"bit {frame.bit} of {frame.bits} of a Gray code along {frame.axis}"
     return f"colour fringe of {frame.periods:g} periods along {frame.axis}"

@@ -1,0 +1,68 @@
+"""A set: one pair of pictures for each picture of a sequence, in its order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from daemon.pairing import Pair
+from drivers.protocols import Frame
+
+SINGLE = "single"
+"""The mode in which a single picture makes a cloud."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureSet:
+    """What the pipeline measures at once in a multi-frame mode.
+
+    Args:
+        pairs: one a picture, in the order of the sequence; mode: name of the mode whose pictures they show.
+    """
+
+    pairs: tuple[Pair, ...]
+    mode: str
+
+    @property
+    def seq(self) -> int:
+        """Number of the first picture's trigger."""
+        return self.pairs[0].seq
+
+    @property
+    def left(self) -> Frame:
+        """The newest left frame."""
+        return self.pairs[-1].left
+
+    @property
+    def right(self) -> Frame:
+        """The newest right frame."""
+        return self.pairs[-1].right
+
+    @property
+    def t_ns(self) -> int:
+        """Start of the first exposure, CLOCK_REALTIME."""
+        return self.pairs[0].left.t_exposure_ns
+
+    @property
+    def span_ms(self) -> float:
+        """From the start of the first exposure to the start of the last one."""
+        return (self.pairs[-1].left.t_exposure_ns - self.t_ns) / 1e6
+
+    @property
+    def lefts(self) -> list[Any]:
+        """The left pictures."""
+        return [pair.left.image for pair in self.pairs]
+
+    @property
+    def rights(self) -> list[Any]:
+        """The right pictures."""
+        return [pair.right.image for pair in self.pairs]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a take needs to know of a sequence: its description, and the record ``fringed``'s keys for it."""
+
+    pattern: Mapping[str, Any]
+    metadata: Mapping[str, str]

@@ -1,0 +1,77 @@
+"""Sets of two colour fringes to clouds: the single shot of the first, with orders that the second agrees with.
+
+Left and right are matched in pictures of one instant. Motion between the two sets the orders at variance, never the
+points: what it costs is coverage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Items
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Calibration
+from pipeline.cloud import Cloud, Volume
+from pipeline.errors import PictureError
+from pipeline.modes import orders
+from pipeline.modes.agree import agreed
+from pipeline.modes.plan import Plan
+from pipeline.reconstruct import Reconstructor
+from pipeline.settings import Settings
+from pipeline.stopwatch import Stopwatch
+
+WORST_DEVIATION = np.float32(0.6)
+"""Largest deviation of the second phase from what the first lets expect, radians; a period off gives 1.26."""
+
+
+class ColorSets:
+    """For one calibration, plan and volume; arguments as of :class:`pipeline.modes.reconstruct.SetReconstructor`."""
+
+    def __init__(
+        self, calibration: Calibration, plan: Plan, volume: Volume, *, encoding: str, settings: Settings
+    ) -> None:
+        self._shots = [
+            Reconstructor(calibration, fringe, volume, encoding=encoding, settings=settings) for fringe in plan.colors
+        ]
+        self._ratio = np.float32(plan.colors[1].periods / plan.colors[0].periods)
+        shape = calibration.left.size[::-1]
+        self._order, self._unused = np.empty(shape, np.int16), np.empty(shape, np.int32)
+        self._away, self._lit, self._absolute = (np.empty(shape, np.float32) for _ in range(3))
+
+    @property
+    def correction(self) -> NDArray[np.float64]:
+        """Of the projector's columns."""
+        return self._shots[0].correction
+
+    def keep(self) -> Any:
+        """What sets have changed, for :meth:`restore`."""
+        return [(shot.correction, shot.calibrated) for shot in self._shots]
+
+    def restore(self, kept: Any) -> None:
+        """As it was at :meth:`keep`."""
+        for shot, (correction, calibrated) in zip(self._shots, kept, strict=True):
+            shot.correction, shot.calibrated = correction, calibrated
+            shot.forget()
+
+    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], every: int, watch: Stopwatch) -> Cloud:
+        """The cloud of a set."""
+        for side, pictures in (("left", lefts), ("right", rights)):
+            if len(pictures) != len(self._shots):
+                raise PictureError(f"{len(pictures)} {side} pictures of a set of {len(self._shots)}; expected one each")
+        first, second = self._shots
+        found = first.decide(lefts[0], rights[0], watch)
+        other, _, other_order = second.decide(lefts[1], rights[1], watch)
+        left, right, order = found
+        agreed(
+            order, left.phase, left.phase_eq, left.valid, other_order, other.phase, other.phase_eq, other.valid,
+            self._ratio, WORST_DEVIATION, self._order, self._away, self._lit,
+        )  # fmt: skip
+        moved = orders.settle(
+            self._order, self._unused, self._lit, self._away, np.float32(0.5), WORST_DEVIATION, self._absolute
+        )
+        watch.lap("agreement")
+        cloud = first.stage(every).cloud(left, right, self._order, first.correction, watch)
+        return replace(cloud, moved=int(moved))

@@ -1,0 +1,170 @@
+"""One camera's pictures of a set to a phase map with known orders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Items
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import ColorModel
+from pipeline.errors import PictureError
+from pipeline.modes import orders, samples
+from pipeline.modes.harmonic import bends
+from pipeline.modes.plan import Plan
+from pipeline.modes.tables import SetTables
+from pipeline.noise import NoiseModel, estimate
+from pipeline.phase import PhaseMap
+from pipeline.raw import BAYER
+from pipeline.settings import Settings
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+_DEEP = 257.0
+_SHAPES = {"rgb8": (3, np.uint8), "mono8": (1, np.uint8), "mono16": (1, np.uint16)} | dict.fromkeys(
+    BAYER, (1, np.uint8)
+)
+ENCODINGS = tuple(_SHAPES)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetPhase:
+    """What one camera's set of pictures says; the next set overwrites the planes but ``map.modulation``.
+
+    Args:
+        map: phases of the finest fringe, as the single shot has them.
+        order: (H, W) int16, orders, -32768 where unknown; absolute: (H, W) float32, radians, NaN likewise.
+        moved: lit pixels whose pictures contradict each other.
+    """
+
+    map: PhaseMap
+    order: NDArray[np.int16]
+    absolute: F32
+    moved: int
+
+
+class SetDecoder:
+    """Everything of a camera that can be computed once, and the decoding of its sets of grey pictures.
+
+    Args:
+        plan: what the pictures are for; color: black level and crosstalk; tables: limits of the absolute phase.
+        encoding: of the pictures, one of :data:`ENCODINGS`.
+        limits: largest deviation of orders, largest misfit, radians.
+    """
+
+    def __init__(
+        self, plan: Plan, color: ColorModel, tables: SetTables, *, encoding: str, settings: Settings,
+        limits: tuple[float, float],
+    ) -> None:  # fmt: skip
+        self._plan, self._tables, self._settings, self._encoding, self._limits = (
+            plan,
+            tables,
+            settings,
+            encoding,
+            limits,
+        )
+        self._channels, self._type = _SHAPES[encoding]
+        self._scale = np.float32(1 / _DEEP if encoding == "mono16" else 1.0)
+        self._black, self._share = _levels(color, encoding)
+        self._index = np.array([n for f in plan.fringes for n in f.frames], np.int32)
+        self._first = np.cumsum([0, *(len(f.frames) for f in plan.fringes)]).astype(np.int32)
+        self._solve = np.concatenate([f.solve for f in plan.fringes], axis=1).astype(np.float32)
+        widest = max(len(f.frames) for f in plan.fringes)
+        rows = [np.pad(f.rest, ((0, 0), (0, widest - len(f.frames)))) for f in plan.fringes]
+        self._rest = np.ascontiguousarray(np.concatenate(rows), dtype=np.float32)
+        self._rest_first = np.cumsum([0, *(len(f.rest) for f in plan.fringes)]).astype(np.int32)
+        ratio = np.array([f.periods / plan.periods for f in plan.fringes])
+        self._ratio = ratio.astype(np.float32)
+        weight = ratio**2 * [len(f.frames) for f in plan.fringes]
+        self._weight = (weight / weight.sum()).astype(np.float32)
+        width, height = tables.size
+        self._stack = np.empty((plan.frames, height, width * self._channels), self._type)
+        many = (len(plan.fringes), height, width)
+        self._phase, self._amplitude, self._variance = (np.empty(many, np.float32) for _ in range(3))
+        self._mean, self._misfit = (np.empty((height, width), np.float32) for _ in range(2))
+        self._order, self._phasor = np.empty((height, width), np.int16), np.empty((height, width), np.int32)
+        self._clipped = np.empty(height, np.int32)
+        self._bits = np.empty((len(plan.bits), height, width), np.int8)
+        self._bit_index = np.array([frame for frame, _ in plan.bits], np.int32)
+        self._bit_sign = np.array([-1 if b.inverted else 1 for _, b in plan.bits], np.float32)
+        self._number = np.array([b.bits - 1 - b.bit for _, b in plan.bits], np.int32)
+
+    def decode(self, pictures: Items[NDArray[Any]], side: str) -> SetPhase:
+        """Phases and orders of a set of raw pictures; ``side`` is for errors."""
+        self._take(pictures, side)
+        noise = self._noise(pictures[self._index[0]])
+        s, smallest = self._settings, np.float32(self._settings.min_modulation)
+        given = (
+            self._stack, self._channels, self._scale, self._black, self._share, np.float32(s.saturation),
+            np.float32(noise.floor), np.float32(noise.gain), self._index, self._first, self._solve, self._rest,
+            self._rest_first,
+        )  # fmt: skip
+        bend = bends(self._plan, self._stack, self._channels, float(smallest)).astype(np.float32)
+        samples.phases(
+            *given, bend, self._bit_index, self._bit_sign, self._phase, self._amplitude, self._variance, self._mean,
+            self._misfit, self._bits, self._clipped,
+        )  # fmt: skip
+        self._decide(smallest)
+        return self._settled(smallest)
+
+    def _decide(self, smallest: np.float32) -> None:
+        """The orders, by what the set has for them."""
+        plan = self._plan
+        planes = self._phase, self._amplitude, self._variance, self._tables.low, self._tables.high
+        if plan.bits:
+            fringe = plan.fringes[0]
+            orders.by_bits(
+                *planes, self._bits, self._number, np.float32(plan.bits[0][1].cells / fringe.periods),
+                len(fringe.frames), smallest, self._misfit, self._order, self._phasor,
+            )  # fmt: skip
+        else:
+            orders.by_phase(
+                *planes, self._ratio, self._weight, smallest, np.float32(self._limits[0]), self._misfit, self._order,
+                self._phasor,
+            )  # fmt: skip
+
+    def _settled(self, smallest: np.float32) -> SetPhase:
+        absolute = self._phase[0].copy()
+        amplitude = self._amplitude[0]
+        moved = orders.settle(
+            self._order, self._phasor, amplitude, self._misfit, smallest, np.float32(self._limits[1]), absolute
+        )
+        modulation = np.minimum(amplitude, 255).astype(np.uint8)
+        share = float(self._clipped.sum()) / self._clipped.size / self._tables.size[0]
+        valid = self._order != orders.NONE
+        phase, variance = self._phase[0], self._variance[0]
+        found = PhaseMap(self._phasor, self._phasor, self._mean, variance, share, phase, phase, modulation, valid)
+        return SetPhase(found, self._order, absolute, int(moved))
+
+    def _take(self, pictures: Items[NDArray[Any]], side: str) -> None:
+        """Copy the pictures into one array; PictureError unless all fit."""
+        if len(pictures) != self._plan.frames:
+            raise PictureError(f"{len(pictures)} {side} pictures of a set of {self._plan.frames}; expected one each")
+        width, height = self._tables.size
+        shape = (height, width, 3) if self._channels == 3 else (height, width)
+        for number, picture in enumerate(pictures):
+            if picture.shape != shape or picture.dtype != self._type:
+                raise PictureError(
+                    f"{side} picture {number} of the set is {picture.dtype} {picture.shape}, but {self._encoding} of "
+                    f"the calibrated camera is {np.dtype(self._type)} {shape}; use the calibration of this camera and "
+                    "its region of interest"
+                )
+            self._stack[number] = picture.reshape(height, -1)
+
+    def _noise(self, picture: NDArray[Any]) -> NoiseModel:
+        if self._settings.read_noise > 0:
+            return NoiseModel(self._settings.read_noise**2, self._settings.noise_gain)
+        shallow = (picture >> 8).astype(np.uint8) if self._encoding == "mono16" else picture
+        return estimate(shallow, along=0 if self._plan.axis == "x" else 1, step=2 if self._encoding in BAYER else 1)
+
+
+def _levels(color: ColorModel, encoding: str) -> tuple[F32, F32]:
+    """Black level and answer to white light of a row's and a column's parity, two times (2, 2, channels)."""
+    white = color.mix.sum(axis=1)
+    if encoding in BAYER:
+        mosaic = np.array(BAYER[encoding])
+        return color.black[mosaic][..., None].astype(np.float32), white[mosaic][..., None].astype(np.float32)
+    black, share = (color.black, white) if encoding == "rgb8" else (color.black.mean(keepdims=True), np.ones(1))
+    return tuple(np.ascontiguousarray(np.broadcast_to(x, (2, 2, len(x))), np.float32) for x in (black, share))  # type: ignore[return-value]

@@ -1,0 +1,120 @@
+"""Sets of grey pictures to clouds: shifted fringes of several frequencies, or of one and a Gray code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Items
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import self_calibration
+from pipeline.calibration import Calibration
+from pipeline.cloud import Cloud, Volume
+from pipeline.located import TURN_STEPS, Located
+from pipeline.modes import orders
+from pipeline.modes.decoder import SetDecoder, SetPhase
+from pipeline.modes.plan import Plan
+from pipeline.modes.tables import SetTables
+from pipeline.pattern import ColorFringe
+from pipeline.reconstruct import volume_of_right
+from pipeline.settings import Settings
+from pipeline.stopwatch import Stopwatch
+from pipeline.surface import SurfaceStage
+from pipeline.view import View
+
+_TURN = 2 * np.pi
+_COARSE = 4
+_FEWEST = 1000
+WORST_DEVIATION = 0.6
+"""Largest mean deviation of the fringes of a set from each other with which an order is taken, radians."""
+WORST_MISFIT = 0.08
+"""Contradiction of a set's pictures from which a pixel has moved, radians of the finest fringe."""
+
+
+class GreySets:
+    """For one calibration, plan and volume; arguments as of :class:`pipeline.modes.reconstruct.SetReconstructor`."""
+
+    def __init__(
+        self, calibration: Calibration, plan: Plan, volume: Volume, *, encoding: str, settings: Settings
+    ) -> None:
+        self.correction = self_calibration.NO_CORRECTION.copy()
+        self.calibrated = not settings.self_calibrate
+        self._calibration, self._settings = calibration, settings
+        finest = ColorFringe(plan.size, plan.periods, plan.axis)
+        self._left = View.of(calibration, finest, volume, settings, calibration.left_color, None)
+        swapped, rights = calibration.swapped(), volume_of_right(calibration, volume)
+        options: dict[str, Any] = {
+            "axis": plan.axis, "per_px": _TURN * plan.periods / plan.length,
+            "margin_px": settings.self_calibration_range if settings.self_calibrate else 0.5,
+        }  # fmt: skip
+        tables = (
+            SetTables.of(calibration, volume, **options),
+            SetTables.of(swapped, rights, **options, inside=(swapped.right, volume)),
+        )
+        colors = calibration.left_color, calibration.right_color
+        self._decoders = [
+            SetDecoder(plan, color, table, encoding=encoding, settings=settings, limits=(WORST_DEVIATION, WORST_MISFIT))
+            for color, table in zip(colors, tables, strict=True)
+        ]
+        self._stages: dict[int, SurfaceStage] = {}
+
+    def keep(self) -> Any:
+        """What sets have changed, for :meth:`restore`."""
+        return self.correction, self.calibrated
+
+    def restore(self, kept: Any) -> None:
+        """As it was at :meth:`keep`."""
+        self.correction, self.calibrated = kept
+
+    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], every: int, watch: Stopwatch) -> Cloud:
+        """The cloud of a set."""
+        left = self._decoders[0].decode(lefts, "left")
+        right = self._decoders[1].decode(rights, "right")
+        watch.lap("decode")
+        if not self.calibrated:
+            self._calibrate_columns(left, right)
+            watch.lap("self_calibration")
+        cloud = self._stage(every).cloud(
+            left.map, right.map, left.order, self.correction, watch, confirm=lambda found: self._confirm(found, right)
+        )
+        return replace(cloud, moved=left.moved)
+
+    def _confirm(self, located: Located, right: SetPhase) -> None:
+        orders.confirm(
+            located.known, located.absolute, located.match_u, located.match_v, right.absolute,
+            np.float32(TURN_STEPS / _TURN), np.float32(self._settings.max_check),
+        )  # fmt: skip
+
+    def _calibrate_columns(self, left: SetPhase, right: SetPhase) -> None:
+        """Find the projector's column correction from a set and keep it.
+
+        The pixels that both cameras agree about tell how far off the projector is: among some offsets the one with
+        the most of them, then an affine fit.
+        """
+        best, most = 0.0, -1
+        for offset in self_calibration.offsets_to_try(self._settings.self_calibration_range, step=1.0):
+            agreed = int(np.count_nonzero(self._located(left, right, np.array([offset, 0.0, 0.0])).known))
+            if agreed > 1.02 * most:
+                best, most = float(offset), agreed
+        self.calibrated = True
+        correction = np.array([best, 0.0, 0.0])
+        located = self._located(left, right, correction)
+        difference, along, across = self._left.column_differences(located, correction)
+        if len(difference) >= _FEWEST // _COARSE:
+            limit = self._settings.self_calibration_range + 1.0
+            correction = self_calibration.affine_fit(along, across, difference, limit=limit)
+        self.correction = correction
+
+    def _located(self, left: SetPhase, right: SetPhase, correction: NDArray[np.float64]) -> Located:
+        """Points of a coarse lattice, confirmed by the right picture."""
+        order = np.ascontiguousarray(left.order[::_COARSE, ::_COARSE])
+        located = self._stage(_COARSE).locate(left.map.every(_COARSE), right.map, order, correction)
+        self._confirm(located, right)
+        return located
+
+    def _stage(self, every: int) -> SurfaceStage:
+        if every not in self._stages:
+            self._stages[every] = SurfaceStage(self._calibration, self._left, self._settings, 0.0, every=every)
+        return self._stages[every]

@@ -1,0 +1,43 @@
+"""The second harmonic that a projector without a known response puts into every fringe.
+
+Four steps measure the phase in spite of it, but what is left over of the four samples is just this harmonic; it says
+nothing about motion. It turns by twice the phase and is the same all over the picture, motion's is not.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.modes.plan import Plan, Shifted
+
+F64 = NDArray[np.float64]
+_EVERY = 8
+_LARGEST = 0.3
+_FEWEST = 200
+
+
+def bends(plan: Plan, stack: NDArray[Any], channels: int, smallest: float) -> F64:
+    """(J, 2), for each fringe of four steps the harmonic as :func:`pipeline.modes.samples.phases` wants it."""
+    out = np.zeros((len(plan.fringes), 2))
+    for q, fringe in enumerate(plan.fringes):
+        if fringe.bend:
+            out[q] = _bend(fringe, stack[:, _EVERY // 2 :: _EVERY, channels // 2 :: _EVERY * channels], smallest)
+    return out
+
+
+def _bend(fringe: Shifted, some: NDArray[Any], smallest: float) -> F64:
+    values = np.stack([some[n].ravel() for n in fringe.frames]).astype(np.float64)
+    full = 255.0 if some.dtype == np.uint8 else 65535.0
+    _, re, im = fringe.solve @ values
+    size = np.hypot(re, im)
+    lit = (size * 255 / full >= smallest) & (values.max(axis=0) < 0.99 * full)
+    left = (fringe.rest[0] @ values)[lit] / size[lit]
+    double = ((re + 1j * im)[lit] / size[lit]) ** 2
+    small = np.abs(left) < _LARGEST
+    if np.count_nonzero(small) < _FEWEST:
+        return np.zeros(2)
+    design = np.stack([double.real, -double.imag], axis=1)[small]
+    return np.asarray(np.linalg.lstsq(design, left[small], rcond=None)[0])

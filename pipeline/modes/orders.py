@@ -1,0 +1,232 @@
+"""Which period of the finest fringe a pixel lies in: each one inside the measuring volume is tried on all the evidence.
+
+Other fringes, or the bits of a Gray code, say what they should look like in each of these periods. The period that fits
+best is taken if it fits well and the next best does not (the method of excess fractions, Benoit 1898).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import inline, parallel, prange
+from pipeline.modes.samples import BIT_STEPS
+from pipeline.packed import PHASOR_SCALE, pack
+from pipeline.tiles import turns
+
+NONE = np.int16(-32768)
+UNIT = np.float32(100.0)
+"""Size of all phasors, counts: a bright pixel does not pull the phase between it and a dark one."""
+_ZERO, _ONE, _TURN = np.float32(0), np.float32(1), np.float32(2 * np.pi)
+_FAR, _CLEAR = np.float32(1e9), np.float32(4.0)
+_EDGE = np.float32(0.25)
+_CERTAIN = np.float32(0.2) * BIT_STEPS
+
+
+@inline
+def _wrapped(a: Any) -> Any:
+    return a - _TURN * turns(a)
+
+
+@parallel
+def by_phase(
+    phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, ratio: Any, share: Any, smallest: float,
+    worst: float, misfit: Any, order: Any, phasor: Any,
+) -> None:  # fmt: skip
+    """Orders from several fringes; what they all say of the phase goes into that of the first.
+
+    Args:
+        phase, amplitude, variance: (J, H, W), finest fringe first; the first planes of phase and variance become those
+            of all fringes together.
+        low, high: (H, W) limits of the absolute phase in the measuring volume, radians.
+        ratio: (J,) periods per period of the first; share: (J,) weights of the fringes in the phase, their sum is 1.
+        smallest: amplitude below which a pixel is unknown, counts; worst: largest mean deviation of the fringes from
+            each other, radians.
+        misfit: (H, W), the mean square of what noise does not explain of that deviation is added.
+        order: (H, W) int16, written, NONE where unknown; phasor: (H, W) int32, packed, 0 where unknown.
+    """
+    fringes, height, width = phase.shape
+    others = np.float32(fringes - 1)
+    most = others * np.float32(worst) * np.float32(worst)
+    for i in prange(height):
+        for j in range(width):
+            order[i, j], phasor[i, j] = NONE, 0
+            usable = True
+            for q in range(fringes):
+                usable &= amplitude[q, i, j] >= smallest
+            if not usable or not high[i, j] > low[i, j]:
+                continue
+            main = phase[0, i, j]
+            k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
+            k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
+            best, second, chosen = _FAR, _FAR, int(k0)
+            for k in range(k0, k1 + 1):
+                cost = _ZERO
+                for q in range(1, fringes):
+                    away = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(k)))
+                    cost += away * away
+                if cost < best:
+                    second, best, chosen = best, cost, k
+                elif cost < second:
+                    second = cost
+            if best > most:
+                misfit[i, j] += best / others
+                continue
+            if best * _CLEAR > second:
+                continue
+            shift, noise, expected = _ZERO, share[0] * share[0] * variance[0, i, j], _ZERO
+            for q in range(1, fringes):
+                away = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(chosen)))
+                shift += share[q] * away / ratio[q]
+                noise += (share[q] / ratio[q]) ** 2 * variance[q, i, j]
+                expected += variance[q, i, j] + ratio[q] * ratio[q] * variance[0, i, j]
+            misfit[i, j] += (best - expected) / others
+            main += shift
+            phase[0, i, j], variance[0, i, j], order[i, j] = main, noise, np.int16(chosen)
+            phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
+
+
+@inline
+def _changing(edge: Any) -> Any:
+    """The bit of a Gray code that changes at the edge between cells ``edge - 1`` and ``edge``, as a mask."""
+    return (edge ^ (edge >> 1)) ^ ((edge - 1) ^ ((edge - 1) >> 1))
+
+
+@inline
+def _clearest(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
+    """How clearly the bits say that a pixel lies at this place of the code: the least clear one's contrast.
+
+    The bit whose edge is near says nothing.
+    """
+    cell, edge = np.int32(np.floor(place)), np.int32(np.rint(place))
+    near = abs(place - np.float32(edge)) < _EDGE
+    unclear = _changing(edge) if near else np.int32(0)
+    code = cell ^ (cell >> 1)
+    least = _FAR
+    for b in range(bits.shape[0]):
+        mask = np.int32(1) << number[b]
+        if unclear & mask:
+            continue
+        value = np.float32(bits[b, i, j])
+        value = value if code & mask else -value
+        least = value if value < least else least
+    return least
+
+
+@inline
+def _unevenness(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
+    """Mean square deviation of the contrasts of the bits that have no edge near, in amplitudes^2."""
+    cell = np.int32(np.floor(place))
+    unclear = _changing(cell) | _changing(cell + np.int32(1))
+    n, total, square = _ZERO, _ZERO, _ZERO
+    for b in range(bits.shape[0]):
+        if unclear & (np.int32(1) << number[b]) == 0:
+            value = abs(np.float32(bits[b, i, j])) / BIT_STEPS
+            n += _ONE
+            total += value
+            square += value * value
+    return (square - total * total / n) / (n - _ONE) if n > _ONE else _ZERO
+
+
+@parallel
+def by_bits(
+    phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, bits: Any, number: Any, per_period: float,
+    steps: int, smallest: float, misfit: Any, order: Any, phasor: Any,
+) -> None:  # fmt: skip
+    """Orders of one fringe from the bits of a Gray code.
+
+    Args:
+        phase, amplitude, variance: (1, H, W); low, high, smallest, order, phasor: see :func:`by_phase`.
+        bits: (n, H, W) int8, see :func:`pipeline.modes.samples.phases`; number: (n,) int32, place of each in the code,
+            0 = the least significant; per_period: cells of the code per period; steps: pictures of the fringe.
+        misfit: (H, W), the mean square of what noise does not explain of the bits' contrasts is added.
+    """
+    height, width = order.shape
+    for i in prange(height):
+        for j in range(width):
+            order[i, j], phasor[i, j] = NONE, 0
+            if not amplitude[0, i, j] >= smallest or not high[i, j] > low[i, j]:
+                continue
+            main = phase[0, i, j]
+            k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
+            k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
+            best, second, chosen = -_FAR, -_FAR, int(k0)
+            for k in range(k0, k1 + 1):
+                clear = _clearest(bits, number, i, j, (main / _TURN + np.float32(k)) * np.float32(per_period))
+                if clear > best:
+                    second, best, chosen = best, clear, k
+                elif clear > second:
+                    second = clear
+            if best < _CERTAIN or second > -_CERTAIN:
+                continue
+            place = (main / _TURN + np.float32(chosen)) * np.float32(per_period)
+            noise = np.float32(0.5) * np.float32(steps) * variance[0, i, j]
+            misfit[i, j] += _unevenness(bits, number, i, j, place) - noise
+            order[i, j] = np.int16(chosen)
+            phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
+
+
+@parallel
+def settle(order: Any, phasor: Any, amplitude: Any, misfit: Any, smallest: float, limit: float, absolute: Any) -> int:
+    """Forget the pixels whose pictures contradict each other, or whose neighbours' do, and count them.
+
+    Where half of the lit pixels of a window of 5 x 5 contradict, something moved; a border between two surfaces makes
+    fewer contradict. A pixel that contradicts by three times as much is forgotten in any case, but not counted.
+
+    Args:
+        order, phasor: (H, W), forgotten in place; amplitude, misfit: (H, W), radians^2.
+        limit: largest misfit, radians.
+        absolute: (H, W) float32, phases of the pixels; becomes NaN where ``order`` is forgotten, absolute elsewhere.
+
+    Returns:
+        Number of lit pixels where something moved.
+    """
+    height, width = order.shape
+    vote = np.empty((height, width), np.uint8)
+    moved = np.zeros(height, np.int64)
+    largest = np.float32(limit) * np.float32(limit)
+    for i in prange(height):
+        for j in range(width):
+            lit = amplitude[i, j] >= smallest
+            vote[i, j] = (2 if misfit[i, j] > largest else 1) if lit else 0
+    for i in prange(height):
+        for j in range(width):
+            if vote[i, j]:
+                lit, against = 0, 0
+                for y in range(max(0, i - 2), min(height, i + 3)):
+                    for x in range(max(0, j - 2), min(width, j + 3)):
+                        lit += vote[y, x] != 0
+                        against += vote[y, x] == 2
+                if 2 * against >= lit:
+                    moved[i] += 1
+                    order[i, j] = NONE
+                elif misfit[i, j] > np.float32(9) * largest:
+                    order[i, j] = NONE
+            if order[i, j] == NONE:
+                phasor[i, j], absolute[i, j] = 0, np.float32(np.nan)
+            else:
+                absolute[i, j] += _TURN * np.float32(order[i, j])
+    return moved.sum()
+
+
+@parallel
+def confirm(known: Any, absolute: Any, match_u: Any, match_v: Any, there: Any, per_turn: float, limit: float) -> None:
+    """Forget matches whose pixel in the other picture has another absolute phase, or none.
+
+    Args:
+        known: (h, w) uint8, changed; absolute, match_u, match_v: of :class:`pipeline.located.Located`.
+        there: (H, W) float32, absolute phases of the other picture; limit: radians.
+    """
+    for i in prange(known.shape[0]):
+        for j in range(known.shape[1]):
+            if known[i, j] == 0:
+                continue
+            y, x = np.int32(match_v[i, j]) >> 3, np.int32(match_u[i, j]) >> 3
+            away = np.int32(32768)
+            if y < there.shape[0] and x < there.shape[1] and there[y, x] == there[y, x]:
+                away = np.int32(np.rint(there[y, x] * np.float32(per_turn))) - np.int32(absolute[i, j])
+                away &= np.int32(65535)
+                away = min(away, np.int32(65536) - away)
+            if not np.float32(away) < np.float32(limit) * np.float32(per_turn):
+                known[i, j] = np.uint8(0)

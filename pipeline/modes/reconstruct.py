@@ -1,0 +1,104 @@
+"""A set of pairs of pictures to one cloud."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence as Items
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import Calibration
+from pipeline.cloud import Cloud, Volume
+from pipeline.errors import CalibrationError, PictureError
+from pipeline.modes.color_sets import ColorSets
+from pipeline.modes.decoder import ENCODINGS
+from pipeline.modes.grey_sets import GreySets
+from pipeline.modes.plan import plan_of
+from pipeline.rehearsal import rehearse_contest
+from pipeline.sequence import Sequence
+from pipeline.settings import Settings
+from pipeline.stopwatch import Stopwatch
+
+
+class SetReconstructor:
+    """Built once for a calibration, a sequence and a volume; then :meth:`reconstruct` for every set.
+
+    Everything that holds for :class:`pipeline.reconstruct.Reconstructor` holds here: sets do not depend on each other
+    but for the projector's column correction, which the first set gives, nor on the number of threads.
+
+    Args:
+        calibration: of the rig; sequence: what the projector shows, such as
+            :func:`pipeline.modes.sequences.mode_sequence` makes; volume: where surfaces may be.
+        encoding: of the raw pictures, ``rgb8``, ``bayer_....8``, ``mono8`` or ``mono16``.
+        settings, clock, threads: as there.
+
+    Raises:
+        CalibrationError: when sequence, projector and volume do not fit together.
+        PatternError: the sequence cannot be measured with; PictureError: the encoding is not known.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        sequence: Sequence,
+        volume: Volume,
+        *,
+        encoding: str = "rgb8",
+        settings: Settings | None = None,
+        clock: Callable[[], int] | None = None,
+        threads: int = 0,
+    ) -> None:
+        if sequence.size != calibration.projector.size:
+            raise CalibrationError(
+                f"pattern.size {list(sequence.size)} is not the size of the calibrated projector, "
+                f"{list(calibration.projector.size)}"
+            )
+        if encoding not in ENCODINGS:
+            raise PictureError(f"encoding {encoding!r:.80} is not known; expected one of {', '.join(ENCODINGS)}")
+        self.calibration, self.sequence, self.volume, self.encoding = calibration, sequence, volume, encoding
+        self.settings, self.plan = settings or Settings(), plan_of(sequence)
+        self._clock, self._threads = clock, threads
+        make = ColorSets if self.plan.kind == "two_color" else GreySets
+        self._sets = make(calibration, self.plan, volume, encoding=encoding, settings=self.settings)
+
+    @property
+    def correction(self) -> NDArray[np.float64]:
+        """Of the projector's columns: offset, slope along, slope across; observed minus calibrated coordinate."""
+        return self._sets.correction
+
+    def warm_up(self, *, every: tuple[int, ...] = (1,)) -> None:
+        """Compile (or load) every kernel by runs on empty pictures; leaves no trace in the results.
+
+        Args:
+            every: spacings that will be asked for.
+        """
+        kept = self._sets.keep()
+        rng = np.random.default_rng(0)
+        kind = np.uint16 if self.encoding == "mono16" else np.uint8
+        deep = (3,) if self.encoding == "rgb8" else ()
+        sides = [
+            [rng.integers(40, 200, (*camera.size[::-1], *deep), dtype=kind)] * len(self.sequence)
+            for camera in (self.calibration.left, self.calibration.right)
+        ]
+        for step in every:
+            self.reconstruct(*sides, every=step)
+        rehearse_contest()
+        self._sets.restore(kept)
+
+    def reconstruct(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], *, every: int = 1) -> Cloud:
+        """The cloud of a set of raw pictures, one of each camera for each frame of the sequence, in its order.
+
+        Args:
+            lefts, rights: (H, W, 3) for rgb8, else (H, W), of the calibrated sizes; uint16 for mono16, else uint8.
+            every: points only on every n-th pixel of every n-th row; the others are unknown.
+
+        Raises:
+            PictureError: another number of pictures, or a picture of another size or type.
+        """
+        if self._threads:
+            numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
+        watch = Stopwatch(self._clock)
+        return self._sets.cloud(lefts, rights, every, watch)

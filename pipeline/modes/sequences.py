@@ -1,0 +1,85 @@
+"""The sets of pictures of the measuring modes.
+
+Three frequencies whose beats have one period over the whole projector ("heterodyne": Gruber and Haeusler, Optik 89,
+118, 1992) are all fine: each of them measures as well as the others. A Gray code numbers the periods of one fringe
+(Sansoni et al., Appl. Opt. 36, 4463, 1997). Two colour fringes are two single shots whose wrong orders disagree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Items
+from math import ceil, log2, pi
+
+from pipeline.errors import PatternError
+from pipeline.pattern import ColorFringe
+from pipeline.sequence import CHANNELS, GREY_AMPLITUDE, GREY_MEAN, Axis, Frame, Fringe, GrayBit, Sequence, check_size
+
+MODES = ("two_color", "heterodyne", "gray")
+"""Beside the single shot, which is no sequence."""
+
+FEWEST_PERIODS, MOST_STEPS = 4.0, 16
+_SECOND = 0.8
+
+
+def mode_sequence(
+    name: str,
+    size: tuple[int, int],
+    *,
+    periods: float = 96.0,
+    steps: int = 4,
+    axis: Axis = "x",
+    mean: float = GREY_MEAN,
+    amplitude: float = GREY_AMPLITUDE,
+    channels: tuple[str, ...] = CHANNELS,
+) -> Sequence:
+    """The pictures of a mode in the order in which they are shown.
+
+    Args:
+        name: one of :data:`MODES`; it becomes the sequence's name.
+        size: (width, height) of the projector, pixels.
+        periods: of the finest fringe over the width (axis x) or the height; may be fractional, at least 4.
+        steps: pictures of each fringe that is shifted, 3 to 16. With three, a projector whose response is not known
+            bends the phase by a quarter of a radian; with four by a hundredth.
+        axis: direction along which the phase grows.
+        mean, amplitude: light of fringes and bits; of colour fringes see :class:`ColorFringe`.
+        channels: that fringes and bits are lit in; a monochrome projector takes all.
+    """
+    check_size(size)
+    length = size[0] if axis == "x" else size[1]
+    if name not in MODES:
+        raise PatternError(f"mode {name!r:.80} is not known; there are {', '.join(MODES)}")
+    if not FEWEST_PERIODS <= periods <= length / 4:
+        raise PatternError(f"periods is {periods}, expected {FEWEST_PERIODS:g} to {length / 4:g}, four pixels each")
+    if not 3 <= steps <= MOST_STEPS:
+        raise PatternError(f"steps is {steps}, expected 3 to {MOST_STEPS}")
+    if name == "two_color":
+        return Sequence(name, [ColorFringe(size, p, axis) for p in (periods, _SECOND * periods)])  # type: ignore[arg-type]
+    frames: list[Frame] = [
+        Fringe(size, fringe, axis, 2 * pi * n / steps, mean, amplitude, channels)
+        for fringe in (heterodyne_periods(periods) if name == "heterodyne" else (periods,))
+        for n in range(steps)
+    ]
+    if name == "gray":
+        frames += gray_bits(size, periods, axis, mean=mean, amplitude=amplitude, channels=channels)
+    return Sequence(name, tuple(frames))
+
+
+def heterodyne_periods(finest: float) -> tuple[float, float, float]:
+    """Periods of three fringes: the beats of neighbours differ by one period, their common beat has one."""
+    first = max(2, round(finest**0.5))
+    return finest, finest - first, finest - 2 * first + 1
+
+
+def gray_bits(
+    size: tuple[int, int],
+    periods: float,
+    axis: Axis,
+    *,
+    mean: float = GREY_MEAN,
+    amplitude: float = GREY_AMPLITUDE,
+    channels: tuple[str, ...] = CHANNELS,
+) -> Items[GrayBit]:
+    """A Gray code of half periods: of the two edges of a code's bits next to a pixel one is always far away."""
+    cells = 2 * periods
+    bits = ceil(log2(cells))
+    return [GrayBit(size, k, bits, False, axis, cells, mean, amplitude, channels) for k in range(bits)]

@@ -1,0 +1,83 @@
+"""Multi-frame modes through the whole daemon on the small rendered rig: right clouds, marked motion, same replays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon.entry import run
+from daemon.export.cloud_files import read_cloud
+from daemon.outputs import open_take
+from daemon.recorder import Recorder
+from daemon.recording.reader import TakeReader
+from daemon.stream import messages
+from sim import scenes
+from sim.render import truths
+from sim.rig import RigLayout
+from sim.score import score
+from tests.daemon.rigs import wait_until
+from tests.sequencing.rigs import rendered
+
+LAYOUT = RigLayout().scaled(0.125)
+SPHERES = "scene: spheres"
+
+
+def test_clouds_are_right_and_a_replay_of_the_take_gives_the_same_bit_for_bit(tmp_path: Path) -> None:
+    with rendered(tmp_path, simulation=SPHERES) as running:
+        service = running.service
+        rig_file = tmp_path / "rig.yaml"
+        rig_file.write_text("no matter")
+        recorder = Recorder(
+            service,
+            tmp_path / "takes",
+            lambda take: open_take(running.config, service.rig, "s", take, rig_file, shown=service.sequencing.shown),
+        )
+        take = Path(str(recorder.start("sets")["file"]))
+        begun = len(running.sink.clouds)
+        running.clouds(begun + 4)
+        assert recorder.stop()["pairs"] >= 24
+        status = service.status()
+        assert status.mode == "heterodyne" and status.sequence["frames"] == 12 and status.sequence["sets"] >= 4
+        clouds = {item.seq: item for item in running.sink.clouds}
+    truth = truths(LAYOUT, scenes.build("spheres"), LAYOUT.pattern())[0]
+    for item in clouds.values():
+        assert item.frames == 12 and item.span_ms > 0 and item.latency_ms >= item.span_ms and item.seq % 12 == 0
+        found = score(item.cloud.xyz, truth)
+        assert found.reconstructed > 0.85 and found.wrong < 0.01, found
+    stats = messages._cloud_header(messages.Origin("d", "s", "c"), item).stats
+    assert {key: stats[key] for key in ("mode", "frames")} == {"mode": "heterodyne", "frames": 12}
+    assert set(stats) >= {"span_ms", "moved"}
+    out = tmp_path / "out"
+    assert run(["replay", str(take), "--out", str(out), "--set", "self_calibrate=false"]) == 0
+    same = [seq for seq in clouds if (out / f"cloud_{seq:06d}.npz").exists()]
+    assert len(same) >= 2
+    for seq in same:
+        np.testing.assert_array_equal(read_cloud(out / f"cloud_{seq:06d}.npz").xyz, clouds[seq].cloud.xyz)
+    assert run(["info", str(take)]) == 0
+    with TakeReader(take) as reader:
+        assert reader.whole and reader.first_pattern_sequence == 0
+
+
+def test_what_moves_during_a_set_is_marked_and_the_rest_is_measured(tmp_path: Path) -> None:
+    with rendered(tmp_path, simulation="scene: moving, frames: 24") as running:
+        running.clouds(2)
+        item = running.sink.clouds[-1]
+    assert item.moved > 100, "the head and the balls turn by a third of their way during a set"
+    assert item.cloud.points > 2000, "the board behind them is at rest"
+
+
+@pytest.mark.parametrize("lost", ["left", "right"])
+def test_stored_pictures_are_told_by_the_trigger_and_a_lost_frame_costs_its_set_alone(
+    tmp_path: Path, lost: str
+) -> None:
+    faults = f"faults: {{script: [{{kind: lost, at: 41, side: {lost}}}, {{kind: lost, at: 55, side: {lost}}}]}}"
+    sequence = "{display: stored, first_trigger: 5}"
+    with rendered(tmp_path, sequence=sequence, simulation=f"{SPHERES}, {faults}") as running:
+        wait_until(lambda: any(item.seq > 64 for item in running.sink.clouds), 90)
+        clouds = list(running.sink.clouds)
+        status = running.service.status()
+    assert all(item.seq % 12 == 5 and item.cloud.points > 5000 for item in clouds)
+    assert not {41, 53} & {item.seq for item in clouds}, "the sets that missed a picture"
+    assert status.sequence["sets_incomplete"] >= 2 and status.reasons == ()

@@ -1,0 +1,95 @@
+"""Sets of pairs: whatever is lost, doubled or late, a set holds each picture once, all of one pass, in order."""
+
+from __future__ import annotations
+
+import itertools
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daemon.sequencing.gather import MOST_GAP_NS, Gatherer
+from drivers.protocols import TRIGGER_MODULUS
+
+MS = 1_000_000
+Shot = tuple[int, int]
+"""How many triggers after the first picture's, and start of exposure."""
+
+
+def fed(gatherer: Gatherer[Shot], shots: list[Shot], first: int) -> list[tuple[Shot, ...]]:
+    made = (gatherer.feed((first + position) % TRIGGER_MODULUS, t_ns, (position, t_ns)) for position, t_ns in shots)
+    return [one for one in made if one is not None]
+
+
+def at(position: int) -> Shot:
+    return position, (position + 10_000) * 33 * MS
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    frames=st.integers(1, 13),
+    first=st.integers(0, TRIGGER_MODULUS - 1),
+    start=st.integers(-40, 40),
+    kept=st.lists(st.booleans(), min_size=1, max_size=120),
+    twice=st.sets(st.integers(0, 119)),
+)
+def test_a_set_is_made_of_each_pass_that_lost_nothing_and_of_no_other(
+    frames: int, first: int, start: int, kept: list[bool], twice: set[int]
+) -> None:
+    positions = [start + i for i, keep in enumerate(kept) if keep for _ in range(1 + (i in twice))]
+    gatherer: Gatherer[Shot] = Gatherer(frames, first)
+    made = fed(gatherer, [at(position) for position in positions], first)
+    whole = [
+        k for k in range(start // frames - 1, (start + len(kept)) // frames + 1)
+        if all(k * frames + i in positions for i in range(frames))
+    ]  # fmt: skip
+    assert [[position for position, _ in one] for one in made] == [
+        list(range(k * frames, (k + 1) * frames)) for k in whole
+    ]
+    gatherer.flush()
+    touched = {position // frames for position in positions}
+    assert (gatherer.complete, gatherer.incomplete) == (len(whole), len(touched) - len(whole))
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    frames=st.integers(2, 9),
+    first=st.integers(0, TRIGGER_MODULUS - 1),
+    shots=st.lists(st.tuples(st.integers(-30, 30), st.integers(0, 200 * MOST_GAP_NS // 100)), max_size=150),
+)
+def test_whatever_comes_no_set_mixes_passes_and_no_pair_is_used_twice(
+    frames: int, first: int, shots: list[Shot]
+) -> None:
+    gatherer: Gatherer[Shot] = Gatherer(frames, first)
+    made = fed(gatherer, shots, first)
+    for one in made:
+        positions, times_ns = [p for p, _ in one], [t for _, t in one]
+        assert positions[0] % frames == 0 and positions == list(range(positions[0], positions[0] + frames))
+        assert all(0 < b - a <= MOST_GAP_NS for a, b in itertools.pairwise(times_ns))
+    used = [shot for one in made for shot in one]
+    assert len(used) <= len(shots)
+
+
+def test_a_pair_that_comes_a_little_late_still_finds_its_set() -> None:
+    gatherer: Gatherer[Shot] = Gatherer(3)
+    assert [p for p, _ in fed(gatherer, [at(n) for n in (0, 2, 3, 1)], 0)[0]] == [0, 1, 2]
+    assert gatherer.incomplete == 0
+
+
+def test_pictures_of_two_times_under_one_number_spoil_the_set() -> None:
+    gatherer: Gatherer[Shot] = Gatherer(2)
+    assert fed(gatherer, [(0, 5 * MS), (0, 900 * MS), (1, 910 * MS)], 0) == []
+    assert gatherer.incomplete == 1
+
+
+def test_a_count_that_begins_anew_is_gathered_from_its_new_begin() -> None:
+    gatherer: Gatherer[Shot] = Gatherer(3)
+    late = [(n, (5000 + n) * 33 * MS) for n in range(3)]
+    made = fed(gatherer, [*(at(n) for n in range(300, 304)), *late], 0)
+    assert [one[0][0] for one in made] == [300, 0]
+    assert gatherer.restarts == 1
+
+
+def test_numbers_may_wrap_within_a_set() -> None:
+    first = TRIGGER_MODULUS - 2
+    gatherer: Gatherer[Shot] = Gatherer(4, first)
+    assert len(fed(gatherer, [at(n) for n in range(8)], first)) == 2
