@@ -78,8 +78,7 @@ class SetDecoder:
         self._rest_first = np.cumsum([0, *(len(f.rest) for f in plan.fringes)]).astype(np.int32)
         ratio = np.array([f.periods / plan.periods for f in plan.fringes])
         self._ratio = ratio.astype(np.float32)
-        weight = ratio**2 * [len(f.frames) for f in plan.fringes]
-        self._weight = (weight / weight.sum()).astype(np.float32)
+        self._weight = plan.shares.astype(np.float32)
         width, height = tables.size
         self._stack = np.empty((plan.frames, height, width * self._channels), self._type)
         many = (len(plan.fringes), height, width)
