@@ -24,7 +24,7 @@ demo: $(STAMP)  ## measure a moving object on the simulated rig, live; prints th
 	$(BIN)/fringed demo
 
 test: $(STAMP)  ## everything that proves it: style, types, layers, all tests
-	tools/system-packages browser x11 compiler vm
+	tools/system-packages browser x11 compiler vm nspawn
 	$(MAKE) --no-print-directory check
 	$(BIN)/python -m pytest
 
