@@ -13,6 +13,7 @@ def main(command: list[str]) -> int:
     if reason := missing():
         sys.stderr.write(f"tools.nspawn: {reason}\n")
         return 2
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     with Machine() as machine:
         if command:
             done = machine.run(*command, check=False, timeout_s=3600)

@@ -59,7 +59,9 @@ def main() -> None:
     folder, name, checkout, packages, base_prefix = sys.argv[1:6]
     root = mount(Path(folder))
     prepare(root)
-    binds = [f"--bind-ro={checkout}:{CHECKOUT}", f"--bind-ro={packages}:{PACKAGES}"]
+    # Writable, or the compiled kernels beside the sources are not used; what is written goes away with the container.
+    own = overlay(Path(folder), "checkout", checkout)
+    binds = [f"--bind={own}:{CHECKOUT}", f"--bind-ro={packages}:{PACKAGES}"]
     if not base_prefix.startswith("/usr"):
         binds.append(f"--bind-ro={base_prefix}:{PYTHON}")
         # Linked with its library by the path that a service cannot see.
@@ -68,14 +70,25 @@ def main() -> None:
 
 
 def mount(folder: Path) -> Path:
-    """The overlay's root, below a folder that exists."""
+    """The container's root, below a folder that exists."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", "mode=755,size=6g", "fringed-nspawn", str(folder)], check=True)
-    upper, work, root = (folder / part for part in ("upper", "work", "root"))
-    for made in (upper, work, root):
+    return overlay(folder, "root", "/")
+
+
+def overlay(folder: Path, name: str, lower: str) -> Path:
+    """A directory with the contents of another one, which stays as it is."""
+    upper, work, merged = (folder / f"{name}-{part}" for part in ("upper", "work", "merged"))
+    for made in (upper, work, merged):
         made.mkdir()
-    options = f"lowerdir=/,upperdir={upper},workdir={work}"
-    subprocess.run(["mount", "-t", "overlay", "-o", options, "overlay", str(root)], check=True)
-    return root
+    upper.chmod(0o755)
+    options = f"lowerdir={_escaped(lower)},upperdir={upper},workdir={work}"
+    subprocess.run(["mount", "-t", "overlay", "-o", options, "overlay", str(merged)], check=True)
+    return merged
+
+
+def _escaped(path: str) -> str:
+    """A path as an option of the mount: colons and commas part options there."""
+    return path.replace("\\", "\\\\").replace(":", "\\:").replace(",", "\\,")
 
 
 def prepare(root: Path) -> None:
