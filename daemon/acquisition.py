@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from daemon.counters import Rate
 from daemon.status import CameraState, CameraStatus
+from daemon.supervision.pulse import Pulse
 from drivers.errors import DriverError
 from drivers.protocols import Camera, Clock, Frame, Side
 
@@ -16,6 +17,7 @@ log = logging.getLogger("fringed.camera")
 
 _READ_TIMEOUT_S = 0.2
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.2, 5.0
+_TURN_S, _DEVICE_S = 10.0, 120.0  # longest times of a turn, and of opening, starting and closing a device
 
 
 class CameraThread:
@@ -43,6 +45,7 @@ class CameraThread:
         self._started = started
         self._rate = Rate()
         self._frames = 0
+        self.pulse = Pulse(clock.monotonic_ns)
         self._wanted = threading.Event()
         self._wanted.set()
         self._stop = threading.Event()
@@ -81,6 +84,7 @@ class CameraThread:
     def _run(self) -> None:
         wait_s = _FIRST_WAIT_S
         while not self._stop.is_set():
+            self.pulse.expect(_DEVICE_S)
             try:
                 self._open()
                 wait_s = _FIRST_WAIT_S
@@ -89,18 +93,21 @@ class CameraThread:
             except DriverError as error:
                 self._lost(str(error))
             except Exception as error:  # a driver's bug must not take the daemon down
-                log.exception("camera %s: unexpected error", self.side)
+                log.exception("camera %s: unexpected error", self.side, extra={"side": self.side})
                 self._lost(f"{type(error).__name__}: {error}")
             finally:
+                self.pulse.expect(_DEVICE_S)
                 self._camera.close()
+            self.pulse.expect(wait_s + _TURN_S)
             self._stop.wait(wait_s)
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+        self.pulse.rest()
         self._set(replace(self._status, state=CameraState.CLOSED))
 
     def _open(self) -> None:
         info = self._camera.open()
         for note in info.notes:
-            log.info("camera %s: %s", self.side, note)
+            log.info("camera %s: %s", self.side, note, extra={"side": self.side})
         self._set(
             replace(
                 self._status,
@@ -116,24 +123,28 @@ class CameraThread:
 
     def _acquire(self) -> None:
         """Read until told to pause or stop; waits while paused."""
+        self.pulse.expect(_TURN_S)
         if not self._wanted.wait(_READ_TIMEOUT_S):
             return
         self._started(self.side)
+        self.pulse.expect(_DEVICE_S)
         self._camera.start()
         self._set(replace(self._status, state=CameraState.ACQUIRING))
         while self._wanted.is_set() and not self._stop.is_set():
+            self.pulse.expect(_TURN_S)
             frame = self._camera.read(_READ_TIMEOUT_S)
             if frame is not None:
                 self._frames += 1
                 self._rate.note(self._clock.monotonic_ns())
                 self._deliver(frame)
+        self.pulse.expect(_DEVICE_S)
         self._camera.stop()
         self._set(replace(self._status, state=CameraState.PAUSED))
 
     def _lost(self, problem: str) -> None:
         first = self._status.state is not CameraState.LOST
         if first:
-            log.warning("camera %s is lost: %s", self.side, problem)
+            log.warning("camera %s is lost: %s", self.side, problem, extra={"side": self.side, "reason": problem})
         losses = self._status.losses + first
         self._set(replace(self._status, state=CameraState.LOST, problem=problem, losses=losses))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import signal
-import sys
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,8 +24,15 @@ from daemon.rig import OptionsError, Progress, open_rig
 from daemon.runtime import runtime_beside
 from daemon.service import Service
 from daemon.sinks import Sink
+from daemon.supervision.hangup import Reloads, hung_up, terminals
+from daemon.supervision.log import tell_fields
+from daemon.supervision.notify import Notifier
+from daemon.supervision.supervisor import Supervisor
 
 log = logging.getLogger("fringed")
+
+
+_SIGNALS = signal.SIGTERM, signal.SIGINT, signal.SIGHUP
 
 
 class StopAskedError(DaemonError):
@@ -35,10 +41,14 @@ class StopAskedError(DaemonError):
 
 @dataclass(slots=True)
 class StopFlag:
-    """Turns SIGTERM and SIGINT into one orderly stop, whenever they come."""
+    """Turns SIGTERM and SIGINT into one orderly stop, whenever they come, and SIGHUP into a reload.
+
+    SIGHUP of a terminal that was closed is a wish to stop.
+    """
 
     asked: bool = False
     stop: Callable[[], None] | None = None
+    reload: Callable[[], None] | None = None
 
     def ask(self) -> None:
         """Stop what runs, or whatever will be started; takes no lock, so that a signal handler may call it."""
@@ -49,11 +59,15 @@ class StopFlag:
     @contextmanager
     def on_signals(self) -> Iterator[StopFlag]:
         """Listen to the signals inside the block; only the main thread can."""
+        ours = terminals()
 
-        def handle(_: int, __: FrameType | None) -> None:
-            self.ask()
+        def handle(number: int, _: FrameType | None) -> None:
+            if number != signal.SIGHUP or hung_up(ours):
+                self.ask()
+            elif self.reload is not None:
+                self.reload()
 
-        before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+        before = {number: signal.signal(number, handle) for number in _SIGNALS}
         try:
             yield self
         finally:
@@ -78,10 +92,12 @@ def run_rig(
     """
     flag = flag or StopFlag()
     config, base_dir = load_rig(path), path.resolve().parent
+    supervisor = Supervisor(Notifier.from_environment())
 
     def watched(done: int, of: int) -> None:
         if flag.asked:
             raise StopAskedError("stopped while starting")
+        supervisor.preparing(f"rendering the simulated rig, {done} of {of} pictures")
         if progress is not None:
             progress(done, of)
 
@@ -91,7 +107,10 @@ def run_rig(
         return
     except OptionsError as error:
         raise error.located(path) from error
-    _run(config, rig, path, base_dir, flag, record, on_status)
+    try:
+        _run(config, rig, path, base_dir, flag, record, on_status, supervisor)
+    finally:
+        supervisor.close()
 
 
 def _run(
@@ -102,8 +121,10 @@ def _run(
     flag: StopFlag,
     record: str | None,
     on_status: Callable[[dict[str, Any]], None] | None,
+    supervisor: Supervisor,
 ) -> None:
     session = str(uuid.uuid4())
+    tell_fields(session=session, device=config.device.name)
     try:
         publisher = open_publisher(config, rig, session)
     except BaseException:
@@ -112,6 +133,7 @@ def _run(
 
     def publish(status: dict[str, Any]) -> None:
         publisher.publish_status(status)
+        supervisor.told(status)
         if on_status is not None:
             on_status(status)
 
@@ -136,7 +158,15 @@ def _run(
         rig.release()
         raise
     control.start()
-    flag.stop = service.ask_stop
+    reloads = Reloads(lambda: supervisor.reload(lambda: methods.reload({})), ready=lambda: service.ready)
+    supervisor.watch(service)
+    service.on_tick.append(reloads.tick)
+
+    def stop() -> None:
+        service.ask_stop()
+        supervisor.stopping()
+
+    flag.stop, flag.reload = stop, reloads.ask
     if flag.asked:
         service.ask_stop()
     try:
@@ -146,9 +176,3 @@ def _run(
     finally:
         capture.close()
         control.close()
-
-
-def log_to_stderr(level: int = logging.INFO) -> None:
-    """One line an event on standard error, with its time."""
-    logging.basicConfig(stream=sys.stderr, level=level, format="%(asctime)s %(levelname).1s %(name)s: %(message)s")
-    logging.getLogger("numexpr").setLevel(logging.WARNING)  # it counts its threads aloud

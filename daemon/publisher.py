@@ -24,6 +24,7 @@ from daemon.stream import messages
 from daemon.stream.endpoints import bind_all, remove_files
 from daemon.stream.log import StreamHandler
 from daemon.stream.messages import Frames, Origin
+from daemon.supervision.pulse import Pulse
 from drivers.protocols import Clock
 from pipeline.calibration import Calibration
 
@@ -35,6 +36,7 @@ _LOG_QUEUE = 64
 _MAX_PREFIXES = 256
 _MAX_PREFIX_BYTES = 64
 _JOIN_S = 5.0
+_IDLE_MS, _TURN_S = 1000, 15.0  # of waiting; longest time of a turn
 _LINGER_MS = 200  # at the end only, so that the last status goes out
 
 
@@ -87,6 +89,7 @@ class Publisher:
         self._line_count = self._status_count = 0
         self._problems: dict[str, str] = {}
         self._closing = False
+        self.pulse = Pulse()
         self._context: zmq.Context[Any] = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -167,7 +170,8 @@ class Publisher:
         poller.register(self._wake_fd, zmq.POLLIN)
         try:
             while not self._closing:
-                events = dict(poller.poll())
+                self.pulse.expect(_TURN_S)
+                events = dict(poller.poll(_IDLE_MS))
                 if self._wake_fd in events:
                     os.eventfd_read(self._wake_fd)
                 self._serve_subscriptions()
@@ -177,6 +181,7 @@ class Publisher:
             self._problems["thread"] = f"it ended: {error}"
             log.exception("the stream's thread ended")
         finally:
+            self.pulse.rest()
             with self._lock:
                 self._closing = True
                 self._release()

@@ -65,6 +65,8 @@ class Service:
         self.settings = Settings().with_overrides(config.pipeline.settings)
         self.drops = Counters()
         self._on_status = on_status
+        #: Called by the main loop ten times a second, from the start to the wish to stop.
+        self.on_tick: list[Callable[[], None]] = []
         self._started_ns = self.clock.monotonic_ns()
         self._ready, self._paused = False, False
         self._taker: Callable[[Pair], object] | None = None
@@ -258,12 +260,12 @@ class Service:
             camera.start()
         while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
             self._stop.wait(_TICK_S)
-            self._publish_status()
+            self._look_up()
         if self._stop.is_set():
             return
         made = self.worker.start(self._warm)
         while not made.done() and not self._stop.wait(_TICK_S):
-            self._publish_status()
+            self._look_up()
         if made.done():
             made.result()
             self._ready = not self._stop.is_set()
@@ -290,6 +292,12 @@ class Service:
     def _tick(self) -> None:
         self.desk.tick()
         self._note_state()
+        self._look_up()
+
+    def _look_up(self) -> None:
+        """What the main loop does besides, in every state."""
+        for action in self.on_tick:
+            self._guarded("looking after the daemon", action)
         self._publish_status()
 
     def _publish_status(self) -> None:

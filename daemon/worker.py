@@ -20,6 +20,7 @@ from daemon.overload import Overload
 from daemon.pairing import Pair
 from daemon.sequel import Sequel
 from daemon.sinks import CloudItem
+from daemon.supervision.pulse import Pulse
 from drivers.protocols import Clock
 from pipeline.cloud import Cloud
 from pipeline.errors import PipelineError
@@ -27,6 +28,7 @@ from pipeline.errors import PipelineError
 log = logging.getLogger("fringed.pipeline")
 
 _IDLE_S = 0.2
+_TURN_S, _MEASURE_S, _MAKE_S = 10.0, 30.0, 900.0  # longest times of a turn; compiling takes minutes
 
 
 class Reconstructs(Protocol):
@@ -59,6 +61,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
         self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
+        self.finished, self.pulse = 0, Pulse(clock.monotonic_ns)
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
         self.last: CloudItem | None = None
@@ -72,6 +75,11 @@ class Worker:
     def every(self) -> int:
         """Spacing of the pixels that are measured now: 2 while the pipeline is overloaded and may skip pixels."""
         return self._overload.every
+
+    @property
+    def waiting(self) -> int:
+        """Pairs that wait to be measured."""
+        return len(self._box)
 
     def start(self, make: Make) -> Future[None]:
         """Begin: make a reconstructor, every kernel compiled, and measure from then on.
@@ -136,8 +144,10 @@ class Worker:
             threads.name(threading.get_native_id(), self._thread.name)
             if self._config.cpus:
                 threads.pin([threading.get_native_id()], self._config.cpus)
+            self.pulse.expect(_MAKE_S)
             self._reconstructor = self._make()
         except Exception as error:
+            self.pulse.rest()
             self._made.set_exception(error)
             return
         self._made.set_result(None)
@@ -147,14 +157,19 @@ class Worker:
             while not self._stop.is_set():
                 self._next()
         finally:
+            self.pulse.rest()
             self.pauses.stop()
             self._garbage.release()
 
     def _next(self) -> None:
         self._change()
+        self.pulse.expect(_TURN_S)
         pair = self._box.get(_IDLE_S)
         if pair is not None:
+            self.pulse.expect(_MEASURE_S)
             self._try(pair)
+            self.finished += 1
+            self.pulse.expect(_TURN_S)
         self._garbage.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._box)
 
     def _hold_garbage(self) -> None:
@@ -177,6 +192,7 @@ class Worker:
             make, done = self._changes.popleft()
             if not done.set_running_or_notify_cancel():
                 continue
+            self.pulse.expect(_MAKE_S)
             try:
                 self._reconstructor = make()
                 self._sequel.forget()

@@ -30,10 +30,11 @@ def main(
 
     from daemon.commands.demo_parts import Report, Viewer
     from daemon.commands.progress import rendering
-    from daemon.launch import StopFlag, log_to_stderr, run_rig
+    from daemon.launch import StopFlag, run_rig
     from daemon.runtime import runtime_dir
+    from daemon.supervision.log import log_events
 
-    log_to_stderr(logging.INFO if verbose else logging.WARNING)
+    log_events(logging.INFO if verbose else logging.WARNING)
     with ExitStack() as stack:
         flag = stack.enter_context(StopFlag().on_signals())
         directory = _private_directory(runtime_dir())

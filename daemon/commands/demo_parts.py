@@ -10,6 +10,8 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from daemon.supervision.words import line
+
 _VIEW = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
 
 
@@ -80,14 +82,3 @@ class Report:
         self._say(line(status))
         if self._seconds is not None and self._now_s() - self._measuring_since_s >= self._seconds:
             self._stop()
-
-
-def line(status: dict[str, Any]) -> str:
-    """Rate, points and latency in one line."""
-    latency = status["latency_ms"]
-    timing = f"latency {latency['p50']:.0f} ms (95 %: {latency['p95']:.0f} ms)" if latency else "no cloud yet"
-    dropped = sum(status["drops"].values())
-    return (
-        f"{status['state']}: {status['cloud_rate_hz']:.1f} clouds/s of {status['pair_rate_hz']:.1f} pairs/s, "
-        f"{status['points']} points, {timing}, dropped {dropped}"
-    )

@@ -65,9 +65,10 @@ def direct(
     import threading
 
     from daemon.commands.progress import rendering
-    from daemon.launch import StopFlag, log_to_stderr, run_rig
+    from daemon.launch import StopFlag, run_rig
+    from daemon.supervision.log import log_events
 
-    log_to_stderr()
+    log_events()
     with StopFlag().on_signals() as flag, rendering() as progress:
         timer: list[threading.Timer] = []
 

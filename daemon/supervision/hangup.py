@@ -1,0 +1,56 @@
+"""SIGHUP: read rig.yaml again, on a thread of its own, so that the main loop goes on; or the end of a terminal."""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any
+
+log = logging.getLogger("fringed")
+
+
+class Reloads:
+    """Turns wishes of a signal handler into reloads, one at a time; wishes that come meanwhile become one more.
+
+    Args:
+        reload: does it, and returns what changed; may take seconds. ready: whether it can be done by now.
+    """
+
+    def __init__(self, reload: Callable[[], Any], *, ready: Callable[[], bool]) -> None:
+        self._reload, self._ready = reload, ready
+        self._asked = False
+        self._thread: threading.Thread | None = None
+
+    def ask(self) -> None:
+        """Wish for one; takes no lock, so that a signal handler may call it."""
+        self._asked = True
+
+    def tick(self) -> None:
+        """Called by the main loop: begin what was wished for."""
+        if not self._asked or not self._ready() or (self._thread is not None and self._thread.is_alive()):
+            return
+        self._asked = False
+        self._thread = threading.Thread(target=self._run, name="reload", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            log.info("reloaded: %s", self._reload())
+        except Exception as error:  # a bad file must not end anything: what ran before goes on
+            log.error("not reloaded, nothing was changed: %s", error)
+
+
+def terminals(descriptors: Iterable[int] = (0, 1, 2)) -> tuple[int, ...]:
+    """Those descriptors that are terminals."""
+    return tuple(number for number in descriptors if os.isatty(number))
+
+
+def hung_up(descriptors: Iterable[int]) -> bool:
+    """Whether one of these terminals is gone: then SIGHUP tells of its end and is no wish to reload."""
+    poll = select.poll()
+    for number in descriptors:
+        poll.register(number, 0)
+    return any(events & (select.POLLHUP | select.POLLERR) for _, events in poll.poll(0))

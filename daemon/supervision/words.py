@@ -1,0 +1,42 @@
+"""The status in one line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def line(status: dict[str, Any]) -> str:
+    """State, rate, points, latency and drops."""
+    latency = status["latency_ms"]
+    timing = f"latency {latency['p50']:.0f} ms (95 %: {latency['p95']:.0f} ms)" if latency else "no cloud yet"
+    dropped = sum(status["drops"].values())
+    return (
+        f"{status['state']}: {status['cloud_rate_hz']:.1f} clouds/s of {status['pair_rate_hz']:.1f} pairs/s, "
+        f"{status['points']} points, {timing}, dropped {dropped}"
+    )
+
+
+def waiting(status: dict[str, Any]) -> str:
+    """What the first cloud waits for."""
+    if status["state"] in ("paused", "stopping"):
+        return f"{status['state']}; no cloud yet"
+    cameras: dict[str, dict[str, Any]] = status["cameras"]
+    lost = [f"camera {side}: {camera['problem']}" for side, camera in cameras.items() if camera["problem"]]
+    if lost:
+        return f"waiting for {'; '.join(lost)}"
+    unopened = [side for side, camera in cameras.items() if not camera["encoding"]]
+    if unopened:
+        return f"starting: opening camera {' and '.join(unopened)}"
+    if status["state"] == "starting":
+        return "starting: loading the measuring kernels; after an update they are compiled, which takes minutes"
+    silent = [side for side, camera in cameras.items() if not camera["frames"]]
+    if silent:
+        return f"waiting for the trigger: no frame from camera {' and '.join(silent)} yet"
+    return f"frames come, {status['pairs']} pairs, but no cloud yet; dropped {sum(status['drops'].values())}"
+
+
+def told(status: dict[str, Any]) -> str:
+    """One line for the service manager, with what is wrong at its end."""
+    text = line(status) if status["clouds"] else waiting(status)
+    reasons = "; ".join(status["reasons"])
+    return f"{text}; {reasons}" if reasons and reasons not in text else text
