@@ -15,8 +15,8 @@ from pathlib import Path
 
 CHECKOUT = "/checkout"
 """Where the container finds the project."""
-PACKAGES = "/packages"
-"""Where it finds the packages of the environment that the tests run in."""
+VENV = "/opt/venv"
+"""Where it finds an environment with the packages of the one that the tests run in."""
 PYTHON = "/opt/python"
 """Where it finds an interpreter that is not the system's; in a home directory no service could see it."""
 
@@ -28,6 +28,8 @@ _REMOVED = (
     "etc/systemd/user",
     "opt/fringed",
     "usr/local/bin/fringed",
+    "opt/python",
+    "opt/venv",
     "var/cache/fringed",
     "var/lib/dbus/machine-id",
     "var/lib/fringed",
@@ -61,12 +63,22 @@ def main() -> None:
     prepare(root)
     # Writable, or the compiled kernels beside the sources are not used; what is written goes away with the container.
     own = overlay(Path(folder), "checkout", checkout)
-    binds = [f"--bind={own}:{CHECKOUT}", f"--bind-ro={packages}:{PACKAGES}"]
+    binds = [f"--bind={own}:{CHECKOUT}", f"--bind-ro={packages}:{VENV}/{Path(packages).relative_to(sys.prefix)}"]
     if not base_prefix.startswith("/usr"):
         binds.append(f"--bind-ro={base_prefix}:{PYTHON}")
         # Linked with its library by the path that a service cannot see.
         (root / "etc/ld.so.conf.d/000-fringed-test.conf").write_text(f"{PYTHON}/lib\n")
+    make_environment(root, base_prefix if base_prefix.startswith("/usr") else PYTHON)
     start(root, name, binds)
+
+
+def make_environment(root: Path, base: str) -> None:
+    """What ``python -m venv`` makes, around packages that are there already."""
+    programs = root / VENV[1:] / "bin"
+    programs.mkdir(parents=True)
+    program = f"{base}/bin/python{sys.version_info.major}.{sys.version_info.minor}"
+    (programs / "python").symlink_to(program)
+    (programs.parent / "pyvenv.cfg").write_text(f"home = {base}/bin\ninclude-system-site-packages = false\n")
 
 
 def mount(folder: Path) -> Path:

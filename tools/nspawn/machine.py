@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
-from tools.nspawn.boot import CHECKOUT, PACKAGES, PYTHON
+from tools.nspawn.boot import CHECKOUT, VENV
 
 WAIT_S = 90.0
 """How long a condition may take on a machine that is busy with other things."""
@@ -110,8 +110,8 @@ class Machine:
 
     def python(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
         """Run the interpreter inside with the checkout and the environment's packages."""
-        env = dict(options.pop("env", None) or {})
-        return self.run(python(), *arguments, env=python_environment() | env, **options)
+        env = {"PYTHONPATH": CHECKOUT, "PYTHONDONTWRITEBYTECODE": "1"} | dict(options.pop("env", None) or {})
+        return self.run(f"{VENV}/bin/python", *arguments, env=env, **options)
 
     def fringed(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
         """``fringed`` of the checkout, not of what is installed inside."""
@@ -196,17 +196,6 @@ class Machine:
 
     def _booted(self) -> bool:
         return self.run("systemctl", "is-system-running", check=False).stdout.strip() in ("running", "degraded")
-
-
-def python() -> str:
-    """The interpreter's path inside."""
-    program = Path(getattr(sys, "_base_executable", sys.executable)).name
-    return f"{sys.base_prefix if sys.base_prefix.startswith('/usr') else PYTHON}/bin/{program}"
-
-
-def python_environment() -> dict[str, str]:
-    """What the interpreter needs inside to find the project and its packages."""
-    return {"PYTHONPATH": f"{CHECKOUT}:{PACKAGES}", "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def wait_until(condition: Callable[[], T], timeout_s: float, what: str) -> T:
