@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm clean
+.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
 .DEFAULT_GOAL := help
 
 help:
@@ -24,7 +24,7 @@ demo: $(STAMP)  ## measure a moving object on the simulated rig, live; prints th
 	$(BIN)/fringed demo
 
 test: $(STAMP)  ## everything that proves it: style, types, layers, all tests
-	tools/system-packages browser x11 compiler vm nspawn
+	tools/system-packages browser x11 compiler vm systemd
 	$(MAKE) --no-print-directory check
 	$(BIN)/python -m pytest
 
@@ -71,6 +71,12 @@ rig-in-a-box: $(STAMP)  ## the real drivers on emulated hardware: projector wind
 vm: $(STAMP)  ## the virtual machine in which the V4L2 driver meets a real kernel; cached, half a minute the first time
 	tools/system-packages vm
 	PYTHON=$(BIN)/python tools/vm/build
+
+install: $(STAMP)  ## put the daemon onto this machine as a systemd service; options in INSTALL="--rig rig.yaml"
+	$(BIN)/fringed install $(INSTALL)
+
+uninstall: $(STAMP)  ## take the service away; configuration and takes stay
+	$(BIN)/fringed uninstall $(UNINSTALL)
 
 clean:  ## remove the environment and everything made
 	rm -rf $(VENV) $(PEERS) dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -22,6 +22,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "devices": ("daemon.commands.devices", "List cameras and projector outputs, with what rig.yaml calls them by."),
     "projector": ("daemon.commands.projector", "Find the projector's output and show test pictures on it."),
     "calibrate": ("daemon.commands.calibrate", "Calibrate cameras, projector and colours, and check them."),
+    "install": ("daemon.commands.install", "Put the daemon onto this machine as a systemd service."),
+    "uninstall": ("daemon.commands.uninstall", "Take the service away; data and configuration stay."),
     "export": ("daemon.commands.export", "Turn clouds into PLY, PCD or a video."),
 }
 

@@ -39,7 +39,7 @@ def missing() -> str:
     if os.geteuid() != 0:
         return "a container of systemd needs root"
     gone = [name for name in _NEEDED if shutil.which(name) is None]
-    return f"missing: {', '.join(gone)}; install with: tools/system-packages nspawn" if gone else ""
+    return f"missing: {', '.join(gone)}; install with: tools/system-packages systemd" if gone else ""
 
 
 class Machine:

@@ -1,0 +1,35 @@
+"""``fringed install``: put the daemon onto this machine as a service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from daemon.install.layout import PREFIX
+
+
+def main(
+    rig: Annotated[Path | None, typer.Option(help="rig.yaml to begin with; without it, a simulated rig.")] = None,
+    prefix: Annotated[Path, typer.Option(help="Where the program goes; a directory of its own.")] = PREFIX,
+    root: Annotated[Path, typer.Option(help="Install into the image of a machine below this directory.")] = Path("/"),
+    python: Annotated[
+        Path | None, typer.Option(help="Interpreter of the service.", show_default="the one that runs this")
+    ] = None,
+    wheelhouse: Annotated[Path | None, typer.Option(help="Take packages from this directory, not an index.")] = None,
+    share_packages: Annotated[
+        bool, typer.Option("--share-packages", help="Use this environment's packages where they are; no download.")
+    ] = False,
+    start: Annotated[bool, typer.Option(help="Start now, and with the machine.")] = True,
+    view: Annotated[bool, typer.Option(help="Start the viewer for browsers of this machine too.")] = False,
+    compile_kernels: Annotated[bool, typer.Option("--compile/--no-compile", help="Compile the kernels ahead.")] = True,
+) -> None:
+    """Install the daemon as a systemd service: /opt/fringed, /etc/fringed, /var/lib/fringed. Can be run again."""
+    from daemon.install.environment import Source, default_python
+    from daemon.install.target import Target
+    from daemon.install.work import Wishes, install
+
+    source = Source((python or default_python()).absolute(), wheelhouse and wheelhouse.absolute(), share_packages)
+    wishes = Wishes(rig, start=start, view=view, compile=compile_kernels)
+    install(Target(root.absolute(), prefix), source, wishes, typer.echo)

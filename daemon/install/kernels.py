@@ -1,0 +1,89 @@
+"""Compile the measuring kernels ahead, as the service's user, so that its first start takes seconds."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+from daemon.install.environment import OWN
+from daemon.install.errors import InstallError
+from daemon.install.layout import CACHE, KERNELS, STATE, USER
+from daemon.install.target import Target
+
+ENCODINGS = "rgb8", "bayer_rggb8"
+_TIMEOUT_S = 3600
+_PROGRAM = "from daemon.tuning import prepare; prepare(); from daemon.install.kernels import compile_all; compile_all()"
+
+
+def compile_ahead(target: Target) -> None:
+    """Compile with the installed environment; as root under the service's user."""
+    python = target.prefix / "env/bin/python"
+    who: dict[str, object] = {}
+    if os.geteuid() == 0:
+        numbers = target.number("passwd", USER), target.number("group", USER)
+        who = {"user": numbers[0], "group": numbers[1], "extra_groups": []}
+    environment = {
+        "PATH": os.environ.get("PATH", "/usr/bin:/bin"),
+        "HOME": str(STATE),
+        "XDG_CACHE_HOME": str(CACHE.parent),
+        "NUMBA_CACHE_DIR": str(KERNELS),
+    }
+    done = subprocess.run(
+        [str(python), "-P", "-c", _PROGRAM], env=environment, cwd="/", stdin=subprocess.DEVNULL, capture_output=True,
+        text=True, timeout=_TIMEOUT_S, check=False, umask=0o027, **who,
+    )  # type: ignore[call-overload]  # fmt: skip
+    if done.returncode:
+        raise InstallError(f"the kernels do not compile:\n{done.stderr.strip()[-2000:]}")
+
+
+def seed(target: Target) -> int:
+    """Take over what is compiled for the same sources beside the program that runs this; returns how many files.
+
+    numba looks at the time and size of each source before it uses a file, so a wrong one is compiled anew.
+    """
+    from numba.core import caching
+
+    # numba below 0.62 has the name with an underscore.
+    locator = getattr(caching, "UserProvidedCacheLocator", None) or caching._UserProvidedCacheLocator
+    here, count = Path(__file__).resolve().parents[2], 0
+    (own,) = target.path(target.prefix / "env").glob("lib/python3.*/site-packages")
+    own = Path("/") / own.relative_to(target.root)
+    for package in OWN:
+        for folder in sorted({path.parent for path in (here / package).rglob("*.py")}):
+            for cached in (folder / "__pycache__").glob("*.nb[ic]"):
+                sub = locator.get_suitable_cache_subpath(str(own / folder.relative_to(here) / "any.py"))
+                to = target.path(KERNELS) / sub
+                to.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(cached, to)
+                count += 1
+    give_away(target)
+    return count
+
+
+def give_away(target: Target) -> None:
+    """Everything in the cache to the service's user."""
+    if os.geteuid() != 0:
+        return
+    user, group = target.number("passwd", USER), target.number("group", USER)
+    for path in (target.path(KERNELS), *target.path(KERNELS).rglob("*")):
+        os.chown(path, user, group, follow_symlinks=False)
+
+
+def compile_all() -> None:
+    """Compile what measuring and, for simulated rigs, rendering need; runs in the installed environment."""
+    from pipeline.drift.observe import rehearse
+    from pipeline.reconstruct import Reconstructor
+    from sim.optics import Optics
+    from sim.render import render_pair
+    from sim.rig import RigLayout
+    from sim.scenes import build
+
+    layout, optics = RigLayout().scaled(0.125), Optics()
+    for encoding in ENCODINGS:
+        made = Reconstructor(layout.calibration_for(optics), layout.pattern(), layout.volume(), encoding=encoding)
+        made.warm_up(every=(1, 2), follow=True)
+        pair = render_pair(layout, build("moving"), layout.pattern(), optics, encoding=encoding)
+        made.reconstruct(pair.left, pair.right)
+    rehearse()
