@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from daemon.errors import DaemonError
 
 TCP_STREAM = "tcp://127.0.0.1:5555"
+_SERVICE = Path("/run/fringed")  # RuntimeDirectory= of fringed.service
 
 
 def runtime_dir() -> Path:
@@ -28,6 +30,16 @@ def stream_endpoint() -> str:
 def control_endpoint() -> str:
     """The default endpoint of control."""
     return f"ipc://{runtime_dir() / 'control'}"
+
+
+def found_control_endpoint() -> str:
+    """Where a program looks for a daemon: this user's, or the service's where only that is there."""
+    own = control_endpoint()
+    service = _SERVICE / "control"
+    with suppress(OSError):
+        if not Path(own.removeprefix("ipc://")).exists() and service.exists():
+            return f"ipc://{service}"
+    return own
 
 
 def runtime_beside(endpoint: str) -> Path | None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+WRONG_CONFIG = 78
+"""Exit status for a service manager: the rig file is wrong, starting again cannot help (EX_CONFIG of sysexits.h)."""
 
 
 def main(
@@ -18,9 +22,17 @@ def main(
     """Measure: run the daemon of a rig until SIGTERM or Ctrl-C."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a wish to reload must not end a daemon that starts or stops
     from daemon.commands.progress import rendering
+    from daemon.errors import ConfigError
     from daemon.launch import StopFlag, run_rig
     from daemon.supervision.log import log_events
 
     log_events(logging.DEBUG if verbose else logging.INFO)
+    supervised = "NOTIFY_SOCKET" in os.environ
     with StopFlag().on_signals() as flag, rendering() as progress:
-        run_rig(rig, progress=progress, flag=flag, record=record)
+        try:
+            run_rig(rig, progress=progress, flag=flag, record=record)
+        except ConfigError as error:
+            if not supervised:
+                raise
+            logging.getLogger("fringed").critical("%s", error)
+            raise typer.Exit(WRONG_CONFIG) from error

@@ -31,7 +31,7 @@ def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
         from daemon.config import load_rig
 
         return load_rig(rig).control.endpoint
-    from daemon.runtime import control_endpoint as default
+    from daemon.runtime import found_control_endpoint as default
 
     return default()
 

@@ -91,7 +91,7 @@ class Supervisor:
         self._notifier.close()
 
     def _note(self, problem: str) -> None:
-        if problem and not self._problem:
+        if problem and problem != self._problem:
             log.critical("the watchdog is not fed any more: %s", problem)
         elif self._problem and not problem:
             log.warning("life is proven again: before, %s", self._problem)

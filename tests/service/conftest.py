@@ -1,0 +1,17 @@
+"""What the tests of the service share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.service.manager import Manager
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[Manager]:
+    made = Manager.at_path(tmp_path)
+    yield made
+    made.close()

@@ -1,0 +1,63 @@
+"""A service manager as the daemon sees it: a socket that messages come to."""
+
+from __future__ import annotations
+
+import secrets
+import socket
+from pathlib import Path
+
+from tests.daemon.rigs import wait_until
+
+
+class Manager:
+    """Keeps every message, one dictionary each; reads only when it is asked."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.messages: list[dict[str, str]] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind("\0" + address[1:] if address.startswith("@") else address)
+        self._socket.setblocking(False)
+
+    @classmethod
+    def at_path(cls, tmp_path: Path) -> Manager:
+        return cls(str(tmp_path / "notify"))
+
+    @classmethod
+    def abstract(cls) -> Manager:
+        return cls(f"@fringed-test-{secrets.token_hex(8)}")
+
+    def environment(self, watchdog_us: int | None = None) -> dict[str, str]:
+        watchdog = {"WATCHDOG_USEC": str(watchdog_us)} if watchdog_us is not None else {}
+        return {"NOTIFY_SOCKET": self.address} | watchdog
+
+    def read(self) -> list[dict[str, str]]:
+        """Those that came since the last call."""
+        new = []
+        while True:
+            try:
+                data = self._socket.recv(65536)
+            except BlockingIOError:
+                break
+            new.append(dict(line.split("=", 1) for line in data.decode().splitlines()))
+        self.messages += new
+        return new
+
+    def values(self, key: str) -> list[str]:
+        """Every value of a variable so far, in order."""
+        self.read()
+        return [message[key] for message in self.messages if key in message]
+
+    def wait_for(self, key: str, value: str | None = None, timeout_s: float = 60.0) -> str:
+        """Wait for a variable (with a part of its value); returns the value."""
+
+        def found() -> str | None:
+            return next((said for said in self.values(key) if value is None or value in said), None)
+
+        wait_until(lambda: found() is not None, timeout_s)
+        said = found()
+        assert said is not None
+        return said
+
+    def close(self) -> None:
+        self._socket.close()

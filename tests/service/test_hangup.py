@@ -1,0 +1,89 @@
+"""SIGHUP: a wish to reload, or the end of a terminal."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+
+import pytest
+
+from daemon.launch import StopFlag
+from daemon.supervision.hangup import Reloads, hung_up, terminals
+from tests.daemon.rigs import wait_until
+
+
+def test_a_wish_waits_until_the_daemon_is_ready() -> None:
+    done, ready = threading.Event(), [False]
+    reloads = Reloads(done.set, ready=lambda: ready[0])
+    reloads.ask()
+    reloads.tick()
+    assert not done.is_set()
+    ready[0] = True
+    reloads.tick()
+    assert done.wait(30)
+
+
+def test_wishes_during_a_reload_become_one_more() -> None:
+    begun, go_on, count = threading.Semaphore(0), threading.Semaphore(0), [0]
+
+    def reload() -> None:
+        count[0] += 1
+        begun.release()
+        go_on.acquire()
+
+    reloads = Reloads(reload, ready=lambda: True)
+    reloads.ask()
+    reloads.tick()
+    assert begun.acquire(timeout=30)
+    for _ in range(5):
+        reloads.ask()
+        reloads.tick()
+    assert count == [1]
+    go_on.release()
+    wait_until(lambda: (reloads.tick(), count[0] == 2)[1])
+    go_on.release()
+    thread = reloads._thread
+    assert thread is not None
+    thread.join(30)
+    reloads.tick()
+    assert count == [2]
+
+
+def test_a_reload_that_fails_is_told_and_harms_nobody(caplog: pytest.LogCaptureFixture) -> None:
+    def reload() -> None:
+        raise ValueError("rig.yaml:3:1: no such key")
+
+    reloads = Reloads(reload, ready=lambda: True)
+    reloads.ask()
+    with caplog.at_level(logging.ERROR, "fringed"):
+        reloads.tick()
+        thread = reloads._thread
+        assert thread is not None
+        thread.join(30)
+    assert "not reloaded" in caplog.text and "rig.yaml:3:1" in caplog.text
+
+
+def test_the_signal_asks_for_a_reload_and_does_not_stop() -> None:
+    asked: list[str] = []
+    with StopFlag().on_signals() as flag:
+        flag.stop = lambda: asked.append("stop")
+        os.kill(os.getpid(), signal.SIGHUP)  # nobody reloads yet: nothing happens
+        flag.reload = lambda: asked.append("reload")
+        os.kill(os.getpid(), signal.SIGHUP)
+        os.kill(os.getpid(), signal.SIGTERM)
+    assert asked == ["reload", "stop"]
+
+
+def test_a_terminal_that_was_closed_is_told_from_one_that_is_there() -> None:
+    master, slave = os.openpty()
+    reader, writer = os.pipe()
+    ours = terminals((slave, reader))
+    assert ours == (slave,) and not hung_up(ours)
+    os.close(master)
+    assert hung_up(ours)
+    os.close(writer)
+    assert not hung_up(terminals((reader,)))  # a pipe without a writer is no terminal
+    os.close(slave)
+    os.close(reader)

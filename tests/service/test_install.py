@@ -1,0 +1,249 @@
+"""Installing into the image of a machine: modes and owners as promised, twice the same, and away again."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from daemon.config import parse_rig
+from daemon.errors import ConfigError
+from daemon.install import config_files, layout, work
+from daemon.install.environment import Source, default_python, fingerprint
+from daemon.install.errors import InstallError
+from daemon.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, Place
+from daemon.install.target import MARK, Target, check_prefix, reachable
+from tests.service.test_units import needs_systemd
+
+SOURCE = Source(default_python(), shared=True)
+WISHES = work.Wishes(compile=False)
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A machine with nothing on it but the program; tests must not change it."""
+    needs_systemd()
+    root = tmp_path_factory.mktemp("image")
+    work.install(Target(root), SOURCE, WISHES, print)
+    return root  # type: ignore[return-value]
+
+
+@pytest.fixture
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An image whose environment is made of nothing: quick, for what has to do with files only."""
+    needs_systemd()
+
+    def fake(target: Target, _: Source) -> bool:
+        env = target.path(PREFIX / "env-1/lib/python3.11/site-packages")
+        env.mkdir(parents=True, exist_ok=True)
+        link = target.path(PREFIX / "env")
+        link.unlink(missing_ok=True)
+        link.symlink_to("env-1")
+        return True
+
+    monkeypatch.setattr(work.environment, "make", fake)
+    monkeypatch.setattr(work.kernels, "seed", lambda _: 0)
+    root = tmp_path / "image"
+    root.mkdir()
+    return root
+
+
+def install(root: Path, **wishes: object) -> list[str]:
+    said: list[str] = []
+    work.install(Target(root), SOURCE, work.Wishes(compile=False, **wishes), said.append)  # type: ignore[arg-type]
+    return said
+
+
+@as_root
+@pytest.mark.parametrize("place", [*DIRECTORIES, *FILES.values(), *PROGRAMS.values(), layout.CONFIG_FILES], ids=str)
+def test_modes_and_owners_are_as_promised(image: Path, place: Place) -> None:
+    target = Target(image)
+    there = target.path(place.path).stat()
+    assert stat.S_IMODE(there.st_mode) == place.mode
+    assert there.st_uid == target.number("passwd", place.owner)
+    assert there.st_gid == target.number("group", place.group)
+
+
+@as_root
+def test_the_service_owns_nothing_but_its_data_and_nothing_is_open_to_all(image: Path) -> None:
+    target = Target(image)
+    number, may = target.number("passwd", layout.USER), [place.path for place in DIRECTORIES if place.owner != "root"]
+    for path in image.rglob("*"):
+        status, place = path.lstat(), Path("/") / path.relative_to(image)
+        if status.st_uid == number:
+            assert any(place.is_relative_to(own) for own in may), place
+        if not path.is_symlink():
+            assert not status.st_mode & stat.S_IWOTH, place
+
+
+def test_the_program_runs_from_where_it_was_put(image: Path) -> None:
+    python = image / "opt/fringed/env/bin/python"
+    plain = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    code = "import daemon, daemon.install.files as f; print(daemon.__file__); print(f.sources())"
+    done = subprocess.run(
+        [python, "-P", "-c", code], capture_output=True, text=True, timeout=60, check=True, cwd=image, env=plain
+    )
+    for line in done.stdout.splitlines():
+        assert Path(line).is_relative_to(image / "opt/fringed"), done.stdout
+
+
+def test_the_command_names_the_prefix_and_takes_nothing_from_the_current_directory(image: Path) -> None:
+    text = (image / "opt/fringed/bin/fringed").read_text()
+    assert "exec /opt/fringed/env/bin/python -P -c" in text
+    assert (image / "usr/local/bin/fringed").readlink() == Path("/opt/fringed/bin/fringed")
+
+
+def test_the_rig_that_is_installed_is_a_good_one(image: Path) -> None:
+    config = parse_rig((image / "etc/fringed/rig.yaml").read_text())
+    assert Path(config.recording.dir).is_relative_to(layout.STATE)
+    assert Path(config.selfcheck.dir).is_relative_to(layout.STATE)
+    assert (image / "etc/systemd/system/multi-user.target.wants/fringed.service").is_symlink()
+    assert not (image / "etc/systemd/system/fringed.service.wants").exists()  # a simulated rig needs no X server
+
+
+def test_the_second_time_changes_nothing(image: Path) -> None:
+    def all_times() -> dict[Path, int]:
+        kept = (path for path in image.rglob("*") if path.is_file() and "etc/." not in str(path))
+        return {path: path.stat().st_mtime_ns for path in kept if path.name != MARK}
+
+    before, said = all_times(), []
+    work.install(Target(image), SOURCE, WISHES, said.append)
+    after = all_times()
+    assert {path for path in after if after[path] != before.get(path)} == set()
+    assert said == [f"installed into the image {image}"]
+
+
+def test_a_rig_of_the_user_is_kept_and_the_new_one_put_beside_it(bare: Path) -> None:
+    install(bare)
+    rig = bare / RIG.relative_to("/")
+    rig.write_text("# mine\n")
+    said = install(bare)
+    assert rig.read_text() == "# mine\n"
+    assert rig.with_name("rig.yaml.new").read_text() == config_files.SIMULATED
+    assert any("rig.yaml is kept" in text for text in said)
+
+
+def test_a_rig_comes_with_the_files_that_it_names(bare: Path, tmp_path: Path) -> None:
+    (tmp_path / "volume.json").write_text('{"near_mm": 300.0, "far_mm": 900.0}')
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("cameras: {driver: sim}\nvolume: volume.json\n")
+    said = install(bare, rig=rig)
+    assert (bare / "etc/fringed/volume.json").read_bytes() == (tmp_path / "volume.json").read_bytes()
+    assert any("recording.dir is 'takes'" in text for text in said)
+
+
+def test_a_rig_with_a_projector_at_an_output_gets_the_x_server(bare: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("cameras: {driver: sim}\n")
+    install(bare, rig=rig)
+    (bare / RIG.relative_to("/")).write_text("projector: {driver: x11}\n")
+    install(bare, view=True)
+    wants = bare / "etc/systemd/system"
+    assert (wants / "fringed.service.wants/fringed-projector-x.service").is_symlink()
+    assert (wants / "multi-user.target.wants/fringed-view.service").is_symlink()
+
+
+def test_a_bad_rig_is_refused_before_anything_is_touched(bare: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "bad.yaml"
+    rig.write_text("cameras: {driver: smi}\n")
+    with pytest.raises(ConfigError, match="smi"):
+        install(bare, rig=rig)
+    rig.write_text("cameras: {driver: sim}\nvolume: ../volume.json\n")
+    (tmp_path.parent / "volume.json").write_text('{"near_mm": 300.0, "far_mm": 900.0}')
+    with pytest.raises((InstallError, ConfigError)):
+        install(bare, rig=rig)
+    assert list(bare.iterdir()) == []
+
+
+def test_another_prefix_stands_in_every_file(bare: Path) -> None:
+    target = Target(bare, Path("/srv/rig/fringed"))
+    work.install(target, SOURCE, WISHES, lambda _: None)
+    assert not (bare / "opt").exists()
+    for place in (*FILES.values(), *PROGRAMS.values()):
+        assert "/opt/fringed" not in target.path(place.path).read_text(), place.path
+    assert "ExecStart=/srv/rig/fringed/bin/fringed run" in (bare / "etc/systemd/system/fringed.service").read_text()
+    work.uninstall(target, lambda _: None)
+    assert not (bare / "srv/rig/fringed").exists()
+
+
+@pytest.mark.parametrize(
+    "prefix",
+    ["/", "/usr", "/usr/local", "/etc", "/opt", "/var/lib", "/tmp/x", "/dev/x", "opt/fringed", "/opt/../usr",
+     "/opt/a b", "/opt/$HOME", "/home", "/root"],
+)  # fmt: skip
+def test_prefixes_of_the_system_are_refused(tmp_path: Path, prefix: str) -> None:
+    with pytest.raises(InstallError, match="choose a directory of its own"):
+        check_prefix(Target(tmp_path, Path(prefix)))
+
+
+def test_a_prefix_that_holds_something_else_or_is_a_link_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "opt/other").mkdir(parents=True)
+    (tmp_path / "opt/other/file").touch()
+    (tmp_path / "opt/link").symlink_to("other")
+    for prefix in ("/opt/other", "/opt/link", "/opt/other/file"):
+        with pytest.raises(InstallError):
+            check_prefix(Target(tmp_path, Path(prefix)))
+    (tmp_path / "opt/other" / MARK).write_text("{}")
+    check_prefix(Target(tmp_path, Path("/opt/other")))
+
+
+def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
+    install(bare)
+    take = bare / "var/lib/fringed/takes/a.mcap"
+    take.touch()
+    said: list[str] = []
+    work.uninstall(Target(bare), said.append)
+    assert take.exists() and (bare / "etc/fringed/rig.yaml").exists()
+    for place in (*FILES.values(), *PROGRAMS.values()):
+        assert not (bare / place.path.relative_to("/")).exists()
+    for gone in ("opt/fringed", "var/cache/fringed", "usr/local/bin/fringed"):
+        assert not os.path.lexists(bare / gone)
+    assert not list((bare / "etc/systemd/system").rglob("*fringed*"))
+    assert "stay" in said[-1]
+    with pytest.raises(InstallError, match="nothing is installed"):
+        work.uninstall(Target(bare), said.append)
+
+
+def test_purge_takes_all(bare: Path) -> None:
+    install(bare)
+    work.uninstall(Target(bare), lambda _: None, purge=True)
+    for gone in ("var/lib/fringed", "etc/fringed", "var/log/fringed", "opt/fringed"):
+        assert not (bare / gone).exists()
+
+
+def test_somebody_elses_command_is_left_alone(bare: Path) -> None:
+    other = bare / "usr/local/bin/fringed"
+    other.parent.mkdir(parents=True)
+    other.write_text("mine")
+    install(bare)
+    assert other.read_text() == "mine"
+    work.uninstall(Target(bare), lambda _: None)
+    assert other.read_text() == "mine"
+
+
+def test_an_interpreter_that_the_service_cannot_reach_is_refused(tmp_path: Path) -> None:
+    closed = tmp_path / "home/bin"
+    closed.mkdir(parents=True)
+    python = closed / "python3"
+    python.touch()
+    (tmp_path / "home").chmod(0o700)
+    assert reachable(python) is not None
+    with pytest.raises(InstallError, match=r"may not enter .*; name an interpreter"):
+        Source(python).check(Target())
+
+
+def test_the_environment_is_known_by_what_it_is_made_from() -> None:
+    assert fingerprint(SOURCE) == fingerprint(SOURCE) != fingerprint(Source(default_python()))
+
+
+def test_the_command_tells_what_is_wrong(fringed: object, tmp_path: Path) -> None:
+    done = fringed("install", "--root", str(tmp_path / "none"), "--prefix", "/opt/x")  # type: ignore[operator]
+    assert done.returncode == 1 and "make it first" in done.stderr
+    done = fringed("install", "--root", str(tmp_path), "--prefix", "/usr")  # type: ignore[operator]
+    assert done.returncode == 1 and "belongs to the system" in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,192 @@
+"""Ready with the first cloud, a status line, and a watchdog that is fed only while life is proven."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from daemon.service import Service
+from daemon.supervision.notify import Notifier
+from daemon.supervision.supervisor import Supervisor
+from sim.devices import RigDevices
+from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
+from tests.service.manager import Manager
+
+
+@dataclass
+class HandClock:
+    """Monotonic time that the test moves on."""
+
+    now_ns: int = 1_700_000_000_000_000_000
+    extra_ns: int = 0
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def realtime_ns(self) -> int:
+        return self.now_ns
+
+    def advance(self, seconds: float) -> None:
+        self.now_ns += round(1e9 * seconds)
+
+
+@dataclass
+class Running:
+    """A service on a stepped rig with a manager that listens; the clock stands unless the test moves it."""
+
+    manager: Manager
+    service: Service
+    supervisor: Supervisor
+    devices: RigDevices
+    clock: HandClock
+    thread: threading.Thread
+    gate: threading.Event = field(default_factory=threading.Event)
+
+    def fed(self) -> bool:
+        """Whether the watchdog is fed from now on, seen over turns of the main loop."""
+        self.manager.read()
+        self.turns(3)
+        return any("WATCHDOG" in message for message in self.manager.read())
+
+    def turns(self, count: int) -> None:
+        """Let the main loop turn, each time with three seconds gone for the supervisor, none for the threads."""
+        for _ in range(count):
+            self.seconds[0] += 3.0
+            before = self.ticks[0]
+            wait_until(lambda before=before: self.ticks[0] >= before + 2)
+
+    seconds: list[float] = field(default_factory=lambda: [0.0])
+    ticks: list[int] = field(default_factory=lambda: [0])
+
+
+@pytest.fixture
+def running(tmp_path: Path, manager: Manager) -> Iterator[Running]:
+    made, clock = devices(), HandClock()
+    service = Service(config(tmp_path, "pipeline: {queue: 16}\n"), rig_of(made), {"stream": Collector()}, clock=clock)
+    seconds, ticks = [0.0], [0]
+    supervisor = Supervisor(Notifier(manager.address, watchdog_s=10.0), now_s=lambda: seconds[0])
+    supervisor.watch(service)
+    service.on_tick.append(lambda: ticks.__setitem__(0, ticks[0] + 1))
+    thread = threading.Thread(target=service.run)
+    running = Running(manager, service, supervisor, made, clock, thread, seconds=seconds, ticks=ticks)
+    thread.start()
+    wait_until(lambda: service.ready, 60)
+    wait_until(lambda: all(c["state"] == "acquiring" for c in service.status().as_dict()["cameras"].values()))
+    yield running
+    running.gate.set()
+    service.ask_stop()
+    thread.join(30)
+    supervisor.close()
+    assert not thread.is_alive()
+
+
+def measure(running: Running) -> None:
+    """The first pairs are believed when the count of both cameras has been seen a few times."""
+    for _ in range(4):
+        step(running.devices)
+    wait_until(lambda: running.service.worker.clouds == 4)
+
+
+def test_ready_comes_with_the_first_cloud_and_not_before(running: Running) -> None:
+    running.turns(3)
+    assert running.manager.values("READY") == []
+    assert "60000000" in running.manager.values("EXTEND_TIMEOUT_USEC")
+    assert not running.supervisor.ready
+    measure(running)
+    running.manager.wait_for("READY")
+    running.turns(3)
+    assert running.manager.values("READY") == ["1"]
+
+
+def test_while_there_is_no_trigger_the_status_says_so(running: Running) -> None:
+    running.supervisor.told(running.service.status().as_dict())
+    assert "waiting for the trigger" in running.manager.wait_for("STATUS")
+    measure(running)
+    running.supervisor.told(running.service.status().as_dict())
+    assert "clouds/s" in running.manager.wait_for("STATUS", "points")
+
+
+def test_without_a_trigger_and_paused_the_watchdog_is_fed(running: Running) -> None:
+    assert running.fed()
+    running.service.measure(False)
+    assert running.fed()
+
+
+def test_a_camera_that_is_gone_and_retried_is_a_known_state(running: Running) -> None:
+    measure(running)
+    running.devices.cameras["left"].set_present(False)  # type: ignore[attr-defined]
+    wait_until(lambda: running.service.cameras["left"].status.state == "lost")
+    assert running.fed()
+
+
+def test_a_pipeline_that_hangs_is_not_fed_for(running: Running, caplog: pytest.LogCaptureFixture) -> None:
+    measure(running)
+    hang(running)
+    step(running.devices)
+    wait_until(lambda: running.service.worker.waiting == 0 and running.service.desk.pairs == 5)
+    running.turns(1)
+    assert running.fed()  # it may take a while
+    running.clock.advance(31.0)
+    wait_until(lambda: not running.fed())
+    wait_until(lambda: "the watchdog is not fed any more: the pipeline does not answer" in caplog.text)
+    assert "EXTEND_TIMEOUT_USEC" not in [key for message in running.manager.read() for key in message]
+    running.gate.set()
+    wait_until(running.fed)
+    wait_until(lambda: "life is proven again" in caplog.text)
+
+
+def hang(running: Running) -> None:
+    """The next measurement does not come back until the gate is opened."""
+    made = running.service.worker._reconstructor
+    assert made is not None
+    reconstruct = made.reconstruct
+
+    def hanging(*arguments: object, **options: object) -> object:
+        running.gate.wait(60)
+        return reconstruct(*arguments, **options)  # type: ignore[arg-type]
+
+    made.reconstruct = hanging  # type: ignore[method-assign,assignment]
+
+
+def test_a_camera_driver_that_hangs_is_not_fed_for(running: Running) -> None:
+    measure(running)
+    camera = running.service.cameras["right"]
+    read = camera._camera.read
+
+    def hanging(timeout_s: float) -> object:
+        running.gate.wait(60)
+        return read(timeout_s)
+
+    camera._camera.read = hanging  # type: ignore[method-assign,assignment]
+    wait_until(lambda: any(word.overdue_s() for word in (running.clock.advance(0.5), camera.pulse)[1:]))
+    wait_until(lambda: not running.fed())
+    running.supervisor.told(running.service.status().as_dict())
+    assert "camera right" in running.manager.wait_for("STATUS", "not alive")
+
+
+def test_a_sink_that_does_not_turn_is_not_fed_for(running: Running) -> None:
+    from daemon.supervision.pulse import Pulse
+
+    sink = running.service.sinks["stream"]
+    sink.pulse = Pulse(running.clock.monotonic_ns)  # type: ignore[attr-defined]
+    assert running.fed()
+    sink.pulse.expect(-1.0)  # type: ignore[attr-defined]
+    wait_until(lambda: not running.fed())
+
+
+def test_a_reload_is_told_from_its_beginning_to_its_end(running: Running) -> None:
+    measure(running)
+    running.manager.wait_for("READY")
+    running.manager.read()
+    assert running.supervisor.reload(lambda: running.manager.read()[-1]["RELOADING"]) == "1"
+    assert running.manager.read()[-1]["READY"] == "1"
+
+
+def test_without_a_manager_the_service_is_left_alone(tmp_path: Path) -> None:
+    service = Service(config(tmp_path), rig_of(devices()), {})
+    Supervisor(Notifier()).watch(service)
+    assert service.on_tick == []

@@ -1,0 +1,149 @@
+"""The unit files: what they promise, and what systemd itself says of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from daemon.commands.run import WRONG_CONFIG
+from daemon.install import layout
+from daemon.install.files import sources
+from daemon.install.layout import FILES, PROGRAMS, UNITS
+
+MAX_EXPOSURE = 2.5
+
+
+def needs_systemd() -> None:
+    """Skip where systemd's tools are not installed; in CI they must be."""
+    if shutil.which("systemd-analyze") is None:
+        reason = "systemd-analyze is not there; tools/system-packages systemd installs it"
+        if os.environ.get("CI", "").lower() in ("1", "true", "yes"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+
+
+def unit(name: str) -> dict[str, list[str]]:
+    """Every value of every key of a unit file."""
+    values: dict[str, list[str]] = defaultdict(list)
+    for line in (sources() / name).read_text().splitlines():
+        if line and line[0] not in "#;[":
+            key, _, value = line.partition("=")
+            values[key].append(value)
+    return values
+
+
+def test_every_file_beside_the_units_is_installed() -> None:
+    there = {str(path.relative_to(sources())) for path in sources().rglob("*") if path.is_file()}
+    assert there == set(FILES) | set(PROGRAMS)
+
+
+def test_the_daemon_is_watched_and_comes_back() -> None:
+    daemon = unit(layout.SERVICE)
+    assert daemon["Type"] == ["notify"] and daemon["NotifyAccess"] == ["main"]
+    assert daemon["WatchdogSec"] == ["10"] and daemon["Restart"] == ["on-failure"]
+    assert daemon["RestartPreventExitStatus"] == [str(WRONG_CONFIG)]
+    assert daemon["ExecReload"][-1] == "/bin/kill -HUP $MAINPID"
+    assert daemon["ExecStart"] == [f"{layout.PREFIX}/bin/fringed run {layout.RIG}"]
+
+
+def test_directories_of_the_unit_are_those_of_the_table() -> None:
+    daemon, by_path = unit(layout.SERVICE), {place.path: place for place in layout.DIRECTORIES}
+    for kind, above in (("State", "/var/lib"), ("Cache", "/var/cache"), ("Logs", "/var/log")):
+        (name,), (mode,) = daemon[f"{kind}Directory"], daemon[f"{kind}DirectoryMode"]
+        place = by_path[Path(above) / name]
+        assert (place.mode, place.owner, place.group) == (int(mode, 8), layout.USER, layout.USER)
+    assert daemon["RuntimeDirectoryMode"] == ["0750"]
+    assert f"NUMBA_CACHE_DIR={layout.KERNELS}" in " ".join(daemon["Environment"])
+
+
+def test_modes_and_owners_of_tmpfiles_are_those_of_the_table() -> None:
+    lines = (sources() / "tmpfiles.d/fringed.conf").read_text().splitlines()
+    told = {fields[1]: fields[2:5] for line in lines if (fields := line.split()) and fields[0] == "d"}
+    assert set(told) <= {str(place.path) for place in layout.DIRECTORIES}
+    for place in layout.DIRECTORIES:
+        if str(place.path) in told:
+            assert told[str(place.path)] == [f"{place.mode:04o}", place.owner, place.group]
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_no_capability_and_nothing_writable_but_its_own(name: str) -> None:
+    values = unit(name)
+    assert values["CapabilityBoundingSet"] == [""] and values["AmbientCapabilities"] == [""]
+    assert values["NoNewPrivileges"] == ["yes"] and values["ProtectSystem"] == ["strict"]
+    assert values["ProtectHome"] == ["yes"] and values["DevicePolicy"] == ["closed"]
+
+
+def test_the_measuring_may_compile_and_choose_processors() -> None:
+    daemon = unit(layout.SERVICE)
+    assert "MemoryDenyWriteExecute" not in daemon
+    assert not any("@resources" in value for value in daemon["SystemCallFilter"])
+
+
+def test_the_viewer_is_for_this_machine_alone() -> None:
+    view = unit(layout.VIEW)
+    assert view["IPAddressDeny"] == ["any"] and view["IPAddressAllow"] == ["localhost"]
+    assert view["User"] == [layout.VIEW_USER]
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_exposure_is_within_the_limit(name: str) -> None:
+    needs_systemd()
+    command = ["systemd-analyze", "security", "--no-pager", "--offline=yes", str(sources() / name)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", done.stdout)
+    assert found is not None, done.stdout + done.stderr
+    assert float(found[1]) <= MAX_EXPOSURE
+
+
+@pytest.mark.parametrize("name", [*UNITS, "user/fringed-user.service"])
+def test_systemd_understands_every_line(name: str, tmp_path: Path) -> None:
+    needs_systemd()
+    # What the units name is not on this machine: stand-ins, so that only real mistakes are told.
+    text = (sources() / name).read_text()
+    stand_in = tmp_path / "program"
+    stand_in.write_text("#!/bin/sh\n")
+    stand_in.chmod(0o755)
+    text = re.sub(r"^(Exec\w+=)(/opt/fringed\S+|/usr/lib/xorg/Xorg)", rf"\g<1>{stand_in}", text, flags=re.MULTILINE)
+    text = re.sub(r"^Documentation=.*\n", "", text, flags=re.MULTILINE)
+    place = tmp_path / Path(name).name
+    place.write_text(text)
+    user = ["--user"] if name.startswith("user/") else []
+    environ = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "SYSTEMD_UNIT_PATH": f"{tmp_path}:"}
+    done = subprocess.run(
+        ["systemd-analyze", *user, "verify", "--recursive-errors=no", str(place)],
+        capture_output=True, text=True, timeout=60, check=False, env=environ,
+    )  # fmt: skip
+    told = [line for line in done.stderr.splitlines() if place.name in line and "not found" not in line]
+    assert told == []
+
+
+def test_a_mistake_in_a_unit_would_be_found(tmp_path: Path) -> None:
+    needs_systemd()
+    place = tmp_path / "fringed.service"
+    place.write_text("[Service]\nExecStart=/bin/true\nProtectSytem=strict\n")
+    command = ["systemd-analyze", "verify", "--recursive-errors=no", str(place)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert "ProtectSytem" in done.stderr
+
+
+def test_the_schema_of_the_key_of_the_x_server(tmp_path: Path) -> None:
+    program = sources() / "libexec/projector-x"
+    subprocess.run([program, "prepare", ":99", tmp_path], check=True, timeout=60)
+    data = (tmp_path / "authority").read_bytes()
+    assert data[:-16] == b"\xff\xff\0\0\0\x0299\0\x12MIT-MAGIC-COOKIE-1\0\x10"
+    assert (tmp_path / "authority").stat().st_mode & 0o777 == 0o640
+    subprocess.run([program, "prepare", ":99", tmp_path], check=True, timeout=60)
+    assert (tmp_path / "authority").read_bytes() != data
+
+
+def test_constants_are_plain(tmp_path: Path) -> None:
+    assert json.dumps([str(place.path) for place in layout.DIRECTORIES])
+    assert layout.moved(layout.PREFIX / "bin", tmp_path) == tmp_path / "bin"
+    assert layout.moved(layout.CONFIG, tmp_path) == layout.CONFIG
