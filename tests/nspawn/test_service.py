@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fringed import subscribe
-from tests.nspawn.freeze import frozen, threads
+from tests.nspawn.freeze import frozen, thread_of
 from tests.nspawn.helpers import MARKS, RIG, SERVICE, Fringed, rig
 from tools.nspawn.machine import WAIT_S, wait_until
 
@@ -97,7 +97,7 @@ def test_it_listens_on_this_machine_alone(running: Fringed) -> None:
 
 
 def test_clouds_come_through_the_socket(running: Fringed) -> None:
-    for cloud in subscribe(f"ipc://{running.machine.root}/run/fringed/stream", timeout_ms=60_000):
+    for cloud in subscribe(f"ipc://{running.machine.root}/run/fringed/stream", timeout_s=60):
         assert cloud.points > 100
         break
 
@@ -125,7 +125,7 @@ def test_a_frozen_process_is_killed_and_comes_back(running: Fringed) -> None:
 @pytest.mark.parametrize("thread", ["pipeline", "camera-left"])
 def test_one_frozen_thread_is_enough(running: Fringed, thread: str) -> None:
     since, before = running.cursor(), running.show()
-    with frozen(threads(running.pid_outside(before["MainPID"]))[thread]):
+    with frozen(thread_of(running.pid_outside(before["MainPID"]), thread)):
         running.wait_active(not_pid=before["MainPID"])
     assert running.said("Watchdog timeout", since)
     told = [line for line in running.lines(since) if "watchdog is not fed" in str(line.get("MESSAGE"))]
@@ -136,7 +136,7 @@ def test_one_frozen_thread_is_enough(running: Fringed, thread: str) -> None:
 def test_a_good_change_is_taken_over_while_it_measures(running: Fringed) -> None:
     before, since = running.show(), running.cursor()
     points = running.wait_clouds()["points"]
-    running.write(RIG, rig(pipeline={"settings": {"min_modulation": 200.0}}))
+    running.write(RIG, rig(pipeline={"settings": {"min_modulation": 100.0}}))
     running.machine.systemctl("reload", SERVICE)
     running.wait_status("clouds under the new setting", lambda status: status["points"] < points // 10)
     wait_until(lambda: running.said("reloaded", since), WAIT_S, "the line that tells of it")
@@ -165,7 +165,7 @@ def test_a_bad_file_changes_nothing(running: Fringed, bad: str, told: str) -> No
 def test_what_needs_a_restart_is_told_and_nothing_is_changed(running: Fringed) -> None:
     before, since = running.show(), running.cursor()
     points = running.wait_clouds()["points"]
-    running.write(RIG, rig(device={"name": "another"}, pipeline={"settings": {"min_modulation": 200.0}}))
+    running.write(RIG, rig(device={"name": "another"}, pipeline={"settings": {"min_modulation": 100.0}}))
     running.machine.systemctl("reload", SERVICE, check=False)
     wait_until(
         lambda: any("device" in str(line.get("MESSAGE")) and "restart" in str(line.get("MESSAGE"))
