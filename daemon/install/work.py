@@ -49,7 +49,7 @@ def install(target: Target, source: environment.Source, wishes: Wishes, say: Say
         say(f"{target.prefix}/env: the environment")
     for path in files.put_all(target):
         say(str(path))
-    for text in (*config_files.put(target, config), *config_files.advice(wishes.rig)):
+    for text in config_files.put(target, config):
         say(text)
     _compile(target, source, wishes, say)
     manager.take_notice(target)

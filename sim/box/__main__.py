@@ -112,7 +112,7 @@ def _told(box: Box) -> str:
     stream = f"tcp://127.0.0.1:{options.tcp}" if options.tcp else f"ipc://{folder}/stream"
     lines = [
         f"ready: {width} x {height} pixels, {options.simulation.scene}, {options.simulation.rate_hz:g} triggers a "
-        f"second, {options.simulation.encoding}, projector {OUTPUT} of {box.server.display}, rig {box.rig_file}",
+        f"second, {options.simulation.encoding}, projector {OUTPUT} of {box.display}, rig {box.rig_file}",
         f"  fringed status --endpoint ipc://{folder}/control",
         f"  fringed listen {stream}",
         f"  fringed view {stream}",

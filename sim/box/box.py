@@ -45,7 +45,8 @@ class Box:
         ledger: of the world.
 
     Attributes:
-        server: X server; ``OUTPUT`` is the projector. cables: to the cameras. world: gives the triggers.
+        server: X server of its own, None when it was given one. display: of the X server whose output ``OUTPUT`` is the
+            projector. cables: to the cameras. world: gives the triggers.
         stage: the scene. rig_file: for ``fringed run``. gentl_dir: what the environment variable ``GENTL_DIR`` must
             say to every process that opens the cameras.
     """
@@ -84,13 +85,16 @@ class Box:
         self.stage = Stage(
             layout, scene, simulation.optics, encoding=simulation.encoding, instants_s=options.instants_s
         )
-        self.server = stack.enter_context(XServer((_DESKTOP, Head(*layout.projector_size))))
+        self.server: XServer | None = None
+        if not options.display:
+            self.server = stack.enter_context(XServer(heads(options)))
+        self.display = self.server.display if self.server else options.display
         self.cables: Mapping[Side, Cable] = {
             side: stack.enter_context(self._cable(number, side)) for number, side in enumerate(SIDES)
         }
         for side in SIDES:
             self.cables[side].set_clock(drift_ppm=options.drift_ppm[side])
-        self.grabber = stack.enter_context(Grabber(self.server.display, OUTPUT))
+        self.grabber = stack.enter_context(Grabber(self.display, OUTPUT))
         self.world = World(
             self.grabber,
             self.stage,
@@ -105,7 +109,7 @@ class Box:
             folder,
             layout,
             simulation.optics,
-            RigPlaces(producer, self.serials, self.server.display, OUTPUT),
+            RigPlaces(producer, self.serials, self.display, OUTPUT),
             pixel_format=PIXEL_FORMATS[simulation.encoding],
             exposure_us=options.exposure_us,
             tolerance_us=options.tolerance_us,
@@ -123,3 +127,8 @@ class Box:
             real_time=self._real_time,
             readout_us=options.readout_us,
         )
+
+
+def heads(options: BoxOptions) -> tuple[Head, Head]:
+    """The outputs that the X server of such a box has: a small desktop, and the projector."""
+    return _DESKTOP, Head(*options.layout.projector_size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -32,6 +33,7 @@ class BoxOptions:
         tolerance_us: of the daemon's pairing.
         tcp: port of the cloud stream on this machine, beside the socket in the box's folder; 0 = none.
         daemon: whether to start the daemon too.
+        display: of an X server that runs already and has the outputs of ``sim.box.box.heads``; empty = start one.
         folder: where everything is kept that is made; a temporary one if None.
     """
 
@@ -42,6 +44,7 @@ class BoxOptions:
     tolerance_us: float = 1_000.0
     tcp: int = 5555
     daemon: bool = True
+    display: str = ""
     folder: Path | None = None
 
     def __post_init__(self) -> None:
@@ -126,6 +129,9 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> BoxOp
         values["folder"] = (base_dir or Path()) / Path(str(values["folder"])).expanduser()
     if not isinstance(values.get("daemon", True), bool):
         raise OptionError(f"box.daemon is {values['daemon']!r}, expected true or false")
+    display = values.get("display", "")
+    if not isinstance(display, str) or not re.fullmatch(r"|:\d{1,4}", display):
+        raise OptionError(f"box.display is {display!r:.60}, expected a display of this machine like ':0'")
     return BoxOptions(**values)
 
 

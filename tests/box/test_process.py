@@ -15,6 +15,10 @@ from benchmarks.box_daemon import wait_until
 from daemon.control.client import ControlClient
 from daemon.errors import ControlError
 from fringed import subscribe
+from sim.box.box import Box, heads
+from sim.box.options import from_mapping
+from sim.options import OptionError
+from sim.xserver import XServer
 
 CONFIG = """
 folder: {folder}
@@ -80,3 +84,19 @@ def test_a_mistake_is_told_in_a_line(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == f"sim.box: {file}: box.exposure is not an option; did you mean 'exposure_us'?\n"
+
+
+@pytest.mark.usefixtures("make_box")
+def test_a_box_in_front_of_an_x_server_that_runs_already(tmp_path: Path) -> None:
+    given = {"folder": str(tmp_path / "box"), "tcp": 0, "simulation": {"scene": "plane", "layout": {"scale": 0.125}}}
+    with XServer(heads(from_mapping(given))) as server, Box(from_mapping(given | {"display": server.display})) as box:
+        assert box.server is None and box.display == server.display
+        assert not box.world.step().dark
+        server.kill()
+        assert box.world.step().dark
+
+
+@pytest.mark.parametrize("display", [7, "there:0", ":0; true"])
+def test_a_display_that_cannot_be_is_refused(display: object) -> None:
+    with pytest.raises(OptionError, match=r"box\.display"):
+        from_mapping({"display": display})

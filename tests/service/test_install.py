@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import parse_rig
+from daemon.config import load_rig, parse_rig
 from daemon.errors import ConfigError
 from daemon.install import config_files, environment, layout, work
 from daemon.install.environment import Source, default_python, fingerprint
@@ -132,9 +132,17 @@ def test_a_rig_comes_with_the_files_that_it_names(bare: Path, tmp_path: Path) ->
     (tmp_path / "volume.json").write_text('{"near_mm": 300.0, "far_mm": 900.0}')
     rig = tmp_path / "rig.yaml"
     rig.write_text("cameras: {driver: sim}\nvolume: volume.json\n")
-    said = install(bare, rig=rig)
+    install(bare, rig=rig)
     assert (bare / "etc/fringed/volume.json").read_bytes() == (tmp_path / "volume.json").read_bytes()
-    assert any("recording.dir is 'takes'" in text for text in said)
+
+
+def test_a_service_writes_below_its_state_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("cameras: {driver: sim}\nrecording: {dir: takes}\nselfcheck: {dir: /srv/check}\n")
+    assert load_rig(rig).recording.dir == "takes"
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/fringed")
+    config = load_rig(rig)
+    assert (config.recording.dir, config.selfcheck.dir) == ("/var/lib/fringed/takes", "/srv/check")
 
 
 def test_a_rig_with_a_projector_at_an_output_gets_the_x_server(bare: Path, tmp_path: Path) -> None:

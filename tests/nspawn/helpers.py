@@ -1,0 +1,141 @@
+"""An installed service in a container: rigs for it, its status, and what was waited for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import yaml
+
+from daemon.control.client import ControlClient
+from daemon.errors import ControlError
+from tools.nspawn import Machine
+from tools.nspawn.machine import WAIT_S, wait_until
+
+SERVICE = "fringed.service"
+RIG = "/etc/fringed/rig.yaml"
+_SHOWN = "ActiveState", "SubState", "MainPID", "NRestarts", "StatusText", "Result"
+
+MARKS = [pytest.mark.nspawn, pytest.mark.slow, pytest.mark.timeout(600)]
+"""Every wait in these tests has a limit of its own, which is told with the journal; the time-out is the last resort."""
+
+
+def rig(**sections: Any) -> str:
+    """A small simulated rig as the service has it; None takes a section away."""
+    data: dict[str, Any] = {
+        "device": {"name": "nspawn"},
+        "cameras": {"driver": "sim"},
+        "simulation": {"scene": "plane", "frames": 2, "rate_hz": 5.0, "layout": {"scale": 0.125}},
+        "stream": {"endpoints": ["ipc:///run/fringed/stream", "tcp://127.0.0.1:5555"]},
+        "control": {"endpoint": "ipc:///run/fringed/control"},
+        "recording": {"dir": "/var/lib/fringed/takes", "min_free_mb": 1},
+        "selfcheck": {"dir": "/var/lib/fringed/selfcheck"},
+    }
+    merged = {key: value for key, value in (data | sections).items() if value is not None}
+    return yaml.safe_dump(merged, sort_keys=False)
+
+
+class Fringed:
+    """The installed service of a container."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+
+    def write(self, path: str, text: str) -> None:
+        """Put a file into the container, in place, so that its owner and mode stay."""
+        target = self.machine.root / path[1:]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text)
+
+    def configure(self, rig_yaml: str, drop_in: str = "") -> None:
+        """Another rig and other settings of the unit, from the next start on."""
+        self.write(RIG, rig_yaml)
+        self.write(f"/etc/systemd/system/{SERVICE}.d/test.conf", f"[Service]\n{drop_in}\n")
+        self.machine.systemctl("daemon-reload")
+
+    def start(self, rig_yaml: str, drop_in: str = "", *, wait: bool = True) -> None:
+        """Stop what runs and start anew with this rig."""
+        self.stop()
+        self.configure(rig_yaml, drop_in)
+        self.machine.systemctl("start", "--no-block", SERVICE)
+        if wait:
+            self.wait_active()
+
+    def stop(self) -> None:
+        """Stop, and forget that it ever failed."""
+        self.machine.systemctl("stop", SERVICE)
+        self.machine.systemctl("reset-failed", SERVICE, check=False)
+
+    def show(self) -> dict[str, str]:
+        """What systemd knows of it."""
+        return self.machine.show(SERVICE, *_SHOWN)
+
+    def wait(self, what: str, good: Callable[[dict[str, str]], bool]) -> dict[str, str]:
+        """What systemd knows, as soon as it is good."""
+        return self.machine.wait_show(SERVICE, what, good, *_SHOWN)
+
+    def wait_active(self, *, not_pid: str = "") -> dict[str, str]:
+        """Wait until it is ready, with another process than this one."""
+        return self.wait(
+            "the service being ready",
+            lambda shown: shown["ActiveState"] == "active" and shown["MainPID"] not in ("0", not_pid),
+        )
+
+    def status(self, timeout_s: float = 30.0) -> dict[str, Any]:
+        """The daemon's own status."""
+        with self.control(timeout_s) as client:
+            answer: dict[str, Any] = client.call("status")
+        return answer
+
+    def control(self, timeout_s: float = 30.0) -> ControlClient:
+        """A connection to its control socket."""
+        return ControlClient(f"ipc://{self.machine.root}/run/fringed/control", timeout_s=timeout_s)
+
+    def wait_status(self, what: str, good: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """The daemon's status, as soon as it is good; while it does not answer, it is not."""
+        last: dict[str, Any] = {}
+
+        def look() -> bool:
+            last.clear()
+            try:
+                last.update(self.status(5.0))
+            except ControlError:
+                return False
+            return good(last)
+
+        try:
+            wait_until(look, WAIT_S, what)
+        except Exception as error:
+            raise AssertionError(f"{error}; status {last}\n{self.machine.tail(SERVICE)}") from None
+        return last
+
+    def wait_clouds(self, more: int = 2) -> dict[str, Any]:
+        """Wait until so many more clouds were measured."""
+        before = self.wait_status("an answer", bool)["clouds"]
+        return self.wait_status(f"{more} more clouds", lambda status: status["clouds"] >= before + more)
+
+    def pid_outside(self, pid: str | int) -> int:
+        """The number that a process of the container has out here."""
+        for status in (self.machine.root / "proc").parent.parent.parent.glob("[0-9]*/status"):
+            try:
+                said = status.read_text()
+            except OSError:
+                continue
+            numbers = next((line.split()[1:] for line in said.splitlines() if line.startswith("NSpid:")), [])
+            if numbers[-1:] == [str(pid)] and len(numbers) > 2:
+                return int(numbers[0])
+        raise AssertionError(f"no process {pid} in the container")
+
+    def said(self, text: str, since: str = "") -> bool:
+        """Whether a line of the service's journal has a text."""
+        return any(text in str(line.get("MESSAGE", "")) for line in self.lines(since))
+
+    def lines(self, since: str = "") -> list[dict[str, Any]]:
+        """Its journal, after a cursor."""
+        return self.machine.journal(SERVICE, *([f"--after-cursor={since}"] if since else []))
+
+    def cursor(self) -> str:
+        """The end of its journal now."""
+        lines = self.lines()
+        return str(lines[-1]["__CURSOR"]) if lines else ""

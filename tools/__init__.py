@@ -1,0 +1,1 @@
+"""Programs for building and testing; no part of the installed project."""

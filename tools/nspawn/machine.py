@@ -1,0 +1,225 @@
+"""One booted container: commands inside, units' properties, conditions to wait for, the journal."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+from tools.nspawn.boot import CHECKOUT, VENV
+
+WAIT_S = 90.0
+"""How long a condition may take on a machine that is busy with other things."""
+_POLL_S = 0.05
+_NEEDED = ("systemd-nspawn", "nsenter", "unshare", "setpriv", "mount")
+_ENVIRONMENT = {
+    "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+    "LANG": "C.UTF-8",
+    "HOME": "/root",
+}
+T = TypeVar("T")
+
+
+class MachineError(RuntimeError):
+    """The container does not start, or what was waited for did not come; the message ends with what it said."""
+
+
+def missing() -> str:
+    """Why no container can be started here, or nothing."""
+    if os.geteuid() != 0:
+        return "a container of systemd needs root"
+    gone = [name for name in _NEEDED if shutil.which(name) is None]
+    return f"missing: {', '.join(gone)}; install with: tools/system-packages systemd" if gone else ""
+
+
+class Machine:
+    """A container with systemd as its first process; for ``with``.
+
+    It ends with this process, whatever ends that: all its processes live in a process namespace whose first one the
+    kernel kills, its mounts in a mount namespace that goes with them.
+
+    Attributes:
+        leader: process id of its systemd, seen from here; root: its root directory, seen from here.
+    """
+
+    def __init__(self) -> None:
+        self.name = f"fringed-{secrets.token_hex(4)}"
+        self.leader = 0
+        self._folder = Path(tempfile.mkdtemp(prefix="fringed-nspawn-"))
+        self._outer: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Machine:
+        try:
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def root(self) -> Path:
+        """The container's root directory, seen from here."""
+        return Path(f"/proc/{self.leader}/root")
+
+    def close(self) -> None:
+        """Kill everything in it; may be called twice."""
+        if self._outer is not None:
+            self._outer.kill()
+            self._outer.wait()
+            wait_until(lambda: not self.leader or not _alive(self.leader), WAIT_S, "the container's end")
+            self._outer = None
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def run(
+        self,
+        *command: str,
+        check: bool = True,
+        env: Mapping[str, str] | None = None,
+        user: str = "",
+        timeout_s: float = WAIT_S,
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command inside, outside every unit; its output is text.
+
+        Args:
+            command: program and arguments, no shell.
+            check: raise MachineError when it does not end with 0.
+            env: beside PATH, LANG and HOME, which are all it gets; user: who runs it, root if empty.
+        """
+        done = subprocess.run(
+            self._inside(command, env or {}, user),
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout_s, check=False,
+        )  # fmt: skip
+        if check and done.returncode:
+            raise MachineError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+        return done
+
+    def python(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+        """Run the interpreter inside with the checkout and the environment's packages."""
+        env = {"PYTHONPATH": CHECKOUT, "PYTHONDONTWRITEBYTECODE": "1"} | dict(options.pop("env", None) or {})
+        return self.run(f"{VENV}/bin/python", *arguments, env=env, **options)
+
+    def fringed(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+        """``fringed`` of the checkout, not of what is installed inside."""
+        start = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+        return self.python("-c", start, *arguments, **options)
+
+    def systemctl(self, *arguments: str, check: bool = True, timeout_s: float = WAIT_S) -> str:
+        """What systemctl says."""
+        return self.run("systemctl", "--no-pager", *arguments, check=check, timeout_s=timeout_s).stdout.strip()
+
+    def show(self, unit: str, *names: str) -> dict[str, str]:
+        """Properties of a unit."""
+        said = self.systemctl("show", unit, f"--property={','.join(names)}")
+        return dict(line.partition("=")[::2] for line in said.splitlines() if "=" in line)
+
+    def wait_show(self, unit: str, what: str, good: Callable[[dict[str, str]], bool], *names: str) -> dict[str, str]:
+        """The unit's properties as soon as they are good; MachineError with its journal after WAIT_S."""
+        last: dict[str, str] = {}
+
+        def look() -> bool:
+            last.clear()
+            last.update(self.show(unit, *names))
+            return good(last)
+
+        try:
+            wait_until(look, WAIT_S, what)
+        except MachineError as error:
+            raise MachineError(f"{error}; {unit} has {last}\n{self.tail(unit)}") from None
+        return last
+
+    def journal(self, unit: str, *more: str) -> list[dict[str, Any]]:
+        """All messages of a unit, oldest first, with all their fields."""
+        said = self.run("journalctl", "--no-pager", "--output=json", f"--unit={unit}", *more).stdout
+        return [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+
+    def tail(self, unit: str, lines: int = 60) -> str:
+        """The end of a unit's journal, for messages of failure."""
+        said = self.run("journalctl", "--no-pager", f"--lines={lines}", f"--unit={unit}", check=False).stdout
+        return said or "its journal is empty"
+
+    def _inside(self, command: Sequence[str], env: Mapping[str, str], user: str) -> list[str]:
+        entered = ["nsenter", f"--target={self.leader}", "--all", "--", "env", "-i"]
+        entered += [f"{key}={value}" for key, value in {**_ENVIRONMENT, **env}.items()]
+        if user:
+            entered += ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups"]
+        return [*entered, *command]
+
+    def _start(self) -> None:
+        self._log = self._folder / "console"
+        root = self._folder / "root"
+        root.mkdir()
+        checkout = Path(__file__).resolve().parents[2]
+        given = [str(root), self.name, str(checkout), sysconfig.get_path("purelib"), sys.base_prefix]
+        spaces = ["unshare", "--mount", "--propagation=private", "--pid", "--fork", "--kill-child=KILL", "--mount-proc"]
+        command = ["setpriv", "--pdeathsig=KILL", *spaces, sys.executable, "-m", "tools.nspawn.boot", *given]
+        with self._log.open("wb") as log:
+            self._outer = subprocess.Popen(
+                command, cwd=checkout, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=os.environ | _ENVIRONMENT
+            )
+        self._wait("its systemd", self._find_leader)
+        self._wait("its boot", self._booted)
+        if not sys.base_prefix.startswith("/usr"):
+            self.run("ldconfig")
+
+    def _wait(self, what: str, condition: Callable[[], bool]) -> None:
+        def look() -> bool:
+            if self._outer is not None and self._outer.poll() is not None:
+                said = self._log.read_text(errors="replace")
+                raise MachineError(f"the container ended with {self._outer.returncode} before {what}\n{said}")
+            return condition()
+
+        wait_until(look, WAIT_S, what)
+
+    def _find_leader(self) -> bool:
+        """The child of systemd-nspawn, which is what the child of unshare became."""
+        assert self._outer is not None
+        for boot in _children(self._outer.pid):
+            for leader in _children(boot):
+                if Path(f"/proc/{leader}/comm").read_text().strip() in ("systemd", "init"):
+                    self.leader = leader
+        return self.leader != 0
+
+    def _booted(self) -> bool:
+        return self.run("systemctl", "is-system-running", check=False).stdout.strip() in ("running", "degraded")
+
+
+def wait_until(condition: Callable[[], T], timeout_s: float, what: str) -> T:
+    """The first true answer; MachineError when there is none in time."""
+    end = time.monotonic() + timeout_s
+    while not (answer := condition()):
+        if time.monotonic() > end:
+            raise MachineError(f"waited {timeout_s:g} s for {what}")
+        time.sleep(_POLL_S)
+    return answer
+
+
+def _alive(pid: int) -> bool:
+    return Path(f"/proc/{pid}").exists()
+
+
+def _children(pid: int) -> list[int]:
+    """Processes that a process started; none when it is gone."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            said = status.read_text()
+        except OSError:
+            continue
+        if f"\nPPid:\t{pid}\n" in said:
+            found.append(int(status.parent.name))
+    return found
