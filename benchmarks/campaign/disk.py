@@ -35,9 +35,7 @@ class Disk:
                 pass
 
     def refuse(self) -> None:
-        """Mount it again for reading only, which fails while a file is open for writing: then chmod is no help either,
-        so the directory is taken away instead.
-        """
+        """Mount it again for reading only; that fails while a file is open for writing: then the directory goes."""
         if self._run("mount", "-o", "remount,ro", str(self.at)):
             self.takes.rename(self.at / "away")
 
@@ -47,10 +45,10 @@ class Disk:
 
     def mend(self) -> None:
         """Room to write again."""
-        self._filler.unlink(missing_ok=True) if self._writable() else None
         if not os.path.ismount(self.at):
             self._mount()
         self._run("mount", "-o", "remount,rw", str(self.at))
+        self._filler.unlink(missing_ok=True)
         away = self.at / "away"
         if away.exists():
             if self.takes.exists():
@@ -65,9 +63,6 @@ class Disk:
         while os.path.ismount(self.at):
             if self._run("umount", "--lazy", str(self.at)):
                 return
-
-    def _writable(self) -> bool:
-        return os.path.ismount(self.at) and os.access(self.at, os.W_OK)
 
     def _mount(self) -> None:
         command = ["mount", "-t", "tmpfs", "-o", f"size={self._size_mb}m,mode=0755", "campaign", str(self.at)]
