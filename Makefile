@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall bench-modes clean
+.PHONY: help env demo test audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall bench-modes load campaign clean
 .DEFAULT_GOAL := help
 
 help:
@@ -62,6 +62,13 @@ box-soak: $(STAMP)  ## 200,000 triggers through the real drivers on emulated har
 box-latency: $(STAMP)  ## from the trigger's edge to frame, pair, cloud and subscriber on emulated hardware
 	tools/system-packages x11 compiler
 	$(BIN)/python -m benchmarks.box_latency $(BOX)
+
+load: $(STAMP)  ## the measurement under many subscribers against the same without; five minutes
+	$(BIN)/python -m benchmarks.load $(LOAD)
+
+campaign: $(STAMP)  ## five hundred random faults against a whole rig on emulated hardware; needs root; half an hour
+	tools/system-packages x11 compiler
+	$(BIN)/python -m benchmarks.campaign --verbose $(CAMPAIGN)
 
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make

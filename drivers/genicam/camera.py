@@ -19,6 +19,7 @@ from drivers.genicam.numbering import TriggerNumbers
 from drivers.genicam.options import Options, parse, producers
 from drivers.genicam.setup import SettingUp, Setup
 from drivers.genicam.timing import Timing
+from drivers.host_clocks import Clocks
 from drivers.protocols import CameraHealth, CameraInfo, Frame, Side
 
 log = logging.getLogger(__name__)
@@ -113,7 +114,7 @@ class GenicamCamera:
             buffer = now.connection.fetch()
             if buffer is not None:
                 try:
-                    frame = self._frame(now, buffer, time.time_ns())
+                    frame = self._frame(now, buffer, Clocks.now())
                 finally:
                     now.connection.requeue(buffer)
                 self._heard_ns = time.monotonic_ns()
@@ -146,7 +147,7 @@ class GenicamCamera:
             raise DeviceLost(f"the {self.side} camera is not open")
         return self._open
 
-    def _frame(self, now: _Open, buffer: Any, t_host_ns: int) -> Frame | None:
+    def _frame(self, now: _Open, buffer: Any, clocks: Clocks) -> Frame | None:
         """The frame in a buffer, copied out of it; None for what is no picture as agreed."""
         setup, camera = now.setup, now.connection.camera
         width, height = setup.size
@@ -169,7 +170,7 @@ class GenicamCamera:
             return None
         image.flags.writeable = False
         exposure_us = _exposure_us(camera, asked) or setup.exposure_us
-        when = now.timing.exposure(buffer, t_host_ns, exposure_us)
+        when = now.timing.exposure(buffer, clocks.monotonic_ns, exposure_us)
         frame_id = asked.number("frame_id")
         if frame_id is None:
             found = camera.read("ChunkFrameID")
@@ -179,8 +180,8 @@ class GenicamCamera:
         return Frame(
             side=self.side,
             trigger=trigger,
-            t_exposure_ns=when.t_ns,
-            t_host_ns=t_host_ns,
+            t_exposure_ns=clocks.day(when.t_ns),
+            t_host_ns=clocks.realtime_ns,
             encoding=setup.pixels.encoding,
             image=image,
             exposure_us=exposure_us,

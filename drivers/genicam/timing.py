@@ -1,4 +1,7 @@
-"""When a frame was exposed: the camera's time stamp, mapped to the host's clock, with what each camera lacks."""
+"""When a frame was exposed: the camera's time stamp, mapped to the host's clock, with what each camera lacks.
+
+The host's clock is CLOCK_MONOTONIC here: what was learnt of a camera's clock stays true when the time of day is set.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ class Exposure:
     """When a frame's exposure began.
 
     Args:
-        t_device_ns: on the camera's clock, None if it gave none. t_ns: CLOCK_REALTIME.
+        t_device_ns: on the camera's clock, None if it gave none. t_ns: CLOCK_MONOTONIC.
     """
 
     t_device_ns: int | None
@@ -58,7 +61,7 @@ class Timing:
         return True
 
     def exposure(self, buffer: Any, t_host_ns: int, exposure_us: float) -> Exposure:
-        """When the exposure of a picture that has just come began."""
+        """When the exposure of a picture that has come at ``t_host_ns``, CLOCK_MONOTONIC, began."""
         stamp = self._stamp(buffer)
         if stamp is None:
             self.without_stamp += 1
@@ -87,9 +90,9 @@ class Timing:
 
     def _latch(self) -> None:
         with losses("reading its clock"):
-            before = time.time_ns()
+            before = time.monotonic_ns()
             self._camera.execute("TimestampLatch")
-            after = time.time_ns()
+            after = time.monotonic_ns()
             value = self._camera.read("TimestampLatchValue")
         if value is not None and after >= before:
             self.clock.latch(before, _nanoseconds(int(value), self._hz), after)

@@ -9,6 +9,7 @@ The thread of the supervisor reconciles two things, what is wanted and what the 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import selectors
 import threading
@@ -34,6 +35,8 @@ from drivers.projector.messages import (
     send,
 )
 from drivers.projector.process import WindowProcess
+
+log = logging.getLogger("fringed.projector")
 
 OPEN_S = 30.0
 CLOSE_S = 5.0
@@ -194,6 +197,10 @@ class Supervisor:
                     pass
         except (OSError, ValueError, msgspec.DecodeError) as error:
             life.failed = life.failed or Failed(reason=f"the window's process: {error}")
+            window.kill()
+        except Exception as error:  # a defect of ours costs one window, not the light for good
+            log.exception("the conversation with the window failed")
+            life.failed = life.failed or Failed(reason=f"{type(error).__name__}: {error}")
             window.kill()
         how = window.end(CLOSE_S if life.failed is None else 1.0)
         return life.failed or Failed(reason=f"the window's process ended: {how}")

@@ -23,7 +23,7 @@ from drivers.errors import DriverError
 from drivers.protocols import CameraHealth
 
 _BULLETIN = 8192
-_BEAT = struct.Struct("<q")
+_BEAT_BYTES = 8
 _HEAD = struct.Struct("<II")
 _ALIGN = 4096
 MAX_SLOTS = 256
@@ -46,6 +46,11 @@ def _ring_bytes(slots: int, slot_bytes: int) -> int:
     return size
 
 
+def _beat_of(memory: mmap.mmap) -> NDArray[np.int64]:
+    """The heartbeat as one aligned number, which is written and read whole: ``struct`` would clear its bytes first."""
+    return np.ndarray((1,), np.dtype(np.int64), buffer=memory)
+
+
 class RingWriter:
     """The camera's side: owns the memory and hands out slots to fill.
 
@@ -60,20 +65,21 @@ class RingWriter:
         os.ftruncate(self.fd, size)
         fcntl.fcntl(self.fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
         self._map = mmap.mmap(self.fd, size)
+        self._beat = _beat_of(self._map)
 
     def beat(self) -> None:
         """Tell that this process is alive."""
-        _BEAT.pack_into(self._map, 0, time.monotonic_ns())
+        self._beat[0] = time.monotonic_ns()
 
     def post(self, health: CameraHealth) -> None:
         """Put the health up."""
         text = _encoder.encode(_Health(health.temperature_c, dict(health.counters)))
-        room = _BULLETIN - _BEAT.size - _HEAD.size
+        room = _BULLETIN - _BEAT_BYTES - _HEAD.size
         if len(text) > room:
             raise ValueError(f"the health of a camera takes {len(text)} bytes; at most {room}")
-        start = _BEAT.size + _HEAD.size
+        start = _BEAT_BYTES + _HEAD.size
         self._map[start : start + len(text)] = text
-        _HEAD.pack_into(self._map, _BEAT.size, len(text), zlib.crc32(text))
+        _HEAD.pack_into(self._map, _BEAT_BYTES, len(text), zlib.crc32(text))
 
     def slot(
         self, index: int, shape: tuple[int, ...], dtype: np.dtype[np.uint8] | np.dtype[np.uint16]
@@ -98,16 +104,17 @@ class RingReader:
             )
         self.slots, self._slot_bytes = slots, slot_bytes
         self._map = mmap.mmap(fd, size, flags=mmap.MAP_SHARED, prot=mmap.PROT_READ)
+        self._beat = _beat_of(self._map)
         self._health = CameraHealth()
 
     def age_ns(self, now_ns: int) -> int:
         """How long ago the camera's process last told that it lives; ``now_ns`` is CLOCK_MONOTONIC."""
-        return now_ns - int(_BEAT.unpack_from(self._map, 0)[0])
+        return now_ns - int(self._beat[0])
 
     def health(self) -> CameraHealth:
         """What the bulletin says, or said last."""
-        length, checksum = _HEAD.unpack_from(self._map, _BEAT.size)
-        start = _BEAT.size + _HEAD.size
+        length, checksum = _HEAD.unpack_from(self._map, _BEAT_BYTES)
+        start = _BEAT_BYTES + _HEAD.size
         text = self._map[start : start + min(length, _BULLETIN - start)]
         if length and zlib.crc32(text) == checksum:
             found = _decoder.decode(text)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import DeviceLost, DriverError, SettingRefused
+from drivers.host_clocks import Clocks
 from drivers.protocols import CameraHealth, CameraInfo, Frame, Side
 from drivers.v4l2 import discovery, formats
 from drivers.v4l2 import structs as v
@@ -18,7 +19,7 @@ from drivers.v4l2.device import Device
 from drivers.v4l2.kernel import Kernel, LinuxKernel
 from drivers.v4l2.options import Options, from_mapping
 from drivers.v4l2.stream import Stream, Taken
-from drivers.v4l2.timing import Clocks, Sequence
+from drivers.v4l2.timing import Sequence, realtime_of
 
 COUNTERS = (
     "received", "error_frames", "kernel_dropped", "short_frames", "corrupt_jpeg", "sequence_restarts",
@@ -203,8 +204,8 @@ class V4l2Camera:
             self._counters[error.reason] += 1
             return None
         image.flags.writeable = False
-        host_ns = taken.done_ns - clocks.monotonic_ns + clocks.realtime_ns
-        stamped_ns = clocks.realtime_of(taken.timestamp_ns)
+        host_ns = clocks.day(taken.done_ns)
+        stamped_ns = realtime_of(taken.timestamp_ns, clocks)
         if stamped_ns is None:
             self._counters["without_timestamp"] += 1
         before_us = 0.0 if taken.at_start_of_exposure and stamped_ns is not None else self._before_stamp_us(opened)

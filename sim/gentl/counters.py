@@ -13,7 +13,8 @@ class CableState:
     """What a camera is doing and has done since its cable was made.
 
     For every pulse on a line: ``exposed + missed + ignored + granted`` rises by one; and every exposure ends as one of
-    ``delivered``, ``truncated``, ``too_small``, ``dropped``, ``no_buffer``, ``overrun`` or ``abandoned``.
+    ``delivered``, ``truncated``, ``too_small``, ``dropped``, ``no_buffer``, ``overrun``, ``overtaken`` or
+    ``abandoned``.
 
     Args:
         present: plugged in; open_by: pid of the process that has it open, 0 if none.
@@ -26,7 +27,7 @@ class CableState:
         missed: pulses during an exposure; ignored: pulses that the settings do not want; granted: pulses that started
             an acquisition or a burst rather than a frame.
         superseded: delivered frames that a newer one replaced before the host took them.
-        overtaken: pulses whose picture was written over before the camera took it.
+        overtaken: lost because their picture was written over before the camera's process, which slept, came to it.
         picture: number of the picture exposed last.
     """
 

@@ -43,6 +43,7 @@ static void send_frame(Device *device, Frame *frame) {
     State *state = device->state;
     uint64_t *counter = NULL;
     if (frame->session != device->session || !is_there(device)) counter = &state->abandoned;
+    else if (frame->overtaken) counter = &state->overtaken;
     else if (LOAD(state->dropped) < LOAD(state->drop_asked)) counter = &state->dropped;
     else {
         bool truncate = LOAD(state->truncated) < LOAD(state->truncate_asked);

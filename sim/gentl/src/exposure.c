@@ -71,7 +71,7 @@ static void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64
     STORE(state->inside, (uint64_t)++device->inside);
     Response response = response_of(device, exposure_ns);
     pthread_mutex_unlock(&device->lock); /* only this thread touches the memory; register access need not wait */
-    take_picture(device, frame, &response, picture);
+    frame->overtaken = !take_picture(device, frame, &response, picture);
     pthread_mutex_lock(&device->lock);
     follow_light(device, frame->mean);
     if (device->frames_to_go == 0) STORE(state->acquiring, 0);

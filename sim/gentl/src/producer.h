@@ -38,6 +38,7 @@ typedef struct {  /* an exposed picture on its way to the host */
     uint32_t width, height, x, y, format;
     uint64_t frame_id, timestamp, session;
     int64_t due_ns;
+    bool overtaken;  /* its light is gone: it is lost where a sensor would have caught it in time */
     int chunks;
     SINGLE_CHUNK_DATA chunk[CHUNKS];
 } Frame;
@@ -133,7 +134,7 @@ GC_ERROR write_register(Device *device, uint64_t address, const void *value, siz
 /* sensor.c */
 size_t image_bytes(uint32_t format, uint32_t width, uint32_t height);
 bool format_exists(uint32_t format, uint64_t filter);
-void take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted);
+bool take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted);
 
 /* response.c */
 Response response_of(const Device *device, int64_t exposure_ns);

@@ -113,14 +113,15 @@ static void expose(const Light *light, const Format *format, Frame *frame, uint1
     }
 }
 
-/* Exposes picture `wanted`, or the newest (0). A picture that was written over meanwhile is replaced by the newest. */
-void take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted) {
+/* Exposes picture `wanted`, or the newest (0). False if the wanted one was written over: a process that slept through
+ * its edge cannot have the light of that moment any more, and must not pass other light off as it. */
+bool take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted) {
     uint16_t *const *table = response_tables(device, response);
     const Format *format = format_of(frame->format);
     const Image *image = device->image;
     memset(frame->mean, 0, sizeof frame->mean);
     for (int attempt = 0; attempt < 100; attempt++) {
-        uint64_t number = wanted && !attempt ? wanted : LOAD(image->newest);
+        uint64_t number = wanted ? wanted : LOAD(image->newest);
         if (!number || !format) break; /* the cap is on */
         const Slot *slot = (const Slot *)((const uint8_t *)image + SLOT_HEADER + number % SLOTS * image->slot_bytes);
         if (LOAD(slot->sequence) == 2 * number) {
@@ -135,10 +136,11 @@ void take_picture(Device *device, Frame *frame, const Response *response, uint64
             __atomic_thread_fence(__ATOMIC_ACQUIRE);
             if (LOAD(slot->sequence) == 2 * number) {
                 STORE(device->state->picture, number);
-                return;
+                return true;
             }
         }
-        if (wanted && !attempt) COUNT(device->state->overtaken);
+        if (wanted) return false;
     }
     memset(frame->bytes, 0, frame->image_bytes);
+    return true;
 }

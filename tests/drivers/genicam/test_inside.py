@@ -199,12 +199,37 @@ def test_a_clock_that_is_not_the_one_of_the_stamps_is_found_out(program: Program
         timing = Timing(Features())
         timing.follow(time.monotonic_ns())
         for k in range(12):
-            now = time.time_ns()
+            now = time.monotonic_ns()
             found = timing.exposure(SimpleNamespace(timestamp_ns=time.monotonic_ns()), now, 100.0)
             timing.follow(time.monotonic_ns())
             assert abs(found.t_ns - now) < 50_000_000, (k, found.t_ns - now)
         assert not timing.latches
         assert timing.clock.ready and not timing.clock.latched
+    """)
+
+
+def test_a_clock_of_the_day_that_is_set_does_not_touch_what_is_known_of_the_camera(program: Program) -> None:
+    program("""
+        from types import SimpleNamespace
+        from drivers.genicam.timing import Timing
+        from drivers.host_clocks import Clocks
+
+        class Features:
+            def find(self, name):
+                return None if name == "TimestampTickFrequency" else self
+            def execute(self, name):
+                self.latched = time.monotonic_ns()
+            def read(self, name):
+                return self.latched if name == "TimestampLatchValue" else None
+
+        timing, real = Timing(Features()), time.time_ns
+        for step_s in (0, 3600, -7200):
+            time.time_ns = lambda: real() + step_s * 10**9
+            timing.follow(time.monotonic_ns())
+            clocks = Clocks.now()
+            found = timing.exposure(SimpleNamespace(timestamp_ns=clocks.monotonic_ns - 10**6), clocks.monotonic_ns, 0.0)
+            assert abs(clocks.day(found.t_ns) - (clocks.realtime_ns - 10**6)) < 1_000_000
+        assert timing.clock.resets == 0 and timing.latches
     """)
 
 

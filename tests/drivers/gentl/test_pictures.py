@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim.gentl.cable import Cable
 from sim.gentl.features import PIXEL_FORMATS
+from sim.gentl.memory import SLOTS
 from tests.drivers.gentl.conftest import HEIGHT, WIDTH
 from tests.drivers.gentl.host import WAIT_S, AccessException, Host, Shot, opened
 
@@ -179,6 +180,24 @@ def test_a_pulse_exposes_the_picture_that_was_shown_when_it_was_given(producer: 
             assert camera.wait_idle(WAIT_S)
         assert [shot.bytes[0] for shot in host.shots(30)] == [4 * r + k for r in range(10) for k in range(3)]
         assert camera.state().overtaken == 0
+
+
+def test_a_picture_that_was_slept_through_is_lost_and_never_another_in_its_place(producer: Path, cable: Cables) -> None:
+    camera = cable(real_time=True)
+    with opened(producer, "CAM0") as (host,):
+        host.trigger_on()
+        host.set(ExposureTime=100.0)
+        host.start()
+        camera.show(np.full((HEIGHT, WIDTH), 100, np.uint8))
+        assert camera.pulse(time.monotonic_ns() + 2_000_000_000)  # the world is faster than the camera's process
+        for k in range(SLOTS):
+            camera.show(np.full((HEIGHT, WIDTH), k, np.uint8))
+        assert camera.wait_idle(WAIT_S)
+        assert camera.pulse()
+        assert camera.wait_idle(WAIT_S)
+        (shot,) = host.shots(1)
+        state = camera.state()
+        assert (shot.bytes[0], state.exposed, state.delivered, state.overtaken) == (SLOTS - 1, 2, 1, 1)
 
 
 def test_no_picture_is_torn_however_fast_they_change(producer: Path, cable: Cables) -> None:

@@ -74,6 +74,22 @@ def test_a_hung_window_is_replaced(server: XServer, projector: Make) -> None:
     recovers(server, shown, picture, lambda: os.kill(shown.window_pid, signal.SIGSTOP), "does not answer")
 
 
+def test_a_defect_of_ours_costs_one_window_and_not_the_light(server: XServer, projector: Make) -> None:
+    shown = projector(server)
+    picture = opened(server, shown)
+    supervisor = shown._supervisor
+    assert supervisor is not None
+    usual, defects = supervisor._after_show, iter([ZeroDivisionError("a defect")])
+
+    def fails_once() -> None:
+        usual()
+        for error in defects:
+            raise error
+
+    supervisor._after_show = fails_once
+    recovers(server, shown, picture, lambda: shown.show(picture), "ZeroDivisionError")
+
+
 def test_a_destroyed_window_comes_back(server: XServer, projector: Make) -> None:
     shown = projector(server)
     picture = opened(server, shown)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import socket
+import subprocess
+import sys
 import threading
 import time
 
@@ -49,6 +52,35 @@ def test_the_memory_can_neither_shrink_nor_grow() -> None:
         with pytest.raises(PermissionError):
             os.ftruncate(writer.fd, size)
     os.close(writer.fd)
+
+
+def test_the_heartbeat_is_read_whole_while_it_is_written() -> None:
+    """A heartbeat that is caught half-written says that the camera's process died hours ago."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        child = subprocess.Popen([sys.executable, "-c", BEATING, str(theirs.fileno())], pass_fds=[theirs.fileno()])
+        try:
+            _, fds, _, _ = socket.recv_fds(ours, 1, 1)
+            reader = RingReader(fds[0], 4, 4096)
+            began_ns = time.monotonic_ns()
+            oldest_ns = max(reader.age_ns(began_ns) for _ in range(200_000))
+        finally:
+            child.kill()
+            child.wait()
+    os.close(fds[0])
+    assert oldest_ns < 60_000_000_000
+
+
+BEATING = """
+import socket, sys
+from drivers.remote.ring import RingWriter
+
+writer = RingWriter(4, 100)
+writer.beat()
+socket.send_fds(socket.socket(fileno=int(sys.argv[1])), [b"x"], [writer.fd])
+while True:
+    writer.beat()
+"""
 
 
 def test_health_is_never_read_half_written() -> None:

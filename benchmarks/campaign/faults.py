@@ -1,0 +1,204 @@
+"""What is done to the rig: each fault strikes, lasts, and is taken back; the rest is the daemon's affair."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from benchmarks.campaign import crowds
+from benchmarks.campaign.place import Place, pause
+from daemon.errors import ControlError
+from drivers.protocols import SIDES, Side
+
+Strike = Callable[[Place, random.Random], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One kind: ``strike`` does it and takes back what a daemon cannot; ``new_daemon``: it may cost the process."""
+
+    name: str
+    strike: Strike
+    new_daemon: bool = False
+
+
+def _side(random_: random.Random) -> Side:
+    return random_.choice(SIDES)
+
+
+def _signal_child(word: str, number: signal.Signals) -> Strike:
+    def strike(place: Place, random_: random.Random) -> None:
+        children = place.daemon.children(word)
+        if children:
+            with suppress(ProcessLookupError):
+                os.kill(random_.choice(children), number)
+
+    return strike
+
+
+def _freeze_child(word: str) -> Strike:
+    def strike(place: Place, random_: random.Random) -> None:
+        children = place.daemon.children(word)
+        if children:
+            pid = random_.choice(children)
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGSTOP)
+                pause(random_.uniform(0.3, 3.0))
+                os.kill(pid, signal.SIGCONT)
+
+    return strike
+
+
+def _freeze_daemon(place: Place, random_: random.Random) -> None:
+    place.daemon.signal(signal.SIGSTOP)
+    pause(random_.uniform(0.3, 3.0))
+    place.daemon.signal(signal.SIGCONT)
+
+
+def _kill_x(place: Place, random_: random.Random) -> None:
+    place.box.server.kill()
+    pause(random_.uniform(0.2, 1.0))
+    place.box.server.restart()
+
+
+def _unplug(count: int) -> Strike:
+    def strike(place: Place, random_: random.Random) -> None:
+        sides = random_.sample(SIDES, count)
+        for side in sides:
+            place.cables[side].unplug()
+        pause(random_.uniform(0.2, 2.0))
+        for side in sides:
+            place.cables[side].plug()
+
+    return strike
+
+
+def _on_cable(action: Callable[[Place, Side, random.Random], object]) -> Strike:
+    def strike(place: Place, random_: random.Random) -> None:
+        action(place, _side(random_), random_)
+        pause(0.3)
+
+    return strike
+
+
+def _blackout(place: Place, random_: random.Random) -> None:
+    place.dark.set()
+    pause(random_.uniform(0.3, 2.0))
+    place.dark.clear()
+
+
+def _disk(action: Callable[[Place], None]) -> Strike:
+    def strike(place: Place, random_: random.Random) -> None:
+        action(place)
+        pause(random_.uniform(0.5, 2.0))
+        place.disk.mend()
+
+    return strike
+
+
+def _no_directory(place: Place, random_: random.Random) -> None:
+    """The directory of the takes is a file for a while."""
+    with suppress(ControlError):
+        place.daemon.ask("record.stop", timeout_s=20.0)
+    takes, away = place.disk.takes, place.disk.at / "kept"
+    if takes.exists():
+        takes.rename(away)
+    takes.write_text("no directory")
+    with suppress(ControlError):
+        place.daemon.ask("record.start", name="campaign", timeout_s=20.0)
+    pause(random_.uniform(0.2, 0.5))
+    takes.unlink()
+    if away.exists():
+        away.rename(takes)
+
+
+def _step_clock(sign: int) -> Strike:
+    def strike(place: Place, random_: random.Random) -> None:
+        place.clock.set(place.clock.shift_ns + sign * round(random_.uniform(0.5, 120.0) * 1e9))
+        pause(0.3)
+
+    return strike
+
+
+def _reload(text: str) -> Strike:
+    """The rig file is changed to something that cannot be, read, and changed back."""
+
+    def strike(place: Place, random_: random.Random) -> None:  # noqa: ARG001
+        place.box.rig_file.write_text(text)
+        place.daemon.signal(signal.SIGHUP)
+        pause(0.5)
+        place.write_rig()
+        place.daemon.signal(signal.SIGHUP)
+
+    return strike
+
+
+def _settings(place: Place, random_: random.Random) -> None:
+    for _ in range(5):
+        with suppress(ControlError):
+            place.daemon.ask(
+                "set", path="pipeline.settings.min_modulation", value=random_.choice([0.05, 0.06, "x", -1])
+            )
+
+
+def _pause(place: Place, random_: random.Random) -> None:
+    with suppress(ControlError):
+        place.daemon.ask("stop")
+    pause(random_.uniform(0.1, 0.5))
+    for _ in range(3):
+        with suppress(ControlError):
+            place.daemon.ask("start")
+            return
+
+
+def _take_after_take(place: Place, random_: random.Random) -> None:  # noqa: ARG001
+    for _ in range(5):
+        with suppress(ControlError):
+            place.daemon.ask("record.stop", timeout_s=20.0)
+            place.daemon.ask("record.start", name="campaign", timeout_s=20.0)
+
+
+CAMERA, WINDOW = "drivers.remote.child", "drivers.projector.child"
+SIGKILL, SIGTERM = signal.SIGKILL, signal.SIGTERM
+
+FAULTS = (
+    Fault("daemon killed", lambda place, _: place.daemon.signal(SIGKILL), new_daemon=True),
+    Fault("daemon terminated", lambda place, _: place.daemon.signal(SIGTERM), new_daemon=True),
+    Fault("daemon frozen, up to 3 s", _freeze_daemon),
+    Fault("camera process killed", _signal_child(CAMERA, SIGKILL)),
+    Fault("camera process frozen, up to 3 s", _freeze_child(CAMERA)),
+    Fault("projector window killed", _signal_child(WINDOW, SIGKILL)),
+    Fault("projector window frozen, up to 3 s", _freeze_child(WINDOW)),
+    Fault("X server killed", _kill_x),
+    Fault("one camera unplugged", _unplug(1)),
+    Fault("both cameras unplugged", _unplug(2)),
+    Fault("frames lost", _on_cable(lambda p, side, r: p.cables[side].drop(r.randint(1, 6)))),
+    Fault("frames truncated", _on_cable(lambda p, side, r: p.cables[side].truncate(r.randint(1, 6)))),
+    Fault("frames held back, up to 2 s", _on_cable(lambda p, side, r: p.cables[side].stall(r.uniform(0.1, 2.0)))),
+    Fault("edges missed by one camera", _on_cable(lambda p, side, r: p.cables[side].swallow(r.randint(1, 6)))),
+    Fault("edges doubled", _on_cable(lambda p, side, r: p.cables[side].double(r.randint(1, 6)))),
+    Fault("no trigger, up to 2 s", _blackout),
+    Fault(
+        "camera clock set", _on_cable(lambda p, side, r: p.cables[side].set_clock(r.randint(-(10**10), 10**12), 20.0))
+    ),
+    Fault("clock of the day set forward", _step_clock(1)),
+    Fault("clock of the day set back", _step_clock(-1)),
+    Fault("disk full", _disk(lambda place: place.disk.fill())),
+    Fault("disk read-only or directory gone", _disk(lambda place: place.disk.refuse())),
+    Fault("disk pulled", _disk(lambda place: place.disk.pull())),
+    Fault("a file where the takes should be", _no_directory),
+    Fault("subscriber storm", crowds.subscriber_storm),
+    Fault("subscriber stopped", crowds.stopped_subscriber),
+    Fault("subscriber that never reads", crowds.deaf_subscriber),
+    Fault("garbage to both sockets", crowds.garbage),
+    Fault("status storm", crowds.status_storm),
+    Fault("rig file broken, SIGHUP", _reload("cameras: [")),
+    Fault("rig file of another rig, SIGHUP", _reload("cameras: {driver: sim}\npairing: {tolerance_us: 10}\n")),
+    Fault("settings, good and bad", _settings),
+    Fault("paused and started", _pause),
+    Fault("take after take", _take_after_take),
+)

@@ -1,0 +1,128 @@
+"""What hangs on a daemon under load: readers of clouds, askers of the status, one that is stopped, one that is deaf.
+
+``python -m benchmarks.load_actors KIND ENDPOINT``: one of them, at the lowest priority, until it is killed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from types import TracebackType
+from typing import Self
+
+import zmq
+
+from fringed.receiver import Receiver
+
+_POLL_S = 1.0
+
+
+def full(endpoint: str) -> None:
+    """Reads whole clouds and counts their bytes."""
+    _read(endpoint, "cloud/full")
+
+
+def light(endpoint: str) -> None:
+    """Reads the light clouds."""
+    _read(endpoint, "cloud/depth")
+
+
+def deaf(endpoint: str) -> None:
+    """Subscribes to whole clouds and never takes one."""
+    with _Subscribed(endpoint):
+        while True:
+            time.sleep(3600)
+
+
+def poller(endpoint: str) -> None:
+    """Asks for the status once a second."""
+    from daemon.control.client import ControlClient
+    from daemon.errors import ControlError
+
+    with ControlClient(endpoint, timeout_s=30.0) as client:
+        _tell()
+        while True:
+            with suppress(ControlError):
+                client.call("status")
+            time.sleep(_POLL_S)
+
+
+KINDS = {"full": full, "light": light, "deaf": deaf, "stopped": full, "poller": poller}
+
+
+class Actors:
+    """Many of them, each a process; for ``with``.
+
+    Args:
+        stream, control: endpoints of the daemon. counts: how many of each kind.
+    """
+
+    def __init__(self, stream: str, control: str, counts: dict[str, int]) -> None:
+        self._processes: list[tuple[str, subprocess.Popen[bytes]]] = []
+        self._stream, self._control, self._counts = stream, control, counts
+
+    def __enter__(self) -> Self:
+        for kind, count in self._counts.items():
+            endpoint = self._control if kind == "poller" else self._stream
+            for _ in range(count):
+                command = [sys.executable, "-m", "benchmarks.load_actors", kind, endpoint]
+                self._processes.append((kind, subprocess.Popen(command, stdout=subprocess.PIPE)))
+        for kind, process in self._processes:
+            assert process.stdout is not None
+            process.stdout.readline()  # it has connected
+            if kind == "stopped":
+                process.send_signal(signal.SIGSTOP)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for _, process in self._processes:
+            process.kill()
+        for _, process in self._processes:
+            process.wait()
+            assert process.stdout is not None
+            process.stdout.close()
+
+
+class _Subscribed:
+    """A subscriber of whole clouds that has its first connection; its messages are nobody's."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.RCVHWM, 2)
+        self._socket.subscribe("cloud/full")
+        self._socket.connect(endpoint)
+
+    def __enter__(self) -> None:
+        self._socket.poll(60_000)
+        _tell()
+
+    def __exit__(self, *_: object) -> None:
+        self._context.destroy(linger=0)
+
+
+def _read(endpoint: str, topic: str) -> None:
+    receiver, told = Receiver(endpoint, [topic], queue=2), False
+    while True:
+        if receiver.poll(1.0) and (frames := receiver.take()) is not None:
+            if not told:
+                _tell()
+                told = True
+            for frame in frames:
+                memoryview(frame)[::4096].tobytes()  # touched, as a reader that uses it would
+
+
+def _tell() -> None:
+    sys.stdout.write("connected\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    os.nice(19)
+    KINDS[sys.argv[1]](sys.argv[2])
