@@ -87,6 +87,9 @@ def test_a_live_setting_is_taken_over_and_read_back(
         ("pairing.tolerance_us", True),
         ("stream.preview_hz", 1e400),
         ("volume", {"near_mm": 5, "far_mm": 4}),
+        ("recording.dir", "/etc"),
+        ("calibration", "other.yaml"),
+        ("volume", "/etc/passwd"),
         ("device.name", "x"),
         ("control.endpoint", "ipc:///tmp/x"),
         ("cameras.left.exposure_us", 5),
@@ -154,6 +157,13 @@ def test_another_calibration_is_taken_over_between_two_pairs(running: Running) -
     running.clouds(2)
 
 
+def test_a_set_does_not_read_other_files_again(running: Running) -> None:
+    old = running.service.rig.identity
+    (running.path / "calibration.yaml").write_text("no calibration")
+    running.call("set", path="volume", value={"near_mm": 1000, "far_mm": 1400})
+    assert running.service.rig.identity == old and running.service.rig.volume.near_mm == 1000
+
+
 def test_a_calibration_that_cannot_be_used_changes_nothing(running: Running) -> None:
     (running.path / "calibration.yaml").write_text("fringed_calibration: 1\n")
     assert "calibration.yaml" in refused(running, "reload").message
@@ -166,6 +176,12 @@ def test_a_calibration_of_other_cameras_changes_nothing(running: Running) -> Non
     data["cameras"]["left"]["size"] = [64, 48]
     running.write_calibration(data)
     assert "64 x 48" in refused(running, "reload").message
+
+
+def test_takes_go_to_another_directory_after_a_reload(running: Running) -> None:
+    running.write("recording: {dir: elsewhere}\n")
+    assert running.call("reload")["changed"] == ["recording.dir"]
+    assert "elsewhere" in running.call("snapshot")["file"]
 
 
 def test_another_projected_picture_needs_a_restart(running: Running) -> None:
