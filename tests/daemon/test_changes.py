@@ -18,6 +18,7 @@ from daemon.control.methods import Methods
 from daemon.control.protocol import FAILED, INVALID_PARAMS, RpcError
 from daemon.errors import DaemonError
 from daemon.service import Service
+from daemon.settings.live import LIVE
 from daemon.status import State
 from pipeline import pattern
 from pipeline.pattern import ColorFringe
@@ -230,6 +231,12 @@ def test_every_setting_is_listed_with_its_meaning(running: Running) -> None:
     assert (row["min"], row["max"], row["unit"], row["live"]) == (0.5, 100, "counts", True)
     assert rows["pipeline.overload"]["choices"] == ["skip", "half"] and not rows["device.name"]["live"]
     assert [row["path"] for row in running.call("get", path="device", detail=True)["settings"]] == ["device.name"]
+
+
+def test_what_is_called_live_is_there(running: Running) -> None:
+    paths = [row["path"] for row in running.call("get")["settings"]]
+    for entry in LIVE:
+        assert any(f"{path}.".startswith(entry.removesuffix("*").rstrip(".") + ".") for path in paths), entry
 
 
 def test_a_section_is_told_as_it_stands_in_the_file(running: Running) -> None:
