@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm clean
+.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
 .DEFAULT_GOAL := help
 
 help:
@@ -72,7 +72,6 @@ vm: $(STAMP)  ## the virtual machine in which the V4L2 driver meets a real kerne
 	tools/system-packages vm
 	PYTHON=$(BIN)/python tools/vm/build
 
-.PHONY: install uninstall
 install: $(STAMP)  ## put the daemon onto this machine as a systemd service; options in INSTALL="--rig rig.yaml"
 	$(BIN)/fringed install $(INSTALL)
 
