@@ -55,9 +55,7 @@ def test_a_source_that_knows_nothing_is_not_believed(
 
 
 def test_packages_that_could_not_be_looked_up_are_not_counted_as_safe(audit: Any) -> None:
-    assert audit.findings({"dependencies": [package("a"), package("b", "CVE-2")]}, 2) == [
-        "b 1.0: CVE-2, mended in 1.1"
-    ]
+    assert audit.findings({"dependencies": [package("a"), package("b", "CVE-2")]}, 2) == ["b 1.0: CVE-2, mended in 1.1"]
     skipped = {"name": "b", "skip_reason": "not found"}
     with pytest.raises(audit.NotAuditedError, match="1 of 2"):
         audit.findings({"dependencies": [package("a"), skipped]}, 2)
