@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daemon.install.errors import InstallError
+from daemon.install.files import SHARE, shipped
 from daemon.install.target import Target, reachable
 
 OWN = "fringed", "pipeline", "drivers", "sim", "daemon"
 _CHECKOUT = Path(__file__).resolve().parents[2]
 _TIMEOUT_S = 3600
+_MARK = "made-from"  # in an environment that is whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +51,12 @@ class Source:
 def make(target: Target, source: Source) -> bool:
     """Make the environment unless it is there already; returns whether it was made."""
     link, wanted = target.path(target.prefix / "env"), fingerprint(source)
-    if link.is_symlink() and _read(link / "made-from") == wanted:
+    if link.is_symlink() and _read(link / _MARK) == wanted:
         return False
     fresh = target.path(target.prefix / f"env-{secrets.token_hex(4)}")
     try:
         _fill(fresh, source)
-        (fresh / "made-from").write_text(wanted, encoding="utf-8")
+        (fresh / _MARK).write_text(wanted, encoding="utf-8")
         for path in (fresh, *fresh.rglob("*")):
             if not path.is_symlink():
                 path.chmod((path.stat().st_mode | 0o444 | (0o111 if path.is_dir() else 0)) & ~0o7022)
@@ -68,16 +70,20 @@ def make(target: Target, source: Source) -> bool:
 
 
 def remove_old(target: Target) -> None:
-    """Remove environments that are not in use any more."""
+    """Remove environments but this one and the one before, with which a daemon may still be running."""
     link = target.path(target.prefix / "env")
-    for place in link.parent.glob("env-*"):
-        if place.is_dir() and place.name != link.readlink().name:
+    others = [place for place in link.parent.glob("env-*") if place.is_dir() and place.name != link.readlink().name]
+    whole = [place for place in others if (place / _MARK).is_file()]
+    before = max(whole, key=lambda place: (place / _MARK).stat().st_mtime_ns, default=None)
+    for place in others:
+        if place != before:
             shutil.rmtree(place, ignore_errors=True)
 
 
 def fingerprint(source: Source) -> str:
     """Tells one environment from another: Python, where the packages come from, and every file of ours."""
     digest = hashlib.sha256(json.dumps([str(source.python), str(source.wheelhouse), source.shared]).encode())
+    digest.update(shipped("constraints.txt").read_bytes())
     for package in OWN:
         for path in sorted((_CHECKOUT / package).rglob("*")):
             if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc"):
@@ -100,7 +106,9 @@ def _fill(fresh: Path, source: Source) -> None:
     (own,) = fresh.glob("lib/python3.*/site-packages")
     for package in OWN:
         shutil.copytree(_CHECKOUT / package, own / package, ignore=shutil.ignore_patterns("__pycache__"))
-    _copy_data(own / "daemon/install")
+    share = fresh / SHARE
+    shutil.copytree(shipped("systemd"), share / "systemd")
+    shutil.copy2(shipped("constraints.txt"), share)
     # A line of its own for each directory: what lies there is found, its .pth files are not followed.
     (own / "shared.pth").write_text("".join(f"{place}\n" for place in site_packages()), encoding="utf-8")
 
@@ -109,34 +117,17 @@ def _install(fresh: Path, source: Source) -> None:
     pip = [str(fresh / "bin/python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     if source.wheelhouse is not None:
         pip += ["--no-index", "--find-links", str(source.wheelhouse)]
-    constraints = data_file("constraints.txt")
-    if constraints is not None:
-        pip += ["--constraint", str(constraints)]
-    _run([*pip, requirement()], "installing the packages")
+    pip += ["--constraint", str(shipped("constraints.txt")), requirement(source)]
+    _run(pip, "installing the packages")
 
 
-def requirement() -> str:
+def requirement(source: Source) -> str:
     """What pip is to install: the checkout that runs this, or the same version from where packages come from."""
     from daemon.version import program_version
 
-    if (_CHECKOUT / "pyproject.toml").is_file():
+    if source.wheelhouse is None and (_CHECKOUT / "pyproject.toml").is_file():
         return f"{_CHECKOUT}[rig]"
     return f"fringed[rig]=={program_version()}"
-
-
-def data_file(name: str) -> Path | None:
-    """A file of the checkout's root, or its copy in an installed package."""
-    here = Path(__file__).resolve().parent
-    return next((place for place in (here / name, _CHECKOUT / name) if place.is_file()), None)
-
-
-def _copy_data(to: Path) -> None:
-    from daemon.install.files import sources
-
-    shutil.copytree(sources(), to / "systemd")
-    constraints = data_file("constraints.txt")
-    if constraints is not None:
-        shutil.copy2(constraints, to / constraints.name)
 
 
 def _run(command: list[str], what: str) -> None:
