@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
+.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm clean
 .DEFAULT_GOAL := help
 
 help:
@@ -34,6 +34,7 @@ check: $(STAMP)  ## style, types and layers only
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+.PHONY: audit
 audit: $(STAMP)  ## known vulnerabilities of the pinned dependencies; says NOT AUDITED where nobody can be asked
 	$(BIN)/python tools/audit.py
 
@@ -75,6 +76,7 @@ vm: $(STAMP)  ## the virtual machine in which the V4L2 driver meets a real kerne
 	tools/system-packages vm
 	PYTHON=$(BIN)/python tools/vm/build
 
+.PHONY: install uninstall
 install: $(STAMP)  ## put the daemon onto this machine as a systemd service; options in INSTALL="--rig rig.yaml"
 	$(BIN)/fringed install $(INSTALL)
 
