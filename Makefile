@@ -34,6 +34,7 @@ check: $(STAMP)  ## style, types and layers only
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+.PHONY: audit
 audit: $(STAMP)  ## known vulnerabilities of the pinned dependencies; says NOT AUDITED where nobody can be asked
 	$(BIN)/python tools/audit.py
 

@@ -40,7 +40,7 @@ class Receiver:
         for option, value in _OPTIONS.items():
             self.socket.setsockopt(option, value)
         self.socket.setsockopt(zmq.RCVHWM, queue)
-        if keys is not None:
+        if keys is not None and not endpoint.startswith("ipc://"):  # which is this machine's and plain
             keys.apply(self.socket)
         try:
             for topic in topics:

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Audit the pinned dependencies (constraints.txt) for known vulnerabilities: ``tools/audit.py [CONSTRAINTS]``.
 
-A finding gives exit status 1. Where no source of advisories can be asked, it says NOT AUDITED and gives 0. A source that
-knows nothing finds nothing wrong with anything: it is first asked about a release that is known to be vulnerable, and
-believed only if it says so.
+A finding gives exit status 1. Where no source of advisories can be asked, it says NOT AUDITED and gives 0. A source
+that knows nothing finds nothing wrong with anything: it is first asked about a release that is known to be vulnerable,
+and believed only if it says so.
 """
 
 from __future__ import annotations

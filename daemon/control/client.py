@@ -29,7 +29,7 @@ class ControlClient:
         self._hint = "start one with `fringed run rig.yaml`, or name its control endpoint"
         if endpoint.startswith("tcp://"):
             self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
-        if keys is not None:
+        if keys is not None and not endpoint.startswith("ipc://"):  # which is this machine's and plain
             keys.apply(self._socket)
             self._hint = "is it running, does it know this key, and is that its server key?"
         try:

@@ -33,6 +33,7 @@ AREAS: tuple[Check, ...] = (
     Check("usb", "daemon.doctor.usb:check", ("genicam",), timeout_s=150),
     Check("network", "daemon.doctor.network:check", ("genicam",), timeout_s=150),
     Check("rights", "daemon.doctor.rights:check", (*_CAMERAS, "x11")),
+    Check("files", "daemon.doctor.files:check", needs_rig=True),
     Check("display", "daemon.doctor.display:check", ("x11",), timeout_s=60),
     Check("sockets", "daemon.doctor.sockets:check"),
     Check("disk", "daemon.doctor.disk:check", timeout_s=60),

@@ -26,8 +26,9 @@ def check(subject: Subject) -> Iterator[Finding]:
     config = subject.config
     stream = config.stream.endpoints if config is not None else [runtime.stream_endpoint(), runtime.TCP_STREAM]
     control = config.control.endpoint if config is not None else runtime.control_endpoint()
+    remote = [("control", each) for each in config.control.remote] if config is not None else []
     directories: dict[Path, None] = {}
-    for what, endpoint in [*(("stream", each) for each in stream), ("control", control)]:
+    for what, endpoint in [*(("stream", each) for each in stream), ("control", control), *remote]:
         if endpoint.startswith("ipc://"):
             path = Path(endpoint.removeprefix("ipc://"))
             directories[path.parent] = None

@@ -15,7 +15,7 @@ from daemon.security.allowed import Service
 from fringed.keys import Key
 
 _HANDSHAKE_MS = 5000  # who has not shown a key by then is cut off
-_REBIND_S = 10.0
+_REBIND_S = 20.0
 _FAILED = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _EVENTS_AT_ONCE = 256
 

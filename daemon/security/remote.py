@@ -25,7 +25,7 @@ from drivers.remote import spawn
 log = logging.getLogger("fringed.gate")
 
 _START_S = 60.0
-_SILENCE_S = 30.0  # a gate that says nothing for so long hangs, and is replaced
+_SILENCE_S = 60.0  # a gate that says nothing for so long hangs, and is replaced
 _PAUSES_S = (0.5, 1.0, 2.0, 5.0)
 _JOIN_S = 5.0
 _LOOK_S = 0.25  # so soon does a revoked key lose its connections

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import socket
 from contextlib import suppress
 from pathlib import Path
 
@@ -32,13 +31,6 @@ def addresses(pid: int) -> set[tuple[str, int]]:
                 words = [bytes.fromhex(address[i : i + 8])[::-1] for i in range(0, len(address), 8)]
                 found.add((str(ipaddress.ip_address(b"".join(words))), int(port, 16)))
     return found
-
-
-def free_port() -> int:
-    """A port that nobody uses now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _sockets(pid: int) -> set[str]:

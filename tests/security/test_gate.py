@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 import zmq
 
+from daemon.control.client import ControlClient
 from daemon.errors import ControlError, DaemonError
+from daemon.security import remote
 from daemon.security.order import Order
 from daemon.security.remote import RemoteGate
 from daemon.security.store import KeyStore
@@ -51,25 +53,26 @@ def test_the_refusal_of_a_role_has_its_code(shared: World) -> None:
 def test_a_key_that_is_not_allowed_neither_sees_nor_operates(shared: World) -> None:
     shared.called.clear()
     assert not shared.sees(shared.stranger, timeout_s=SHORT_S)
-    with (
-        shared.client(shared.stranger, timeout_s=SHORT_S) as client,
-        pytest.raises(ControlError, match="know this key"),
-    ):
-        client.call("set", value=1)
+    with shared.client(shared.stranger, timeout_s=SHORT_S) as client:
+        with pytest.raises(ControlError, match="know this key"):
+            client.call("set", value=1)
+        until(lambda: shared.refused("control_key"))
+    with closing(subscribe(shared.stream, keys=shared.keys(shared.stranger))):
+        until(lambda: shared.refused("stream_key"))
     assert not shared.called
-    until(lambda: shared.refused("stream_key") and shared.refused("control_key"))
     assert "not allowed" in shared.gate.status()["last_refused"]
 
 
 def test_no_key_gets_nowhere(shared: World) -> None:
     before = shared.refused("control_handshake")
     shared.called.clear()
-    with shared.client(None, timeout_s=SHORT_S) as client, pytest.raises(ControlError, match="needs keys"):
-        client.call("set", value=1)
+    with shared.client(None, timeout_s=SHORT_S) as client:
+        with pytest.raises(ControlError, match="needs keys"):
+            client.call("set", value=1)
+        until(lambda: shared.refused("control_handshake") > before)
     with closing(subscribe(shared.stream, timeout_s=SHORT_S)) as stream, pytest.raises(SilenceError):
         next(stream)
     assert not shared.called
-    until(lambda: shared.refused("control_handshake") > before)
 
 
 def test_a_password_gets_nowhere(shared: World) -> None:
@@ -203,6 +206,38 @@ def test_a_gate_that_dies_is_started_again_at_the_same_addresses(own: World, num
     assert (own.stream, own.control_at) == addresses
     assert own.sees(own.viewer)
     own.operate()
+
+
+def test_a_gate_that_hangs_is_replaced(own: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    own.lives()
+    with monkeypatch.context() as impatient:
+        impatient.setattr(remote, "_SILENCE_S", 5.0)
+        os.kill(own.gate.pid, signal.SIGSTOP)
+        until(lambda: own.gate.status()["restarts"])
+    assert own.sees(own.viewer)
+    own.operate()
+
+
+def test_a_gate_that_is_too_large_begins_anew(shared: World) -> None:
+    order = Order(
+        stream=["tcp://127.0.0.1:*"],
+        control=[],
+        source=shared.publisher.endpoints[0],
+        target=shared.control.endpoint,
+        roles={},
+        memory_mb=1,
+    )
+    with closing(RemoteGate(order, shared.store)) as gate:
+        until(lambda: gate.status()["cut"].get("stream_memory"))
+
+
+def test_keys_do_no_harm_on_the_way_that_needs_none(shared: World) -> None:
+    """A user whose environment names keys still speaks to the daemon of this machine."""
+    local = shared.control.endpoint, shared.publisher.endpoints[0]
+    with ControlClient(local[0], timeout_s=60, keys=shared.keys(shared.stranger)) as client:
+        assert client.call("status") == "done"
+    with closing(subscribe(local[1], timeout_s=60, keys=shared.keys(shared.stranger))) as stream:
+        assert next(stream).points.size
 
 
 def test_a_gate_without_its_daemon_ends(own: World) -> None:

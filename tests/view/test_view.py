@@ -155,7 +155,7 @@ def test_the_web_viewer_prints_one_line_with_its_address_and_serves_the_page() -
             assert address.startswith("http://127.0.0.1:") and "/?url=rerun%2Bhttp://127.0.0.1:" in address
             with urlopen(address.partition("?")[0], timeout=10) as page:
                 assert b"<html" in page.read().lower()
-            until(lambda: len(listening.addresses(viewer.pid)) >= 2, 30)
+            until(lambda: len(listening.addresses(viewer.pid)) >= 2, 60)
             assert {host for host, _ in listening.addresses(viewer.pid)} == {"127.0.0.1"}
             viewer.send_signal(signal.SIGINT)
             viewer.communicate(timeout=10)

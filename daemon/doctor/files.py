@@ -1,0 +1,53 @@
+"""Whether other users of this machine could read or change what belongs to the rig."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from daemon.doctor.finding import Area, Finding
+from daemon.doctor.subject import Subject
+from daemon.errors import DaemonError
+from daemon.security.store import KeyStore
+
+area = Area("files")
+
+
+def check(subject: Subject) -> Iterator[Finding]:
+    """The rig file, the calibration, the takes and the keys."""
+    config = subject.config
+    if config is None:
+        yield area.note("files", "no rig.yaml, so there are no files of a rig to look at")
+        return
+    named = {"rig file": subject.path, "takes": subject.base_dir / Path(config.recording.dir).expanduser()}
+    if config.calibration is not None:
+        named["calibration"] = subject.base_dir / Path(config.calibration).expanduser()
+    for what, path in named.items():
+        if path is not None and path.exists():
+            yield changeable(what, path)
+    if config.security.keys is not None:
+        yield keys(config.path(config.security.keys, subject.base_dir))
+
+
+def changeable(what: str, path: Path) -> Finding:
+    """A file or directory that only its owner and its group should change."""
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+        return area.warning(what, f"{path} can be changed by every user (mode {mode:04o})", f"chmod o-w {path}")
+    return area.ok(what, f"{path} cannot be changed by other users (mode {mode:04o})")
+
+
+def keys(directory: Path) -> Finding:
+    """The keys for other machines."""
+    store = KeyStore(directory)
+    if not store.readable():
+        return area.note("keys", f"{directory} can only be read by the service's user")
+    try:
+        store.server()
+        allowed = store.allowed()
+    except DaemonError as error:
+        return area.problem(
+            "keys", str(error), f"fringed keys server --dir {directory}; fringed keys list --dir {directory}"
+        )
+    return area.ok("keys", f"{directory}: {len(allowed.entries)} keys may connect from other machines")

@@ -1,0 +1,47 @@
+"""The doctor tells of files of a rig that others could change, and of keys that cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from daemon.config import parse_rig
+from daemon.doctor.files import check
+from daemon.doctor.machine import Machine
+from daemon.doctor.subject import Subject
+from daemon.security.store import KeyStore
+
+RIG = "cameras: {driver: sim}\nsecurity: {keys: keys}\n"
+
+
+@pytest.fixture
+def subject(tmp_path: Path) -> Subject:
+    KeyStore(tmp_path / "keys").make_server()
+    (tmp_path / "takes").mkdir(mode=0o755)
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG)
+    path.chmod(0o644)
+    return Subject(Machine(), path, parse_rig(RIG, base_dir=tmp_path))
+
+
+def found(subject: Subject) -> dict[str, str]:
+    return {finding.name: finding.level for finding in check(subject)}
+
+
+def test_a_rig_with_proper_files_is_well(subject: Subject) -> None:
+    assert found(subject) == {"rig file": "ok", "takes": "ok", "keys": "ok"}
+
+
+@pytest.mark.parametrize(("name", "path"), [("rig file", "rig.yaml"), ("takes", "takes")])
+def test_what_everybody_can_change_is_told(subject: Subject, name: str, path: str) -> None:
+    (subject.base_dir / path).chmod(0o777)
+    assert found(subject)[name] == "warning"
+
+
+def test_keys_that_others_can_read_or_change_are_a_problem(subject: Subject) -> None:
+    secret = subject.base_dir / "keys" / "server.key"
+    secret.chmod(0o644)
+    assert found(subject)["keys"] == "problem"
+    secret.chmod(0o600)
+    assert found(subject)["keys"] == "ok"
