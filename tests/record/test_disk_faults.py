@@ -38,7 +38,7 @@ def read(path: Path) -> list[int]:
 
 
 def written(recorder: TakeWriter, pairs: int) -> None:
-    wait_until(lambda: recorder.status()["pairs"] >= pairs, 30)
+    wait_until(lambda: recorder.status()["pairs"] >= pairs, 60)
 
 
 @pytest.mark.parametrize("mode", ["full", "io", "readonly", "gone"])
@@ -161,7 +161,7 @@ def test_after_a_power_cut_everything_up_to_the_last_sync_is_there(
     recorder = take(tmp_path / "take.mcap", max_part_bytes=40_000, sync=policy)
     for number in range(30):
         assert recorder.offer(pair(number))
-    written(recorder, 30)
+    written(recorder, 60)
     least = 29 if policy == "chunk" else 0
     wait_until(lambda: (recorder.status()["synced"]["up_to_sequence"] or 0) >= least)
     wait_until(lambda: recorder.status()["synced"]["up_to_sequence"] is not None)
@@ -221,11 +221,11 @@ def test_any_sequence_of_faults_leaves_a_readable_take_and_true_counts(tmp_path:
             recorder.offer(pair(int(offered)))
             slowest_s = max(slowest_s, time.monotonic() - began)
             offered += 1
-        wait_until(lambda: recorder.status()["queued"] == 0 or disk.mode != "ok", 30)
+        wait_until(lambda: recorder.status()["queued"] == 0 or disk.mode != "ok", 60)
         if mode == "hang":
             disk.heal()
     disk.heal()
-    wait_until(lambda: recorder.status()["queued"] == 0 and "problem" not in recorder.status(), 30)
+    wait_until(lambda: recorder.status()["queued"] == 0 and "problem" not in recorder.status(), 60)
     recorder.close()
     status = recorder.status()
     assert status["pairs"] + sum(status["dropped"].values()) == offered
