@@ -161,7 +161,7 @@ def test_after_a_power_cut_everything_up_to_the_last_sync_is_there(
     recorder = take(tmp_path / "take.mcap", max_part_bytes=40_000, sync=policy)
     for number in range(30):
         assert recorder.offer(pair(number))
-    written(recorder, 60)
+    written(recorder, 30)
     least = 29 if policy == "chunk" else 0
     wait_until(lambda: (recorder.status()["synced"]["up_to_sequence"] or 0) >= least)
     wait_until(lambda: recorder.status()["synced"]["up_to_sequence"] is not None)
