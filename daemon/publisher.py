@@ -78,7 +78,7 @@ class Publisher:
             config=config,
             t_ns=self._clock.realtime_ns(),
         )
-        self._retold = False
+        self._retell: set[str] = set()
         self._preview_ns = _period_ns(preview_hz)
         self._preview_due_ns = 0
         # Re-entrant: a signal handler that logs may interrupt the very thread that holds it.
@@ -133,9 +133,15 @@ class Publisher:
             t_ns=self._clock.realtime_ns(),
         )
 
+        # Only what is new: a burst of messages must fit into a subscriber's queue.
+        new = {topic for topic, frames in retained.items() if _differs(frames, self._retained[topic])}
+        if origin != self._origin:
+            new |= set(retained) - {"meta/schema"}
+
         def commit() -> None:
             with self._lock:
-                self._origin, self._retained, self._retold = origin, retained, True
+                self._origin, self._retained = origin, retained
+                self._retell |= new
                 self._preview_ns = _period_ns(config.stream.preview_hz)
                 self._wake()
 
@@ -240,15 +246,15 @@ class Publisher:
     def _send_waiting(self) -> None:
         with self._lock:
             cloud, self._cloud = self._cloud, None
-            retold, self._retold = self._retold, False
+            retell, self._retell = self._retell, set()
             status, self._status = self._status, None
             lines = list(self._lines)
             self._lines.clear()
         old = cloud is not None and cloud[1] is not self._origin
         if cloud is not None and old:
             self._send_cloud(*cloud)
-        if retold:
-            self._retell()
+        for topic in sorted(topic for topic in retell if self.wants(topic)):
+            self._send(topic, self._retained[topic])
         if cloud is not None and not old:
             self._send_cloud(*cloud)
         if status is not None:
@@ -257,12 +263,6 @@ class Publisher:
         for t_ns, level, logger, text in lines:
             self._line_count += 1
             self._send_if_wanted("log", lambda line=(t_ns, level, logger, text): self._line(*line))  # type: ignore[misc]
-
-    def _retell(self) -> None:
-        """Tell the changed ``meta/`` messages to everybody who wants them."""
-        for topic, frames in self._retained.items():
-            if self.wants(topic):
-                self._send(topic, frames)
 
     def _send_cloud(self, item: CloudItem, origin: Origin) -> None:
         out = False
@@ -298,6 +298,11 @@ class Publisher:
     def _send(self, topic: str, frames: Frames) -> None:
         self._socket.send_multipart(frames, zmq.NOBLOCK, copy=False)
         self._sent.add(topic)
+
+
+def _differs(a: Frames, b: Frames) -> bool:
+    """Whether two messages carry other data, whatever their headers say."""
+    return [bytes(part) for part in a[2:]] != [bytes(part) for part in b[2:]]
 
 
 def _period_ns(preview_hz: float) -> int | None:

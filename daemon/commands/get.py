@@ -32,7 +32,7 @@ def main(
 
 def explained(row: dict[str, Any]) -> str:
     """One setting in a few lines."""
-    when = "can be set live" if row["live"] else "needs a restart"
+    when = {"live": "can be set live", "live by a reload": "is taken over by a reload"}.get(_when(row), _when(row))
     lines = [f"{row['path']} = {shown(row['value'])} {row.get('unit', '')}".rstrip(), f"  {row['doc']}"]
     lines.append(f"  {row['type']}{f', {bounds(row)}' if bounds(row) else ''}; {when}")
     if "default" in row and row["default"] != row["value"]:
@@ -48,12 +48,18 @@ def listed(rows: list[dict[str, Any]]) -> str:
         if row["path"].partition(".")[0] != section:
             section = row["path"].partition(".")[0]
             lines.append("")
-        notes = [text for text in (bounds(row), "live" if row["live"] else "needs a restart") if text]
+        notes = [text for text in (bounds(row), _when(row)) if text]
         lines.append(
             f"{row['path']} = {shown(row['value'])} {row.get('unit', '')}".rstrip() + f"  ({', '.join(notes)})"
         )
         lines.append(f"    {row['doc']}")
     return "\n".join(lines)
+
+
+def _when(row: dict[str, Any]) -> str:
+    if not row["live"]:
+        return "needs a restart"
+    return "live by a reload" if row.get("by_file") else "live"
 
 
 def shown(value: Any) -> str:

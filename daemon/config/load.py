@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
@@ -37,7 +38,20 @@ def load_rig(path: Path, *, complete: bool = True) -> RigConfig:
         text = path.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError([f"{path}: not UTF-8 text (byte {error.start})"]) from error
-    return parse_rig(text, name=str(path), base_dir=path.parent, complete=complete)
+    return _in_state_directory(parse_rig(text, name=str(path), base_dir=path.parent, complete=complete))
+
+
+def _in_state_directory(config: RigConfig) -> RigConfig:
+    """As a service may not write beside rig.yaml, what it writes goes below systemd's STATE_DIRECTORY there."""
+    state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if not state:
+        return config
+    sections = {name: getattr(config, name) for name in ("recording", "selfcheck")}
+    placed = {
+        name: section.model_copy(update={"dir": str(Path(state) / Path(section.dir).expanduser())})
+        for name, section in sections.items()
+    }
+    return config.model_copy(update=placed)
 
 
 def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None, complete: bool = True) -> RigConfig:

@@ -62,17 +62,6 @@ def gather(rig: Path | None) -> dict[Path, bytes]:
     return found
 
 
-def advice(rig: Path | None) -> list[str]:
-    """What works, but not as a service should have it."""
-    if rig is None:
-        return []
-    config, said = load_rig(rig), []
-    for key, value in (("recording.dir", config.recording.dir), ("selfcheck.dir", config.selfcheck.dir)):
-        if not Path(value).is_absolute():
-            said.append(f"{key} is {value!r}: the service may only write below {STATE}; set {STATE / value}")
-    return said
-
-
 def put(target: Target, files: dict[Path, bytes]) -> list[str]:
     """Write what is not there; what is there and differs gets the new one beside it as ``*.new``."""
     said = []

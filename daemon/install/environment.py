@@ -20,6 +20,7 @@ from daemon.install.target import Target, reachable
 OWN = "fringed", "pipeline", "drivers", "sim", "daemon"
 _CHECKOUT = Path(__file__).resolve().parents[2]
 _TIMEOUT_S = 3600
+_MARK = "made-from"  # in an environment that is whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +51,12 @@ class Source:
 def make(target: Target, source: Source) -> bool:
     """Make the environment unless it is there already; returns whether it was made."""
     link, wanted = target.path(target.prefix / "env"), fingerprint(source)
-    if link.is_symlink() and _read(link / "made-from") == wanted:
+    if link.is_symlink() and _read(link / _MARK) == wanted:
         return False
     fresh = target.path(target.prefix / f"env-{secrets.token_hex(4)}")
     try:
         _fill(fresh, source)
-        (fresh / "made-from").write_text(wanted, encoding="utf-8")
+        (fresh / _MARK).write_text(wanted, encoding="utf-8")
         for path in (fresh, *fresh.rglob("*")):
             if not path.is_symlink():
                 path.chmod((path.stat().st_mode | 0o444 | (0o111 if path.is_dir() else 0)) & ~0o7022)
@@ -69,16 +70,20 @@ def make(target: Target, source: Source) -> bool:
 
 
 def remove_old(target: Target) -> None:
-    """Remove environments that are not in use any more."""
+    """Remove environments but this one and the one before, with which a daemon may still be running."""
     link = target.path(target.prefix / "env")
-    for place in link.parent.glob("env-*"):
-        if place.is_dir() and place.name != link.readlink().name:
+    others = [place for place in link.parent.glob("env-*") if place.is_dir() and place.name != link.readlink().name]
+    whole = [place for place in others if (place / _MARK).is_file()]
+    before = max(whole, key=lambda place: (place / _MARK).stat().st_mtime_ns, default=None)
+    for place in others:
+        if place != before:
             shutil.rmtree(place, ignore_errors=True)
 
 
 def fingerprint(source: Source) -> str:
     """Tells one environment from another: Python, where the packages come from, and every file of ours."""
     digest = hashlib.sha256(json.dumps([str(source.python), str(source.wheelhouse), source.shared]).encode())
+    digest.update(shipped("constraints.txt").read_bytes())
     for package in OWN:
         for path in sorted((_CHECKOUT / package).rglob("*")):
             if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc"):

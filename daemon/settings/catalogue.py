@@ -10,7 +10,7 @@ from typing import Any
 
 from daemon.config.models import RigConfig
 from daemon.settings.leaves import PIPELINE, leaves
-from daemon.settings.live import is_live
+from daemon.settings.live import BY_FILE, is_live
 from pipeline import settings as pipeline_settings
 from pipeline.settings import LIMITS, Settings
 
@@ -55,11 +55,14 @@ _UNITS = dict.fromkeys(("window_radius", "window_sigma", "lattice_x", "lattice_y
 def catalogue(config: RigConfig, settings: Settings, below: str = "") -> list[dict[str, Any]]:
     """A row for every setting at or below a path, in the order of rig.yaml.
 
-    Keys: ``path``, ``value``, ``type``, ``live``, ``doc`` and, where there are any, ``unit``, ``default``, ``min``,
-    ``max``, ``above``, ``below`` (bounds that are not allowed themselves), ``choices``, ``pattern``.
+    Keys: ``path``, ``value``, ``type``, ``live``, ``doc`` and, where there are any, ``by_file`` (live by reload only),
+    ``unit``, ``default``, ``min``, ``max``, ``above``, ``below`` (bounds that are not allowed themselves), ``choices``,
+    ``pattern``.
     """
     return [
-        {"path": path, "value": value, "live": is_live(path)} | _known(path)
+        {"path": path, "value": value, "live": is_live(path)}
+        | ({"by_file": True} if path in BY_FILE else {})
+        | _known(path)
         for path, value in leaves(config, settings).items()
         if not below or path == below or path.startswith(below + ".")
     ]

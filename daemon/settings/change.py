@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from daemon.errors import ConfigError, DaemonError
 from daemon.service import Service
 from daemon.settings.files import changed_files, check_fit, needs_restart, read_again
 from daemon.settings.leaves import differences, leaves, settings_of, with_value
-from daemon.settings.live import FILES, is_live
+from daemon.settings.live import BY_FILE, FILES, is_live
 from daemon.sinks import Changeable
 
 
@@ -63,11 +64,13 @@ class Changer:
                     path,
                     f"{path} cannot be set live; change it in rig.yaml and restart the daemon. Nothing was changed",
                 )
+            if path in BY_FILE or (path in FILES and isinstance(value, str)):
+                raise SettingError(path, f"{path} names a place on the disk; change it in rig.yaml and reload")
             try:
                 config = with_value(service.config, service.settings, path, value, self._base_dir)
             except (ConfigError, ValueError, TypeError, RecursionError) as error:
                 raise SettingError(path, str(error)) from error
-            self._take_over(config, files=path in FILES)
+            self._take_over(config, files=[path])
             return leaves(service.config, service.settings)[path]
 
     def take_over(self, config: RigConfig) -> list[str]:
@@ -77,12 +80,12 @@ class Changer:
             NeedsRestartError: where anything of it needs a restart; DaemonError, PipelineError, OSError: refused.
         """
         with self._lock:
-            return self._take_over(config, files=True)
+            return self._take_over(config, files=FILES)
 
-    def _take_over(self, config: RigConfig, *, files: bool) -> list[str]:
+    def _take_over(self, config: RigConfig, *, files: Collection[str]) -> list[str]:
         service = self._service
         settings = settings_of(config)
-        rig = read_again(service.rig, config, self._base_dir) if files else service.rig
+        rig = read_again(service.rig, config, self._base_dir, names=files)
         paths = differences((service.config, service.settings), (config, settings))
         changed = list(dict.fromkeys((*paths, *changed_files(service.rig, rig))))
         lost = [p for p in FILES if getattr(config, p) is None and getattr(service.config, p) is not None]

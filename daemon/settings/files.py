@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from daemon.config.models import RigConfig
 from daemon.errors import DaemonError
 from daemon.pattern_file import read_pattern, read_volume
 from daemon.rig import Rig
+from daemon.settings.live import FILES
 from daemon.status import CameraStatus
 from daemon.suitability import size_problem
 from drivers.protocols import SIDES, Side
@@ -20,21 +22,28 @@ from pipeline.cloud import Volume
 from pipeline.pattern import from_mapping as pattern_from_mapping
 
 
-def read_again(rig: Rig, config: RigConfig, base_dir: Path) -> Rig:
+def read_again(rig: Rig, config: RigConfig, base_dir: Path, *, names: Collection[str] = FILES) -> Rig:
     """The same devices with calibration, pattern and volume as the files say now; what no file says stays.
+
+    Args:
+        names: those that are read.
 
     Raises:
         PipelineError: a file that cannot be used. OSError: one that cannot be read.
     """
     changes: dict[str, object] = {}
-    if config.calibration is not None:
+    if config.calibration is not None and "calibration" in names:
         read = read_calibration(config.path(config.calibration, base_dir))
         changes |= {"calibration": read.calibration, "calibration_data": read.data, "identity": read.identity}
-    if isinstance(config.pattern, str):
+    if "pattern" not in names:
+        pass
+    elif isinstance(config.pattern, str):
         changes["pattern"] = read_pattern(config.path(config.pattern, base_dir))
     elif config.pattern is not None:
         changes["pattern"] = pattern_from_mapping(config.pattern)
-    if isinstance(config.volume, str):
+    if "volume" not in names:
+        pass
+    elif isinstance(config.volume, str):
         changes["volume"] = read_volume(config.path(config.volume, base_dir))
     elif config.volume is not None:
         changes["volume"] = Volume(config.volume.near_mm, config.volume.far_mm)

@@ -21,6 +21,10 @@ FILES = ("calibration", "pattern", "volume")
 """Settings that name a file, whose content counts like a setting."""
 
 
+BY_FILE = ("calibration", "recording.dir")
+"""Places on the disk are the business of whoever writes rig.yaml: they change live by a reload, not by `set`."""
+
+
 def is_live(path: str) -> bool:
     """Whether a setting can change while the daemon measures."""
     return any(

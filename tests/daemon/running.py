@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -71,11 +73,14 @@ class Running:
         return self.methods[method](params)
 
     def clouds(self, count: int) -> None:
-        """So many pairs, each of which becomes a cloud."""
-        for _ in range(count):
+        """At least so many clouds more; on a busy machine a frame may miss its partner, so triggers go on."""
+        wanted, end = self.service.worker.clouds + count, time.monotonic() + 90
+        while self.service.worker.clouds < wanted:
+            assert time.monotonic() < end, "no clouds come"
             before = self.service.worker.clouds
             step(self.devices)
-            wait_until(lambda before=before: self.service.worker.clouds > before)  # type: ignore[misc]
+            with suppress(AssertionError):
+                wait_until(lambda before=before: self.service.worker.clouds > before, 2)  # type: ignore[misc]
 
     def as_it_is(self) -> tuple[object, ...]:
         service = self.service
@@ -92,6 +97,6 @@ def warmed(path: Path) -> Running:
     made = Running(path)
     for _ in range(4):  # the first ones wait until the cameras' counts are believed
         step(made.devices)
-    wait_until(lambda: made.service.worker.clouds >= 1)
-    wait_until(lambda: made.service.desk.pairs == 4 and not made.service.worker._box)
+    made.clouds(1)
+    wait_until(lambda: not made.service.worker._box)
     return made

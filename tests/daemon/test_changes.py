@@ -18,6 +18,7 @@ from daemon.control.methods import Methods
 from daemon.control.protocol import FAILED, INVALID_PARAMS, RpcError
 from daemon.errors import DaemonError
 from daemon.service import Service
+from daemon.settings.live import LIVE
 from daemon.status import State
 from pipeline import pattern
 from pipeline.pattern import ColorFringe
@@ -87,6 +88,9 @@ def test_a_live_setting_is_taken_over_and_read_back(
         ("pairing.tolerance_us", True),
         ("stream.preview_hz", 1e400),
         ("volume", {"near_mm": 5, "far_mm": 4}),
+        ("recording.dir", "/etc"),
+        ("calibration", "other.yaml"),
+        ("volume", "/etc/passwd"),
         ("device.name", "x"),
         ("control.endpoint", "ipc:///tmp/x"),
         ("cameras.left.exposure_us", 5),
@@ -154,6 +158,13 @@ def test_another_calibration_is_taken_over_between_two_pairs(running: Running) -
     running.clouds(2)
 
 
+def test_a_set_does_not_read_other_files_again(running: Running) -> None:
+    old = running.service.rig.identity
+    (running.path / "calibration.yaml").write_text("no calibration")
+    running.call("set", path="volume", value={"near_mm": 1000, "far_mm": 1400})
+    assert running.service.rig.identity == old and running.service.rig.volume.near_mm == 1000
+
+
 def test_a_calibration_that_cannot_be_used_changes_nothing(running: Running) -> None:
     (running.path / "calibration.yaml").write_text("fringed_calibration: 1\n")
     assert "calibration.yaml" in refused(running, "reload").message
@@ -166,6 +177,12 @@ def test_a_calibration_of_other_cameras_changes_nothing(running: Running) -> Non
     data["cameras"]["left"]["size"] = [64, 48]
     running.write_calibration(data)
     assert "64 x 48" in refused(running, "reload").message
+
+
+def test_takes_go_to_another_directory_after_a_reload(running: Running) -> None:
+    running.write("recording: {dir: elsewhere}\n")
+    assert running.call("reload")["changed"] == ["recording.dir"]
+    assert "elsewhere" in running.call("snapshot")["file"]
 
 
 def test_another_projected_picture_needs_a_restart(running: Running) -> None:
@@ -216,6 +233,12 @@ def test_every_setting_is_listed_with_its_meaning(running: Running) -> None:
     assert [row["path"] for row in running.call("get", path="device", detail=True)["settings"]] == ["device.name"]
 
 
+def test_what_is_called_live_is_there(running: Running) -> None:
+    paths = [row["path"] for row in running.call("get")["settings"]]
+    for entry in LIVE:
+        assert any(f"{path}.".startswith(entry.removesuffix("*").rstrip(".") + ".") for path in paths), entry
+
+
 def test_a_section_is_told_as_it_stands_in_the_file(running: Running) -> None:
     assert running.call("get", path="pairing") == {"tolerance_us": 2000.0, "max_wait_ms": 500.0, "resync_after": 3}
     assert running.call("get", path="selfcheck")["limits"]["column_px"] == 0.04
@@ -259,7 +282,7 @@ def test_a_change_that_waits_when_the_daemon_stops_fails_at_once(tmp_path: Path)
     waiting.start()
     wait_until(lambda: len(running.service.worker._changes) == 1)
     running.service.ask_stop()
-    waiting.join(15)  # a change has 20 s
+    waiting.join(60)  # one that nobody takes over has other words after 20 s
     assert failures == ["the daemon is stopping; nothing was changed"]
     go.set()
     holding.join(30)

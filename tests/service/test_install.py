@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import parse_rig
+from daemon.config import load_rig, parse_rig
 from daemon.errors import ConfigError
-from daemon.install import config_files, layout, work
+from daemon.install import config_files, environment, layout, work
 from daemon.install.environment import Source, default_python, fingerprint
 from daemon.install.errors import InstallError
 from daemon.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, Place
@@ -132,9 +132,17 @@ def test_a_rig_comes_with_the_files_that_it_names(bare: Path, tmp_path: Path) ->
     (tmp_path / "volume.json").write_text('{"near_mm": 300.0, "far_mm": 900.0}')
     rig = tmp_path / "rig.yaml"
     rig.write_text("cameras: {driver: sim}\nvolume: volume.json\n")
-    said = install(bare, rig=rig)
+    install(bare, rig=rig)
     assert (bare / "etc/fringed/volume.json").read_bytes() == (tmp_path / "volume.json").read_bytes()
-    assert any("recording.dir is 'takes'" in text for text in said)
+
+
+def test_a_service_writes_below_its_state_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("cameras: {driver: sim}\nrecording: {dir: takes}\nselfcheck: {dir: /srv/check}\n")
+    assert load_rig(rig).recording.dir == "takes"
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/fringed")
+    config = load_rig(rig)
+    assert (config.recording.dir, config.selfcheck.dir) == ("/var/lib/fringed/takes", "/srv/check")
 
 
 def test_a_rig_with_a_projector_at_an_output_gets_the_x_server(bare: Path, tmp_path: Path) -> None:
@@ -211,9 +219,15 @@ def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
 
 def test_purge_takes_all(bare: Path) -> None:
     install(bare)
+    drop_in = bare / "etc/systemd/system/fringed.service.d/override.conf"
+    drop_in.parent.mkdir()
+    drop_in.touch()
     work.uninstall(Target(bare), lambda _: None, purge=True)
     for gone in ("var/lib/fringed", "etc/fringed", "var/log/fringed", "opt/fringed"):
         assert not (bare / gone).exists()
+    assert not drop_in.parent.exists()
+    if os.geteuid() == 0:
+        assert "fringed" not in (bare / "etc/passwd").read_text()
 
 
 def test_somebody_elses_command_is_left_alone(bare: Path) -> None:
@@ -235,6 +249,20 @@ def test_an_interpreter_that_the_service_cannot_reach_is_refused(tmp_path: Path)
     assert reachable(python) is not None
     with pytest.raises(InstallError, match=r"may not enter .*; name an interpreter"):
         Source(python).check(Target())
+
+
+def test_the_environment_before_stays_for_a_daemon_that_runs_with_it(tmp_path: Path) -> None:
+    target = Target(tmp_path, Path("/opt/fringed"))
+    prefix = target.path(PREFIX)
+    for number, name in enumerate(("env-a", "env-b", "env-c", "env-broken")):
+        (prefix / name).mkdir(parents=True)
+        if name != "env-broken":
+            mark = prefix / name / "made-from"
+            mark.touch()
+            os.utime(mark, (number, number))
+    (prefix / "env").symlink_to("env-c")
+    environment.remove_old(target)
+    assert {path.name for path in prefix.iterdir()} == {"env", "env-b", "env-c"}
 
 
 def test_the_environment_is_known_by_what_it_is_made_from() -> None:

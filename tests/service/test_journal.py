@@ -125,7 +125,7 @@ def test_a_journal_that_does_not_read_loses_lines_and_holds_nobody_up(journal: J
     assert journal.read()["MESSAGE"] == "x"
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=50)
 @given(st.dictionaries(st.text("ABCDEFG_", min_size=1, max_size=20), st.text(), max_size=5))
 def test_what_is_encoded_is_read_as_it_was(fields: dict[str, str]) -> None:
     expected = {name: value.encode("utf-8", "replace").decode() for name, value in fields.items()}

@@ -75,7 +75,7 @@ def test_a_manager_that_is_gone_or_does_not_read_makes_nobody_wait(tmp_path: Pat
     full.close()
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=50)
 @given(st.text())
 def test_no_status_can_smuggle_in_another_message(text: str) -> None:
     manager = Manager.abstract()

@@ -46,11 +46,12 @@ def started(rig_file: Path, manager: Manager) -> Iterator[subprocess.Popen[str]]
         process.wait()
 
 
+@pytest.mark.timeout(400)
 def test_a_life_from_the_first_cloud_over_reloads_to_an_orderly_end(
     started: subprocess.Popen[str], rig_file: Path, manager: Manager
 ) -> None:
     log = rig_file.parent / "log"
-    manager.wait_for("READY", timeout_s=100)
+    manager.wait_for("READY", timeout_s=200)
     assert "60000000" in manager.values("EXTEND_TIMEOUT_USEC")
     manager.wait_for("WATCHDOG")
     assert "points" in manager.wait_for("STATUS", "clouds/s of")
@@ -75,6 +76,7 @@ def wait_more(manager: Manager, key: str, count: int) -> None:
     wait_until(lambda: len(manager.values(key)) > count, 60)
 
 
+@pytest.mark.timeout(200)
 @pytest.mark.parametrize(("supervised", "status"), [(True, 78), (False, 1)])
 def test_a_wrong_rig_file_has_an_exit_status_of_its_own_for_a_manager(
     tmp_path: Path, manager: Manager, supervised: bool, status: int
