@@ -12,6 +12,8 @@ import typer
 if TYPE_CHECKING:
     from daemon.recording.catalog import Listing, TakeEntry
 
+_LONG_BYTES = 100_000_000  # from here on reading takes long enough to tell how far it is
+
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 DirOption = Annotated[Path | None, typer.Option("--dir", help="Directory of the takes.")]
@@ -91,7 +93,8 @@ def repair(context: typer.Context, name: Name, directory: DirOption = None, rig:
     where, listing = _scanned(context, directory, rig)
     for file in listing.find(name).files:
         with rendering(f"Reading {file}") as progress:
-            done = repairing.repair(where / file, progress)
+            long = (where / file).stat().st_size > _LONG_BYTES
+            done = repairing.repair(where / file, progress if long else None)
         if done is None:
             typer.echo(f"{where / file}: whole")
         else:

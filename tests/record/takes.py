@@ -57,7 +57,7 @@ def write(path: Path, items: list[Any], **options: Any) -> dict[str, Any]:
     return recorder.status()
 
 
-def wait_until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
     """Return as soon as the condition holds; fail when it does not in time."""
     end = time.monotonic() + timeout_s
     while not condition():

@@ -38,7 +38,7 @@ def read(path: Path) -> list[int]:
 
 
 def written(recorder: TakeWriter, pairs: int) -> None:
-    wait_until(lambda: recorder.status()["pairs"] >= pairs, 30)
+    wait_until(lambda: recorder.status()["pairs"] >= pairs, 60)
 
 
 @pytest.mark.parametrize("mode", ["full", "io", "readonly", "gone"])
@@ -221,11 +221,11 @@ def test_any_sequence_of_faults_leaves_a_readable_take_and_true_counts(tmp_path:
             recorder.offer(pair(int(offered)))
             slowest_s = max(slowest_s, time.monotonic() - began)
             offered += 1
-        wait_until(lambda: recorder.status()["queued"] == 0 or disk.mode != "ok", 30)
+        wait_until(lambda: recorder.status()["queued"] == 0 or disk.mode != "ok", 60)
         if mode == "hang":
             disk.heal()
     disk.heal()
-    wait_until(lambda: recorder.status()["queued"] == 0 and "problem" not in recorder.status(), 30)
+    wait_until(lambda: recorder.status()["queued"] == 0 and "problem" not in recorder.status(), 60)
     recorder.close()
     status = recorder.status()
     assert status["pairs"] + sum(status["dropped"].values()) == offered

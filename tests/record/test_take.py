@@ -264,7 +264,7 @@ class SlowPart(PartWriter):
     go = threading.Event()
 
     def write(self, *frames: Any) -> None:
-        assert self.go.wait(20)
+        assert self.go.wait(60)
         super().write(*frames)
 
 
