@@ -28,6 +28,8 @@ def compile_elsewhere() -> str:
 def main() -> None:
     """Compile what measuring and rendering need."""
     from pipeline.drift.observe import rehearse
+    from pipeline.modes.reconstruct import SetReconstructor
+    from pipeline.modes.sequences import MODES, mode_sequence
     from pipeline.reconstruct import Reconstructor
     from sim.optics import Optics
     from sim.render import render_pair
@@ -41,6 +43,9 @@ def main() -> None:
         made.warm_up(every=(1, 2), follow=True)
         pair = render_pair(layout, build("moving"), pattern, optics, encoding=encoding)
         made.reconstruct(pair.left, pair.right)
+    for mode in MODES:
+        sequence = mode_sequence(mode, pattern.size, periods=pattern.periods)
+        SetReconstructor(layout.calibration_for(optics), sequence, layout.volume()).warm_up()
     rehearse()
 
 
