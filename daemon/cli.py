@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "snapshot": ("daemon.commands.switches:snapshot", "Write the newest cloud of a running daemon to a file."),
     "pattern": ("daemon.commands.switches:pattern", "Show the fringe or a plain picture on the projector."),
     "record": ("daemon.commands.record", "Record raw pictures: start, stop, or directly from the rig."),
+    "takes": ("daemon.commands.takes", "List, show, check, repair and remove takes."),
     "replay": ("daemon.commands.replay", "Reconstruct a recorded take."),
     "info": ("daemon.commands.info", "Tell what a take holds and whether it is whole."),
     "check": ("daemon.commands.check", "Check a rig.yaml, a calibration or a take."),

@@ -58,8 +58,15 @@ def open_take(
         rig_data=rig_file.read_bytes(),
         queue=recording.queue,
         max_part_bytes=recording.max_part_mb * MEGABYTE,
+        max_part_s=recording.max_part_s,
         min_free_bytes=recording.min_free_mb * MEGABYTE,
         extra_metadata=None if shown is None else shown.metadata,
+        retry_s=recording.retry_s,
+        sync=recording.sync,
+        endless=recording.endless,
+        keep_bytes=recording.keep_mb * MEGABYTE,
+        keep_s=recording.keep_s,
+        tolerance_ns=round(1000 * config.pairing.tolerance_us),
     )
 
 

@@ -10,6 +10,9 @@ doubt, frames that agree wait in the room until the shift is confirmed, then all
 costs a little delay, never a wrong pair. A frame that contradicts its own camera's last frames (the same number at
 another time, or the same time under another number) is in no pair either. ``tolerance_ns`` must be below half the
 trigger interval.
+
+Whatever leaves carries the common number, pairs and lost frames alike; when both cameras begin to count anew, it goes
+on behind the numbers that were given (:mod:`daemon.numbering`).
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import islice
 
+from daemon.numbering import Numbering
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
 
 _HALF = TRIGGER_MODULUS // 2
@@ -40,6 +44,10 @@ class Fate(StrEnum):
     BEFORE_SYNC = "before_sync"
     ROOM_FULL = "room_full"
     STOPPED = "stopped"
+
+
+RECORDED_ALONE = frozenset({Fate.PARTNER_MISSING, Fate.LATE, Fate.ROOM_FULL, Fate.BEFORE_SYNC})
+"""Fates of frames whose partner is missing; only a recording wants them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +85,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lost:
-    """A frame that will never be in a pair, and why."""
+    """A frame that will never be in a pair, and why; it carries its number on the common count."""
 
     frame: Frame
     fate: Fate
@@ -103,6 +111,11 @@ class _Waiting:
     agreed: bool = False
     ambiguous: bool = False
 
+    @property
+    def numbered(self) -> Frame:
+        """The frame with its number on the common count."""
+        return self.frame if self.frame.trigger == self.number else replace(self.frame, trigger=self.number)
+
 
 @dataclass(slots=True, eq=False)
 class _Camera:
@@ -113,6 +126,12 @@ class _Camera:
     seen: deque[tuple[int, int]] = field(default_factory=deque)
     lapsed: deque[tuple[int, int]] = field(default_factory=deque)
     last_paired: int | None = None
+
+    def move(self, by: int) -> None:
+        """Count differently from here on, those who wait included."""
+        self.shift = (self.shift + by) % TRIGGER_MODULUS
+        for guest in self.waiting:
+            guest.number = (guest.number + by) % TRIGGER_MODULUS
 
 
 class Pairer:
@@ -130,6 +149,7 @@ class Pairer:
             side: _Camera(seen=deque(maxlen=self.settings.history), lapsed=deque(maxlen=self.settings.history))
             for side in SIDES
         }
+        self._numbering = Numbering()
         self._now_ns = 0
         self._synced = False
         self._confirmed = False
@@ -151,17 +171,17 @@ class Pairer:
         self.fed[frame.side] += 1
         events = self.tick(frame.t_host_ns if now_ns is None else now_ns)
         refused = self._refusal(frame)
-        if refused is not None:
-            return [*events, self._lost(frame, refused)]
         mine = self._cameras[frame.side]
         guest = _Waiting(frame, (frame.trigger + mine.shift) % TRIGGER_MODULUS, self._now_ns)
+        if refused is not None:
+            return [*events, self._lost(guest, refused)]
         self._doubt(mine, guest)
         mine.seen.append((frame.trigger, frame.t_exposure_ns))
         partner = self._partner(guest)
         if partner is not None and self._confirmed:
             return [*events, self._pair(guest, partner)]
         if self._came_late(guest):
-            return [*events, self._lost(frame, Fate.LATE)]
+            return [*events, self._lost(guest, Fate.LATE)]
         mine.waiting.append(guest)
         events += self._compare(guest)
         if len(mine.waiting) > self.settings.room:
@@ -190,7 +210,7 @@ class Pairer:
         everyone = [guest for camera in self._cameras.values() for guest in camera.waiting]
         for camera in self._cameras.values():
             camera.waiting.clear()
-        return [self._lost(guest.frame, Fate.STOPPED) for guest in everyone]
+        return [self._lost(guest, Fate.STOPPED) for guest in everyone]
 
     def _refusal(self, frame: Frame) -> Fate | None:
         if frame.t_host_ns - frame.t_exposure_ns > self.settings.stale_ns:
@@ -229,14 +249,27 @@ class Pairer:
     def _pair(self, guest: _Waiting, partner: _Waiting) -> Pair:
         self._opposite(guest.frame.side).waiting.remove(partner)
         self._synced, self._sightings = True, 0
+        self._count_on(guest, partner)
+        self._numbering.gave(guest.number, guest.frame.t_exposure_ns, paired=True)
         frames: dict[Side, Frame] = {}
         for member in (guest, partner):
             side = member.frame.side
             self.fates[side][Fate.PAIRED] += 1
             self._cameras[side].last_paired = member.number
-            same = member.frame.trigger == member.number
-            frames[side] = member.frame if same else replace(member.frame, trigger=member.number)
+            frames[side] = member.numbered
         return Pair(frames["left"], frames["right"])
+
+    def _count_on(self, guest: _Waiting, partner: _Waiting) -> None:
+        """If both cameras began to count anew: move the numbers of everyone behind those that were given."""
+        waiting = [other.number for camera in self._cameras.values() for other in camera.waiting]
+        move = self._numbering.move(guest.number, guest.frame.t_exposure_ns, waiting)
+        if not move:
+            return
+        for camera in self._cameras.values():
+            camera.move(move)
+            camera.lapsed.clear()
+        for member in (guest, partner):
+            member.number = (member.number + move) % TRIGGER_MODULUS
 
     def _compare(self, guest: _Waiting) -> list[Event]:
         """Note what speaks for and against a pair with those who wait; enough equal sightings settle the shift."""
@@ -271,9 +304,7 @@ class Pairer:
         jumped: Side = "left" if self._went_back("left", left) and not self._went_back("right", right) else "right"
         camera = self._cameras[jumped]
         move = shift if jumped == "left" else -shift
-        camera.shift = (camera.shift + move) % TRIGGER_MODULUS
-        for guest in camera.waiting:
-            guest.number = (guest.number + move) % TRIGGER_MODULUS
+        camera.move(move)
         camera.lapsed.clear()
         self._sightings = self._sighted_shift = 0
         return [Resynced(self.shift)]
@@ -300,8 +331,10 @@ class Pairer:
             fate = Fate.TIMESTAMP_MISMATCH
         else:
             fate = otherwise if self._synced else Fate.BEFORE_SYNC
-        return self._lost(guest.frame, fate)
+        return self._lost(guest, fate)
 
-    def _lost(self, frame: Frame, fate: Fate) -> Lost:
-        self.fates[frame.side][fate] += 1
-        return Lost(frame, fate)
+    def _lost(self, guest: _Waiting, fate: Fate) -> Lost:
+        self.fates[guest.frame.side][fate] += 1
+        if fate in RECORDED_ALONE:
+            self._numbering.gave(guest.number, guest.frame.t_exposure_ns, paired=False)
+        return Lost(guest.numbered, fate)

@@ -8,12 +8,10 @@ from collections.abc import Callable
 
 from daemon.config.models import Pairing
 from daemon.counters import Rate
-from daemon.pairing import Event, Fate, Lost, Pair, Pairer, PairingSettings, Resynced
+from daemon.pairing import RECORDED_ALONE, Event, Lost, Pair, Pairer, PairingSettings, Resynced
 from drivers.protocols import Clock, Frame, Side
 
 log = logging.getLogger("fringed.pairing")
-
-RECORDED_ALONE = frozenset({Fate.PARTNER_MISSING, Fate.LATE, Fate.ROOM_FULL, Fate.BEFORE_SYNC})
 
 
 def pairing_settings(config: Pairing) -> PairingSettings:

@@ -1,22 +1,36 @@
-"""The recording switch of a running daemon: one take at a time, a sink like any other while it runs."""
+"""The recording switch of a running daemon: a sink that keeps the last seconds and passes on to one take at a time."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+from daemon.config.models import RigConfig
 from daemon.errors import DaemonError
+from daemon.recording.before import MEGABYTE, Before
+from daemon.recording.catalog import scan
+from daemon.recording.inbox import Picture
+from daemon.rig import Rig
 from daemon.service import Service
-from daemon.sinks import Sink
+from daemon.sinks import CloudItem, Item, Sink
 
 SINK = "recorder"
+MOST_TAKES, MOST_GARBAGE = 1000, 100
+"""So many takes, the newest, and so many other files are told over the control socket."""
+
+
+class Take(Sink, Protocol):
+    """A take that is being written."""
+
+    def take_over(self, items: Iterable[Picture]) -> None:
+        """Write these first."""
 
 
 class Recorder:
-    """Starts and stops takes.
+    """Starts and stops takes; a sink of the service from the beginning.
 
     Args:
         service: whose pairs are recorded.
@@ -25,42 +39,126 @@ class Recorder:
     """
 
     def __init__(
-        self, service: Service, directory: Path | Callable[[], Path], open_take: Callable[[Path], Sink]
+        self, service: Service, directory: Path | Callable[[], Path], open_take: Callable[[Path], Any]
     ) -> None:
         self._service, self._directory, self._open_take = service, directory, open_take
-        self._lock = threading.Lock()
+        self._switch = threading.Lock()  # held while a take begins or ends, which may take long
+        self._hand = threading.Lock()  # held for moments: who takes an item, ring or take
         self._path: Path | None = None
+        self._take: Take | None = None
+        self._before = Before(self._limits, service.clock.monotonic_ns)
+        service.add_sink(SINK, self)
+
+    @property
+    def directory(self) -> Path:
+        """Of the takes, as it is now."""
+        return self._directory if isinstance(self._directory, Path) else self._directory()
 
     @property
     def recording(self) -> bool:
-        """Whether a take is being written."""
+        """Whether a take is open."""
         return self._path is not None
 
-    def start(self, name: str) -> dict[str, Any]:
-        """Begin a take; its file is told.
+    def start(self, name: str, before_s: float = 0.0) -> dict[str, Any]:
+        """Begin a take; its file is told, and the seconds before that it begins with.
+
+        Args:
+            before_s: begin so long before now, as far as ``recording.before_s`` kept it.
 
         Raises:
-            DaemonError: when one is being written already; OSError: when the directory cannot be written.
+            DaemonError: when one is being written already, the directory cannot be written, or nothing was kept.
         """
-        with self._lock:
+        kept_s = self._limits()[0]
+        if before_s > kept_s:
+            raise DaemonError(
+                f"a take cannot begin {before_s:g} s ago: the daemon keeps {kept_s:g} s; raise recording.before_s"
+            )
+        with self._switch:
             if self._path is not None:
                 raise DaemonError(f"a take is being written already: {self._path}; stop it first")
-            directory = self._directory if isinstance(self._directory, Path) else self._directory()
+            path = self._new_path(name)
+            take: Take = self._opened(path)
+            with self._hand:
+                early = self._before.last(before_s) if before_s > 0 else []
+                if early:
+                    take.take_over(early)
+                self._take, self._path = take, path
+            return {"recording": True, "file": str(path), "before_items": len(early)}
+
+    def _new_path(self, name: str) -> Path:
+        directory = self.directory
+        try:
             directory.mkdir(parents=True, exist_ok=True)
-            stamp = datetime.fromtimestamp(self._service.clock.realtime_ns() / 1e9, tz=UTC)
-            path = directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
-            if path.exists():
-                raise DaemonError(f"{path} exists already; try again")
-            self._service.add_sink(SINK, self._open_take(path))
-            self._path = path
-            return {"recording": True, "file": str(path)}
+        except OSError as error:
+            raise DaemonError(f"{directory}: cannot be made: {error.strerror or error}; set recording.dir") from error
+        stamp = datetime.fromtimestamp(self._service.clock.realtime_ns() / 1e9, tz=UTC)
+        path = directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
+        if path.exists():
+            raise DaemonError(f"{path} exists already; try again")
+        return path
+
+    def _opened(self, path: Path) -> Any:
+        try:
+            return self._open_take(path)
+        except OSError as error:
+            raise DaemonError(
+                f"{error.filename or path}: cannot be written: {error.strerror or error}; "
+                "mend the directory's permissions or set recording.dir"
+            ) from error
 
     def stop(self) -> dict[str, Any]:
         """End the take; returns when it is whole on the disk."""
-        with self._lock:
-            sink = self._service.remove_sink(SINK)
+        with self._switch:
+            with self._hand:
+                take, self._take = self._take, None
             path, self._path = self._path, None
-            if sink is None:
+            if take is None:
                 return {"recording": False}
-            sink.close()
-            return {"file": str(path), **sink.status(), "recording": False}
+            take.close()
+            return {"file": str(path), **take.status(), "recording": False}
+
+    def takes(self) -> dict[str, Any]:
+        """The takes of the directory and the files there that are none; may read from a slow disk."""
+        directory = self.directory
+        told: dict[str, Any] = {"directory": str(directory), "takes": [], "garbage": {}}
+        if directory.is_dir():
+            listing = scan(directory)
+            told["takes"] = [take.brief() for take in listing.takes[-MOST_TAKES:]]
+            told["garbage"] = dict(list(listing.garbage.items())[:MOST_GARBAGE])
+        return told
+
+    def offer(self, item: Item) -> bool:
+        """Keep an item for later, and pass it on to the take; False when the take refuses it. Never blocks."""
+        if isinstance(item, CloudItem):
+            return True
+        with self._hand:
+            self._before.add(item)
+            return self._take is None or self._take.offer(item)
+
+    def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:  # noqa: ARG002 - the protocol's
+        """With another mode begin other pictures: those that were kept show a pattern that no take will have."""
+        before = self._service.config.mode
+
+        def commit() -> None:
+            if config.mode != before:
+                with self._hand:
+                    self._before.clear()
+
+        return commit
+
+    def close(self) -> None:
+        """End the take, if there is one, and forget what is kept."""
+        self.stop()
+        with self._hand:
+            self._before.clear()
+
+    def status(self) -> dict[str, Any]:
+        """The take's status, ``recording: false`` without one, and what is kept ``before``."""
+        with self._hand:
+            take = self._take
+            kept = {"before": self._before.status()} if self._limits()[0] > 0 else {}
+        return {"recording": False, **(take.status() if take is not None else {}), **kept}
+
+    def _limits(self) -> tuple[float, int]:
+        recording = self._service.config.recording
+        return recording.before_s, recording.before_mb * MEGABYTE

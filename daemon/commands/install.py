@@ -17,7 +17,7 @@ def main(
     python: Annotated[
         Path | None, typer.Option(help="Interpreter of the service.", show_default="the one that runs this")
     ] = None,
-    wheelhouse: Annotated[Path | None, typer.Option(help="Take packages from this directory, not an index.")] = None,
+    wheelhouse: Annotated[Path | None, typer.Option(help="Take all from this directory of wheels, no index.")] = None,
     share_packages: Annotated[
         bool, typer.Option("--share-packages", help="Use this environment's packages where they are; no download.")
     ] = False,

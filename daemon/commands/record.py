@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,8 @@ import typer
 from typer.core import TyperGroup
 
 _DIRECT = "direct"
-_SHOWN = ("file", "recording")
+_DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) ?(ms|s|m|)")
+_TOLD = ("pairs", "lone_frames", "parts", "bytes", "dropped", "interruptions", "unsynced_pairs", "problem")
 
 
 class DirectGroup(TyperGroup):
@@ -36,12 +38,27 @@ def _root() -> None:
 @app.command()
 def start(
     name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
+    before: Annotated[
+        str, typer.Option(help="Begin so long before now: 5s, 500ms, 1m; at most recording.before_s of rig.yaml.")
+    ] = "0s",
     endpoint: Endpoint = None,
     rig: RigOption = None,
 ) -> None:
     """Begin a take in a running daemon."""
-    answer = _ask("record.start", endpoint, rig, name=name)
-    typer.echo(f"recording to {answer['file']}")
+    params: dict[str, Any] = {"name": name}
+    if (before_s := seconds_of(before)) > 0:
+        params["before_s"] = before_s
+    answer = _ask("record.start", endpoint, rig, **params)
+    early = f", beginning with {answer['before_items']} kept pairs and lone frames" if before_s > 0 else ""
+    typer.echo(f"recording to {answer['file']}{early}")
+
+
+def seconds_of(text: str) -> float:
+    """``5s``, ``500ms``, ``1.5m`` or a plain number of seconds."""
+    match = _DURATION.fullmatch(text.strip())
+    if match is None:
+        raise typer.BadParameter(f"{text!r} is no duration; write 5s, 500ms or 1m")
+    return float(match[1]) * {"ms": 1e-3, "s": 1.0, "": 1.0, "m": 60.0}[match[2]]
 
 
 @app.command()
@@ -51,7 +68,7 @@ def stop(endpoint: Endpoint = None, rig: RigOption = None) -> None:
     if "file" not in answer:
         typer.echo("no take was being written")
         return
-    rest = ", ".join(f"{key} {value}" for key, value in answer.items() if key not in _SHOWN and value)
+    rest = ", ".join(f"{key} {answer[key]}" for key in _TOLD if answer.get(key))
     typer.echo(f"{answer['file']}: {rest}" if rest else answer["file"])
 
 

@@ -93,6 +93,21 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         out.append(
             ("self-check", f"{check['verdict']}, {check['checked']} pairs; {', '.join(shown) or 'nothing seen yet'}")
         )
-    recorder = status["recorder"]
-    out.append(("recorder", ", ".join(f"{k} {v}" for k, v in recorder.items()) if recorder.get("recording") else "off"))
+    out.append(("recorder", recorder_text(status["recorder"])))
     return out
+
+
+def recorder_text(recorder: dict[str, Any]) -> str:
+    """What the recorder does, in a line."""
+    kept = [f"{recorder['before']['kept_s']:.1f} s before now kept"] if "before" in recorder else []
+    if "file" not in recorder:
+        return ", ".join(["off", *kept])
+    told = [
+        Path(recorder["file"]).name,
+        f"{recorder['pairs']} pairs, {recorder['bytes'] / 1e6:.1f} MB in {recorder['parts']} file(s)",
+        f"safe up to trigger {recorder['synced']['up_to_sequence']}",
+    ]
+    told += [f"{recorder['queued']} waiting"] if recorder["queued"] else []
+    told += [f"{count} {name.replace('_', ' ')}" for name, count in recorder["dropped"].items()]
+    told += [f"interrupted {recorder['interruptions']}x"] if "interruptions" in recorder else []
+    return ", ".join([*told, *kept])

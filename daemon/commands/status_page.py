@@ -113,7 +113,10 @@ def _rest(status: dict[str, Any]) -> RenderableType:
     table = _two_columns()
     shown = [(name, value) for name, value in rows(status) if name not in _APART]
     for name, value in _without_cameras(shown):
-        table.add_row(name, Text(value))
+        table.add_row(name, Text(value.partition(";")[0] if name == "self-check" else value))
+    problem = status.get("selfcheck", {}).get("problem")
+    if problem:
+        table.add_row("", Text(problem, "yellow"))
     table.add_row("calibration", Text(status["calibration"], overflow="ellipsis", no_wrap=True))
     return Panel(table, title="besides", title_align="left")
 

@@ -31,6 +31,7 @@ def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = 
     yield from _addresses(data)
     yield from _files(data, base_dir) if complete else ()
     yield from _volume(data)
+    yield from _recording(data)
     yield from _mode(data)
 
 
@@ -141,6 +142,14 @@ def _volume(data: dict[str, Any]) -> Found:
     near, far = volume.get("near_mm"), volume.get("far_mm")
     if isinstance(near, int | float) and isinstance(far, int | float) and near >= far:
         yield ("volume", "far_mm"), f"volume.far_mm {far} must be larger than near_mm {near}"
+
+
+def _recording(data: dict[str, Any]) -> Found:
+    recording = _section(data, "recording")
+    for key in ("keep_mb", "keep_s"):
+        value = recording.get(key)
+        if isinstance(value, int | float) and value > 0 and recording.get("endless") is not True:
+            yield ("recording", key), f"recording.{key} removes old parts, which needs recording.endless: true"
 
 
 def _mode(data: dict[str, Any]) -> Found:

@@ -98,8 +98,33 @@ class Recording(Section):
 
     dir: Annotated[str, Field(min_length=1, description="Directory of the takes.")] = "takes"
     max_part_mb: Annotated[int, Field(ge=16, le=1_000_000, description="Size at which a new part begins.")] = 2048
-    min_free_mb: Annotated[int, Field(ge=0, description="Free space at which recording ends.")] = 1024
+    max_part_s: Annotated[float, Field(ge=1, le=86400, description="Duration at which a new part begins.")] = 600.0
+    min_free_mb: Annotated[int, Field(ge=0, description="Free space that recording leaves.")] = 1024
     queue: Annotated[int, Field(ge=2, le=1000, description="Pairs that wait for the disk.")] = 60
+    before_s: Annotated[
+        float,
+        Field(ge=0, le=3600, description="Seconds kept in memory, for takes that begin before they are asked for."),
+    ] = 0.0
+    before_mb: Annotated[
+        int, Field(ge=1, le=1_000_000, description="Memory that before_s takes at most; it then keeps less.")
+    ] = 1024
+    sync: Annotated[
+        Literal["chunk", "1s", "none"],
+        Field(description="What is written is brought to the disk after each pair, each second, or when a part ends."),
+    ] = "1s"
+    retry_s: Annotated[
+        float, Field(ge=0.1, le=60, description="How often a take that the disk interrupted tries to go on.")
+    ] = 1.0
+    endless: Annotated[
+        bool, Field(description="Remove the oldest parts of the running take instead of stopping for lack of room.")
+    ] = False
+    keep_mb: Annotated[
+        int, Field(ge=0, le=1_000_000_000, description="Endless: size of the take at most; 0 = up to min_free_mb.")
+    ] = 0
+    keep_s: Annotated[
+        float,
+        Field(ge=0, le=1e8, description="Endless: parts older than this go, seconds; 0 = as old as there is room."),
+    ] = 0.0
 
 
 class SelfCheckLimits(Section):

@@ -69,8 +69,9 @@ class Methods:
             "set": Method(self.set, ("path", "value"), slow=True),
             "reload": Method(self.reload, slow=True),
             "snapshot": Method(self.snapshot, ("name",), slow=True),
-            "record.start": Method(self.record_start, ("name",), slow=True),
+            "record.start": Method(self.record_start, ("name", "before_s"), slow=True),
             "record.stop": Method(lambda _: self._recorder.stop(), slow=True),
+            "takes.list": Method(lambda _: self._recorder.takes(), role=view, slow=True),
             "pattern.show": Method(self.pattern_show, ("name",), slow=True),
             "pattern.mode": Method(self.pattern_mode, ("name",), slow=True),
         }
@@ -161,9 +162,12 @@ class Methods:
         return {"file": str(target), "seq": item.seq, "t_ns": item.t_ns, "points": item.cloud.points}
 
     def record_start(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Begin a take."""
+        """Begin a take, ``before_s`` seconds ago if they were kept."""
+        name, before_s = _name(params, "take"), params.get("before_s", 0.0)
+        if isinstance(before_s, bool) or not isinstance(before_s, int | float) or not 0 <= before_s <= 3600:
+            raise RpcError(INVALID_PARAMS, "before_s must be a number of seconds, 0 to 3600")
         try:
-            return self._recorder.start(_name(params, "take"))
+            return self._recorder.start(name, before_s)
         except (DaemonError, OSError) as error:
             raise RpcError(FAILED, str(error)) from error
 

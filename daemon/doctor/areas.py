@@ -41,4 +41,5 @@ AREAS: tuple[Check, ...] = (
     Check("processors", "daemon.doctor.processors:check", timeout_s=90),
     Check("memory", "daemon.doctor.memory:check"),
     Check("clock", "daemon.doctor.clock:check"),
+    Check("service", "daemon.doctor.service:check"),
 )

@@ -46,7 +46,8 @@ def need_mb(subject: Subject) -> float:
     waiting = 8 + (config.recording.queue + config.pipeline.queue if config is not None else 61)
     frames = (sum(transport.frame_bytes(subject)) or 2 * size[0] * size[1]) * waiting
     base = BASE_MB + (DEVICES_MB if subject.uses("genicam") or subject.uses("x11") else 0.0)
-    return base + (size[0] * size[1] * ARRAYS_PER_PIXEL + frames) / 1e6
+    before = config.recording.before_mb if config is not None and config.recording.before_s > 0 else 0
+    return base + before + (size[0] * size[1] * ARRAYS_PER_PIXEL + frames) / 1e6
 
 
 def meminfo(text: str) -> dict[str, int]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daemon.install.errors import InstallError
+from daemon.install.files import SHARE, shipped
 from daemon.install.target import Target, reachable
 
 OWN = "fringed", "pipeline", "drivers", "sim", "daemon"
@@ -100,7 +101,9 @@ def _fill(fresh: Path, source: Source) -> None:
     (own,) = fresh.glob("lib/python3.*/site-packages")
     for package in OWN:
         shutil.copytree(_CHECKOUT / package, own / package, ignore=shutil.ignore_patterns("__pycache__"))
-    _copy_data(own / "daemon/install")
+    share = fresh / SHARE
+    shutil.copytree(shipped("systemd"), share / "systemd")
+    shutil.copy2(shipped("constraints.txt"), share)
     # A line of its own for each directory: what lies there is found, its .pth files are not followed.
     (own / "shared.pth").write_text("".join(f"{place}\n" for place in site_packages()), encoding="utf-8")
 
@@ -109,34 +112,17 @@ def _install(fresh: Path, source: Source) -> None:
     pip = [str(fresh / "bin/python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     if source.wheelhouse is not None:
         pip += ["--no-index", "--find-links", str(source.wheelhouse)]
-    constraints = data_file("constraints.txt")
-    if constraints is not None:
-        pip += ["--constraint", str(constraints)]
-    _run([*pip, requirement()], "installing the packages")
+    pip += ["--constraint", str(shipped("constraints.txt")), requirement(source)]
+    _run(pip, "installing the packages")
 
 
-def requirement() -> str:
+def requirement(source: Source) -> str:
     """What pip is to install: the checkout that runs this, or the same version from where packages come from."""
     from daemon.version import program_version
 
-    if (_CHECKOUT / "pyproject.toml").is_file():
+    if source.wheelhouse is None and (_CHECKOUT / "pyproject.toml").is_file():
         return f"{_CHECKOUT}[rig]"
     return f"fringed[rig]=={program_version()}"
-
-
-def data_file(name: str) -> Path | None:
-    """A file of the checkout's root, or its copy in an installed package."""
-    here = Path(__file__).resolve().parent
-    return next((place for place in (here / name, _CHECKOUT / name) if place.is_file()), None)
-
-
-def _copy_data(to: Path) -> None:
-    from daemon.install.files import sources
-
-    shutil.copytree(sources(), to / "systemd")
-    constraints = data_file("constraints.txt")
-    if constraints is not None:
-        shutil.copy2(constraints, to / constraints.name)
 
 
 def _run(command: list[str], what: str) -> None:

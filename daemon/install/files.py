@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from daemon.atomic import write_atomically
@@ -9,19 +10,32 @@ from daemon.install.errors import InstallError
 from daemon.install.layout import COMMAND, DIRECTORIES, FILES, PREFIX, PROGRAMS, Place
 from daemon.install.target import Target
 
+SHARE = Path("share/fringed")
+"""Where an installed package has what is no Python, below the prefix of its environment."""
+
 _WRAPPER = """\
 #!/bin/sh
+unset PYTHONPATH PYTHONHOME
 exec {prefix}/env/bin/python -P -c 'import sys; from daemon.entry import main; sys.argv[0] = "fringed"; main()' "$@"
 """
 
 
-def sources() -> Path:
-    """The directory ``systemd`` of the checkout, or its copy in an installed package."""
-    here = Path(__file__).resolve().parent
-    for place in (here / "systemd", here.parents[1] / "systemd"):
-        if (place / "fringed.service").is_file():
+def shipped(name: str) -> Path:
+    """A file or directory of the checkout's root, or what an installed package has of it.
+
+    Raises:
+        InstallError: neither is there.
+    """
+    places = [Path(__file__).resolve().parents[2] / name, Path(sys.prefix) / SHARE / name]
+    for place in places:
+        if place.exists():
             return place
-    raise InstallError(f"the unit files are not in {here}; install the whole project")
+    raise InstallError(f"{' and '.join(map(str, places))} are not there; install the whole project again")
+
+
+def sources() -> Path:
+    """Where the unit files are."""
+    return shipped("systemd")
 
 
 def make_directories(target: Target) -> None:

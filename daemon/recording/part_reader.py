@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,6 +65,16 @@ class PartReader:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def counts(self) -> Counter[Side]:
+        """Frames by camera, as the file's index or the heads of its chunks tell; none was read."""
+        out: Counter[Side] = Counter()
+        for channel_id, count in self.survey.messages.items():
+            channel = self.survey.channels.get(channel_id)
+            side = _TOPICS.get(channel.topic) if channel is not None else None
+            if side is not None:
+                out[side] += count
+        return out
 
     def frames(self) -> Iterator[tuple[Frame, Where]]:
         """Every frame that is sound, in the order of the file."""

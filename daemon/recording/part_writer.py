@@ -11,6 +11,7 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from mcap import records as mcap_records
 from mcap.data_stream import RecordBuilder
 
 from daemon.atomic import sync_directory
+from daemon.recording.lock import lock
 from daemon.recording.parts import PARTIAL
 from daemon.recording.raw_image import pieces
 from daemon.recording.records import MAGIC, RECORD_HEAD, Opcode
@@ -31,7 +33,7 @@ _Piece = bytes | memoryview
 
 
 class PartWriter:
-    """A new file; FileExistsError if either of its names is taken.
+    """A new file; FileExistsError if either of its names is taken; locked while it is written.
 
     Args:
         path: final name; until :meth:`finish` the file has ``.partial`` behind it.
@@ -52,15 +54,20 @@ class PartWriter:
         self._compression, self._compress = _COMPRESSORS[compression]
         if path.exists():
             raise FileExistsError(errno.EEXIST, "exists already", str(path))
-        self._file = self.partial.open("xb", buffering=0)
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self._file: int | None = os.open(self.partial, flags, 0o666)
         self._end = 0
+        self.kept = True  # False once a sync failed: nobody knows then which pages are on the disk
         self._contents = Contents()
         try:
+            lock(self.handle)
             self._begin(attachments, {"version": VERSION, **metadata}, created_ns)
             self.sync()
             sync_directory(path.parent)
         except BaseException:
-            self._file.close()
+            self._close()
+            with suppress(OSError):  # nothing is in it that anybody would miss
+                self.partial.unlink()
             raise
 
     @property
@@ -71,7 +78,9 @@ class PartWriter:
     @property
     def handle(self) -> int:
         """The file's descriptor; ValueError once it is closed."""
-        return self._file.fileno()
+        if self._file is None:
+            raise ValueError(f"{self.partial} is closed")
+        return self._file
 
     def _begin(self, attachments: Mapping[str, bytes], metadata: Mapping[str, str], created_ns: int) -> None:
         """Everything that comes before the first picture."""
@@ -134,26 +143,36 @@ class PartWriter:
         whole = sum(map(len, left))
         try:
             while left:
-                written = os.writev(self._file.fileno(), left)
+                written = os.writev(self.handle, left)
                 while left and written >= len(left[0]):
                     written -= len(left.pop(0))
                 if left:
                     left[0] = left[0][written:]
         except OSError:
-            self._file.truncate(self._end)
-            self._file.seek(self._end)
+            with suppress(OSError):  # what went wrong first is worth telling
+                os.ftruncate(self.handle, self._end)
+                os.lseek(self.handle, self._end, os.SEEK_SET)
             raise
         self._end += whole
 
     def sync(self) -> None:
         """Bring everything written so far to the disk."""
-        os.fdatasync(self._file.fileno())
+        os.fdatasync(self.handle)
+
+    def _sync_all(self) -> None:
+        try:
+            os.fsync(self.handle)
+        except OSError:
+            self.kept = False
+            raise
 
     def finish(self) -> None:
         """Write index and footer, and give the file its name."""
+        if not self.kept:
+            raise OSError(errno.EIO, "not all of it is on the disk", str(self.partial))
         self._append([self._contents.ending(self._end)])
-        os.fsync(self._file.fileno())
-        self._file.close()
+        self._sync_all()
+        self._close()
         if self.path.exists():
             raise FileExistsError(
                 errno.EEXIST, "appeared while the take was being written; it stays in", str(self.partial)
@@ -163,7 +182,13 @@ class PartWriter:
 
     def abandon(self) -> None:
         """Let go of the file as it is; what is on the disk can be read up to its last whole chunk."""
-        self._file.close()
+        self._close()
+
+    def _close(self) -> None:
+        number, self._file = self._file, None
+        if number is not None:
+            with suppress(OSError):  # it was synced before, or its failure was told
+                os.close(number)
 
 
 def _bytes(record: Any) -> bytes:

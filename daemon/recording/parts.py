@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from daemon.recording.errors import TakeError
 
 CALIBRATION, PATTERN, VOLUME, RIG = "calibration.yaml", "pattern.json", "volume.json", "rig.yaml"
 PARTIAL = ".partial"
-_MAX_PARTS = 10_000
 
 
 def part_path(path: Path, number: int) -> Path:
@@ -17,24 +17,37 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def of_take(path: Path) -> list[Path]:
-    """The existing files of a take in order, given its first or their directory; the last may be unfinished.
+    """The existing files of a take in order, given its first or their directory; any of them may be unfinished.
 
     Any other file is a take of its own.
     """
     if path.is_dir():
         return _of_directory(path)
     first = path.with_name(path.name.removesuffix(PARTIAL))
-    found = [path]
-    for number in range(2, _MAX_PARTS):
-        part = part_path(first, number)
-        unfinished = part.with_name(part.name + PARTIAL)
-        if part.is_file():
-            found.append(part)
-        elif unfinished.is_file():
-            found.append(unfinished)
-        else:
-            break
-    return found
+    unfinished, later = first.with_name(first.name + PARTIAL), _later_parts(first)
+    if path.exists():
+        return [path, *later]
+    return [unfinished, *later] if unfinished.exists() else later or [path]
+
+
+def _later_parts(first: Path) -> list[Path]:
+    """The parts after the first, by number; some may have been removed by an endless recording."""
+    found: dict[int, Path] = {}
+    with suppress(OSError):
+        for file in sorted(first.parent.iterdir()):
+            match = _numbered(first, file.name)
+            if match is not None:
+                found.setdefault(match, file)  # sorted: the finished one before the unfinished
+    return [found[number] for number in sorted(found)]
+
+
+def _numbered(first: Path, name: str) -> int | None:
+    """The number in the name of a later part of this take; None for other files."""
+    middle = name.removesuffix(PARTIAL).removesuffix(first.suffix)
+    digits = middle.removeprefix(f"{first.stem}_part")
+    if middle == name or digits == middle or not (digits.isascii() and digits.isdigit() and 3 <= len(digits) <= 6):
+        return None
+    return int(digits)
 
 
 def _of_directory(directory: Path) -> list[Path]:

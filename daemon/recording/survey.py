@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
@@ -34,6 +35,7 @@ class Survey:
     Args:
         size: of the file, bytes.
         data: chunks (and messages outside chunks) in the order of the file; small: attachments and metadata.
+        messages: count by channel; first_ns, last_ns: log times of the first and the last, 0 without any.
         whole: the file has its end; ``readable_to`` is the byte up to which it can be read, ``problem`` says why no
             further.
     """
@@ -43,6 +45,9 @@ class Survey:
     small: list[Place] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
+    messages: Counter[int] = field(default_factory=Counter)
+    first_ns: int = 0
+    last_ns: int = 0
     whole: bool = False
     readable_to: int = 0
     problem: str = ""
@@ -61,6 +66,25 @@ class Survey:
             channel = Channel.parse(content)
             if again or channel.id not in self.channels:
                 self.channels[channel.id] = channel
+
+    def times(self, first_ns: int, last_ns: int) -> None:
+        """There are messages from one time to another."""
+        self.first_ns = min(self.first_ns or first_ns, first_ns)
+        self.last_ns = max(self.last_ns, last_ns)
+
+    def statistics(self, content: memoryview) -> int:
+        """Learn from the record of this kind; returns the number of messages."""
+        cursor = Cursor(content)
+        count = cursor.u64()
+        cursor.take(18)
+        if count:
+            self.times(cursor.u64(), cursor.u64())
+        else:
+            cursor.take(16)
+        rows = Cursor(cursor.take(cursor.u32()))
+        while rows.left:
+            self.messages[rows.u16()] += rows.u64()
+        return count
 
 
 def survey(file: BinaryIO) -> Survey:
@@ -115,7 +139,7 @@ def _by_index(file: BinaryIO, size: int) -> Survey:
                 raise DamageError("it points outside the file")
             (found.data if place.opcode == Opcode.CHUNK else found.small).append(place)
         elif opcode == Opcode.STATISTICS:
-            messages = Cursor(content).u64()
+            messages = found.statistics(content)
         else:
             found.learn(opcode, content)
     if messages and not found.data:
@@ -155,6 +179,8 @@ def _by_walking(file: BinaryIO, size: int) -> Survey:
             if place.opcode in _SMALL:
                 content = read_record(file, place, MAX_SMALL_RECORD)
                 found.learn(place.opcode, content, again=in_data)
+            elif place.opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX) and in_data:
+                _count(file, place, found)
         except DamageError as error:
             found.problem = found.problem or f"damaged at byte {place.offset}: {error}"
         if in_data and place.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
@@ -167,6 +193,21 @@ def _by_walking(file: BinaryIO, size: int) -> Survey:
             file.seek(place.end)
             found.whole = file.read(len(MAGIC)) == MAGIC
     return found
+
+
+def _count(file: BinaryIO, place: Place, found: Survey) -> None:
+    """Learn counts and times from the heads of chunks and their indexes; the messages themselves are not read."""
+    file.seek(place.offset + RECORD_HEAD)
+    head = Cursor(file.read(min(22, place.length - RECORD_HEAD)))
+    if place.opcode == Opcode.MESSAGE_INDEX:
+        found.messages[head.u16()] += head.u32() // 16
+    elif place.opcode == Opcode.CHUNK:
+        found.times(head.u64(), head.u64())
+    else:
+        found.messages[head.u16()] += 1
+        head.take(4)
+        t_ns = head.u64()
+        found.times(t_ns, t_ns)
 
 
 def _next(file: BinaryIO, found: Survey) -> Place | None:

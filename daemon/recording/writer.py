@@ -1,5 +1,9 @@
 """The recorder: takes raw pairs into a bounded queue and writes them from a thread of its own.
 
+    writing <--> interrupted      the disk is full, gone or broken; with ``retry_s`` the take goes on in a new part
+       |             |            as soon as it can, else it has failed
+       +-> closed <--+-> failed
+
 Whatever the disk does, the measuring goes on: a full queue, a full disk or an error is counted and told in the status.
 """
 
@@ -10,36 +14,30 @@ import logging
 import shutil
 import threading
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from daemon.errors import DaemonError
+from daemon.recording.chain import Limits, PartChain
+from daemon.recording.disk import Disk
 from daemon.recording.errors import TakeError
+from daemon.recording.inbox import Inbox, Picture
 from daemon.recording.part_writer import PartWriter
-from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME, part_path
+from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME
+from daemon.recording.progress import Progress
 from daemon.recording.raw_image import ImageError
-from daemon.recording.syncer import Syncer
-from daemon.sinks import CloudItem, Item, LoneItem, PairItem
+from daemon.recording.syncer import Policy, Syncer
+from daemon.sinks import CloudItem, Item, PairItem
 from drivers.protocols import Frame
 
 CLOSE_S = 30.0
+HANGS_S = 5.0
 log = logging.getLogger("fringed.recorder")
 
-# Index and footer of a part must still fit when the guard ends a take.
-_CLOSING_BYTES = 1 << 20
 
-
-@dataclass(slots=True)
-class _State:
-    pairs: int = 0
-    lone_frames: int = 0
-    written_bytes: int = 0
-    files: list[str] = field(default_factory=list)
-    dropped: Counter[str] = field(default_factory=Counter)
-    problem: str | None = None
+class _NoRoomError(Exception):
+    """The guard says so: nothing went wrong yet."""
 
 
 class TakeWriter:
@@ -51,7 +49,11 @@ class TakeWriter:
         calibration_data: the calibration file byte for byte; pattern, volume: JSON objects; rig_data: rig.yaml, if any.
         queue: items that wait for the disk; compression: ``none``, ``lz4`` or ``zstd``.
         max_part_bytes, max_part_s: size and duration at which a new part begins.
-        min_free_bytes: free space at which the take ends.
+        min_free_bytes: free space that must stay.
+        retry_s: how often an interrupted take tries to go on; None: the first trouble ends it.
+        sync: when what is written is brought to the disk, see :class:`Syncer`.
+        endless: remove the oldest parts instead of ending for lack of room; keep_bytes, keep_s: see :class:`Limits`.
+        tolerance_ns: how far the exposures of a pair may lie apart.
         extra_metadata: more keys of the record ``fringed``; free_bytes: free space of a directory.
 
     Raises:
@@ -72,211 +74,226 @@ class TakeWriter:
         max_part_bytes: int = 2048 << 20,
         max_part_s: float = 600.0,
         min_free_bytes: int = 1024 << 20,
+        retry_s: float | None = None,
+        sync: Policy = "1s",
+        endless: bool = False,
+        keep_bytes: int = 0,
+        keep_s: float = 0.0,
+        tolerance_ns: int = 2_000_000,
         compression: str = "none",
         extra_metadata: Mapping[str, str] | None = None,
         free_bytes: Callable[[Path], int] = lambda directory: shutil.disk_usage(directory).free,
         open_part: Callable[..., PartWriter] = PartWriter,
     ) -> None:
-        self._path, self._free_bytes, self._open_part = Path(path), free_bytes, open_part
-        self._capacity, self._max_part_bytes, self._min_free_bytes = queue, max_part_bytes, min_free_bytes
-        self._max_part_ns, self._part_began_ns = round(1e9 * max_part_s), 0
-        self._compression = compression
-        self._attachments = {CALIBRATION: calibration_data, PATTERN: _json(pattern), VOLUME: _json(volume)}
+        self._path, self._capacity, self._retry_s = Path(path), queue, retry_s
+        attachments = {CALIBRATION: calibration_data, PATTERN: _json(pattern), VOLUME: _json(volume)}
         if rig_data is not None:
-            self._attachments[RIG] = rig_data
-        self._metadata = dict(extra_metadata or {}) | {"session": session, "device": device}
-        self._queue: deque[PairItem | LoneItem] = deque()
-        self._changed = threading.Condition()
-        self._closing = False
-        self._state = _State()
-        self._parts_begun = 0
-        if (problem := self._space_problem(0)) is not None:
-            raise DaemonError(problem)
-        self._part: PartWriter | None = self._new_part()
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+            attachments[RIG] = rig_data
+        self._inbox = Inbox(queue)
+        self._interrupted = False
+        self._progress = Progress()
         self._sync_error: OSError | None = None
-        self._syncer = Syncer(self._handle, self._cannot_sync)
+        self._busy_ns = 0
+        self._disk = Disk(self._path.parent, min_free_bytes, free_bytes)
+        if (problem := self._disk.problem()) is not None:
+            raise DaemonError(problem)
+        self._chain = PartChain(
+            self._path,
+            open_part=open_part,
+            attachments=attachments,
+            metadata=dict(extra_metadata or {}) | {"session": session, "device": device},
+            compression=compression,
+            limits=Limits(max_part_bytes, max_part_s, endless, keep_bytes, keep_s),
+            tolerance_ns=tolerance_ns,
+        )
+        self._syncer = Syncer(self._chain.handle, self._cannot_sync, written=lambda: self._progress.mark, policy=sync)
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
     def offer(self, item: Item) -> bool:
         """Take a pair or a lone frame; False when the queue is full or the take has ended. Never blocks."""
-        if isinstance(item, CloudItem):
-            return True
-        with self._changed:
-            reason = self._refusal()
-            if reason is not None:
-                self._state.dropped[reason] += 1
-                return False
-            self._queue.append(item)
-            self._changed.notify()
-            return True
+        return isinstance(item, CloudItem) or self._inbox.offer(item)
 
-    def _refusal(self) -> str | None:
-        if self._state.problem is not None:
-            return "failed"
-        if self._closing:
-            return "closed"
-        return "queue_full" if len(self._queue) >= self._capacity else None
+    def take_over(self, items: Iterable[Picture]) -> None:
+        """Write these first: what came before the take began. They need not fit into the queue."""
+        self._inbox.take_over(items)
 
     def status(self) -> dict[str, Any]:
         """Counts, files and, if anything is wrong, the ``problem``."""
-        with self._changed:
-            state = self._state
-            status: dict[str, Any] = {
-                "recording": self._part is not None and not self._closing,
-                "file": str(self._path),
-                "files": list(state.files),
-                "pairs": state.pairs,
-                "lone_frames": state.lone_frames,
-                "bytes": state.written_bytes,
-                "queued": len(self._queue),
-                "dropped": dict(state.dropped),
-            }
-            return status if state.problem is None else status | {"problem": state.problem}
+        progress, chain = self._progress, self._chain
+        status = {
+            "recording": self._thread.is_alive() and not self._inbox.closing and not progress.failed,
+            "file": str(self._path),
+            "files": list(chain.files),
+            "parts": chain.begun,
+            "queued": len(self._inbox),
+            "dropped": self._inbox.drops(),
+            "synced": self._syncer.status(),
+            **progress.status(),
+        }
+        if chain.removed:
+            status |= {"removed_parts": chain.removed, "removed_bytes": chain.removed_bytes}
+        problem = progress.problem or self._hanging()
+        return status if problem is None else status | {"problem": problem}
+
+    def _hanging(self) -> str | None:
+        began_ns = self._busy_ns
+        waited_s = max((time.monotonic_ns() - began_ns) / 1e9 if began_ns else 0.0, self._syncer.busy_s())
+        return f"{self._path.parent}: the disk has not answered for {waited_s:.0f} s" if waited_s > HANGS_S else None
 
     def close(self) -> None:
         """Write what is queued and finish the file; never raises, may be called twice."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify()
+        self._inbox.close()
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():
             self._fail(f"{self._path}: the disk did not take the rest within {CLOSE_S:.0f} s")
 
     def _run(self) -> None:
+        whole = True
         try:
             self._write_until_closed()
         except (OSError, TakeError) as error:
+            whole = self._sync_error is None
             self._fail(f"{self._path}: recording ended: {error}")
+        except _NoRoomError as guard:
+            self._fail(str(guard))
         except Exception as error:  # the measuring must go on whatever happens here
             self._fail(f"{self._path}: recording ended by a defect: {error!r}")
         finally:
-            self._let_go()
+            self._let_go(whole=whole)
             self._syncer.close()
 
     def _write_until_closed(self) -> None:
-        while (item := self._next()) is not None:
-            if self._sync_error is not None:
-                self._count_lost(1)
-                raise self._sync_error
-            self._write(item)
-        self._finish_part()
+        while True:
+            if self._interrupted and not self._goes_on():
+                return
+            item = self._inbox.next()
+            if item is None:
+                self._finish()
+                return
+            try:
+                self._write(item)
+            except (OSError, TakeError, _NoRoomError) as error:
+                if self._retry_s is None:
+                    self._inbox.drop("failed")
+                    raise
+                self._interrupt(item, error)
 
-    def _handle(self) -> int | None:
-        part = self._part
-        return None if part is None else part.handle
-
-    def _cannot_sync(self, error: OSError) -> None:
-        """Told by the syncer; the writing thread ends the take."""
-        self._sync_error = error
-
-    def _next(self) -> PairItem | LoneItem | None:
-        """What is to be written next; None once everything is and the take is to end."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._queue or self._closing)
-            return self._queue.popleft() if self._queue else None
-
-    def _write(self, item: PairItem | LoneItem) -> None:
-        frames = (item.left, item.right) if isinstance(item, PairItem) else (item.frame,)
+    def _write(self, item: Picture) -> None:
+        if self._sync_error is not None:
+            raise self._sync_error
+        frames = _frames(item)
         size = sum(frame.image.nbytes for frame in frames)
-        if (problem := self._space_problem(size)) is not None:
-            # Ended while there is still room for the index: the file is whole.
-            self._finish_part()
-            self._fail(problem, 1)
-            return
-        part = self._part_for(size, frames[0].t_host_ns)
-        if part is None:
-            self._count_lost(1)
-            return
-        self._write_frames(part, frames)
-
-    def _write_frames(self, part: PartWriter, frames: tuple[Frame, ...]) -> None:
-        before = part.size
+        self._busy_ns = time.monotonic_ns()
         try:
-            part.write(*frames)
+            self._make_room(size)
+            if self._chain.rotate(size, frames[0].t_host_ns):
+                self._syncer.all_is(self._progress.mark)
+            self._write_frames(frames)
+            if self._syncer.policy == "chunk":
+                self._sync_now()
+        finally:
+            self._busy_ns = 0
+
+    def _sync_now(self) -> None:
+        try:
+            self._syncer.sync()
+        except OSError as error:  # the frame is written; the next one finds the part gone
+            self._cannot_sync(error)
+
+    def _make_room(self, size: int) -> None:
+        while (problem := self._disk.problem(size)) is not None:
+            if not self._chain.remove_oldest():
+                raise _NoRoomError(problem)
+
+    def _write_frames(self, frames: tuple[Frame, ...]) -> None:
+        refused = self._chain.refusal(frames)
+        if refused is not None:
+            self._inbox.drop(refused)
+            return
+        try:
+            size = self._chain.write(frames)
         except ImageError as error:
             log.warning("not recorded: %s", error)
-            self._count_lost(1, "refused")
+            self._inbox.drop("refused")
             return
-        except BaseException:
-            self._count_lost(1)
-            raise
-        with self._changed:
-            self._state.written_bytes += part.size - before
-            self._state.pairs += len(frames) == 2
-            self._state.lone_frames += len(frames) == 1
+        self._progress.wrote(frames, size)
 
-    def _part_for(self, size: int, t_ns: int) -> PartWriter | None:
-        """The part that takes the next frames; a new one when this one is large or long enough."""
-        part = self._part
-        if part is not None and self._frames_in_part > 0:
-            too_large = part.size + size > self._max_part_bytes
-            if too_large or t_ns - self._part_began_ns > self._max_part_ns:
-                self._finish_part()
-                part = self._part = self._new_part()
-        if self._frames_in_part == 0:
-            self._part_began_ns = t_ns
-        self._frames_in_part += 1
-        return part
+    def _interrupt(self, item: Picture, error: Exception) -> None:
+        """The disk is full or in trouble: close the part as well as can be, keep what waits, and try again later."""
+        trouble = str(error) if isinstance(error, _NoRoomError) else f"{self._path.parent}: {error}"
+        log.warning("recording is interrupted: %s", trouble)
+        self._inbox.put_back(item)
+        self._inbox.no_disk(True)
+        self._progress.interrupted(trouble)
+        self._interrupted = True
+        self._close_part(whole=self._sync_error is None)
 
-    def _new_part(self) -> PartWriter:
-        self._parts_begun += 1
-        number = self._parts_begun
-        part = self._open_part(
-            part_path(self._path, number),
-            attachments=self._attachments,
-            metadata=self._metadata | {"part": str(number)},
-            created_ns=time.time_ns(),
-            compression=self._compression,
-        )
-        self._frames_in_part = 0
-        with self._changed:
-            self._state.files.append(str(part.partial))
-        return part
-
-    def _finish_part(self) -> None:
-        part = self._part
-        if part is None:
-            return
-        part.finish()
-        with self._changed:
-            self._part = None
-            self._state.files[-1] = str(part.path)
-
-    def _let_go(self) -> None:
-        """After an error: end the file with what is in it if the disk lets us, and count what nobody will write."""
-        part = self._part
-        if part is not None:
+    def _goes_on(self) -> bool:
+        """Wait for the disk and open a new part; False when the take is to end without."""
+        while True:
+            closing = self._inbox.closing
+            self._inbox.pause(self._retry_s or 0.0)
+            self._busy_ns = time.monotonic_ns()
             try:
-                self._finish_part()
-            except (OSError, ValueError) as error:
-                log.warning("%s stays unfinished, up to its last whole pair it can be read: %s", part.partial, error)
-                part.abandon()
-        with self._changed:
-            self._part = None
-            lost = len(self._queue)
-            self._queue.clear()
-        self._count_lost(lost)
+                problem = self._resumed()
+            except OSError as error:
+                problem = f"{self._path.parent}: {error}"
+            finally:
+                self._busy_ns = 0
+            self._progress.problem, self._interrupted = problem, problem is not None
+            if problem is None:
+                self._inbox.no_disk(False)
+                log.info("recording goes on in %s", self._chain.files[-1])
+                return True
+            if closing:
+                return False
 
-    def _space_problem(self, size: int) -> str | None:
-        free = self._free_bytes(self._path.parent)
-        if free - size >= max(self._min_free_bytes, _CLOSING_BYTES):
-            return None
-        return (
-            f"{self._path.parent}: {free >> 20} MB free, recording needs {self._min_free_bytes >> 20} MB;"
-            " make room or lower recording.min_free_mb"
-        )
+    def _resumed(self) -> str | None:
+        waits = self._inbox.first()
+        size = 0 if waits is None else sum(frame.image.nbytes for frame in _frames(waits))
+        problem = self._disk.is_another(self._chain.known())
+        if problem is not None:
+            return problem
+        while (problem := self._disk.problem_to_go_on(size)) is not None:
+            if not self._chain.remove_oldest():
+                return problem
+        self._chain.begin(continues=self._chain.last_name)
+        self._sync_error = None
+        return None
 
-    def _count_lost(self, count: int, reason: str = "failed") -> None:
-        if count:
-            with self._changed:
-                self._state.dropped[reason] += count
+    def _finish(self) -> None:
+        self._busy_ns = time.monotonic_ns()
+        try:
+            self._chain.finish()
+        finally:
+            self._busy_ns = 0
+        self._syncer.all_is(self._progress.mark)
 
-    def _fail(self, problem: str, lost: int = 0) -> None:
-        with self._changed:
-            if self._state.problem is None:
-                self._state.problem = problem
-        self._count_lost(lost)
+    def _close_part(self, *, whole: bool) -> None:
+        if self._chain.part is None:
+            return
+        if self._chain.let_go(whole=whole):
+            self._syncer.all_is(self._progress.mark)
+        else:
+            self._progress.unsure(self._syncer.synced)
+
+    def _let_go(self, *, whole: bool) -> None:
+        """The end: the part as well as can be, and a count of what nobody will write."""
+        self._close_part(whole=whole)
+        self._inbox.clear("failed")
+
+    def _cannot_sync(self, error: OSError) -> None:
+        """Told by the syncer; the writing thread ends the part."""
+        self._sync_error = error
+
+    def _fail(self, problem: str) -> None:
+        self._inbox.refuse("failed")
+        self._progress.fail(problem)
+
+
+def _frames(item: Picture) -> tuple[Frame, ...]:
+    return (item.left, item.right) if isinstance(item, PairItem) else (item.frame,)
 
 
 def _json(value: Mapping[str, Any]) -> bytes:

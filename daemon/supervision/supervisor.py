@@ -62,6 +62,7 @@ class Supervisor:
         if self._problem:
             return
         if not self._ready and service.worker.clouds:
+            self._line = told(service.status().as_dict())
             self._ready = self._notifier.ready(self._line)
         if not self._ready:
             self._extend()

@@ -83,8 +83,11 @@ def test_the_service_owns_nothing_but_its_data_and_nothing_is_open_to_all(image:
 
 def test_the_program_runs_from_where_it_was_put(image: Path) -> None:
     python = image / "opt/fringed/env/bin/python"
+    plain = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     code = "import daemon, daemon.install.files as f; print(daemon.__file__); print(f.sources())"
-    done = subprocess.run([python, "-P", "-c", code], capture_output=True, text=True, timeout=60, check=True, cwd=image)
+    done = subprocess.run(
+        [python, "-P", "-c", code], capture_output=True, text=True, timeout=60, check=True, cwd=image, env=plain
+    )
     for line in done.stdout.splitlines():
         assert Path(line).is_relative_to(image / "opt/fringed"), done.stdout
 
@@ -111,12 +114,8 @@ def test_the_second_time_changes_nothing(image: Path) -> None:
     before, said = all_times(), []
     work.install(Target(image), SOURCE, WISHES, said.append)
     after = all_times()
-    kernels = image / "var/cache"
-    assert {path for path in after if after[path] != before.get(path) and not path.is_relative_to(kernels)} == set()
-    assert (
-        said == ["the kernels are compiled when the service starts for the first time" if WISHES.compile else said[0]]
-        or len(said) == 1
-    )
+    assert {path for path in after if after[path] != before.get(path)} == set()
+    assert said == [f"installed into the image {image}"]
 
 
 def test_a_rig_of_the_user_is_kept_and_the_new_one_put_beside_it(bare: Path) -> None:
@@ -174,8 +173,8 @@ def test_another_prefix_stands_in_every_file(bare: Path) -> None:
 
 @pytest.mark.parametrize(
     "prefix",
-    ["/", "/usr", "/usr/local", "/etc", "/opt", "/var/lib", "/tmp/x", "/dev/x", "opt/fringed", "/opt/../usr", "/opt/a b",
-     "/opt/$HOME", "/home", "/root"],
+    ["/", "/usr", "/usr/local", "/etc", "/opt", "/var/lib", "/tmp/x", "/dev/x", "opt/fringed", "/opt/../usr",
+     "/opt/a b", "/opt/$HOME", "/home", "/root"],
 )  # fmt: skip
 def test_prefixes_of_the_system_are_refused(tmp_path: Path, prefix: str) -> None:
     with pytest.raises(InstallError, match="choose a directory of its own"):

@@ -1,0 +1,206 @@
+"""``fringed takes``: the takes of a directory: list, show, check, repair, remove."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from daemon.recording.catalog import Listing, TakeEntry
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+DirOption = Annotated[Path | None, typer.Option("--dir", help="Directory of the takes.")]
+RigOption = Annotated[Path | None, typer.Option(help="Take the directory from this rig.yaml.")]
+Name = Annotated[str, typer.Argument(help="Name of the take, or how it begins.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print plain JSON.")]
+
+
+@app.callback(invoke_without_command=True)
+def _root(context: typer.Context, directory: DirOption = None, rig: RigOption = None) -> None:
+    """The takes of a directory: list (the default), show, check, repair, rm."""
+    context.obj = (directory, rig)
+    if context.invoked_subcommand is None:
+        list_(context)
+
+
+@app.command("list")
+def list_(context: typer.Context, directory: DirOption = None, rig: RigOption = None, as_json: AsJson = False) -> None:
+    """List every take: when, how long, how much, and whether it is whole. The pictures are not read."""
+    import json
+
+    where, listing = _scanned(context, directory, rig)
+    if as_json:
+        takes = [take.as_dict() for take in listing.takes]
+        typer.echo(json.dumps({"directory": str(where), "takes": takes, "garbage": listing.garbage}, indent=2))
+        return
+    _print(("take", "begun", "length", "pairs", "files", "size", "state"), map(row, listing.takes))
+    for name, problem in listing.garbage.items():
+        typer.echo(f"{where / name}: no take: {problem}", err=True)
+
+
+@app.command()
+def show(
+    context: typer.Context,
+    name: Name,
+    directory: DirOption = None,
+    rig: RigOption = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show one take and its files; exit status 1 if it is damaged or unfinished."""
+    import json
+
+    where, listing = _scanned(context, directory, rig)
+    take = listing.find(name)
+    if as_json:
+        typer.echo(json.dumps(take.as_dict(), indent=2))
+    else:
+        _print(("", ""), details(where, take))
+    if take.problems:
+        raise typer.Exit(1)
+
+
+@app.command()
+def check(
+    context: typer.Context,
+    names: Annotated[list[str] | None, typer.Argument(help="Takes; all if none is named.")] = None,
+    directory: DirOption = None,
+    rig: RigOption = None,
+) -> None:
+    """Read every picture of takes and prove its checksum; exit status 1 if something is wrong."""
+    where, listing = _scanned(context, directory, rig)
+    takes = [listing.find(name) for name in names] if names else listing.takes
+    good = [_checked(where, take) for take in takes]
+    garbage = {} if names else listing.garbage
+    for name, problem in garbage.items():
+        typer.echo(f"{where / name}: no take: {problem}", err=True)
+    if garbage or not all(good):
+        raise typer.Exit(1)
+
+
+@app.command()
+def repair(context: typer.Context, name: Name, directory: DirOption = None, rig: RigOption = None) -> None:
+    """Give cut or damaged files of a take their end again; what was there stays beside, as *.broken."""
+    from daemon.commands.progress import rendering
+    from daemon.recording import repair as repairing
+
+    where, listing = _scanned(context, directory, rig)
+    for file in listing.find(name).files:
+        with rendering(f"Reading {file}") as progress:
+            done = repairing.repair(where / file, progress)
+        if done is None:
+            typer.echo(f"{where / file}: whole")
+        else:
+            typer.echo(f"{done.file}: {done.frames} frames saved; before: {done.kept} ({'; '.join(done.problems)})")
+
+
+@app.command()
+def rm(
+    context: typer.Context,
+    name: Name,
+    directory: DirOption = None,
+    rig: RigOption = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+) -> None:
+    """Remove a take with all its files, after asking."""
+    from daemon.recording.errors import TakeError
+    from daemon.recording.lock import being_written
+
+    where, listing = _scanned(context, directory, rig)
+    take = listing.find(name)
+    if any(being_written(where / file) for file in take.files):
+        raise TakeError(f"{take.name}: it is being written; stop the recording first")
+    if not yes and not typer.confirm(f"Remove {len(take.files)} file(s), {take.bytes / 1e6:.1f} MB, of {take.name}?"):
+        raise typer.Exit(1)
+    for file in take.files:
+        (where / file).unlink(missing_ok=True)
+    typer.echo(f"removed: {', '.join(take.files)}")
+
+
+def _scanned(context: typer.Context, directory: Path | None, rig: Path | None) -> tuple[Path, Listing]:
+    from daemon.recording.catalog import scan
+    from daemon.recording.errors import TakeError
+
+    outer: tuple[Path | None, Path | None] = context.obj or (None, None)
+    where = _directory(directory or outer[0], rig or outer[1])
+    if not where.is_dir():
+        raise TakeError(f"{where}: there is no such directory; name it with --dir, or the rig's with --rig rig.yaml")
+    return where, scan(where)
+
+
+def _directory(directory: Path | None, rig: Path | None) -> Path:
+    """What was named, what the rig file says, or ``takes``."""
+    if directory is not None:
+        return directory
+    if rig is None:
+        return Path("takes")
+    from daemon.config import load_rig
+
+    config = load_rig(rig)
+    return config.path(config.recording.dir, rig.resolve().parent)
+
+
+def _checked(where: Path, take: TakeEntry) -> bool:
+    """Read a take and tell what is wrong with it."""
+    from daemon.recording.inspect import inspect
+    from daemon.recording.reader import TakeReader
+
+    if take.state == "writing":
+        typer.echo(f"{take.name}: being written, not checked")
+        return True
+    with TakeReader(where / f"{take.name}.mcap" if len(take.files) > 1 else where / take.files[0]) as reader:
+        report = inspect(reader)
+    problems = report["problems"] + report["attachment_problems"]
+    for problem in problems:
+        typer.echo(problem, err=True)
+    verdict = f"{len(problems)} problem(s)" if problems else "good"
+    typer.echo(f"{take.name}: {verdict}, {report['pairs']} pairs, {report['missing']} triggers missing")
+    return not problems
+
+
+def row(take: TakeEntry) -> tuple[str, ...]:
+    """A take as a line of the table."""
+    note = f", interrupted {take.interruptions}x" if take.interruptions else ""
+    return (
+        take.name,
+        _when(take.start_ns)[5:16],  # the name has the year
+        f"{take.duration_s:.1f} s",
+        str(min(take.frames)),
+        str(len(take.files)),
+        f"{take.bytes / 1e6:.1f} MB",
+        take.state + note,
+    )
+
+
+def details(where: Path, take: TakeEntry) -> Iterator[tuple[str, str]]:
+    """A take as name and value."""
+    yield "take", take.name
+    yield "state", take.state
+    yield "session", f"{take.session}, device {take.device}"
+    yield "begun", f"{_when(take.start_ns)}, {take.duration_s:.2f} s"
+    yield "frames", f"left {take.frames[0]}, right {take.frames[1]}"
+    yield "size", f"{take.bytes / 1e6:.1f} MB, {take.interruptions} interruption(s)"
+    for file in take.files:
+        yield "file", str(where / file)
+    for problem in take.problems:
+        yield "problem", problem
+
+
+def _when(t_ns: int) -> str:
+    return datetime.fromtimestamp(t_ns / 1e9).astimezone().strftime("%Y-%m-%d %H:%M:%S") if t_ns else "     nothing"
+
+
+def _print(header: tuple[str, ...], rows: Any) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=any(header), box=None, pad_edge=False, header_style="bold")
+    for i, name in enumerate(header):
+        table.add_column(name, overflow="fold", no_wrap=i < len(header) - 1)
+    for cells in rows:
+        table.add_row(*cells)
+    Console(highlight=False, markup=False).print(table)

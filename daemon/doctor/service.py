@@ -1,0 +1,114 @@
+"""The installed service, if there is one: its user, groups, directories, interpreter; and how it runs."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from daemon.doctor.ask import ask, there
+from daemon.doctor.finding import Area, Finding
+from daemon.doctor.machine import Machine
+from daemon.doctor.subject import Subject
+from daemon.install.layout import CONFIG_FILES, DIRECTORIES, PREFIX, SERVICE, USER
+
+area = Area("service")
+
+_UNIT = f"/etc/systemd/system/{SERVICE}"
+_GROUPS = "video", "render", "plugdev"
+_AGAIN = "sudo fringed install, from the checkout or environment that it was installed with"
+
+
+def check(subject: Subject) -> Iterator[Finding]:
+    """Nothing but a note where it is not installed."""
+    machine = subject.machine
+    unit = machine.text(_UNIT)
+    if not unit:
+        yield area.note("unit", "fringed is not installed as a service", "sudo fringed install")
+        return
+    yield program(machine, unit)
+    number = entry(machine, "passwd", USER)
+    if number is None:
+        yield area.problem("user", f"there is no user {USER}", f"sudo systemd-sysusers fringed.conf, or {_AGAIN}")
+        return
+    yield groups(machine)
+    yield from rights(machine)
+    if machine.root == Path("/") and there("systemctl"):
+        yield running()
+
+
+def program(machine: Machine, unit: str) -> Finding:
+    """Whether what the unit starts is there."""
+    line = next((line for line in unit.splitlines() if line.startswith("ExecStart=")), "ExecStart=")
+    name = line.partition("=")[2].split(" ")[0] or str(PREFIX)
+    env = Path(name).parent.parent / "env/bin/python"
+    for path in (name, str(env)):
+        if not machine.path(path).exists():
+            return area.problem("program", f"{path} is not there", _AGAIN)
+    return area.ok("program", f"{name}")
+
+
+def groups(machine: Machine) -> Finding:
+    """Whether the service may use cameras and graphics card."""
+    missing = [name for name in _GROUPS if USER not in members(machine, name)]
+    if missing:
+        remedy = f"sudo usermod -aG {','.join(missing)} {USER}; sudo systemctl restart fringed"
+        return area.warning("groups", f"the user {USER} is not in {' and '.join(missing)}", remedy)
+    return area.ok("groups", f"the user {USER} is in {', '.join(_GROUPS)}")
+
+
+def rights(machine: Machine) -> Iterator[Finding]:
+    """Modes and owners, against the table of the installation; one finding when all is as promised."""
+    wrong = 0
+    for place in (*DIRECTORIES, CONFIG_FILES):
+        if place.path.is_relative_to(PREFIX):
+            continue  # the prefix can be another one
+        try:
+            status = machine.path(str(place.path)).stat()
+        except PermissionError:
+            continue
+        except OSError:
+            wrong += 1
+            yield area.warning("rights", f"{place.path} is not there", _AGAIN)
+            continue
+        owner, group = entry(machine, "passwd", place.owner), entry(machine, "group", place.group)
+        if status.st_uid != owner or status.st_gid != group or stat.S_IMODE(status.st_mode) & ~place.mode:
+            wrong += 1
+            text = f"{place.path} is not {place.mode:04o} {place.owner}:{place.group}"
+            remedy = f"sudo chown {place.owner}:{place.group} {place.path}; sudo chmod {place.mode:04o} {place.path}"
+            yield area.warning("rights", text, remedy)
+    if not wrong:
+        yield area.ok("rights", "configuration and data have the modes and owners that they should have")
+
+
+def running() -> Finding:
+    """What systemd says of it."""
+    names = ("ActiveState", "StatusText", "NRestarts", "Result")
+    answer = ask(["systemctl", "show", SERVICE, *(f"--property={name}" for name in names)], 10.0)
+    said = dict(line.partition("=")[::2] for line in answer.out.splitlines())
+    state = said.get("ActiveState", "")
+    if not state:
+        return area.note("state", "systemd does not tell how it runs")
+    text = f"{state}, started again {said.get('NRestarts', '?')} times; {said.get('StatusText') or 'no status line'}"
+    if state == "failed":
+        return area.warning("state", f"{text} ({said.get('Result')})", "journalctl -u fringed -n 50")
+    return area.ok("state", text)
+
+
+def entry(machine: Machine, table: str, name: str) -> int | None:
+    """The number of a user (``passwd``) or a group (``group``), None where there is none."""
+    fields = _line(machine, table, name)
+    if len(fields) > 2 and fields[2].isdigit():
+        return int(fields[2])
+    return 0 if name == "root" else None
+
+
+def members(machine: Machine, group: str) -> list[str]:
+    """Who is in a group by /etc/group."""
+    fields = _line(machine, "group", group)
+    return fields[3].split(",") if len(fields) > 3 else []
+
+
+def _line(machine: Machine, table: str, name: str) -> list[str]:
+    lines = (line.split(":") for line in machine.text(f"/etc/{table}").splitlines())
+    return next((fields for fields in lines if fields[0] == name), [])

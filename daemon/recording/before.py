@@ -1,0 +1,60 @@
+"""The last seconds of raw frames, kept in memory so that a take can begin before somebody asked for it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from daemon.recording.inbox import Picture
+from daemon.sinks import PairItem
+
+MEGABYTE = 1_000_000
+
+
+class Before:
+    """A ring of pairs and lone frames, by reference; not thread-safe.
+
+    Args:
+        limits: seconds (0: nothing is kept) and bytes that are kept at most, as they hold now.
+        now_ns: a clock that never goes back.
+    """
+
+    def __init__(self, limits: Callable[[], tuple[float, int]], now_ns: Callable[[], int]) -> None:
+        self._limits, self._now_ns = limits, now_ns
+        self._items: deque[tuple[int, int, Picture]] = deque()
+        self._bytes = 0
+
+    def add(self, item: Picture) -> None:
+        """Keep an item, and let go of what is too old or too much."""
+        seconds, most_bytes = self._limits()
+        if seconds <= 0:
+            self.clear()
+            return
+        size, now_ns = size_of(item), self._now_ns()
+        self._items.append((now_ns, size, item))
+        self._bytes += size
+        while self._items and (self._bytes > most_bytes or now_ns - self._items[0][0] > 1e9 * seconds):
+            self._bytes -= self._items.popleft()[1]
+
+    def last(self, seconds: float) -> list[Picture]:
+        """What came within the last seconds, oldest first."""
+        since_ns = self._now_ns() - round(1e9 * seconds)
+        return [item for t_ns, _, item in self._items if t_ns >= since_ns]
+
+    def clear(self) -> None:
+        """Keep nothing."""
+        self._items.clear()
+        self._bytes = 0
+
+    def status(self) -> dict[str, Any]:
+        """How much is kept, and how far back it reaches."""
+        reach_s = (self._now_ns() - self._items[0][0]) / 1e9 if self._items else 0.0
+        return {"kept_s": round(reach_s, 2), "items": len(self._items), "bytes": self._bytes}
+
+
+def size_of(item: Picture) -> int:
+    """Bytes of an item's pictures."""
+    if isinstance(item, PairItem):
+        return item.left.image.nbytes + item.right.image.nbytes
+    return item.frame.image.nbytes

@@ -1,0 +1,66 @@
+"""What the doctor says of an installed service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from daemon.doctor import service
+from daemon.doctor.finding import Finding
+from daemon.doctor.machine import Machine
+from daemon.doctor.subject import Subject
+from daemon.install import work
+from daemon.install.environment import Source, default_python
+from daemon.install.target import Target
+from tests.service.test_install import as_root
+from tests.service.test_units import needs_systemd
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    needs_systemd()
+    root = tmp_path_factory.mktemp("image")
+    source = Source(default_python(), shared=True)
+    work.install(Target(root), source, work.Wishes(compile=False), lambda _: None)
+    return root
+
+
+def found(root: Path) -> dict[str, Finding]:
+    return {finding.name: finding for finding in service.check(Subject(Machine(root, {})))}
+
+
+def test_where_it_is_not_installed_there_is_nothing_to_say(tmp_path: Path) -> None:
+    (finding,) = found(tmp_path).values()
+    assert finding.level == "note" and "not installed" in finding.text
+
+
+@as_root
+def test_a_fresh_installation_is_well(image: Path) -> None:
+    assert {name: finding.level for name, finding in found(image).items()} == dict.fromkeys(
+        ("program", "groups", "rights"), "ok"
+    )
+
+
+@as_root
+def test_rights_that_were_changed_are_told_with_the_command_that_mends_them(image: Path) -> None:
+    takes = image / "var/lib/fringed/takes"
+    takes.chmod(0o777)
+    finding = found(image)["rights"]
+    takes.chmod(0o750)
+    assert finding.level == "warning"
+    assert finding.remedy.endswith("sudo chmod 0750 /var/lib/fringed/takes")
+    assert found(image)["rights"].level == "ok"
+
+
+@as_root
+def test_a_missing_group_and_a_missing_program_are_told(image: Path) -> None:
+    groups, link = image / "etc/group", image / "opt/fringed/env"
+    before, to = groups.read_text(), link.readlink()
+    groups.write_text("\n".join(line for line in before.splitlines() if not line.startswith("plugdev:")))
+    link.unlink()
+    told = found(image)
+    groups.write_text(before)
+    link.symlink_to(to)
+    assert told["groups"].level == "warning" and "usermod -aG plugdev fringed" in told["groups"].remedy
+    assert told["program"].level == "problem" and "env/bin/python" in told["program"].text

@@ -1,0 +1,61 @@
+"""Another calibration while the stream runs: every cloud says which it was made with, and the meta data come first."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from daemon.rig import Rig
+from pipeline.cloud import Volume
+from pipeline.pattern import ColorFringe
+from tests.daemon import rigs
+from tests.stream import clouds
+
+OLD, NEW = "sha256:00", "sha256:11"
+
+
+def other_rig() -> Rig:
+    made = clouds.calibration()
+    pattern = ColorFringe(size=made.projector.size, periods=10)
+    return Rig({}, None, made, pattern, Volume(1200, 1500), b"again: 1\n", NEW, lambda: None)  # type: ignore[arg-type]
+
+
+def test_the_meta_data_come_before_the_first_cloud_of_the_new_calibration(tmp_path: Path) -> None:
+    with clouds.publisher() as made, zmq.Context() as context, context.socket(zmq.SUB) as reader:
+        reader.setsockopt(zmq.LINGER, 0)
+        reader.connect(made.endpoints[0])
+        for topic in (b"meta/", b"cloud/full"):
+            reader.setsockopt(zmq.SUBSCRIBE, topic)
+        clouds.until(lambda: made.wants("cloud/full") and made.wants("meta/rays"), 30)
+        got: list[tuple[str, dict[str, Any], list[bytes]]] = []
+
+        def receive(until: str, times: int) -> None:
+            while sum(topic == until for topic, _, _ in got) < times:
+                assert reader.poll(30_000), "nothing came"
+                topic, header, *parts = reader.recv_multipart()
+                got.append((topic.decode(), json.loads(header), parts))
+
+        made.offer(clouds.item(1))
+        receive("cloud/full", 1)
+        commit = made.change(rigs.config(tmp_path), other_rig())
+        made.offer(clouds.item(2))
+        receive("cloud/full", 2)
+        with made._lock:  # both before the thread of the stream comes to it
+            made.offer(clouds.item(3))
+            commit()
+        receive("cloud/full", 3)
+        commit()
+        made.offer(clouds.item(4))
+        receive("cloud/full", 4)
+    seen = [(header["seq"], header["calibration"]) for topic, header, _ in got if topic == "cloud/full"]
+    assert seen == [(1, OLD), (2, OLD), (3, OLD), (4, NEW)]
+    topics = [(topic, header["calibration"]) for topic, header, _ in got]
+    for topic in ("meta/calibration", "meta/rays", "meta/config"):
+        assert topics.index((topic, NEW)) < topics.index(("cloud/full", NEW))
+    told = {
+        bytes(parts[0]) for topic, header, parts in got if topic == "meta/calibration" and header["calibration"] == NEW
+    }
+    assert told == {b"again: 1\n"}
