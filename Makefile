@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
+.PHONY: help env demo test bench bench-calibration bench-modes soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
 .DEFAULT_GOAL := help
 
 help:
@@ -45,6 +45,9 @@ $(PEERS)/.complete: benchmarks/peers.txt
 bench-calibration: $(STAMP)  ## calibrated from rendered pictures alone, against the truth; a quarter of an hour
 	$(BIN)/python -m benchmarks.calibration
 	$(BIN)/python -m benchmarks.calibrated --scale 0.5
+
+bench-modes: $(STAMP)  ## sets of pictures against the single shot and the truth, at rest and in motion; ten minutes
+	$(BIN)/python -m benchmarks.modes
 
 soak: $(STAMP)  ## half an hour at 30 pairs a second: losses, memory, latencies; exit code 1 if one is lost
 	$(BIN)/python -m benchmarks.soak $(SOAK)

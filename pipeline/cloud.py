@@ -33,7 +33,8 @@ class Cloud:
         modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right picture.
         order: (H, W) int16, fringe order of the left pixel; -1 where unknown.
         saturated: share of clipped pixels, left and right.
-        moved: lit pixels of the left pictures that contradict each other, so that something moved; sets only.
+        moved: lit pixels whose pictures contradict each other, so that something moved, of the camera with more of
+            them; sets only.
         ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
     """
 

@@ -28,8 +28,6 @@ def compile_elsewhere() -> str:
 def main() -> None:
     """Compile what measuring and rendering need."""
     from pipeline.drift.observe import rehearse
-    from pipeline.modes.reconstruct import SetReconstructor
-    from pipeline.modes.sequences import MODES, mode_sequence
     from pipeline.reconstruct import Reconstructor
     from sim.optics import Optics
     from sim.render import render_pair
@@ -43,10 +41,24 @@ def main() -> None:
         made.warm_up(every=(1, 2), follow=True)
         pair = render_pair(layout, build("moving"), pattern, optics, encoding=encoding)
         made.reconstruct(pair.left, pair.right)
-    for mode in MODES:
-        sequence = mode_sequence(mode, pattern.size, periods=pattern.periods)
-        SetReconstructor(layout.calibration_for(optics), sequence, layout.volume()).warm_up()
     rehearse()
+    compile_modes()
+
+
+def compile_modes() -> None:
+    """Compile what measuring with sets of pictures needs."""
+    from pipeline.modes.reconstruct import SetReconstructor
+    from pipeline.modes.sequences import mode_sequence
+    from sim.optics import Optics
+    from sim.rig import RigLayout
+
+    layout = RigLayout().scaled(0.125)
+    calibration = layout.calibration_for(Optics())
+    for mode, encoding in (
+        ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"), ("gray", "rgb8"), ("two_color", "rgb8"),
+    ):  # fmt: skip
+        sequence = mode_sequence(mode, layout.projector_size, periods=layout.periods)
+        SetReconstructor(calibration, sequence, layout.volume(), encoding=encoding).warm_up()
 
 
 if __name__ == "__main__":

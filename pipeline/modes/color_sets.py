@@ -70,8 +70,9 @@ class ColorSets:
             self._ratio, WORST_DEVIATION, self._order, self._away, self._lit,
         )  # fmt: skip
         moved = orders.settle(
-            self._order, self._unused, self._lit, self._away, np.float32(0.5), WORST_DEVIATION, self._absolute
-        )
+            self._order, self._unused, self._lit, self._away, left.variance, np.float32(0.5), WORST_DEVIATION,
+            self._absolute,
+        )  # fmt: skip
         watch.lap("agreement")
         cloud = first.stage(every).cloud(left, right, self._order, first.correction, watch)
         return replace(cloud, moved=int(moved))

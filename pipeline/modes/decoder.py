@@ -14,6 +14,7 @@ from pipeline.errors import PictureError
 from pipeline.modes import orders, samples
 from pipeline.modes.harmonic import bends
 from pipeline.modes.plan import Plan
+from pipeline.modes.smooth import blend, smooth
 from pipeline.modes.tables import SetTables
 from pipeline.noise import NoiseModel, estimate
 from pipeline.phase import PhaseMap
@@ -77,8 +78,7 @@ class SetDecoder:
         self._rest_first = np.cumsum([0, *(len(f.rest) for f in plan.fringes)]).astype(np.int32)
         ratio = np.array([f.periods / plan.periods for f in plan.fringes])
         self._ratio = ratio.astype(np.float32)
-        weight = ratio**2 * [len(f.frames) for f in plan.fringes]
-        self._weight = (weight / weight.sum()).astype(np.float32)
+        self._weight = plan.shares.astype(np.float32)
         width, height = tables.size
         self._stack = np.empty((plan.frames, height, width * self._channels), self._type)
         many = (len(plan.fringes), height, width)
@@ -86,6 +86,8 @@ class SetDecoder:
         self._mean, self._misfit = (np.empty((height, width), np.float32) for _ in range(2))
         self._order, self._phasor = np.empty((height, width), np.int16), np.empty((height, width), np.int32)
         self._clipped = np.empty(height, np.int32)
+        self._mosaic, self._window = encoding in BAYER, windowed(settings, encoding)
+        self._spare = np.empty((3 if self._mosaic or self._window else 0, height, width), np.float32)
         self._bits = np.empty((len(plan.bits), height, width), np.int8)
         self._bit_index = np.array([frame for frame, _ in plan.bits], np.int32)
         self._bit_sign = np.array([-1 if b.inverted else 1 for _, b in plan.bits], np.float32)
@@ -129,13 +131,20 @@ class SetDecoder:
         absolute = self._phase[0].copy()
         amplitude = self._amplitude[0]
         moved = orders.settle(
-            self._order, self._phasor, amplitude, self._misfit, smallest, np.float32(self._limits[1]), absolute
-        )
+            self._order, self._phasor, amplitude, self._misfit, self._variance[0], smallest,
+            np.float32(self._limits[1]), absolute,
+        )  # fmt: skip
+        phase, variance, mean = self._phase[0], self._variance[0], self._mean
+        if self._window:
+            smooth(absolute, variance, self._order, phase, self._phasor, *self._spare[:2])
+            absolute, variance = self._spare[0], self._spare[1]
+        if self._mosaic:
+            blend(self._mean, self._spare[2])
+            mean = self._spare[2]
         modulation = np.minimum(amplitude, 255).astype(np.uint8)
         share = float(self._clipped.sum()) / self._clipped.size / self._tables.size[0]
         valid = self._order != orders.NONE
-        phase, variance = self._phase[0], self._variance[0]
-        found = PhaseMap(self._phasor, self._phasor, self._mean, variance, share, phase, phase, modulation, valid)
+        found = PhaseMap(self._phasor, self._phasor, mean, variance, share, phase, phase, modulation, valid)
         return SetPhase(found, self._order, absolute, int(moved))
 
     def _take(self, pictures: Items[NDArray[Any]], side: str) -> None:
@@ -158,6 +167,11 @@ class SetDecoder:
             return NoiseModel(self._settings.read_noise**2, self._settings.noise_gain)
         shallow = (picture >> 8).astype(np.uint8) if self._encoding == "mono16" else picture
         return estimate(shallow, along=0 if self._plan.axis == "x" else 1, step=2 if self._encoding in BAYER else 1)
+
+
+def windowed(settings: Settings, encoding: str) -> bool:
+    """Whether phases are averaged over 3 x 3 pixels: on a mosaic, or where the settings ask for a window."""
+    return encoding in BAYER or settings.window_radius > 0
 
 
 def _levels(color: ColorModel, encoding: str) -> tuple[F32, F32]:

@@ -14,8 +14,9 @@ from pipeline.calibration import Calibration
 from pipeline.cloud import Cloud, Volume
 from pipeline.located import TURN_STEPS, Located
 from pipeline.modes import orders
-from pipeline.modes.decoder import SetDecoder, SetPhase
+from pipeline.modes.decoder import SetDecoder, SetPhase, windowed
 from pipeline.modes.plan import Plan
+from pipeline.modes.smooth import CORRELATION
 from pipeline.modes.tables import SetTables
 from pipeline.pattern import ColorFringe
 from pipeline.reconstruct import volume_of_right
@@ -58,6 +59,7 @@ class GreySets:
             SetDecoder(plan, color, table, encoding=encoding, settings=settings, limits=(WORST_DEVIATION, WORST_MISFIT))
             for color, table in zip(colors, tables, strict=True)
         ]
+        self._correlation = CORRELATION if windowed(settings, encoding) else 0.0
         self._stages: dict[int, SurfaceStage] = {}
 
     def keep(self) -> Any:
@@ -79,7 +81,7 @@ class GreySets:
         cloud = self._stage(every).cloud(
             left.map, right.map, left.order, self.correction, watch, confirm=lambda found: self._confirm(found, right)
         )
-        return replace(cloud, moved=left.moved)
+        return replace(cloud, moved=max(left.moved, right.moved))
 
     def _confirm(self, located: Located, right: SetPhase) -> None:
         orders.confirm(
@@ -88,7 +90,7 @@ class GreySets:
         )  # fmt: skip
 
     def _calibrate_columns(self, left: SetPhase, right: SetPhase) -> None:
-        """Find the projector's column correction from a set and keep it.
+        """Find the projector's column correction from a set and keep it, if the set has points enough.
 
         The pixels that both cameras agree about tell how far off the projector is: among some offsets the one with
         the most of them, then an affine fit.
@@ -98,14 +100,13 @@ class GreySets:
             agreed = int(np.count_nonzero(self._located(left, right, np.array([offset, 0.0, 0.0])).known))
             if agreed > 1.02 * most:
                 best, most = float(offset), agreed
-        self.calibrated = True
         correction = np.array([best, 0.0, 0.0])
         located = self._located(left, right, correction)
         difference, along, across = self._left.column_differences(located, correction)
         if len(difference) >= _FEWEST // _COARSE:
             limit = self._settings.self_calibration_range + 1.0
-            correction = self_calibration.affine_fit(along, across, difference, limit=limit)
-        self.correction = correction
+            self.correction = self_calibration.affine_fit(along, across, difference, limit=limit)
+            self.calibrated = True
 
     def _located(self, left: SetPhase, right: SetPhase, correction: NDArray[np.float64]) -> Located:
         """Points of a coarse lattice, confirmed by the right picture."""
@@ -116,5 +117,7 @@ class GreySets:
 
     def _stage(self, every: int) -> SurfaceStage:
         if every not in self._stages:
-            self._stages[every] = SurfaceStage(self._calibration, self._left, self._settings, 0.0, every=every)
+            self._stages[every] = SurfaceStage(
+                self._calibration, self._left, self._settings, self._correlation, every=every
+            )
         return self._stages[every]

@@ -20,7 +20,7 @@ UNIT = np.float32(100.0)
 """Size of all phasors, counts: a bright pixel does not pull the phase between it and a dark one."""
 _ZERO, _ONE, _TURN = np.float32(0), np.float32(1), np.float32(2 * np.pi)
 _FAR, _CLEAR = np.float32(1e9), np.float32(4.0)
-_EDGE = np.float32(0.25)
+_EDGE, _UNCERTAIN = np.float32(0.25), np.float32(4)
 _CERTAIN = np.float32(0.2) * BIT_STEPS
 
 
@@ -116,17 +116,26 @@ def _clearest(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
 
 @inline
 def _unevenness(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
-    """Mean square deviation of the contrasts of the bits that have no edge near, in amplitudes^2."""
+    """Mean square deviation of the contrasts of the bits that have no edge near, in amplitudes^2.
+
+    Of the bright ones and of the dark ones by themselves: a projector's response may make the two unequal.
+    """
     cell = np.int32(np.floor(place))
     unclear = _changing(cell) | _changing(cell + np.int32(1))
-    n, total, square = _ZERO, _ZERO, _ZERO
+    n, total, square, m, other = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     for b in range(bits.shape[0]):
         if unclear & (np.int32(1) << number[b]) == 0:
-            value = abs(np.float32(bits[b, i, j])) / BIT_STEPS
-            n += _ONE
-            total += value
+            value = np.float32(bits[b, i, j]) / BIT_STEPS
             square += value * value
-    return (square - total * total / n) / (n - _ONE) if n > _ONE else _ZERO
+            if value > _ZERO:
+                n += _ONE
+                total += value
+            else:
+                m += _ONE
+                other += value
+    square -= (total * total / n if n > _ZERO else _ZERO) + (other * other / m if m > _ZERO else _ZERO)
+    free = n + m - (_ONE if n > _ZERO else _ZERO) - (_ONE if m > _ZERO else _ZERO)
+    return square / free if free > _ZERO else _ZERO
 
 
 @parallel
@@ -168,7 +177,9 @@ def by_bits(
 
 
 @parallel
-def settle(order: Any, phasor: Any, amplitude: Any, misfit: Any, smallest: float, limit: float, absolute: Any) -> int:
+def settle(
+    order: Any, phasor: Any, amplitude: Any, misfit: Any, variance: Any, smallest: float, limit: float, absolute: Any
+) -> int:
     """Forget the pixels whose pictures contradict each other, or whose neighbours' do, and count them.
 
     Where half of the lit pixels of a window of 5 x 5 contradict, something moved; a border between two surfaces makes
@@ -176,6 +187,7 @@ def settle(order: Any, phasor: Any, amplitude: Any, misfit: Any, smallest: float
 
     Args:
         order, phasor: (H, W), forgotten in place; amplitude, misfit: (H, W), radians^2.
+        variance: (H, W), of the phases; the misfit of dim pixels is that uncertain.
         limit: largest misfit, radians.
         absolute: (H, W) float32, phases of the pixels; becomes NaN where ``order`` is forgotten, absolute elsewhere.
 
@@ -189,7 +201,7 @@ def settle(order: Any, phasor: Any, amplitude: Any, misfit: Any, smallest: float
     for i in prange(height):
         for j in range(width):
             lit = amplitude[i, j] >= smallest
-            vote[i, j] = (2 if misfit[i, j] > largest else 1) if lit else 0
+            vote[i, j] = (2 if misfit[i, j] > largest + _UNCERTAIN * variance[i, j] else 1) if lit else 0
     for i in prange(height):
         for j in range(width):
             if vote[i, j]:
@@ -201,7 +213,7 @@ def settle(order: Any, phasor: Any, amplitude: Any, misfit: Any, smallest: float
                 if 2 * against >= lit:
                     moved[i] += 1
                     order[i, j] = NONE
-                elif misfit[i, j] > np.float32(9) * largest:
+                elif misfit[i, j] > np.float32(9) * (largest + _UNCERTAIN * variance[i, j]):
                     order[i, j] = NONE
             if order[i, j] == NONE:
                 phasor[i, j], absolute[i, j] = 0, np.float32(np.nan)

@@ -76,6 +76,18 @@ class Plan:
         """Of the finest fringe."""
         return self.fringes[0].periods if self.fringes else self.colors[0].periods
 
+    @property
+    def shares(self) -> NDArray[np.float64]:
+        """Weights of the fringes in the phase that is measured, their sum is 1: by what noise each leaves."""
+        weight = np.array([f.periods**2 * len(f.frames) for f in self.fringes])
+        return np.asarray(weight / weight.sum())
+
+    @property
+    def centre(self) -> float:
+        """Number of the picture, as a rule between two, that a slowly moving surface is measured at."""
+        means = [float(np.mean(f.frames)) for f in self.fringes]
+        return float(self.shares @ means) if means else 0.0
+
 
 def plan_of(sequence: Sequence) -> Plan:
     """Read a sequence; PatternError says what is missing for a measurement."""

@@ -1,0 +1,69 @@
+"""Absolute phases averaged over 3 x 3 pixels with binomial weights (1 2 1).
+
+On a Bayer mosaic every such window holds red, green and blue as 1 : 2 : 1, wherever it stands: what colours see
+differently (lenses, a projector whose colours do not coincide) is then the same in all pixels and in both cameras. A
+neighbour counts only together with the one opposite, and only where both lie on the pixel's own surface: the average
+of opposite neighbours has no slope.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import parallel, prange
+from pipeline.modes.orders import NONE, UNIT
+from pipeline.packed import PHASOR_SCALE, pack
+
+CORRELATION = 2 / 3
+"""Of neighbouring pixels' noise afterwards."""
+_BEND = np.float32(0.8)
+_ZERO, _TWO, _FOUR, _TURN = np.float32(0), np.float32(2), np.float32(4), np.float32(2 * np.pi)
+
+
+@parallel
+def smooth(absolute: Any, variance: Any, order: Any, phase: Any, phasor: Any, out: Any, out_variance: Any) -> None:
+    """Average ``absolute`` (H, W), NaN where unknown, into ``out``, and the variance that it has then.
+
+    ``phase`` becomes what is left of the average beside the order's turns, ``phasor`` (H, W) int32 goes with it.
+    """
+    height, width = absolute.shape
+    for i in prange(height):
+        for j in range(width):
+            middle = absolute[i, j]
+            out[i, j], out_variance[i, j] = middle, variance[i, j]
+            if order[i, j] == NONE:
+                continue
+            total, weight, noise = _FOUR * middle, _FOUR, _FOUR * _FOUR * variance[i, j]
+            if 0 < i < height - 1 and 0 < j < width - 1:
+                for pair in range(4):
+                    # Right, below, and the two diagonals; the other end lies opposite.
+                    y, x = (0 if pair == 0 else 1), (0 if pair == 1 else (1 if pair != 3 else -1))
+                    share = _TWO if pair < 2 else np.float32(1)
+                    a, b = absolute[i + y, j + x], absolute[i - y, j - x]
+                    # False where one of them is unknown.
+                    if abs(a + b - _TWO * middle) < _BEND and abs(a - b) < _FOUR:
+                        total += share * (a + b)
+                        weight += _TWO * share
+                        noise += share * share * (variance[i + y, j + x] + variance[i - y, j - x])
+            found = total / weight
+            out[i, j], out_variance[i, j] = found, noise / (weight * weight)
+            rest = found - _TURN * np.float32(order[i, j])
+            phase[i, j] = rest
+            phasor[i, j] = pack(UNIT * np.cos(rest), UNIT * np.sin(rest), PHASOR_SCALE)
+
+
+@parallel
+def blend(plane: Any, out: Any) -> None:
+    """The same average of a plane (H, W) float32 that is known everywhere; borders as they are."""
+    height, width = plane.shape
+    for i in prange(height):
+        for j in range(width):
+            if i == 0 or j == 0 or i == height - 1 or j == width - 1:
+                out[i, j] = plane[i, j]
+                continue
+            total = _FOUR * plane[i, j]
+            total += _TWO * (plane[i - 1, j] + plane[i + 1, j] + plane[i, j - 1] + plane[i, j + 1])
+            total += plane[i - 1, j - 1] + plane[i - 1, j + 1] + plane[i + 1, j - 1] + plane[i + 1, j + 1]
+            out[i, j] = total * np.float32(1 / 16)
