@@ -8,10 +8,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
+from daemon.config.models import RigConfig
 from daemon.errors import DaemonError
 from daemon.recording.before import MEGABYTE, Before
 from daemon.recording.catalog import scan
 from daemon.recording.inbox import Picture
+from daemon.rig import Rig
 from daemon.service import Service
 from daemon.sinks import CloudItem, Item, Sink
 
@@ -132,6 +134,17 @@ class Recorder:
         with self._hand:
             self._before.add(item)
             return self._take is None or self._take.offer(item)
+
+    def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:  # noqa: ARG002 - the protocol's
+        """With another mode begin other pictures: those that were kept show a pattern that no take will have."""
+        before = self._service.config.mode
+
+        def commit() -> None:
+            if config.mode != before:
+                with self._hand:
+                    self._before.clear()
+
+        return commit
 
     def close(self) -> None:
         """End the take, if there is one, and forget what is kept."""

@@ -272,9 +272,6 @@ class Service:
         reasons += filter(
             None, (size_problem(side, c.status.size, self.rig.calibration) for side, c in self.cameras.items())
         )
-        dark = self.rig.projector.problem()
-        if dark:
-            reasons.append(f"projector: {dark}")
         reasons += filter(None, (self.sequencing.problem(),))
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")

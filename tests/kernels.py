@@ -42,6 +42,23 @@ def main() -> None:
         pair = render_pair(layout, build("moving"), pattern, optics, encoding=encoding)
         made.reconstruct(pair.left, pair.right)
     rehearse()
+    compile_modes()
+
+
+def compile_modes() -> None:
+    """Compile what measuring with sets of pictures needs."""
+    from pipeline.modes.reconstruct import SetReconstructor
+    from pipeline.modes.sequences import mode_sequence
+    from sim.optics import Optics
+    from sim.rig import RigLayout
+
+    layout = RigLayout().scaled(0.125)
+    calibration = layout.calibration_for(Optics())
+    for mode, encoding in (
+        ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"), ("gray", "rgb8"), ("two_color", "rgb8"),
+    ):  # fmt: skip
+        sequence = mode_sequence(mode, layout.projector_size, periods=layout.periods)
+        SetReconstructor(calibration, sequence, layout.volume(), encoding=encoding).warm_up()
 
 
 if __name__ == "__main__":

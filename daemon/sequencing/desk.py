@@ -194,9 +194,13 @@ class Sequencing:
         log.info("mode: %s", self.mode)
 
     def problem(self) -> str:
-        """Why no sets come, or nothing."""
-        if self.driven and self._driver.problem:
-            return f"sequence: {self._driver.problem}"
+        """Why there may be no light or no sets, or nothing."""
+        if self._driver.playing:
+            # Between two pictures a projector is never sure of its own; each one is confirmed before its pair counts.
+            return f"sequence: {self._driver.problem}" if self._driver.problem else ""
+        dark = self._rig.projector.problem()
+        if dark:
+            return f"projector: {dark}"
         if self.stored and self._gatherer.restarts:
             return (
                 "sequence: the triggers' count began anew, so nobody knows which stored picture a trigger shows; set "

@@ -62,6 +62,11 @@ class Driver:
         self.problem = ""
         self.index = 0
 
+    @property
+    def playing(self) -> bool:
+        """Whether pictures are being shown, or tried again after a failure."""
+        return self._wanted
+
     def offer(self, pair: Pair) -> None:
         """Take a pair of the cameras; the newest few are kept until one is wanted."""
         self._box.put(pair)

@@ -16,6 +16,7 @@ from daemon.control.protocol import RpcError
 from daemon.errors import ConfigError
 from daemon.outputs import open_capture
 from daemon.recorder import Recorder
+from daemon.sinks import PairItem
 from daemon.status import State
 from tests.daemon.rigs import Collector, wait_until
 from tests.sequencing.rigs import Lit, lit
@@ -34,7 +35,7 @@ class Desk:
             ),
             directories=(path / "run", path / "takes"),
         )
-        recorder = Recorder(service, path / "takes", lambda _: Writing())
+        self.recorder = recorder = Recorder(service, path / "takes", lambda _: Writing())
         calibrate = CalibrateMethods(service, self.capture)
         self.methods = Methods(service, recorder, path=None, base_dir=path, calibrate=calibrate)
 
@@ -117,6 +118,19 @@ def test_the_mode_changes_live_there_and_back(desk: Desk) -> None:
     desk.call("pattern.mode", name="gray")
     desk.bench.goes_on()
     assert all(one in (gray, heterodyne) for one in desk.bench.service.seen)
+
+
+def test_a_take_that_begins_in_the_past_holds_nothing_of_another_mode(desk: Desk) -> None:
+    desk.call("set", path="recording.before_s", value=60.0)
+    desk.bench.goes_on(2)
+    assert desk.recorder.status()["before"]["items"] > len(desk.bench.levels)
+    desk.call("pattern.mode", name="heterodyne")
+    sets = desk.bench.service.sequencing.sets
+    wait_until(lambda: desk.bench.service.sequencing.sets >= sets + 2)
+    kept = [item.left for item in desk.recorder._before.last(60.0) if isinstance(item, PairItem)]
+    levels = desk.bench.levels
+    assert len(kept) >= 2 * len(levels)
+    assert [int(frame.image[0, 0, 0]) for frame in kept] == [levels[frame.trigger % len(levels)] for frame in kept]
 
 
 def test_a_mode_that_cannot_be_leaves_the_one_there_is(desk: Desk) -> None:

@@ -1,0 +1,66 @@
+"""Small rendered sets: a quarter of the standard rig each way, every picture with a noise of its own."""
+
+import functools
+from math import pi
+
+import numpy as np
+
+from pipeline.modes.reconstruct import SetReconstructor
+from pipeline.modes.sequences import mode_sequence
+from pipeline.settings import Settings
+from sim.box.light import Stage
+from sim.optics import Optics
+from sim.render import truths
+from sim.rig import RigLayout
+from sim.scenes import Scene, build
+from sim.shapes import Motion, plane
+
+LAYOUT, OPTICS = RigLayout().scaled(0.25), Optics()
+SETTINGS = Settings(min_component=20)
+RATE_HZ = 100.0
+
+
+def sequence(mode, **options):
+    return mode_sequence(mode, LAYOUT.projector_size, periods=LAYOUT.periods, **options)
+
+
+def made(mode, encoding="rgb8", optics=OPTICS, **options):
+    """What measures in a mode; the small rig's surfaces are small."""
+    options = {"settings": SETTINGS} | options
+    return SetReconstructor(
+        LAYOUT.calibration_for(optics), sequence(mode), LAYOUT.volume(), encoding=encoding, **options
+    )
+
+
+@functools.cache
+def taken(mode, encoding="rgb8", scene="mixed", optics=OPTICS):
+    """Left and right pictures of a scene at rest."""
+    stage = Stage(LAYOUT, build(scene), optics, encoding=encoding)
+    response = LAYOUT.calibration_for(optics).response if optics.precorrected else None
+    return _sides(
+        stage.pictures(stage.counts(np.ascontiguousarray(frame.picture(response))), 10 + k)
+        for k, frame in enumerate(sequence(mode).frames)
+    )
+
+
+@functools.cache
+def truth(scene="mixed"):
+    return truths(LAYOUT, build(scene))[0]
+
+
+@functools.cache
+def in_motion(mode, speed_m_s):
+    """Left and right pictures of a plane that moves away from the rig, each taken at its own time."""
+    motion = Motion(swing_mm=(0.0, 0.0, 400.0))
+    shape = plane().placed((0, 0, 0), albedo=0.8, motion=motion)
+    scene = Scene("moving plane", (shape,), period_s=2 * pi * 0.4 / speed_m_s)
+    pairs = []
+    for k, frame in enumerate(sequence(mode).frames):
+        stage = Stage(LAYOUT, scene, OPTICS, instants_s=(k / RATE_HZ,))
+        pairs.append(stage.pictures(stage.counts(np.ascontiguousarray(frame.picture())), 10 + k))
+    return _sides(pairs)
+
+
+def _sides(pairs):
+    lefts, rights = zip(*pairs, strict=True)
+    return list(lefts), list(rights)
