@@ -35,7 +35,7 @@ from sim.truth import Truth
 
 SINGLE = "single"
 SCENES = "plane", "spheres", "steps", "mixed"
-SPEEDS_M_S = 0.0, 0.01, 0.03, 0.1, 0.3, 1.0
+SPEEDS_M_S = 0.0, 0.01, 0.1, 0.3, 1.0
 RATE_HZ = 100.0
 ERROR_LIMIT_MM, SHARE_LIMIT = 1.0, 0.01
 Pictures: TypeAlias = list[NDArray[Any]]
