@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
+.PHONY: help env demo test bench bench-calibration bench-service soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall clean
 .DEFAULT_GOAL := help
 
 help:
@@ -56,6 +56,10 @@ box-soak: $(STAMP)  ## 200,000 triggers through the real drivers on emulated har
 box-latency: $(STAMP)  ## from the trigger's edge to frame, pair, cloud and subscriber on emulated hardware
 	tools/system-packages x11 compiler
 	$(BIN)/python -m benchmarks.box_latency $(BOX)
+
+bench-service: $(STAMP)  ## the service under a real systemd, in a container: start, killed, frozen; as root, two minutes
+	tools/system-packages systemd
+	$(BIN)/python -m benchmarks.service $(SERVICE)
 
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make
