@@ -49,6 +49,10 @@ def test_ready_means_that_there_is_a_cloud(started: Fringed) -> None:
     assert seen["activating"]
 
 
+def test_it_starts_with_the_machine(started: Fringed) -> None:
+    assert started.machine.systemctl("is-enabled", SERVICE) == "enabled"
+
+
 def test_without_a_trigger_it_waits_and_says_so(started: Fringed) -> None:
     stepped = rig(simulation={"scene": "plane", "frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}})
     started.start(stepped, wait=False)
