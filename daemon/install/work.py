@@ -12,7 +12,7 @@ from pathlib import Path
 from daemon.atomic import write_atomically
 from daemon.install import config_files, environment, files, kernels, manager
 from daemon.install.errors import InstallError
-from daemon.install.layout import CACHE, COMMAND, CONFIG, FILES, LOGS, PREFIX, RIG, STATE, Place
+from daemon.install.layout import CACHE, COMMAND, CONFIG, FILES, KERNELS, LOGS, PREFIX, RIG, STATE, UNITS, Place
 from daemon.install.target import MARK, Target, check_prefix
 
 Say = Callable[[str], object]
@@ -47,6 +47,7 @@ def install(target: Target, source: environment.Source, wishes: Wishes, say: Say
     _prepare(target)
     if environment.make(target, source):
         say(f"{target.prefix}/env: the environment")
+        _remove(target.path(KERNELS))  # compiled from other files
     for path in files.put_all(target):
         say(str(path))
     for text in config_files.put(target, config):
@@ -73,7 +74,8 @@ def uninstall(target: Target, say: Say, *, purge: bool = False) -> None:
     command = target.path(COMMAND)
     if command.is_symlink() and command.readlink() == target.prefix / "bin/fringed":
         command.unlink()
-    for directory in (CACHE, CACHE.with_name("fringed-view"), *((CONFIG, STATE, LOGS) if purge else ())):
+    drop_ins = [FILES[unit].path.with_name(f"{unit}.d") for unit in UNITS]
+    for directory in (CACHE, CACHE.with_name("fringed-view"), *((CONFIG, STATE, LOGS, *drop_ins) if purge else ())):
         _remove(target.path(directory))
     _remove(target.path(PREFIX))
     manager.take_notice(target)

@@ -219,9 +219,15 @@ def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
 
 def test_purge_takes_all(bare: Path) -> None:
     install(bare)
+    drop_in = bare / "etc/systemd/system/fringed.service.d/override.conf"
+    drop_in.parent.mkdir()
+    drop_in.touch()
     work.uninstall(Target(bare), lambda _: None, purge=True)
     for gone in ("var/lib/fringed", "etc/fringed", "var/log/fringed", "opt/fringed"):
         assert not (bare / gone).exists()
+    assert not drop_in.parent.exists()
+    if os.geteuid() == 0:
+        assert "fringed" not in (bare / "etc/passwd").read_text()
 
 
 def test_somebody_elses_command_is_left_alone(bare: Path) -> None:
