@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.complete
 # What `make bench` compares with stands in an environment of its own.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall bench-modes load campaign clean
+.PHONY: help env demo test audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall bench-modes load campaign bench-service clean
 .DEFAULT_GOAL := help
 
 help:
@@ -64,12 +64,18 @@ box-latency: $(STAMP)  ## from the trigger's edge to frame, pair, cloud and subs
 	tools/system-packages x11 compiler
 	$(BIN)/python -m benchmarks.box_latency $(BOX)
 
+<<<<<<< HEAD
 load: $(STAMP)  ## the measurement under many subscribers against the same without; five minutes
 	$(BIN)/python -m benchmarks.load $(LOAD)
 
 campaign: $(STAMP)  ## five hundred random faults against a whole rig on emulated hardware; needs root; half an hour
 	tools/system-packages x11 compiler
 	$(BIN)/python -m benchmarks.campaign --verbose $(CAMPAIGN)
+=======
+bench-service: $(STAMP)  ## the service under a real systemd, in a container: start, killed, frozen; as root, two minutes
+	tools/system-packages systemd
+	$(BIN)/python -m benchmarks.service $(SERVICE)
+>>>>>>> nspawn
 
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make

@@ -23,9 +23,11 @@ def container() -> type[Machine]:
 
 @pytest.fixture(scope="session")
 def installed(container: type[Machine]) -> Iterator[Fringed]:
-    """A machine where the service is installed; every module starts it with the rig that it needs."""
+    """A machine where the service was installed, which starts it; every module starts it with the rig that it needs."""
     with container() as machine:
         (machine.root / "root/rig.yaml").write_text(rig())
         # Kernels that are compiled beside the sources are taken along, so this takes seconds.
-        machine.fringed("install", "--share-packages", "--no-start", "--rig", "/root/rig.yaml", timeout_s=500)
-        yield Fringed(machine)
+        machine.fringed("install", "--share-packages", "--rig", "/root/rig.yaml", timeout_s=500)
+        made = Fringed(machine)
+        made.wait_active()
+        yield made

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -116,14 +118,16 @@ class Fringed:
         return self.wait_status(f"{more} more clouds", lambda status: status["clouds"] >= before + more)
 
     def pid_outside(self, pid: str | int) -> int:
-        """The number that a process of the container has out here."""
-        for status in (self.machine.root / "proc").parent.parent.parent.glob("[0-9]*/status"):
+        """The number that a process of this container has out here."""
+        space = os.readlink(f"/proc/{self.machine.leader}/ns/pid")
+        for status in Path("/proc").glob("[0-9]*/status"):
             try:
                 said = status.read_text()
+                ours = os.readlink(status.parent / "ns/pid") == space
             except OSError:
                 continue
             numbers = next((line.split()[1:] for line in said.splitlines() if line.startswith("NSpid:")), [])
-            if numbers[-1:] == [str(pid)] and len(numbers) > 2:
+            if ours and numbers[-1:] == [str(pid)]:
                 return int(numbers[0])
         raise AssertionError(f"no process {pid} in the container")
 

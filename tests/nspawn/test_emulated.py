@@ -42,7 +42,7 @@ def running(started: Fringed, rig_yaml: str) -> Fringed:
 def test_it_measures_with_the_real_drivers(running: Fringed) -> None:
     status = running.wait_status("state running", lambda status: status["state"] == "running")
     assert status["points"] > 100
-    assert {camera["state"] for camera in status["cameras"].values()} == {"running"}
+    assert {camera["state"] for camera in status["cameras"].values()} == {"acquiring"}
 
 
 def test_its_processes_are_in_its_own_group_and_run_as_its_user(running: Fringed) -> None:
@@ -91,7 +91,8 @@ def test_a_killed_x_server_comes_back_and_the_pattern_with_it(running: Fringed) 
 
 
 def test_without_triggers_the_watchdog_stays_calm(running: Fringed) -> None:
-    before, watched_s = running.show(), 10.0
+    before = running.show()
+    watched_s = int(running.machine.show(SERVICE, "WatchdogUSec")["WatchdogUSec"].removesuffix("s"))
     running.machine.systemctl("kill", "--signal=STOP", "--kill-who=main", emulation.BOX)
     try:
         began = running.status()["uptime_s"]

@@ -8,6 +8,7 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fringed import subscribe
@@ -46,6 +47,10 @@ def test_ready_means_that_there_is_a_cloud(started: Fringed) -> None:
     wait_until(ready, WAIT_S, "the service being ready")
     assert started.status()["clouds"] >= 1
     assert seen["activating"]
+
+
+def test_it_starts_with_the_machine(started: Fringed) -> None:
+    assert started.machine.systemctl("is-enabled", SERVICE) == "enabled"
 
 
 def test_without_a_trigger_it_waits_and_says_so(started: Fringed) -> None:
@@ -97,9 +102,8 @@ def test_it_listens_on_this_machine_alone(running: Fringed) -> None:
 
 
 def test_clouds_come_through_the_socket(running: Fringed) -> None:
-    for cloud in subscribe(f"ipc://{running.machine.root}/run/fringed/stream", timeout_s=60):
-        assert cloud.points > 100
-        break
+    with subscribe(f"ipc://{running.machine.root}/run/fringed/stream", timeout_s=60) as clouds:
+        assert np.isfinite(next(iter(clouds)).xyz).all(axis=2).sum() > 100
 
 
 def test_the_command_finds_the_service(running: Fringed) -> None:
