@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from daemon.doctor.ask import ask, there
+from daemon.ask import ask, there
 from daemon.doctor.finding import Area, Finding
 from daemon.doctor.subject import Subject
 from daemon.health import clock_sync

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from daemon.doctor import transport
 from daemon.doctor.finding import Area, Finding
-from daemon.doctor.machine import existing
 from daemon.doctor.subject import Subject
+from daemon.places import existing
 
 area = Area("disk")
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from daemon.doctor.ask import ask
+from daemon.ask import ask
 from daemon.doctor.finding import Area, Finding
 from daemon.doctor.screen import Screen
 from daemon.doctor.subject import Subject

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from daemon.ask import Answer, ask
 from daemon.doctor import elf
-from daemon.doctor.ask import Answer, ask
 from daemon.doctor.finding import Area, Finding
 from daemon.doctor.subject import Subject
 

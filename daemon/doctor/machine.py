@@ -82,11 +82,3 @@ class Machine:
     def may_use(self, path: Path) -> bool:
         """Whether this user may read and write a file."""
         return os.access(path, os.R_OK | os.W_OK)
-
-
-def existing(path: Path) -> Path:
-    """The path itself, or the nearest directory above it that is there."""
-    path = path.absolute()
-    while not path.exists() and path != path.parent:
-        path = path.parent
-    return path

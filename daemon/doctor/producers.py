@@ -7,8 +7,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from daemon.ask import ask
 from daemon.doctor import elf
-from daemon.doctor.ask import ask
 from daemon.doctor.finding import Area, Finding
 from daemon.doctor.subject import Subject
 from drivers.genicam.options import PRODUCER_PATH

@@ -6,7 +6,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.doctor.ask import ask, there
+from daemon.ask import ask, there
 from daemon.doctor.finding import Area, Finding
 from daemon.doctor.machine import Machine
 from daemon.doctor.subject import Subject

@@ -13,8 +13,9 @@ from urllib.parse import urlsplit
 
 from daemon import runtime
 from daemon.doctor.finding import Area, Finding
-from daemon.doctor.machine import Machine, Program, existing
+from daemon.doctor.machine import Machine, Program
 from daemon.doctor.subject import Subject
+from daemon.places import existing
 
 area = Area("sockets")
 

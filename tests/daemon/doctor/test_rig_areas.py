@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
+from daemon.ask import Answer
 from daemon.calibration_file import read_calibration, write_calibration
 from daemon.doctor import (
     calibration,
@@ -24,7 +25,6 @@ from daemon.doctor import (
     transport,
     v4l2_cameras,
 )
-from daemon.doctor.ask import Answer
 from drivers.genicam import CameraFound
 from drivers.projector.found import OutputFound
 from drivers.projector.options import ProjectorOptions, read
