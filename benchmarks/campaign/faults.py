@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,6 +29,18 @@ class Fault:
 
 def _side(random_: random.Random) -> Side:
     return random_.choice(SIDES)
+
+
+def _end_daemon(number: signal.Signals) -> Strike:
+    """The fault ends when the guard has started another one: what the old one still sends is no recovery."""
+
+    def strike(place: Place, random_: random.Random) -> None:  # noqa: ARG001
+        starts, end = place.daemon.starts, time.monotonic() + 60.0
+        place.daemon.signal(number)
+        while place.daemon.starts == starts and time.monotonic() < end:
+            pause(0.02)
+
+    return strike
 
 
 def _signal_child(word: str, number: signal.Signals) -> Strike:
@@ -166,8 +179,8 @@ CAMERA, WINDOW = "drivers.remote.child", "drivers.projector.child"
 SIGKILL, SIGTERM = signal.SIGKILL, signal.SIGTERM
 
 FAULTS = (
-    Fault("daemon killed", lambda place, _: place.daemon.signal(SIGKILL), new_daemon=True),
-    Fault("daemon terminated", lambda place, _: place.daemon.signal(SIGTERM), new_daemon=True),
+    Fault("daemon killed", _end_daemon(SIGKILL), new_daemon=True),
+    Fault("daemon terminated", _end_daemon(SIGTERM), new_daemon=True),
     Fault("daemon frozen, up to 3 s", _freeze_daemon),
     Fault("camera process killed", _signal_child(CAMERA, SIGKILL)),
     Fault("camera process frozen, up to 3 s", _freeze_child(CAMERA)),
