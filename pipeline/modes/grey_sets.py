@@ -30,7 +30,7 @@ _COARSE = 4
 _FEWEST = 1000
 WORST_DEVIATION = 0.6
 """Largest mean deviation of the fringes of a set from each other with which an order is taken, radians."""
-WORST_MISFIT = 0.08
+WORST_MISFIT = 0.05
 """Contradiction of a set's pictures from which a pixel has moved, radians of the finest fringe."""
 
 
