@@ -162,6 +162,11 @@ class Pairer:
         return (self._cameras["left"].shift - self._cameras["right"].shift) % TRIGGER_MODULUS
 
     @property
+    def begun_anew(self) -> int:
+        """How often both cameras began to count anew."""
+        return self._numbering.begun_anew
+
+    @property
     def waiting(self) -> int:
         """Frames without a fate yet."""
         return sum(len(camera.waiting) for camera in self._cameras.values())

@@ -42,6 +42,11 @@ class PairingDesk:
         self._lock = threading.Lock()
         self.pairs, self.rate = 0, Rate()
 
+    @property
+    def begun_anew(self) -> int:
+        """How often both cameras began to count anew; takes no lock."""
+        return self._pairer.begun_anew
+
     def receive(self, frame: Frame) -> None:
         """Take a frame."""
         with self._lock:

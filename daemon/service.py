@@ -83,7 +83,8 @@ class Service:
         limits = pairing_settings(config.pairing)
         self.desk = PairingDesk(limits, paired=self._paired, lone=self._lone, clock=self.clock)
         self.worker = Worker(config.pipeline, emit=self.emit, drops=self.drops, clock=self.clock)
-        self.sequencing = Sequencing(config, rig, Outlets(self.emit, self.worker.offer, self.drops), clock=self.clock)
+        outlets = Outlets(self.emit, self.worker.offer, self.drops, lambda: self.desk.begun_anew)
+        self.sequencing = Sequencing(config, rig, outlets, clock=self.clock)
         self.cameras: dict[Side, CameraThread] = {
             side: CameraThread(
                 side,
@@ -269,10 +270,8 @@ class Service:
             for side, camera in self.cameras.items()
             if camera.status.state is CameraState.LOST
         ]
-        reasons += filter(
-            None, (size_problem(side, c.status.size, self.rig.calibration) for side, c in self.cameras.items())
-        )
-        reasons += filter(None, (self.sequencing.problem(),))
+        sizes = (size_problem(side, c.status.size, self.rig.calibration) for side, c in self.cameras.items())
+        reasons += filter(None, (*sizes, self.sequencing.problem()))
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():

@@ -38,11 +38,12 @@ _SOON_NS = 5_000_000_000  # a clock that was set back must not hold up the pairs
 
 @dataclass(frozen=True, slots=True)
 class Outlets:
-    """Where things go: raw pairs of a set, whole sets, and what is counted."""
+    """Where things go: raw pairs of a set, whole sets, counts; and how often the triggers' count began anew."""
 
     emit: Callable[[PairItem], None]
     offer: Callable[[PictureSet], None]
     drops: Counters
+    begun_anew: Callable[[], int]
 
 
 class Sequencing:
@@ -201,7 +202,7 @@ class Sequencing:
         dark = self._rig.projector.problem()
         if dark:
             return f"projector: {dark}"
-        if self.stored and self._gatherer.restarts:
+        if self.stored and self._lost_count():
             return (
                 "sequence: the triggers' count began anew, so nobody knows which stored picture a trigger shows; set "
                 "sequence.first_trigger and restart"
@@ -240,8 +241,12 @@ class Sequencing:
         before = self._gatherer.incomplete
         made = self._gatherer.feed(pair.seq, pair.left.t_exposure_ns, pair)
         self._incomplete(self._gatherer.incomplete - before)
-        if made is not None and not self._gatherer.restarts:
+        if made is not None and not self._lost_count():
             self._whole(PictureSet(made, self.mode))
+
+    def _lost_count(self) -> bool:
+        """Whether nobody knows any longer which stored picture a trigger shows."""
+        return self._gatherer.restarts > 0 or self._outlets.begun_anew() > 0
 
     def _new_gatherer(self) -> Gatherer[Pair]:
         frames = 1 if self.plan is None else len(self.plan.sequence)

@@ -41,10 +41,6 @@ class Running:
     config: RigConfig
     path: Path
 
-    def clouds(self, count: int) -> None:
-        """Wait for so many clouds."""
-        wait_until(lambda: len(self.sink.clouds) >= count, 90)
-
 
 @contextmanager
 def _run(service: Service, sink: Collector, settings: RigConfig, path: Path) -> Iterator[Running]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daemon.pairing import Pair, Pairer
 from daemon.sequencing.gather import MOST_GAP_NS, Gatherer
-from drivers.protocols import TRIGGER_MODULUS
+from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame
 
 MS = 1_000_000
 Shot = tuple[int, int]
@@ -93,3 +95,14 @@ def test_numbers_may_wrap_within_a_set() -> None:
     first = TRIGGER_MODULUS - 2
     gatherer: Gatherer[Shot] = Gatherer(4, first)
     assert len(fed(gatherer, [at(n) for n in range(8)], first)) == 2
+
+
+def test_cameras_that_begin_to_count_anew_are_noticed_though_the_numbers_go_on() -> None:
+    pairer, numbers, t_ns = Pairer(), [], 0
+    for number in (*range(500, 508), *range(3, 12)):
+        t_ns += 33 * MS
+        for side in SIDES:
+            frame = Frame(side, number, t_ns, t_ns + 10 * MS, "mono8", np.zeros((1, 1), np.uint8))
+            numbers += [event.seq for event in pairer.feed(frame) if isinstance(event, Pair)]
+    assert pairer.begun_anew == 1
+    assert len(numbers) > 12 and numbers == sorted(set(numbers))

@@ -92,7 +92,7 @@ def test_a_pause_ends_the_set_and_a_start_begins_one(desk: Desk) -> None:
     wait_until(lambda: all(c.status.state == "paused" for c in desk.bench.service.cameras.values()))
     desk.call("start")
     desk.bench.goes_on()
-    assert desk.bench.service.status().reasons == ()
+    wait_until(lambda: desk.bench.service.status().reasons == ())
 
 
 def test_a_projector_in_trouble_degrades_the_daemon_and_lights_the_scene_again(desk: Desk) -> None:
