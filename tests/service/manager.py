@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import secrets
 import socket
+from collections.abc import Callable
 from pathlib import Path
 
-from tests.daemon.rigs import wait_until
+import pytest
+
+from tests.daemon import rigs
+
+PATIENT = pytest.mark.timeout(400)
+"""For tests that wait for other processes and threads: each wait has a limit of its own, for busy machines."""
+
+
+def wait_until(condition: Callable[[], object], timeout_s: float = 90.0) -> None:
+    """Return as soon as the condition holds."""
+    rigs.wait_until(condition, timeout_s)
 
 
 class Manager:
@@ -48,7 +59,7 @@ class Manager:
         self.read()
         return [message[key] for message in self.messages if key in message]
 
-    def wait_for(self, key: str, value: str | None = None, timeout_s: float = 60.0) -> str:
+    def wait_for(self, key: str, value: str | None = None, timeout_s: float = 90.0) -> str:
         """Wait for a variable (with a part of its value); returns the value."""
 
         def found() -> str | None:

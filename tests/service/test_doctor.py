@@ -13,8 +13,11 @@ from daemon.doctor.subject import Subject
 from daemon.install import work
 from daemon.install.environment import Source, default_python
 from daemon.install.target import Target
+from tests.service.manager import PATIENT
 from tests.service.test_install import as_root
 from tests.service.test_units import needs_systemd
+
+pytestmark = PATIENT
 
 
 @pytest.fixture(scope="module")

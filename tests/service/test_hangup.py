@@ -11,7 +11,9 @@ import pytest
 
 from daemon.launch import StopFlag
 from daemon.supervision.hangup import Reloads, hung_up, terminals
-from tests.daemon.rigs import wait_until
+from tests.service.manager import PATIENT, wait_until
+
+pytestmark = PATIENT
 
 
 def test_a_wish_waits_until_the_daemon_is_ready() -> None:
@@ -22,7 +24,7 @@ def test_a_wish_waits_until_the_daemon_is_ready() -> None:
     assert not done.is_set()
     ready[0] = True
     reloads.tick()
-    assert done.wait(30)
+    assert done.wait(90)
 
 
 def test_wishes_during_a_reload_become_one_more() -> None:
@@ -36,7 +38,7 @@ def test_wishes_during_a_reload_become_one_more() -> None:
     reloads = Reloads(reload, ready=lambda: True)
     reloads.ask()
     reloads.tick()
-    assert begun.acquire(timeout=30)
+    assert begun.acquire(timeout=90)
     for _ in range(5):
         reloads.ask()
         reloads.tick()
@@ -46,7 +48,7 @@ def test_wishes_during_a_reload_become_one_more() -> None:
     go_on.release()
     thread = reloads._thread
     assert thread is not None
-    thread.join(30)
+    thread.join(90)
     reloads.tick()
     assert count == [2]
 
@@ -61,7 +63,7 @@ def test_a_reload_that_fails_is_told_and_harms_nobody(caplog: pytest.LogCaptureF
         reloads.tick()
         thread = reloads._thread
         assert thread is not None
-        thread.join(30)
+        thread.join(90)
     assert "not reloaded" in caplog.text and "rig.yaml:3:1" in caplog.text
 
 

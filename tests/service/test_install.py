@@ -17,7 +17,10 @@ from daemon.install.environment import Source, default_python, fingerprint
 from daemon.install.errors import InstallError
 from daemon.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, Place
 from daemon.install.target import MARK, Target, check_prefix, reachable
+from tests.service.manager import PATIENT
 from tests.service.test_units import needs_systemd
+
+pytestmark = PATIENT
 
 SOURCE = Source(default_python(), shared=True)
 WISHES = work.Wishes(compile=False)

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.manager import Manager
+from tests.service.manager import PATIENT, Manager, wait_until
+
+pytestmark = PATIENT
 
 RIG = """
 cameras: {{driver: sim}}
@@ -46,7 +48,6 @@ def started(rig_file: Path, manager: Manager) -> Iterator[subprocess.Popen[str]]
         process.wait()
 
 
-@pytest.mark.timeout(400)
 def test_a_life_from_the_first_cloud_over_reloads_to_an_orderly_end(
     started: subprocess.Popen[str], rig_file: Path, manager: Manager
 ) -> None:
@@ -60,8 +61,9 @@ def test_a_life_from_the_first_cloud_over_reloads_to_an_orderly_end(
     ready = len(manager.values("READY"))
     started.send_signal(signal.SIGHUP)
     manager.wait_for("RELOADING")
-    wait_more(manager, "READY", ready)
-    assert "did you mean" in log.read_text() and started.poll() is None
+    wait_until(lambda: len(manager.values("READY")) > ready)
+    wait_until(lambda: "did you mean" in log.read_text())
+    assert started.poll() is None
 
     started.send_signal(signal.SIGTERM)
     started.send_signal(signal.SIGHUP)  # while it stops: must not end it in disorder
@@ -70,13 +72,6 @@ def test_a_life_from_the_first_cloud_over_reloads_to_an_orderly_end(
     assert "Traceback" not in log.read_text()
 
 
-def wait_more(manager: Manager, key: str, count: int) -> None:
-    from tests.daemon.rigs import wait_until
-
-    wait_until(lambda: len(manager.values(key)) > count, 60)
-
-
-@pytest.mark.timeout(200)
 @pytest.mark.parametrize(("supervised", "status"), [(True, 78), (False, 1)])
 def test_a_wrong_rig_file_has_an_exit_status_of_its_own_for_a_manager(
     tmp_path: Path, manager: Manager, supervised: bool, status: int
@@ -88,7 +83,7 @@ def test_a_wrong_rig_file_has_an_exit_status_of_its_own_for_a_manager(
         env=os.environ | (manager.environment() if supervised else {}),
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=200,
         check=False,
     )
     assert done.returncode == status

@@ -16,6 +16,9 @@ from daemon.commands.run import WRONG_CONFIG
 from daemon.install import layout
 from daemon.install.files import sources
 from daemon.install.layout import FILES, PROGRAMS, UNITS
+from tests.service.manager import PATIENT
+
+pytestmark = PATIENT
 
 MAX_EXPOSURE = 2.5
 
