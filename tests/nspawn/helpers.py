@@ -118,11 +118,11 @@ class Fringed:
 
     def pid_outside(self, pid: str | int) -> int:
         """The number that a process of this container has out here."""
-        space = str(Path(f"/proc/{self.machine.leader}/ns/pid").readlink())
+        space = Path(f"/proc/{self.machine.leader}/ns/pid").readlink()
         for status in Path("/proc").glob("[0-9]*/status"):
             try:
                 said = status.read_text()
-                ours = str(Path(status.parent / "ns/pid").readlink()) == space
+                ours = (status.parent / "ns/pid").readlink() == space
             except OSError:
                 continue
             numbers = next((line.split()[1:] for line in said.splitlines() if line.startswith("NSpid:")), [])

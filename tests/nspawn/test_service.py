@@ -21,7 +21,7 @@ pytestmark = MARKS
 
 @pytest.fixture(scope="module")
 def started(installed: Fringed) -> Iterator[Fringed]:
-    installed.start(rig())
+    """Whatever it does at the moment."""
     yield installed
     installed.stop()
 
@@ -33,20 +33,6 @@ def running(started: Fringed) -> Fringed:
         started.start(rig())
     started.wait_clouds(1)
     return started
-
-
-def test_ready_means_that_there_is_a_cloud(started: Fringed) -> None:
-    started.start(rig(), wait=False)
-    seen = {"activating": False}
-
-    def ready() -> bool:
-        state = started.show()["ActiveState"]
-        seen[state] = True
-        return state == "active"
-
-    wait_until(ready, WAIT_S, "the service being ready")
-    assert started.status()["clouds"] >= 1
-    assert seen["activating"]
 
 
 def test_it_starts_with_the_machine(started: Fringed) -> None:
@@ -61,7 +47,20 @@ def test_without_a_trigger_it_waits_and_says_so(started: Fringed) -> None:
     status = started.wait_status("two more seconds", lambda status: status["uptime_s"] > told + 2)
     shown = started.show()
     assert (shown["ActiveState"], shown["NRestarts"], status["clouds"]) == ("activating", "0", 0)
-    started.stop()
+
+
+def test_ready_means_that_there_is_a_cloud(started: Fringed) -> None:
+    started.start(rig(), wait=False)
+    seen = {"activating": False}
+
+    def ready() -> bool:
+        state = started.show()["ActiveState"]
+        seen[state] = True
+        return state == "active"
+
+    wait_until(ready, WAIT_S, "the service being ready")
+    assert started.status()["clouds"] >= 1
+    assert seen["activating"]
 
 
 def test_the_status_line_has_rate_points_and_drops(running: Fringed) -> None:
