@@ -77,6 +77,7 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         *(("warning", warning) for warning in status["warnings"]),
         ("device", f"{status['device']}, fringed {status['version']}, up {status['uptime_s']:.0f} s"),
         ("calibration", status["calibration"]),
+        *([] if status["mode"] == "single" else [("mode", mode_text(status["mode"], status["sequence"]))]),
         ("clouds", f"{status['clouds']}, {status['cloud_rate_hz']:.1f} per second"),
         ("points", f"{status['points']} ({100 * status['valid']:.0f} % of the pixels)"),
         ("latency", "  ".join(f"{name} {value:.0f} ms" for name, value in latency.items()) or "no cloud yet"),
@@ -103,6 +104,12 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
     out.extend(remote_rows(status.get("sinks", {}).get("remote", {})))
     out.append(("recorder", recorder_text(status["recorder"])))
     return out
+
+
+def mode_text(mode: str, sequence: dict[str, Any]) -> str:
+    """A multi-frame mode, in a line."""
+    told = f"{mode}, {sequence['frames']} pictures a cloud, {sequence['sets']} sets, {sequence['sets_incomplete']} lost"
+    return f"{told}; held by {', '.join(sequence['held'])}" if sequence["held"] else told
 
 
 def recorder_text(recorder: dict[str, Any]) -> str:

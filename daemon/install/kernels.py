@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from daemon.install.environment import OWN
@@ -14,11 +15,21 @@ from daemon.install.target import Target
 
 ENCODINGS = "rgb8", "bayer_rggb8"
 _TIMEOUT_S = 3600
-_PROGRAM = "from daemon.tuning import prepare; prepare(); from daemon.install.kernels import compile_all; compile_all()"
+_PROGRAM = """
+import sys
+from daemon.tuning import prepare
+prepare()
+from daemon.install.kernels import compile_all
+compile_all(sys.argv[1:])
+"""
 
 
-def compile_ahead(target: Target) -> None:
-    """Compile with the installed environment; as root under the service's user."""
+def compile_ahead(target: Target, modes: Sequence[str] = ()) -> None:
+    """Compile with the installed environment; as root under the service's user.
+
+    Args:
+        modes: with several pictures, beside the single shot.
+    """
     python = target.prefix / "env/bin/python"
     who: dict[str, object] = {}
     if os.geteuid() == 0:
@@ -31,8 +42,8 @@ def compile_ahead(target: Target) -> None:
         "NUMBA_CACHE_DIR": str(KERNELS),
     }
     done = subprocess.run(
-        [str(python), "-P", "-c", _PROGRAM], env=environment, cwd="/", stdin=subprocess.DEVNULL, capture_output=True,
-        text=True, timeout=_TIMEOUT_S, check=False, umask=0o027, **who,
+        [str(python), "-P", "-c", _PROGRAM, *modes], env=environment, cwd="/", stdin=subprocess.DEVNULL,
+        capture_output=True, text=True, timeout=_TIMEOUT_S, check=False, umask=0o027, **who,
     )  # type: ignore[call-overload]  # fmt: skip
     if done.returncode:
         raise InstallError(f"the kernels do not compile:\n{done.stderr.strip()[-2000:]}")
@@ -71,8 +82,12 @@ def give_away(target: Target) -> None:
         os.chown(path, user, group, follow_symlinks=False)
 
 
-def compile_all() -> None:
-    """Compile what measuring and, for simulated rigs, rendering need; runs in the installed environment."""
+def compile_all(modes: Sequence[str] = ()) -> None:
+    """Compile what measuring and, for simulated rigs, rendering need; runs in the installed environment.
+
+    Args:
+        modes: as of :func:`compile_ahead`.
+    """
     from pipeline.drift.observe import rehearse
     from pipeline.reconstruct import Reconstructor
     from sim.optics import Optics
@@ -87,3 +102,18 @@ def compile_all() -> None:
         pair = render_pair(layout, build("moving"), layout.pattern(), optics, encoding=encoding)
         made.reconstruct(pair.left, pair.right)
     rehearse()
+    compile_modes([(mode, encoding) for mode in modes for encoding in ENCODINGS])
+
+
+def compile_modes(wanted: Iterable[tuple[str, str]]) -> None:
+    """Compile what measuring with sets of pictures needs, by mode and encoding."""
+    from pipeline.modes.reconstruct import SetReconstructor
+    from pipeline.modes.sequences import mode_sequence
+    from sim.optics import Optics
+    from sim.rig import RigLayout
+
+    layout = RigLayout().scaled(0.125)
+    calibration = layout.calibration_for(Optics())
+    for mode, encoding in wanted:
+        sequence = mode_sequence(mode, layout.projector_size, periods=layout.periods)
+        SetReconstructor(calibration, sequence, layout.volume(), encoding=encoding).warm_up()

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from daemon.atomic import write_atomically
 from daemon.install import config_files, environment, files, kernels, manager
@@ -113,14 +114,19 @@ def _compile(target: Target, source: environment.Source, wishes: Wishes, say: Sa
         say("the kernels are compiled when the service starts for the first time")
         return
     say("compiling the kernels, which takes minutes the first time")
-    kernels.compile_ahead(target)
+    mode = _rig(target).get("mode", "single")
+    kernels.compile_ahead(target, [mode] if isinstance(mode, str) and mode != "single" else [])
 
 
-def _needs_x(target: Target) -> bool:
+def _rig(target: Target) -> dict[str, Any]:
     from daemon.config.source import read_yaml
 
     data = read_yaml(target.path(RIG).read_text(encoding="utf-8")).data
-    projector = data.get("projector") if isinstance(data, dict) else None
+    return data if isinstance(data, dict) else {}
+
+
+def _needs_x(target: Target) -> bool:
+    projector = _rig(target).get("projector")
     return isinstance(projector, dict) and projector.get("driver") == "x11"
 
 
