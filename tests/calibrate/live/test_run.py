@@ -16,6 +16,7 @@ from daemon.calibrate.live.session import Limits
 from daemon.calibrate.live.shots import unheard
 from daemon.calibrate.sources import CaptureFolder
 from daemon.config import load_rig, registry
+from daemon.control.protocol import Method
 from daemon.control.server import ControlServer
 from daemon.errors import DaemonError
 from pipeline.sequence import camera_sequence
@@ -72,7 +73,7 @@ def test_a_session_without_a_name_is_called_by_its_time(rig: Path) -> None:
 
 def test_a_daemon_that_cannot_capture_is_told(rig: Path) -> None:
     hello = {"methods": ["hello"], "version": "0.0.1", "device": "old"}
-    server = ControlServer(load_rig(rig, complete=False).control.endpoint, {"hello": lambda _: hello})
+    server = ControlServer(load_rig(rig, complete=False).control.endpoint, {"hello": Method(lambda _: hello)})
     server.start()
     try:
         with pytest.raises(DaemonError, match=r"version 0\.0\.1\) cannot capture"):
