@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 
@@ -24,7 +25,7 @@ def take_notice(target: Target) -> None:
     if target.systemd:
         _must("systemctl", "daemon-reload")
     for command in (["udevadm", "control", "--reload"], ["udevadm", "trigger", "--subsystem-match=usb"]):
-        if shutil.which(command[0]):
+        if _there(command[0]):
             _try(*command)
 
 
@@ -47,7 +48,7 @@ def stop(target: Target) -> None:
     where = [] if target.live else [f"--root={target.root}"]
     if target.systemd:
         _try("systemctl", "stop", VIEW, SERVICE, X)
-    if shutil.which("systemctl"):
+    if _there("systemctl"):
         _try("systemctl", *where, "--quiet", "disable", *UNITS)
     if target.systemd:
         _try("systemctl", "reset-failed", *UNITS)
@@ -58,7 +59,7 @@ def remove_users(target: Target) -> list[str]:
     said = []
     for user in (VIEW_USER, "fringed"):
         command = ["userdel", *([] if target.live else ["--root", str(target.root)]), user]
-        if shutil.which("userdel") is None or _try(*command):
+        if not _there("userdel") or _try(*command):
             said.append(f"the user {user} stays; remove it with: userdel {user}")
     return said
 
@@ -69,12 +70,22 @@ def _must(*command: str) -> None:
         raise InstallError(f"{' '.join(command)} failed: {problem}")
 
 
+def _path() -> str:
+    """Where programs are looked for: sudo and cron may leave out the directories of root's programs."""
+    return f"{os.environ.get('PATH', '/usr/bin:/bin')}:/usr/sbin:/sbin"
+
+
+def _there(program: str) -> bool:
+    return shutil.which(program, path=_path()) is not None
+
+
 def _try(*command: str) -> str:
     """Run a program; what went wrong, or nothing."""
     try:
         done = subprocess.run(
-            list(command), stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
-        )
+            [shutil.which(command[0], path=_path()) or command[0], *command[1:]], env=os.environ | {"PATH": _path()},
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False,
+        )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
     return (done.stderr.strip()[-500:] or f"exit status {done.returncode}") if done.returncode else ""
