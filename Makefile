@@ -34,7 +34,6 @@ check: $(STAMP)  ## style, types and layers only
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-.PHONY: audit
 audit: $(STAMP)  ## known vulnerabilities of the pinned dependencies; says NOT AUDITED where nobody can be asked
 	$(BIN)/python tools/audit.py
 
@@ -64,18 +63,16 @@ box-latency: $(STAMP)  ## from the trigger's edge to frame, pair, cloud and subs
 	tools/system-packages x11 compiler
 	$(BIN)/python -m benchmarks.box_latency $(BOX)
 
-<<<<<<< HEAD
 load: $(STAMP)  ## the measurement under many subscribers against the same without; five minutes
 	$(BIN)/python -m benchmarks.load $(LOAD)
 
-campaign: $(STAMP)  ## five hundred random faults against a whole rig on emulated hardware; needs root; half an hour
+campaign: $(STAMP)  ## five hundred random faults against a whole rig on emulated hardware; needs root; a quarter of an hour
 	tools/system-packages x11 compiler
 	$(BIN)/python -m benchmarks.campaign --verbose $(CAMPAIGN)
-=======
+
 bench-service: $(STAMP)  ## the service under a real systemd, in a container: start, killed, frozen; as root, two minutes
 	tools/system-packages systemd
 	$(BIN)/python -m benchmarks.service $(SERVICE)
->>>>>>> nspawn
 
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make
