@@ -191,8 +191,16 @@ def _run(
         service.ask_stop()
     try:
         if record is not None:
-            log.info("recording to %s", recorder.start(record)["file"])
+            _record_at_once(service, recorder, record)
         service.run()
     finally:
         capture.close()
         control.close()
+
+
+def _record_at_once(service: Service, recorder: Recorder, name: str) -> None:
+    try:
+        log.info("recording to %s", recorder.start(name)["file"])
+    except BaseException:
+        service.close()
+        raise

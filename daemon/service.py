@@ -104,7 +104,7 @@ class Service:
             while not self._stop.wait(_TICK_S):
                 self._tick()
         finally:
-            self._shut_down()
+            self.close()
 
     def ask_stop(self) -> None:
         """Let :meth:`run` come to its end; takes no lock, so that a signal handler may call it."""
@@ -228,7 +228,9 @@ class Service:
         state, reasons = self.state()
         now_ns = self.clock.monotonic_ns()
         sinks = {name: sink.status() for name, sink in self.sinks.items()}
-        cameras: dict[str, CameraStatus] = {side: self._camera_status(side) for side in SIDES}
+        cameras: dict[str, CameraStatus] = {
+            side: replace(camera.status, fates=self.desk.fates(side)) for side, camera in self.cameras.items()
+        }
         return Status(
             state=state,
             reasons=reasons,
@@ -260,9 +262,6 @@ class Service:
             sequence=self.sequencing.status(),
             sinks=sinks,
         )
-
-    def _camera_status(self, side: Side) -> CameraStatus:
-        return replace(self.cameras[side].status, fates=self.desk.fates(side))
 
     def _reasons(self) -> list[str]:
         reasons = [
@@ -345,7 +344,8 @@ class Service:
     def _tell(self, on_status: Callable[[dict[str, Any]], None]) -> None:
         self._guarded("telling the status", lambda: on_status(self.status().as_dict()))
 
-    def _shut_down(self) -> None:
+    def close(self) -> None:
+        """Close devices and sinks; :meth:`run` does so at its end."""
         self._stop.set()
         self.worker.end_changes()
         self._note_state()

@@ -76,6 +76,13 @@ def test_an_unknown_option_of_the_simulation_is_told(tmp_path: Path) -> None:
         launch.run_rig(rig_file(tmp_path, ", farmes: 3"))
 
 
+def test_a_take_that_cannot_begin_is_told_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
+    (tmp_path / "takes").write_text("no directory")
+    with pytest.raises(DaemonError, match="takes: cannot be made"):
+        launch.run_rig(rig_file(tmp_path), record="x")
+    assert stream.closed and not (tmp_path / "c").exists()
+
+
 def test_an_address_that_is_taken_is_told_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
     path = rig_file(tmp_path)
     path.write_text(path.read_text().replace(f"ipc://{tmp_path}/c", f"ipc://{tmp_path}/no/such/{'x' * 20}"))
