@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -31,6 +31,15 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     problem = kernels.compile_elsewhere()
     if problem:
         pytest.exit(f"the kernels do not compile:\n{problem}", returncode=pytest.ExitCode.INTERNAL_ERROR)
+
+
+@pytest.fixture(autouse=True)
+def own_umask() -> Iterator[None]:
+    """Commands that run inside the tests' process close their files to others; that must not reach the next test."""
+    before = os.umask(0o022)
+    os.umask(before)
+    yield
+    os.umask(before)
 
 
 @pytest.fixture(scope="session")

@@ -256,10 +256,10 @@ def test_a_real_disk_runs_full_and_is_emptied(small_disk: Path) -> None:
     recorder = take(small_disk / "take.mcap", queue=2000, free_bytes=lambda _: 1 << 40)
     offered = 0
     while "problem" not in recorder.status():
-        assert offered < 1000
+        assert offered < 20_000
         assert recorder.offer(pair(offered))
         offered += 1
-        written(recorder, offered) if offered < 200 else None
+        wait_until(lambda: (status := recorder.status())["queued"] == 0 or "problem" in status)
     assert "No space left" in recorder.status()["problem"]
     ballast.unlink()
     written(recorder, offered)

@@ -59,6 +59,7 @@ _JOURNAL = "[Journal]\nStorage=volatile\nRateLimitBurst=0\nRuntimeMaxUse=64M\nFo
 def main() -> None:
     """Arguments: a folder to mount on, the machine's name, the checkout, the packages, ``sys.base_prefix``."""
     folder, name, checkout, packages, base_prefix = sys.argv[1:6]
+    os.umask(0o022)  # what is made for the container is for all its users, whatever this process was told
     root = mount(Path(folder))
     prepare(root)
     # Writable, or the compiled kernels beside the sources are not used; what is written goes away with the container.
