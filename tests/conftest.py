@@ -15,6 +15,10 @@ from tests import kernels
 # As the program itself has it (daemon.tuning), before anything imports numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+UMASK = 0o022
+"""What every test begins with, whoever runs the tests."""
+os.umask(UMASK)
+
 WITHOUT_KERNELS = "stream", "drivers", "calibrate", "health"
 """Directories of tests that neither measure nor render."""
 
@@ -36,10 +40,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 @pytest.fixture(autouse=True)
 def own_umask() -> Iterator[None]:
     """Commands that run inside the tests' process close their files to others; that must not reach the next test."""
-    before = os.umask(0o022)
-    os.umask(before)
     yield
-    os.umask(before)
+    os.umask(UMASK)
 
 
 @pytest.fixture(scope="session")
