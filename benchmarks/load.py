@@ -2,8 +2,8 @@
 
 A daemon measures a simulated rig whose pictures are played; rounds without anybody and rounds with all take turns, so
 that a machine that changes its mind touches both. All: 4 subscribers of whole clouds, 4 of light ones, 20 that ask for
-the status once a second, one that is stopped (SIGSTOP), one that never reads. They run at the lowest priority on the
-same processors, as on a rig PC they would run elsewhere. The exit code is 1 when the rate or the P99 latency (start of
+the status once a second, one that is stopped (SIGSTOP), one that never reads. They run at idle priority on the same
+processors, as on a rig PC they would run elsewhere. The exit code is 1 when the rate or the P99 latency (start of
 exposure to cloud, as the daemon states it) differs by more than a tenth.
 """
 

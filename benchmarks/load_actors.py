@@ -1,6 +1,6 @@
 """What hangs on a daemon under load: readers of clouds, askers of the status, one that is stopped, one that is deaf.
 
-``python -m benchmarks.load_actors KIND ENDPOINT``: one of them, at the lowest priority, until it is killed.
+``python -m benchmarks.load_actors KIND ENDPOINT``: one of them, at idle priority, until it is killed.
 """
 
 from __future__ import annotations
@@ -125,4 +125,5 @@ def _tell() -> None:
 
 if __name__ == "__main__":
     os.nice(19)
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     KINDS[sys.argv[1]](sys.argv[2])
