@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
 from pipeline.packed import imaginary, real
-from pipeline.tiles import TILE, clamped, decay, root, turns
+from pipeline.tiles import TILE, clamped, decay, root, turned, turns
 
 UNSEEN = np.float32(0.5)
 NO_SUCH = np.float32(1000.0)
@@ -46,8 +46,8 @@ def value(t: Any, table: int, j: int, s: Any) -> Any:
 
 @inline
 def load_nodes(
-    t: Any, k: Any, nodes: Any, pixels: Any, n: int, tables: Any, start: Any, stop: Any, phase: Any, phase_eq: Any,
-    phasor: Any, equalized: Any, mean: Any, first: Any, count: Any, labels: int,
+    t: Any, k: Any, nodes: Any, pixels: Any, n: int, tables: Any, start: Any, stop: Any, phase: Any, phasor: Any,
+    equalized: Any, mean: Any, first: Any, count: Any, labels: int,
 ) -> int:  # fmt: skip
     """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
@@ -61,7 +61,7 @@ def load_nodes(
             t[_ALONG + c * TILE + j] = table[np.uint32(nodes[j])]
     for j in range(n):
         m = np.uint32(pixels[j])
-        t[_PHI + j], t[_BIAS + j], t[_MEAN + j] = phase[m], phase_eq[m], mean[m]
+        t[_PHI + j], t[_MEAN + j] = phase[m], mean[m]
         k[_P0 + j], k[_E0 + j] = phasor[m], equalized[m]
     for j in range(n):
         b = np.uint32(nodes[j])
@@ -81,9 +81,8 @@ def load_nodes(
         first[b], count[b] = np.int32(t[_T0 + j]), np.int32(t[_T1 + j])
         most = max(most, count[b])
     for j in range(TILE):
-        bias = t[_BIAS + j] - t[_PHI + j]
-        t[_BIAS + j] = bias - _TURN * turns(bias)
         t[_PHI + j] += _TURN * t[_T0 + j]
+        t[_BIAS + j] = turned(t[_ER + j], t[_EI + j], t[_HR + j], t[_HI + j])
         p = _ONE / root(t[_HR + j] * t[_HR + j] + t[_HI + j] * t[_HI + j] + _TINY)
         e = _ONE / root(t[_ER + j] * t[_ER + j] + t[_EI + j] * t[_EI + j] + _TINY)
         t[_HR + j] *= p

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.equalize import advance, equalized_row, means_of_row, mirrored
+from pipeline.equalize import advance, balance_of_row, equalized_row, means_of_row, mirrored, shared_row
 from pipeline.kernels import parallel, prange, serial
 from pipeline.mosaic_fit import (
     EIGHTHS,
@@ -20,7 +20,7 @@ from pipeline.mosaic_fit import (
 )
 from pipeline.normal_equations import IM, MEAN, RE, VARIANCE, solve
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
-from pipeline.row_results import angles_of_row, describe_row, row_stride
+from pipeline.row_results import angles_of_row, describe_row, packed_row, row_stride
 from pipeline.straighten import DESIGN_ROWS, straighten_phasors, turned_design, units_of_row
 from pipeline.three_step import levels_of_row
 from pipeline.tiles import TILE
@@ -71,9 +71,9 @@ def _put_back(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any
 @parallel
 def decode_bayer(
     picture: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
-    nominal: Any, clip: float, floor: float, gain: float, smallest: float, along: int, over: int, first: int,
-    second: int, scale: float, turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any,
-    phase: Any, phase_eq: Any, modulation: Any, valid: Any, clipped: Any,
+    nominal: Any, clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any,
+    scale: float, turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any,
+    modulation: Any, valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.phase.PhaseMap`; picture (H, W) uint8, mosaic (2, 2) channel numbers.
 
@@ -87,33 +87,40 @@ def decode_bayer(
     wide = row_stride(3 * width + 6 * along)
     for band in prange(BANDS):
         low, high = band * height // BANDS, (band + 1) * height // BANDS
-        slab = np.zeros((5 * ring + 12, stride), np.float32)
+        slab = np.zeros((5 * ring + 15, stride), np.float32)
         levels, design = slab[0:3], slab[3:9]
         re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
-        units, samples, plain = slab[12 : 12 + 2 * ring], slab[12 + 2 * ring : 12 + 4 * ring], slab[12 + 4 * ring :]
-        integers = np.zeros((2 + over, wide), np.int32)
-        once, twice, before = integers[0, : 3 * width], integers[1, : 3 * width], integers[2:]
+        balance, units, samples = slab[12:15], slab[15 : 15 + 2 * ring], slab[15 + 2 * ring : 15 + 4 * ring]
+        plain = slab[15 + 4 * ring :]
+        boxes = np.zeros((2 + over, wide), np.uint16)
+        once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
         shorts = np.zeros((10 + 2 * over, 2 * wide), np.uint16)
         padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
         work, means, halo, kept = shorts[2:4], shorts[4, : 3 * width], shorts[5:8], shorts[8:]
         held = np.full(kept.shape[0], -1)
         tile = np.zeros(MOSAIC_SLOTS * TILE, np.float32)
         _design_rows(mosaic, rows, design)
-        for y in range(low - over + 1, low + over - 1):
-            advance(_first_guess(picture, mirrored(y, height), mosaic, halo, kept, held),
-                    _first_guess(picture, mirrored(y - over if y > low else y, height), mosaic, halo, kept, held),
-                    1 if y > low else 0, once, before[(y - low) % over], twice)  # fmt: skip
+        start = shared_row(low)
+        middle_row, entered = start - 1, start - over
         for y in range(max(low - radius, 0), min(high + radius, height)):
             levels_of_row(_first_guess(picture, y, mosaic, halo, kept, held), np.float32(1 / EIGHTHS), black, levels)
             if low <= y < high:
-                advance(_first_guess(picture, mirrored(y + over - 1, height), mosaic, halo, kept, held),
-                        _first_guess(picture, mirrored(y - 1, height), mosaic, halo, kept, held), 1, once,
-                        before[(y + over - 1 - low) % over], twice)  # fmt: skip
-                means_of_row(twice, along, first, second, padded, middle, work, means)
-                equalized_row(levels, means, scale, black, unmix, ideal, re, im)
+                if middle_row < shared_row(y):
+                    middle_row = shared_row(y)
+                    while entered < middle_row + over - 1:
+                        entered += 1
+                        full = entered > start
+                        advance(_first_guess(picture, mirrored(entered, height), mosaic, halo, kept, held),
+                                _first_guess(picture, mirrored(entered - over if full else entered, height), mosaic,
+                                             halo, kept, held),
+                                1 if full else 0, drops[0], drops[1], once, before[(entered - start) % over],
+                                twice)  # fmt: skip
+                    means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
+                    balance_of_row(means, scale, black, unmix, balance)
+                equalized_row(levels, balance, unmix, ideal, re, im)
                 if turn_rows > 0:
                     straighten_phasors(turns, turn_rows, y, re, im)
-                angles_of_row(re, im, EQUALIZED_SCALE, equalized[y], phase_eq[y])
+                packed_row(re, im, EQUALIZED_SCALE, equalized[y])
             k = y % ring
             rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
             if turn_rows > 0:

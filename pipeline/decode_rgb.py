@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_mean
-from pipeline.equalize import advance, equalized_row, means_of_row, mirrored
+from pipeline.equalize import advance, balance_of_row, equalized_row, means_of_row, mirrored, shared_row
 from pipeline.kernels import parallel, prange, serial
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
-from pipeline.row_results import angles_of_row, describe_row, row_stride
+from pipeline.row_results import angles_of_row, describe_row, packed_row, row_stride
 from pipeline.straighten import straighten_means, straighten_phasors, units_of_row
 from pipeline.three_step import levels_of_row, pointwise_row
 from pipeline.tiles import TILE
@@ -38,9 +38,9 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
 @parallel
 def decode_rgb(
     picture: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
-    clip: float, floor: float, gain: float, smallest: float, along: int, over: int, first: int, second: int,
-    scale: float, turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any,
-    phase_eq: Any, modulation: Any, valid: Any, clipped: Any,
+    clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any, scale: float,
+    turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any, modulation: Any,
+    valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.phase.PhaseMap`.
 
@@ -50,9 +50,9 @@ def decode_rgb(
             of the design without crosstalk; all float32.
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
         clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
-        along, over, first, second, scale: of :class:`pipeline.equalize.BoxMean`.
+        along, over, drops, scale: of :class:`pipeline.equalize.BoxMean`.
         turns, turn_rows: table and step of :class:`pipeline.lateral_tables.ColorTurns`.
-        phasor, equalized: (H, W) int32, packed; mean, variance, phase, phase_eq: (H, W) float32.
+        phasor, equalized: (H, W) int32, packed; mean, variance, phase: (H, W) float32.
         modulation: (H, W) uint8; valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
     """
     height, width = mean.shape
@@ -62,29 +62,34 @@ def decode_rgb(
     wide = row_stride(3 * width + 6 * along)
     for band in prange(BANDS):
         low, high = band * height // BANDS, (band + 1) * height // BANDS
-        slab = np.zeros((7 * ring + 10, row_stride(width)), np.float32)
+        slab = np.zeros((7 * ring + 13, row_stride(width)), np.float32)
         levels, w, c, s = slab[0:3], slab[3, :width], slab[4, :width], slab[5, :width]
         a, v, re, im = slab[6, :width], slab[7, :width], slab[8, :width], slab[9, :width]
-        unit, sums = slab[10 : 10 + 2 * ring], slab[10 + 2 * ring :]
-        integers = np.zeros((2 + over, wide), np.int32)
-        once, twice, before = integers[0, : 3 * width], integers[1, : 3 * width], integers[2:]
+        balance, unit, sums = slab[10:13], slab[13 : 13 + 2 * ring], slab[13 + 2 * ring :]
+        boxes = np.zeros((2 + over, wide), np.uint16)
+        once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
         shorts = np.zeros((5, 2 * wide), np.uint16)
         padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
         work, means = shorts[2:4], shorts[4, : 3 * width]
         tile, columns = np.zeros(CLIPPED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
-        for y in range(low - over + 1, low + over - 1):
-            advance(picture[mirrored(y, height)], picture[mirrored(y - over, height)], 1 if y > low else 0, once,
-                    before[(y - low) % over], twice)  # fmt: skip
+        start = shared_row(low)
+        middle_row, entered = start - 1, start - over
         for y in range(max(low - reach, 0), min(high + reach, height)):
             levels_of_row(picture[y], np.float32(1.0), black, levels)
             if low <= y < high:
-                advance(picture[mirrored(y + over - 1, height)], picture[mirrored(y - 1, height)], 1, once,
-                        before[(y + over - 1 - low) % over], twice)  # fmt: skip
-                means_of_row(twice, along, first, second, padded, middle, work, means)
-                equalized_row(levels, means, scale, black, unmix, ideal, w, c)
+                if middle_row < shared_row(y):
+                    middle_row = shared_row(y)
+                    while entered < middle_row + over - 1:
+                        entered += 1
+                        full = entered > start
+                        advance(picture[mirrored(entered, height)], picture[mirrored(entered - over if full else 0, height)],
+                                1 if full else 0, drops[0], drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
+                    means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
+                    balance_of_row(means, scale, black, unmix, balance)
+                equalized_row(levels, balance, unmix, ideal, w, c)
                 if turn_rows > 0:
                     straighten_phasors(turns, turn_rows, y, w, c)
-                angles_of_row(w, c, EQUALIZED_SCALE, equalized[y], phase_eq[y])
+                packed_row(w, c, EQUALIZED_SCALE, equalized[y])
             k = y % ring
             ur, ui = unit[k, :width], unit[ring + k, :width]
             found = pointwise_row(levels, black, solve, clip, floor, gain, ur, ui, w, c, s, a, v)

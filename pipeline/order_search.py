@@ -93,7 +93,7 @@ class OrderSearch:
             self._correction = correction.copy()
         search.search_rows(
             table.top, table.down, table.left, table.step, every, table.coefficients, self._start, self._stop,
-            here.phase, here.phase_eq, here.phasor, here.equalized, here.mean,
+            here.phase, here.phasor, here.equalized, here.mean,
             here.valid, there.phasor, there.equalized, there.mean,
             view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32((s.min_modulation * PHASOR_SCALE) ** 2),

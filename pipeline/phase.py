@@ -23,6 +23,7 @@ from pipeline.equalize import BoxMean
 from pipeline.lateral_tables import ColorTurns
 from pipeline.mosaic_fit import EIGHTHS
 from pipeline.noise import NoiseModel, estimate
+from pipeline.packed import EQUALIZED_SCALE, unpacked
 from pipeline.settings import Settings
 from pipeline.window_fit import weights_of
 
@@ -41,7 +42,7 @@ class PhaseMap:
         mean: float32, A, counts: the fringe-free texture.
         variance: float32, variance of the pointwise phase from the picture's noise, rad^2.
         clipped: share of pixels with a clipped sample.
-        phase, phase_eq: float32, wrapped angles of the two phasors.
+        phase: float32, wrapped angle of the pointwise phasor.
         modulation: uint8, B, counts; valid: bool, B is enough and the fit had enough samples.
     """
 
@@ -51,9 +52,13 @@ class PhaseMap:
     variance: F32
     clipped: float
     phase: F32
-    phase_eq: F32
     modulation: NDArray[np.uint8]
     valid: NDArray[np.bool_]
+
+    @property
+    def phase_eq(self) -> F32:
+        """Wrapped angle of the equalised phasor, made anew at every call."""
+        return np.asarray(np.angle(unpacked(self.equalized, EQUALIZED_SCALE)), dtype=np.float32)
 
     def every(self, step: int) -> PhaseMap:
         """Every n-th pixel of every n-th row, copied."""
@@ -114,10 +119,10 @@ class Decoder:
         common = (
             self._black, self._rows, self._solve, self._unmix, self._ideal, self._weights, self._radius, self._nominal,
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
-            np.float32(self._settings.min_modulation), box.along, box.over, *box.drops, np.float32(box.scale),
+            np.float32(self._settings.min_modulation), box.along, box.over, box.drops, np.float32(box.scale),
             self._turns.table, self._turns.step,
             planes["phasor"], planes["equalized"], planes["mean"], planes["variance"], planes["phase"],
-            planes["phase_eq"], modulation, planes["valid"], planes["clipped"],
+            modulation, planes["valid"], planes["clipped"],
         )  # fmt: skip
         if self._mosaic is None:
             decode_rgb(image.reshape(height, 3 * width), *common)
@@ -126,13 +131,13 @@ class Decoder:
         return PhaseMap(
             planes["phasor"], planes["equalized"], planes["mean"],
             planes["variance"], float(planes["clipped"].sum()) / (height * width), planes["phase"],
-            planes["phase_eq"], modulation, planes["valid"],
+            modulation, planes["valid"],
         )  # fmt: skip
 
     def _scratch(self, height: int, width: int) -> dict[str, NDArray[Any]]:
         """The planes that stay with the decoder: fresh ones cost as much as a good part of the decoding."""
         if not self._planes or self._planes["mean"].shape != (height, width):
-            single = {k: np.empty((height, width), np.float32) for k in ("mean", "variance", "phase", "phase_eq")}
+            single = {k: np.empty((height, width), np.float32) for k in ("mean", "variance", "phase")}
             double = {k: np.empty((height, width), np.int32) for k in ("phasor", "equalized")}
             rest = {"valid": np.empty((height, width), np.bool_), "clipped": np.empty(height, np.int32)}
             self._planes = {**single, **double, **rest}

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange, serial
+from pipeline.packed import imaginary, real
+from pipeline.tiles import turned
 
 NONE = np.int16(-32768)
 _TWO_PI = np.float32(2 * pi)
@@ -32,17 +34,16 @@ def _flattened(order: Any, i: int, left: int, step: int, phase: Any, slope_x: An
 
 @serial
 def _projector_places(
-    order: Any, phase: Any, phase_eq: Any, first: Any, per_step: Any, last: Any, absolute: Any, index: Any, part: Any
+    order: Any, phase: Any, bias: Any, first: Any, per_step: Any, last: Any, absolute: Any, index: Any, part: Any
 ) -> None:  # fmt: skip
     """Absolute phases, and where in the table of projector coordinates they lie (integer and rest; NaN outside).
 
-    The equalised phase places a pixel; the pointwise one does where that falls off the table.
+    The equalised phase (``bias`` more than the pointwise one) places a pixel; the other does where that falls off the
+    table.
     """
     for b in range(absolute.shape[0]):
         plain = phase[b] + _TWO_PI * np.float32(order[b])
-        bias = phase_eq[b] - phase[b]
-        bias -= _TWO_PI * np.rint(bias * _PER_TURN)
-        x, spare = (plain + bias - first) * per_step, (plain - first) * per_step
+        x, spare = (plain + bias[b] - first) * per_step, (plain - first) * per_step
         x = x if (x >= _ZERO) & (x <= last) else spare
         inside = (x >= _ZERO) & (x <= last)
         safe = x if inside else _ZERO
@@ -80,15 +81,15 @@ def _nearest(place: Any, first: Any, per_step: Any, count: int, out: Any) -> Non
 
 @parallel
 def cross_check(
-    order: Any, top: int, down: int, left: int, step: int, tables: Any, phase: Any, phase_eq: Any,
-    other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int, other_phase: Any,
+    order: Any, top: int, down: int, left: int, step: int, tables: Any, phase: Any, phasor: Any,
+    equalized: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int, other_phase: Any,
     table: Any, shift: Any, slope_x: Any, slope_y: Any, limit: Any, kept: Any,
 ) -> None:  # fmt: skip
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
 
     Args:
         order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the picture.
-        tables: (4, 3, h, w), see :class:`pipeline.tables.RayTable`; phase, phase_eq: of this picture.
+        tables: (4, 3, h, w), see :class:`pipeline.tables.RayTable`; phase, phasor, equalized: of this picture.
         other_order .. other_phase: the same of the other camera.
         table: even-grid table phase -> projector coordinate; shift: the column correction; all float32.
         slope_x, slope_y: the other picture's expected phase steps per pixel.
@@ -108,14 +109,17 @@ def cross_check(
     per_row, per_column = _ONE / np.float32(other_down), _ONE / np.float32(other_step)
     for a in prange(h):
         floats = np.empty((9, w), np.float32)
-        here, here_eq, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
+        here, bias, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
         s, x, y = floats[6], floats[7], floats[8]
         index, p, q = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.int32)
+        plain, even = np.empty(w, np.int32), np.empty(w, np.int32)
         i = top + down * a
         for b in range(w):
             j = np.uint32(left + step * b)
-            here[b], here_eq[b] = phase[i, j], phase_eq[i, j]
-        _projector_places(order[a], here, here_eq, first, per_step, last, absolute, index, part)
+            here[b], plain[b], even[b] = phase[i, j], phasor[i, j], equalized[i, j]
+        for b in range(w):
+            bias[b] = turned(real(even[b]), imaginary(even[b]), real(plain[b]), imaginary(plain[b]))
+        _projector_places(order[a], here, bias, first, per_step, last, absolute, index, part)
         for b in range(w):
             k = np.uint32(index[b] + 2)
             low[b], high[b] = table[k], table[k + np.uint32(1)]

@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.kernels import inline, parallel, prange
 from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS
 from pipeline.packed import imaginary, real
-from pipeline.tiles import TILE, angle, clamped, root, turns
+from pipeline.tiles import TILE, angle, clamped, root, turned
 
 _COHERENCE_SQ = np.float32(0.16)
 _STEPS, _CONVERGED = 2, np.float32(0.1)
@@ -168,7 +168,7 @@ def _error(t: Any, j: int) -> tuple[Any, Any, Any, Any]:
 
 @parallel
 def refine(
-    order: Any, rays_x: Any, rays_y: Any, phase: Any, phase_eq: Any, phasor: Any, variance: Any,
+    order: Any, rays_x: Any, rays_y: Any, phase: Any, equalized: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
     columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float,
     known: Any, depth_mm: Any, sigma_mm: Any, match_u: Any, match_v: Any, source_u: Any, source_v: Any, absolute: Any,
@@ -178,7 +178,7 @@ def refine(
 
     Args:
         order: (H, W) int16; rays_x, rays_y: (H, W) ideal normalised points of the pixels.
-        phasor, other: (H, W) int32, packed; floor_sq: least squared size of a packed phasor.
+        phasor, equalized, other: (H, W) int32, packed; floor_sq: least squared size of a packed phasor.
         device, projector: packed models of the other camera and the projector; axis: 0 = phase grows along u.
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate;
@@ -209,7 +209,7 @@ def refine(
                 for j in range(n):
                     known[i, np.uint32(j0 + j)] = 0
                 continue
-            _load(t, n, row, phase[i, j0 : j0 + n], phase_eq[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
+            _load(t, n, row, phase[i, j0 : j0 + n], equalized[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
                   rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
             _columns(t, k, columns, linear)
             _meet(t, projector, axis, correction)
@@ -271,16 +271,16 @@ def refine(
 
 
 @inline
-def _load(t: Any, n: int, order: Any, phase: Any, phase_eq: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
+def _load(t: Any, n: int, order: Any, phase: Any, equalized: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
     """The left picture's side of a tile; slots _PHI, _BIAS and _T0 get the absolute phase, bias, equalised phase."""
     for j in range(n):
-        bias = phase_eq[j] - phase[j]
-        t[_BIAS + j] = bias - _TURN * turns(bias)
         t[_PHI + j] = phase[j] + _TURN * np.float32(order[j])
     for j in range(n):
         t[_RX + j], t[_RY + j] = rays_x[j], rays_y[j]
     for j in range(n):
         t[_RE + j], t[_IM + j] = real(phasor[j]), imaginary(phasor[j])
+    for j in range(n):
+        t[_BIAS + j] = turned(real(equalized[j]), imaginary(equalized[j]), t[_RE + j], t[_IM + j])
     for j in range(TILE):
         t[_T0 + j] = t[_PHI + j] + t[_BIAS + j]
 

@@ -25,7 +25,7 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 @parallel
 def search_rows(
     top: int, down: int, left: int, step: int, every: int, tables: Any, start: Any, stop: Any,
-    phase: Any, phase_eq: Any, phasor: Any, equalized: Any, mean: Any, valid: Any,
+    phase: Any, phasor: Any, equalized: Any, mean: Any, valid: Any,
     other_phasor: Any, other_equalized: Any, other_mean: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
     floor_sq: Any, inv: Any, texture: Any, penalty: Any, expected: Any, turn: int, limit: Any,
@@ -36,7 +36,7 @@ def search_rows(
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         tables: (4, 3, h, w) along, across, other_u, other_v; start, stop: see :func:`candidates.order_limits`.
-        phasor, equalized: (H, W) int32 packed; phase, phase_eq, mean: (H, W) float32; valid: (H, W) bool.
+        phasor, equalized: (H, W) int32 packed; phase, mean: (H, W) float32; valid: (H, W) bool.
         other_phasor, other_equalized, other_mean: the other picture's.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
             across.
@@ -53,12 +53,7 @@ def search_rows(
     pixels_across = mean.shape[1]
     flat_tables, flat_start, flat_stop = tables.reshape(12, h * w), start.reshape(-1), stop.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
-    flat_phase, flat_eq, flat_mean, flat_costs = (
-        phase.reshape(-1),
-        phase_eq.reshape(-1),
-        mean.reshape(-1),
-        costs.reshape(-1),
-    )
+    flat_phase, flat_mean, flat_costs = phase.reshape(-1), mean.reshape(-1), costs.reshape(-1)
     flat_phasor, flat_equalized = phasor.reshape(-1), equalized.reshape(-1)
     there_phasor, there_equalized = other_phasor.reshape(-1), other_equalized.reshape(-1)
     there_mean = other_mean.reshape(-1)
@@ -84,7 +79,7 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase, flat_eq,
+            load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase,
                        flat_phasor, flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
             predict(t, part, m, flat_expected)
             price(t, k, 0, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width,
@@ -115,7 +110,7 @@ def search_rows(
             m = min(TILE, n - o)
             part = nodes[o : o + m]
             most = load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase,
-                              flat_eq, flat_phasor, flat_equalized, flat_mean, flat_first, flat_count,
+                              flat_phasor, flat_equalized, flat_mean, flat_first, flat_count,
                               labels)  # fmt: skip
             for j in range(m):
                 base = np.uint32(part[j] * labels)

@@ -50,7 +50,7 @@ class SurfaceStage:
         """Points of the pixels of this resolution, valid until the next call; ``left``, ``order`` hold only those."""
         v = self._view
         refine(
-            order, self._rays_x, self._rays_y, left.phase, left.phase_eq, left.phasor, left.variance,
+            order, self._rays_x, self._rays_y, left.phase, left.equalized, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
             correction.astype(np.float32), self._floor_sq, self._correlation, *self._located,

@@ -56,6 +56,12 @@ def angle(c: Any, s: Any) -> Any:
 
 
 @inline
+def turned(c: Any, s: Any, from_c: Any, from_s: Any) -> Any:
+    """Angle from the phasor (from_c, from_s) to (c, s)."""
+    return angle(c * from_c + s * from_s, s * from_c - c * from_s)
+
+
+@inline
 def root(x: Any) -> Any:
     """Square root in single precision."""
     return np.float32(sqrt(x))
