@@ -26,6 +26,7 @@ NONE = -32768
 _TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
 _BROKEN = np.float32(0.15)
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
+_UNREACHED = np.float32(1e9)
 
 
 @inline
@@ -165,14 +166,18 @@ def along_row(
 
 @parallel
 def along_columns(
-    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, total: Any, order: Any
-) -> None:
-    """Both vertical paths, and the decision: ``order`` (h, w) int16, NONE where there are no candidates.
+    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, margin: Any, total: Any,
+    order: Any, sure: Any,
+) -> None:  # fmt: skip
+    """Both vertical paths, and the decision.
 
     Columns go in blocks, one thread each, so that memory is walked in its own order.
 
     Args:
         costs, total: (h, w * labels); first, count: (h, w) int32; jump, trust: (h, w), from :func:`column_links`.
+        margin: least lead of the best total over the second best for a decision that is sure.
+        order: (h, w) int16, written, NONE where there are no candidates; sure: (h, w) uint8, written, 1 where there is
+            one candidate only or its lead is large enough, else 0.
     """
     h, w = first.shape
     flat_costs, flat_total = costs.reshape(-1), total.reshape(-1)
@@ -191,7 +196,7 @@ def along_columns(
                     if n <= 1:
                         last[p] = n
                         if direction == 1:
-                            order[a, b] = first[a, b] if n == 1 else NONE
+                            order[a, b], sure[a, b] = first[a, b] if n == 1 else NONE, n
                         continue
                     at, offset, price = (a * w + b) * labels, 0, penalty
                     if t > 0:
@@ -205,15 +210,18 @@ def along_columns(
                                         flat_total)  # fmt: skip
                     last[p], side[p] = n, 1 - side[p]
                     if direction == 1:
-                        order[a, b] = first[a, b] + _least(flat_total, at, labels)
+                        where, lead = _least(flat_total, at, labels)
+                        order[a, b], sure[a, b] = first[a, b] + where, 1 if lead >= margin else 0
 
 
 @ordered
-def _least(total: Any, at: int, labels: int) -> Any:
-    """Label of the least value; the first one of several."""
-    base, where, best = np.uint32(at), np.int64(0), total[np.uint32(at)]
-    for k in range(np.uint32(labels)):
-        value = total[base + k]
-        where = np.int64(k) if value < best else where
-        best = value if value < best else best
-    return where
+def _least(total: Any, at: int, labels: int) -> tuple[int, Any]:
+    """Label of the least value, the first one of several, and by how much the next one is larger."""
+    base, where, best, second = np.uint32(at), np.int64(0), total[np.uint32(at)], _UNREACHED
+    for k in range(1, np.uint32(labels)):
+        value = total[base + np.uint32(k)]
+        less = value < best
+        where = np.int64(k) if less else where
+        second = best if less else (value if value < second else second)
+        best = value if less else best
+    return where, second - best

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from pipeline import aggregate, candidates, search
 from pipeline.packed import PHASOR_SCALE
+from pipeline.settle import settle
+from pipeline.tables import RayTable
 
 if TYPE_CHECKING:
     from pipeline.phase import PhaseMap
@@ -19,31 +21,28 @@ F64 = NDArray[np.float64]
 
 NO_TURN = -1
 """Search every row without expectations."""
+SURE = 2.5
+"""Lead of the best order's total cost over the second best, in switch penalties, from which it is sure."""
 
 
 class OrderSearch:
-    """Search from the side of one view."""
+    """Search from the side of one view: on every second lattice pixel, then where that leaves something open."""
 
     def __init__(self, view: View) -> None:
-        h, w = view.table.shape
         self._view = view
-        self._start, self._stop = np.empty((h, w), np.float32), np.empty((h, w), np.float32)
-        self._costs, self._total = (np.zeros((h, w * view.labels), np.float32) for _ in range(2))
-        self._first, self._count = np.zeros((h, w), np.int32), np.zeros((h, w), np.int32)
-        self._jump, self._trust = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
-        self._correction: F64 | None = None
+        self._coarse, self._fine = _Lattice(view, view.table.every_second()), _Lattice(view, view.table)
         self._turn, self._expects = 0, False
-        self._order = np.empty((h, w), np.int16)
-        self._expected = np.full((h, w), np.nan, np.float32)
 
     def mean_best_cost(self, here: PhaseMap, there: PhaseMap, correction: F64, *, every: int) -> float:
         """Mean least cost of the pixels with two candidates at least, on every n-th lattice row."""
-        self._price(here, there, correction, NO_TURN, every)
-        count = self._count[::every]
+        level = self._fine
+        level.settled[:] = aggregate.NONE
+        level.price(here, there, correction, NO_TURN, every)
+        count = level.count[::every]
         several = count >= 2
         if not several.any():
             return 0.0
-        costs = self._costs[::every].reshape(*count.shape, self._view.labels)
+        costs = level.costs[::every].reshape(*count.shape, self._view.labels)
         there_are = np.arange(self._view.labels) < count[..., None]
         return float(np.where(there_are, costs, np.inf).min(axis=2)[several].mean(dtype=np.float64))
 
@@ -54,28 +53,27 @@ class OrderSearch:
             here, there: phases of this camera's picture and of the other's.
             follow: look only near what :meth:`expect` was told last, but for a few rows in turn.
         """
-        view, table = self._view, self._view.table
+        coarse, fine, table, view = self._coarse, self._fine, self._view.table, self._view
+        turn = NO_TURN
         if follow and self._expects:
-            self._turn = (self._turn + 1) % search.REFRESH
-            self._price(here, there, correction, self._turn, 1)
-        else:
-            self._price(here, there, correction, NO_TURN, 1)
-        aggregate.column_links(
-            here.phase, here.valid, table.top, table.down, table.left, table.step, np.float32(view.slopes[1]),
-            self._count, self._jump, self._trust,
+            turn = self._turn = (self._turn + 1) % search.REFRESH
+        coarse.price(here, there, correction, turn, 1)
+        coarse.decide(here)
+        settle(
+            coarse.order, coarse.sure, here.phase, here.valid, table.top, table.down, table.left, table.step,
+            np.float32(view.slopes[0]), np.float32(view.slopes[1]), fine.settled,
         )  # fmt: skip
-        aggregate.along_columns(
-            self._costs, self._first, self._count, self._jump, self._trust, np.float32(view.settings.switch_penalty),
-            view.labels, self._total, self._order,
-        )  # fmt: skip
-        return self._order
+        fine.price(here, there, correction, NO_TURN, 1)
+        fine.decide(here)
+        return fine.order
 
     def expect(self, here: PhaseMap, order: NDArray[np.int16]) -> None:
         """Expect these orders (h, w) of the last search, where they were cheap, in the next one."""
-        t, v = self._view.table, self._view
+        level, v = self._coarse, self._view
+        t = level.table
         search.remember(
-            order, self._first, self._costs, v.labels, np.float32(v.settings.follow_cost), t.top, t.down, t.left,
-            t.step, here.phase, self._expected,
+            np.ascontiguousarray(order[::2, ::2]), level.first, level.count, level.costs, v.labels,
+            np.float32(v.settings.follow_cost), t.top, t.down, t.left, t.step, here.phase, level.expected,
         )  # fmt: skip
         self._expects = True
 
@@ -83,8 +81,30 @@ class OrderSearch:
         """Expect nothing in the next search."""
         self._turn, self._expects = 0, False
 
-    def _price(self, here: PhaseMap, there: PhaseMap, correction: F64, turn: int, every: int) -> None:
-        view, table, s = self._view, self._view.table, self._view.settings
+
+class _Lattice:
+    """Candidates, prices and decisions of one lattice's pixels.
+
+    Args:
+        table: of the lattice's rays.
+    """
+
+    def __init__(self, view: View, table: RayTable) -> None:
+        h, w = table.shape
+        self._view, self.table = view, table
+        self._start, self._stop = np.empty((h, w), np.float32), np.empty((h, w), np.float32)
+        # Only what is searched is ever touched of these two.
+        self.costs, self._total = (np.zeros((h, w * view.labels), np.float32) for _ in range(2))
+        self.first, self.count = np.zeros((h, w), np.int32), np.zeros((h, w), np.int32)
+        self._jump, self._trust = np.empty((h, w), np.int32), np.empty((h, w), np.float32)
+        self._correction: F64 | None = None
+        self.order, self.sure = np.empty((h, w), np.int16), np.empty((h, w), np.uint8)
+        self.expected = np.full((h, w), np.nan, np.float32)
+        self.settled = np.full((h, w), aggregate.NONE, np.int16)
+
+    def price(self, here: PhaseMap, there: PhaseMap, correction: F64, turn: int, every: int) -> None:
+        """Price the candidates of the pixels that are not settled, and aggregate along the rows."""
+        view, table, s = self._view, self.table, self._view.settings
         single = correction.astype(np.float32)
         if self._correction is None or not np.array_equal(correction, self._correction):
             candidates.order_limits(
@@ -98,6 +118,19 @@ class OrderSearch:
             view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32((s.min_modulation * PHASOR_SCALE) ** 2),
             np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), np.float32(s.switch_penalty),
-            self._expected, turn, np.float32(s.follow_cost),
-            self._costs, self._total, self._first, self._count,
+            self.settled, self.expected, turn, np.float32(s.follow_cost),
+            self.costs, self._total, self.first, self.count,
+        )  # fmt: skip
+
+    def decide(self, here: PhaseMap) -> None:
+        """Aggregate along the columns, and decide."""
+        view, table = self._view, self.table
+        penalty = view.settings.switch_penalty
+        aggregate.column_links(
+            here.phase, here.valid, table.top, table.down, table.left, table.step, np.float32(view.slopes[1]),
+            self.count, self._jump, self._trust,
+        )  # fmt: skip
+        aggregate.along_columns(
+            self.costs, self.first, self.count, self._jump, self._trust, np.float32(penalty), view.labels,
+            np.float32(SURE * penalty), self._total, self.order, self.sure,
         )  # fmt: skip

@@ -28,7 +28,7 @@ def search_rows(
     phase: Any, phasor: Any, equalized: Any, mean: Any, valid: Any,
     other_phasor: Any, other_equalized: Any, other_mean: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
-    floor_sq: Any, inv: Any, texture: Any, penalty: Any, expected: Any, turn: int, limit: Any,
+    floor_sq: Any, inv: Any, texture: Any, penalty: Any, settled: Any, expected: Any, turn: int, limit: Any,
     costs: Any, total: Any, first: Any, count: Any,
 ) -> None:  # fmt: skip
     """Price the candidates of the lattice (of every n-th row) and aggregate along its rows.
@@ -42,6 +42,7 @@ def search_rows(
             across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.
         floor_sq: least squared size of a packed phasor; inv: 1 / (2 cost_sigma^2).
+        settled: (h, w) int16, orders that are known and need no search, NONE = open.
         expected: (h, w) float32, absolute phase to be expected, NaN = unknown; a pixel whose expected order costs at
             most ``limit``, amid others for which that holds, has no other candidate. Not used in lattice rows a with
             ``a % REFRESH == turn``; turn < 0: nowhere.
@@ -72,6 +73,9 @@ def search_rows(
                 flat_first[a * w + b], flat_count[a * w + b] = 0, 0
                 if a % every or not valid[pixel]:
                     here[b] = 1
+                elif settled[a, b] != NONE:
+                    here[b] = 1
+                    flat_first[a * w + b], flat_count[a * w + b] = settled[a, b], 1
                 elif follow and expected[a, b] == expected[a, b]:
                     here[b] = 3
                     nodes[n], pixels[n] = a * w + b, pixel[0] * pixels_across + pixel[1]
@@ -134,19 +138,22 @@ def search_rows(
 
 @parallel
 def remember(
-    order: Any, first: Any, costs: Any, labels: int, limit: Any, top: int, down: int, left: int, step: int,
+    order: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int, left: int, step: int,
     phase: Any, expected: Any,
 ) -> None:  # fmt: skip
     """Absolute phases of lattice pixels whose order costs at most ``limit``, NaN elsewhere; see :func:`search_rows`.
 
     Args:
-        order: (h, w) int16, NONE = unknown, one of the candidates priced last; expected: (h, w) float32, written.
+        order: (h, w) int16, NONE = unknown; first, count: of the candidates priced last, orders beyond them cost too
+            much; expected: (h, w) float32, written.
     """
     h, w = order.shape
     for a in prange(h):
         i = top + down * a
         for b in range(w):
             value = _NAN
-            if order[a, b] != NONE and costs[a, np.uint32(b * labels + order[a, b] - first[a, b])] <= limit:
+            label = order[a, b] - first[a, b]
+            priced = order[a, b] != NONE and 0 <= label < count[a, b]
+            if priced and costs[a, np.uint32(b * labels + label)] <= limit:
                 value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])
             expected[a, b] = value
