@@ -20,7 +20,7 @@ from pipeline.mosaic_fit import (
 )
 from pipeline.normal_equations import IM, MEAN, RE, VARIANCE, solve
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
-from pipeline.row_results import angles_of_row, describe_row, packed_row, row_stride
+from pipeline.row_results import angles_of_row, counts_of_row, describe_row, packed_row, row_stride
 from pipeline.straighten import DESIGN_ROWS, straighten_phasors, turned_design, units_of_row
 from pipeline.three_step import levels_of_row
 from pipeline.tiles import TILE
@@ -130,9 +130,9 @@ def decode_bayer(
                                    samples[ring + k])  # fmt: skip
             if low <= y < high:
                 clipped[y] = found
-                mean[y, :] = plain[k, :width]
                 if y < edge or y >= height - edge:
                     phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
+                    counts_of_row(plain[k, :width], mean[y])
             i = y - radius
             if turn_rows > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
                 turned_design(mosaic, rows, turns, turn_rows, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
@@ -153,10 +153,11 @@ def decode_bayer(
                                        gain)  # fmt: skip
                     solve(tile)
                     e = min(e, width - edge)
-                    _put_back(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], mean[i, o:e], w[o:e])
+                    _put_back(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], plain[q, o:e], w[o:e])
                 for j in range(edge):
                     for x in (j, width - 1 - j):
                         re[x], im[x], w[x] = zero, zero, inf
                 variance[i, :] = w
+                counts_of_row(plain[q, :width], mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, w, smallest, modulation[i], valid[i])

@@ -14,7 +14,7 @@ from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_m
 from pipeline.equalize import advance, balance_of_row, equalized_row, means_of_row, mirrored, shared_row
 from pipeline.kernels import parallel, prange, serial
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
-from pipeline.row_results import angles_of_row, describe_row, packed_row, row_stride
+from pipeline.row_results import angles_of_row, counts_of_row, describe_row, packed_row, row_stride
 from pipeline.straighten import straighten_means, straighten_phasors, units_of_row
 from pipeline.three_step import levels_of_row, pointwise_row
 from pipeline.tiles import TILE
@@ -52,8 +52,8 @@ def decode_rgb(
         clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
         along, over, drops, scale: of :class:`pipeline.equalize.BoxMean`.
         turns, turn_rows: table and step of :class:`pipeline.lateral_tables.ColorTurns`.
-        phasor, equalized: (H, W) int32, packed; mean, variance, phase: (H, W) float32.
-        modulation: (H, W) uint8; valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
+        phasor, equalized: (H, W) int32, packed; variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
+        valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
     """
     height, width = mean.shape
     reach = max(radius, 1)
@@ -62,10 +62,11 @@ def decode_rgb(
     wide = row_stride(3 * width + 6 * along)
     for band in prange(BANDS):
         low, high = band * height // BANDS, (band + 1) * height // BANDS
-        slab = np.zeros((7 * ring + 13, row_stride(width)), np.float32)
+        slab = np.zeros((7 * ring + 14, row_stride(width)), np.float32)
         levels, w, c, s = slab[0:3], slab[3, :width], slab[4, :width], slab[5, :width]
         a, v, re, im = slab[6, :width], slab[7, :width], slab[8, :width], slab[9, :width]
-        balance, unit, sums = slab[10:13], slab[13 : 13 + 2 * ring], slab[13 + 2 * ring :]
+        average, balance = slab[10, :width], slab[11:14]
+        unit, sums = slab[14 : 14 + 2 * ring], slab[14 + 2 * ring :]
         boxes = np.zeros((2 + over, wide), np.uint16)
         once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
         shorts = np.zeros((5, 2 * wide), np.uint16)
@@ -132,22 +133,24 @@ def decode_rgb(
                              sums[f], sums[ring + f], sums[2 * ring + f], sums[3 * ring + f], sums[4 * ring + f],
                              sums[g], sums[ring + g], sums[2 * ring + g], sums[3 * ring + g], sums[4 * ring + g],
                              nominal[2], nominal[3], weights[2], w, c, s, a, v)  # fmt: skip
-                quotients_of_row(w, c, s, a, v, re, im, mean[i], variance[i])
+                quotients_of_row(w, c, s, a, v, re, im, average, variance[i])
                 if clipped[i] > 0:
                     found = clipped_of_row(picture[i], clip, reach, width - reach, columns)
                     for j in columns[:found]:
-                        mean[i, j] = plain_mean(picture[i], j, black, solve)
+                        average[j] = plain_mean(picture[i], j, black, solve)
                     units = (unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r])
                     for j in range(0, found, TILE):
                         fit_clipped(picture, i, columns[j : min(j + TILE, found)], radius, nominal, weights, rows,
-                                    black, clip, floor, gain, units, tile, re, im, mean[i], variance[i])  # fmt: skip
+                                    black, clip, floor, gain, units, tile, re, im, average, variance[i])  # fmt: skip
                 for j in range(reach):
                     for x in (j, width - 1 - j):
                         re[x], im[x], variance[i, x] = zero, zero, inf
-                        mean[i, x] = plain_mean(picture[i], x, black, solve)
+                        average[x] = plain_mean(picture[i], x, black, solve)
+                counts_of_row(average, mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, variance[i], smallest, modulation[i], valid[i])
             if low <= y < high and (y < reach or y >= height - reach):
                 phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                 for x in range(width):
-                    mean[y, x] = plain_mean(picture[y], x, black, solve)
+                    average[x] = plain_mean(picture[y], x, black, solve)
+                counts_of_row(average, mean[y])

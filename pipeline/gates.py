@@ -72,11 +72,11 @@ class Gates:
         self._surfaces = Surfaces(shape)
         self._unique = Uniqueness(shape, (right, projector))
 
-    def certain(self, located: Located, modulation: Any) -> NDArray[np.uint8]:
+    def certain(self, located: Located, depth_mm: Any, modulation: Any) -> NDArray[np.uint8]:
         """1 where a point is certain, else 0, (H, W); valid until the next call.
 
         Args:
-            located: of the left picture; modulation: (H, W) uint8, counts.
+            located: of the left picture; depth_mm: (H, W), float32; modulation: (H, W) uint8, counts.
         """
         s, known, label, surfaces = self._settings, self._known, self._label, self._surfaces
         limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)
@@ -94,7 +94,7 @@ class Gates:
             (located.source_u, located.source_v, self._projector, by_phase._replace(by_depth=True), self._tolerance),
         ):
             self._unique.apply(
-                known, label, surfaces.sizes, u, v, located.depth_mm, device, values, tolerance, 4 * self._smallest
+                known, label, surfaces.sizes, u, v, depth_mm, device, values, tolerance, 4 * self._smallest
             )
         surfaces.find(known, self._link, self._smallest)
         self._drop_doubtful(located)

@@ -1,7 +1,7 @@
 """What the sub-pixel match hands to the gates.
 
 The gates look at several planes of a whole picture many times, and memory is what they wait for: pixels and phases are
-whole numbers of 16 bits in steps that are fine enough for a gate. Only what goes into the cloud is float32.
+whole numbers of 16 bits in steps that are fine enough for a gate. Only the cloud itself is float32.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ class Located(NamedTuple):
 
     Args:
         known: uint8, 1 where a match was found, else 0 (bytes serve vector code better than truth values).
-        depth_mm: along the left camera's z axis; sigma_mm: one standard deviation along the viewing ray.
         match_u, match_v: pixel in the right picture, uint16 of :data:`PIXEL_STEPS`.
         source_u, source_v: pixel of the projector that lights the point, likewise.
         absolute: phase of the left pixel and 2 pi times its order, int16 of :data:`TURN_STEPS`.
@@ -43,8 +42,6 @@ class Located(NamedTuple):
     """
 
     known: NDArray[np.uint8]
-    depth_mm: F32
-    sigma_mm: F32
     match_u: U16
     match_v: U16
     source_u: U16
@@ -56,8 +53,27 @@ class Located(NamedTuple):
     @staticmethod
     def empty(shape: tuple[int, int]) -> Located:
         """Planes to be written."""
-        depth, sigma = (np.empty(shape, np.float32) for _ in range(2))
         match_u, match_v, source_u, source_v = (np.empty(shape, np.uint16) for _ in range(4))
         absolute, residual_eq, residual = (np.empty(shape, np.int16) for _ in range(3))
         known = np.zeros(shape, np.uint8)
-        return Located(known, depth, sigma, match_u, match_v, source_u, source_v, absolute, residual_eq, residual)
+        return Located(known, match_u, match_v, source_u, source_v, absolute, residual_eq, residual)
+
+
+class Points(NamedTuple):
+    """What becomes the cloud: written by the match, taken back where the gates object.
+
+    Args:
+        xyz: (H, W, 3), mm; sigma_mm: (H, W), one standard deviation along the viewing ray.
+    """
+
+    xyz: F32
+    sigma_mm: F32
+
+    @staticmethod
+    def empty(shape: tuple[int, int]) -> Points:
+        """Planes to be written."""
+        return Points(np.empty((*shape, 3), np.float32), np.empty(shape, np.float32))
+
+    def depth_mm(self, every: int) -> F32:
+        """Of every n-th pixel of both axes, along the left camera's z axis."""
+        return self.xyz[::every, ::every, 2]

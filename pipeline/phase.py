@@ -34,21 +34,21 @@ F32 = NDArray[np.float32]
 class PhaseMap:
     """Phase of one picture, all (H, W).
 
-    The decoder's next picture overwrites all planes but the modulation.
+    The decoder's next picture overwrites all planes but the mean and the modulation.
 
     Args:
         phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.packed`; 0 where unknown.
         equalized: int32, packed, the same from channels divided by their local means; about unit size.
-        mean: float32, A, counts: the fringe-free texture.
         variance: float32, variance of the pointwise phase from the picture's noise, rad^2.
         clipped: share of pixels with a clipped sample.
         phase: float32, wrapped angle of the pointwise phasor.
-        modulation: uint8, B, counts; valid: bool, B is enough and the fit had enough samples.
+        mean, modulation: uint8, A (the fringe-free texture) and B, counts.
+        valid: bool, B is enough and the fit had enough samples.
     """
 
     phasor: NDArray[np.int32]
     equalized: NDArray[np.int32]
-    mean: F32
+    mean: NDArray[np.uint8]
     variance: F32
     clipped: float
     phase: F32
@@ -115,13 +115,13 @@ class Decoder:
         largest, unit = (255, 1.0) if self._mosaic is None else (255 * EIGHTHS, 1 / EIGHTHS)
         box = BoxMean.of(self._period_px, (width, height), axis=self._axis, largest=largest, unit=unit)
         planes = self._scratch(height, width)
-        modulation = np.empty((height, width), np.uint8)
+        mean, modulation = (np.empty((height, width), np.uint8) for _ in range(2))
         common = (
             self._black, self._rows, self._solve, self._unmix, self._ideal, self._weights, self._radius, self._nominal,
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
             np.float32(self._settings.min_modulation), box.along, box.over, box.drops, np.float32(box.scale),
             self._turns.table, self._turns.step,
-            planes["phasor"], planes["equalized"], planes["mean"], planes["variance"], planes["phase"],
+            planes["phasor"], planes["equalized"], mean, planes["variance"], planes["phase"],
             modulation, planes["valid"], planes["clipped"],
         )  # fmt: skip
         if self._mosaic is None:
@@ -129,15 +129,15 @@ class Decoder:
         else:
             decode_bayer(image, self._mosaic, *common)
         return PhaseMap(
-            planes["phasor"], planes["equalized"], planes["mean"],
-            planes["variance"], float(planes["clipped"].sum()) / (height * width), planes["phase"],
+            planes["phasor"], planes["equalized"], mean, planes["variance"],
+            float(planes["clipped"].sum()) / (height * width), planes["phase"],
             modulation, planes["valid"],
         )  # fmt: skip
 
     def _scratch(self, height: int, width: int) -> dict[str, NDArray[Any]]:
         """The planes that stay with the decoder: fresh ones cost as much as a good part of the decoding."""
-        if not self._planes or self._planes["mean"].shape != (height, width):
-            single = {k: np.empty((height, width), np.float32) for k in ("mean", "variance", "phase")}
+        if not self._planes or self._planes["phase"].shape != (height, width):
+            single = {k: np.empty((height, width), np.float32) for k in ("variance", "phase")}
             double = {k: np.empty((height, width), np.int32) for k in ("phasor", "equalized")}
             rest = {"valid": np.empty((height, width), np.bool_), "clipped": np.empty(height, np.int32)}
             self._planes = {**single, **double, **rest}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.located import PIXEL_STEPS
+from pipeline.located import PIXEL_STEPS, Points
 from pipeline.rivals import PARAMETER_STEPS, Values
 from pipeline.uniqueness import Uniqueness
 
@@ -17,9 +17,10 @@ def rehearse_contest() -> None:
     v, u = (PIXEL_STEPS * np.indices(shape)).astype(np.uint16)
     label = (1 + np.arange(_SIDE * _SIDE) % 2).astype(np.uint16).reshape(shape)
     size = np.full(2, label.size // 2, np.int32)
-    depth = np.where(label == 1, np.float32(1000), np.float32(1100)).astype(np.float32)
+    points = Points.empty(shape)
+    points.xyz[..., 2] = np.where(label == 1, 1000, 1100)
     contest = Uniqueness(shape, (shape,))
     for by_depth in (False, True):
         values = Values((1000 * label).astype(np.int16), by_depth, np.float32(0), np.float32(1e-3))
         known = np.ones(shape, np.uint8)
-        contest.apply(known, label, size, u, v, depth, shape, values, PARAMETER_STEPS // 4, label.size)
+        contest.apply(known, label, size, u, v, points.depth_mm(1), shape, values, PARAMETER_STEPS // 4, label.size)

@@ -12,6 +12,7 @@ from pipeline.packed import pack
 from pipeline.tiles import angle
 
 _LINE = 16  # float32 in a cache line
+_ZERO, _MOST = np.float32(0.0), np.float32(255.0)
 
 
 @serial
@@ -46,3 +47,12 @@ def describe_row(re: Any, im: Any, variance: Any, smallest: float, modulation: A
         size = np.float32(sqrt(re[j] * re[j] + im[j] * im[j]))
         modulation[j] = np.uint8(np.int32(min(size, full)))
         valid[j] = (size >= smallest) & (variance[j] < one)
+
+
+@serial
+def counts_of_row(mean: Any, out: Any) -> None:
+    """Means (n,) float32 to whole counts 0 .. 255, (n,) uint8."""
+    for j in range(out.shape[0]):
+        x = np.rint(mean[j])
+        x = x if x > _ZERO else _ZERO
+        out[j] = np.uint8(np.int32(x if x < _MOST else _MOST))

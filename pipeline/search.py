@@ -36,7 +36,7 @@ def search_rows(
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         tables: (4, 3, h, w) along, across, other_u, other_v; start, stop: see :func:`candidates.order_limits`.
-        phasor, equalized: (H, W) int32 packed; phase, mean: (H, W) float32; valid: (H, W) bool.
+        phasor, equalized: (H, W) int32 packed; phase: (H, W) float32; mean: (H, W) uint8; valid: (H, W) bool.
         other_phasor, other_equalized, other_mean: the other picture's.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
             across.

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.assemble import assemble
 from pipeline.calibration import Calibration
 from pipeline.cloud import Cloud
+from pipeline.conceal import conceal
 from pipeline.gates import Gates
-from pipeline.located import Located
+from pipeline.located import Located, Points
 from pipeline.packed import PHASOR_SCALE
 from pipeline.phase import PhaseMap
 from pipeline.refine import refine
@@ -33,6 +33,7 @@ class SurfaceStage:
         self, calibration: Calibration, left: View, settings: Settings, correlation: float, *, every: int
     ) -> None:
         self._view, self._every = left, every
+        self._size = calibration.left.size[::-1]
         rays = calibration.left.rays()[::every, ::every].astype(np.float32)
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         shape = self._rays_x.shape
@@ -46,14 +47,21 @@ class SurfaceStage:
             left.depth, left.order_step, settings, smallest=max(settings.min_component // every**2, 1),
         )  # fmt: skip
 
-    def locate(self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64]) -> Located:
-        """Points of the pixels of this resolution, valid until the next call; ``left``, ``order`` hold only those."""
+    def locate(
+        self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], *, points: Points | None = None
+    ) -> Located:
+        """Match the pixels of this resolution, valid until the next call; ``left``, ``order`` hold only those.
+
+        The points themselves go into ``points``, of the full resolution, if that is given.
+        """
         v = self._view
+        points = points or Points.empty(self._size)
         refine(
             order, self._rays_x, self._rays_y, left.phase, left.equalized, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
-            correction.astype(np.float32), self._floor_sq, self._correlation, *self._located,
+            correction.astype(np.float32), self._floor_sq, self._correlation, self._every,
+            points.xyz, points.sigma_mm, *self._located,
         )  # fmt: skip
         return self._located
 
@@ -72,19 +80,19 @@ class SurfaceStage:
         ``confirm`` may forget points before the gates look at them.
         """
         part, some = (left, order) if self._every == 1 else (left.every(self._every), _every(order, self._every))
-        located = self.locate(part, right, some, correction)
+        points = Points.empty(self._size)
+        located = self.locate(part, right, some, correction, points=points)
         if confirm is not None:
             confirm(located)
         watch.lap("refinement")
-        known = self._gates.certain(located, part.modulation)
+        known = self._gates.certain(located, points.depth_mm(self._every), part.modulation)
         watch.lap("gates")
-        xyz, sigma, gray, kept = assemble(
-            known, located.depth_mm, located.sigma_mm, self._rays_x, self._rays_y, left.mean, some, self._every
-        )
+        kept = np.empty(self._size, np.int16)
+        conceal(known, some, self._every, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
-            xyz=xyz,
-            sigma_mm=sigma,
-            gray=gray,
+            xyz=points.xyz,
+            sigma_mm=points.sigma_mm,
+            gray=left.mean,
             modulation=(left.modulation, right.modulation),
             order=kept,
             saturated=(left.clipped, right.clipped),

@@ -141,10 +141,11 @@ class SetDecoder:
         if self._mosaic:
             blend(self._mean, self._spare[2])
             mean = self._spare[2]
+        counts = np.rint(mean).clip(0, 255).astype(np.uint8)
         modulation = np.minimum(amplitude, 255).astype(np.uint8)
         share = float(self._clipped.sum()) / self._clipped.size / self._tables.size[0]
         valid = self._order != orders.NONE
-        found = PhaseMap(self._phasor, self._phasor, mean, variance, share, phase, modulation, valid)
+        found = PhaseMap(self._phasor, self._phasor, counts, variance, share, phase, modulation, valid)
         return SetPhase(found, self._order, absolute, int(moved))
 
     def _take(self, pictures: Items[NDArray[Any]], side: str) -> None:

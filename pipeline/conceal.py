@@ -1,0 +1,45 @@
+"""What the gates did not leave standing, made unknown in the cloud's planes, where the match had written it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.kernels import parallel, prange
+
+_NAN = np.float32(np.nan)
+_NOWHERE = np.int16(-1)
+
+
+@parallel
+def conceal(known: Any, order: Any, every: int, xyz: Any, sigma: Any, order_out: Any) -> None:
+    """Unknown points become NaN; the orders of the others are copied.
+
+    Args:
+        known: (h, w) uint8, 1 where a point is certain; order: (h, w) int16.
+        every: pixel (a, b) of those is the cloud's (every a, every b); in between nothing is known.
+        xyz: (H, W, 3), sigma: (H, W), float32, changed; order_out: (H, W) int16, written, -1 where unknown.
+    """
+    height, width = sigma.shape
+    for i in prange(height):
+        if every != 1:
+            order_out[i, :] = _NOWHERE
+            if i % every != 0:
+                xyz[i, :, :], sigma[i, :] = _NAN, _NAN
+                continue
+            for j in range(width):
+                if j % every != 0:
+                    xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
+        a = i // every
+        here, orders = known[a], order[a]
+        if every == 1:
+            out = order_out[i]
+            for j in range(width):
+                out[j] = orders[j] if here[j] != 0 else _NOWHERE
+        for b in range(here.shape[0]):
+            j = np.uint32(every * b)
+            if here[b] == 0:
+                xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
+            elif every != 1:
+                order_out[i, j] = orders[b]
