@@ -36,7 +36,8 @@ def conceal(known: Any, order: Any, every: int, xyz: Any, sigma: Any, order_out:
         if every == 1:
             out = order_out[i]
             for j in range(width):
-                out[j] = orders[j] if here[j] != 0 else _NOWHERE
+                one = orders[j]
+                out[j] = one if here[j] != 0 else _NOWHERE
         for b in range(here.shape[0]):
             j = np.uint32(every * b)
             if here[b] == 0:

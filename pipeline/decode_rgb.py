@@ -32,7 +32,8 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
         found = w[j] > zero
         inverse = one / (w[j] if found else one)
         re[j], im[j], mean[j] = c[j] * inverse, s[j] * inverse, a[j] * inverse
-        variance[j] = v[j] / (c[j] * c[j] + s[j] * s[j] + np.float32(1e-9)) if found else inf
+        angular = v[j] / (c[j] * c[j] + s[j] * s[j] + np.float32(1e-9))
+        variance[j] = angular if found else inf
 
 
 @parallel

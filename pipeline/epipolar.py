@@ -14,7 +14,7 @@ from pipeline.kernels import inline
 from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, angle, clamped
 
-FEW = 32
+FEW = 8
 """Pixels that are matched together where a whole tile is not worth it; a divisor of TILE."""
 
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)

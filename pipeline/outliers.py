@@ -20,7 +20,8 @@ def _shift(came: Any, came_known: Any, gone: Any, gone_known: Any, total: Any) -
     """Column sums of known values after a row came and another went; they start three pixels left of the row."""
     into = total[RADIUS:]
     for j in range(came.shape[0]):
-        a, b = came[j] if came_known[j] != 0 else np.int16(0), gone[j] if gone_known[j] != 0 else np.int16(0)
+        a, b = came[j], gone[j]
+        a, b = a if came_known[j] != 0 else np.int16(0), b if gone_known[j] != 0 else np.int16(0)
         into[j] += np.int16(a - b)
 
 
@@ -51,7 +52,8 @@ def _agreeing(
         near = (from1 < most) | (from2 < most)
         small = np.uint16(first[j] + largest) <= np.uint16(2 * largest)
         small |= np.uint16(second[j] + largest) <= np.uint16(2 * largest)
-        out[j] = known[j] if near & small & (np.uint16(4 * n[j]) >= np.uint16(window[j])) else _NO
+        here = known[j]
+        out[j] = here if near & small & (np.uint16(4 * n[j]) >= np.uint16(window[j])) else _NO
 
 
 @parallel
@@ -104,7 +106,9 @@ def _pad(label: Any, modulation: Any, labels: Any, strengths: Any, out: Any) -> 
     a, b = labels[1:], strengths[1:]
     for j in range(label.shape[0]):
         a[j] = label[j]
-        b[j] = modulation[j] if label[j] != 0 else _NO
+    for j in range(label.shape[0]):
+        strength = modulation[j]
+        b[j] = strength if label[j] != 0 else _NO
         out[j] = _YES if label[j] != 0 else _NO
 
 

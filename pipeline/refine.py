@@ -26,7 +26,9 @@ from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, clamped, root, turned
 
 _COHERENCE_SQ = np.float32(0.16)
-_CLOSE, _CONVERGED = np.float32(0.05), np.float32(0.1)
+_CONVERGED = np.float32(0.1)
+_ROWS = 8
+"""Rows that share their scratch arrays."""
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _TURN = np.float32(2 * np.pi)
 _PER_PIXEL, _FARTHEST = np.float32(PIXEL_STEPS), np.float32(OUTSIDE)
@@ -64,11 +66,14 @@ def refine(
     tiles = (width + TILE - 1) // TILE
     delta = np.float32(0.01 * span)
     loss = _TWO * (_ONE - correlation)
-    for i in prange(height):
+    for block in prange((height + _ROWS - 1) // _ROWS):
         t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
         few, few_k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
         again = np.empty(TILE, np.int32)
-        for tile in range(tiles):
+        for number in range(_ROWS * tiles):
+            i, tile = block * _ROWS + number // tiles, number % tiles
+            if i >= height:
+                break
             j0 = tile * TILE
             n = min(TILE, width - j0)
             found = 0
@@ -102,7 +107,8 @@ def refine(
             left = 0
             for j in range(n):
                 again[left] = j
-                left += (t[OK + j] > _ZERO) & (abs(t[ERROR + j]) > _CLOSE)
+                left += (t[OK + j] > _ZERO) & (abs(t[ERROR + j]) >= _CONVERGED)
+            # Most of these are at the border of something, and few: often one look for all of them.
             for o in range(0, left, FEW):
                 some = again[o : min(o + FEW, left)]
                 _gather(t, some, few)
@@ -125,7 +131,8 @@ def refine(
                 a, b = t[FRACTION + j], t[ACROSS + j]
                 v = t[VARIANCE + j] * (_ONE - loss * a * (_ONE - a)) * (_ONE - loss * b * (_ONE - b))
                 good &= v < _ONE
-                t[OK + j] = t[OK + j] if good else _ZERO
+                active = t[OK + j]
+                t[OK + j] = active if good else _ZERO
                 t[W + j] = w
                 t[X + j], t[Y + j] = x + ex * by, y + ey * by
                 t[VARIANCE + j] = v

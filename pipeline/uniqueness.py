@@ -30,7 +30,8 @@ BLOCK_STEPS = 8 * PIXEL_STEPS
 @serial
 def _masked(known: Any, x: Any, out: Any) -> None:
     for j in range(known.shape[0]):
-        out[j] = x[j] if known[j] != 0 else _NOWHERE
+        here = x[j]
+        out[j] = here if known[j] != 0 else _NOWHERE
 
 
 @serial
