@@ -215,7 +215,7 @@ def along_columns(
 
 
 @ordered
-def _least(total: Any, at: int, labels: int) -> tuple[int, Any]:
+def _least(total: Any, at: int, labels: int) -> tuple[Any, Any]:
     """Label of the least value, the first one of several, and by how much the next one is larger."""
     base, where, best, second = np.uint32(at), np.int64(0), total[np.uint32(at)], _UNREACHED
     for k in range(1, np.uint32(labels)):

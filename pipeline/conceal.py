@@ -39,8 +39,8 @@ def conceal(known: Any, order: Any, every: int, xyz: Any, sigma: Any, order_out:
                 one = orders[j]
                 out[j] = one if here[j] != 0 else _NOWHERE
         for b in range(here.shape[0]):
-            j = np.uint32(every * b)
+            m = np.uint32(every * b)
             if here[b] == 0:
-                xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
+                xyz[i, m, 0], xyz[i, m, 1], xyz[i, m, 2], sigma[i, m] = _NAN, _NAN, _NAN, _NAN
             elif every != 1:
-                order_out[i, j] = orders[b]
+                order_out[i, m] = orders[b]

@@ -109,12 +109,11 @@ def decode_bayer(
                     middle_row = shared_row(y)
                     while entered < middle_row + over - 1:
                         entered += 1
-                        full = entered > start
-                        advance(_first_guess(picture, mirrored(entered, height), mosaic, halo, kept, held),
-                                _first_guess(picture, mirrored(entered - over if full else entered, height), mosaic,
-                                             halo, kept, held),
-                                1 if full else 0, drops[0], drops[1], once, before[(entered - start) % over],
-                                twice)  # fmt: skip
+                        keep = 1 if entered > start else 0
+                        came, gone = mirrored(entered, height), mirrored(entered - keep * over, height)
+                        advance(_first_guess(picture, came, mosaic, halo, kept, held),
+                                _first_guess(picture, gone, mosaic, halo, kept, held), keep, drops[0], drops[1], once,
+                                before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
                 equalized_row(levels, balance, unmix, ideal, re, im)

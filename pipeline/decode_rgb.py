@@ -83,9 +83,10 @@ def decode_rgb(
                     middle_row = shared_row(y)
                     while entered < middle_row + over - 1:
                         entered += 1
-                        full = entered > start
-                        advance(picture[mirrored(entered, height)], picture[mirrored(entered - over if full else 0, height)],
-                                1 if full else 0, drops[0], drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
+                        keep = 1 if entered > start else 0
+                        gone = mirrored(entered - keep * over, height)
+                        advance(picture[mirrored(entered, height)], picture[gone], keep, drops[0], drops[1], once,
+                                before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
                 equalized_row(levels, balance, unmix, ideal, w, c)

@@ -136,10 +136,10 @@ def look_up(t: Any, k: Any, other: Any, along: int, across: int, width: int, hei
         t[ACROSS + j] = fy if along == 1 else fx
     step, beside = np.uint32(along), np.uint32(across)
     for j in range(lanes):
-        i = np.uint32(k[_CELL + j])
-        k[_P00 + j], k[_P10 + j] = other[i], other[i + step]
-        i += beside
-        k[_P01 + j], k[_P11 + j] = other[i], other[i + step]
+        here = np.uint32(k[_CELL + j])
+        k[_P00 + j], k[_P10 + j] = other[here], other[here + step]
+        here += beside
+        k[_P01 + j], k[_P11 + j] = other[here], other[here + step]
     for j in range(lanes):
         f = t[ACROSS + j]
         a, b, c, d = real(k[_P00 + j]), imaginary(k[_P00 + j]), real(k[_P10 + j]), imaginary(k[_P10 + j])

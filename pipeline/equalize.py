@@ -165,7 +165,8 @@ def balance_of_row(means: Any, scale: float, black: Any, unmix: Any, out: Any) -
     """What makes the channels of a row equally bright: one over their means above black, without crosstalk.
 
     Args:
-        means: (3 W,) uint16, colours interleaved; scale: to counts; black: (3,) counts; unmix: (3, 3) inverse crosstalk.
+        means: (3 W,) uint16, colours interleaved; scale: to counts; black: (3,) counts.
+        unmix: (3, 3) inverse crosstalk.
         out: (3, W or more) float32, result.
     """
     n = means.shape[0] // 3

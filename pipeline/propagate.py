@@ -82,8 +82,8 @@ def _nearest(place: Any, first: Any, per_step: Any, count: int, out: Any) -> Non
 @parallel
 def cross_check(
     order: Any, top: int, down: int, left: int, step: int, tables: Any, phase: Any, phasor: Any,
-    equalized: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int, other_phase: Any,
-    table: Any, shift: Any, slope_x: Any, slope_y: Any, limit: Any, kept: Any,
+    equalized: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
+    other_phase: Any, table: Any, shift: Any, slope_x: Any, slope_y: Any, limit: Any, kept: Any,
 ) -> None:  # fmt: skip
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
 

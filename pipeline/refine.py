@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.epipolar import (
+from pipeline.epipolar import (  # isort: skip
     ACROSS, BIAS, ERROR, EX, EY, FEW, FRACTION, IM, INTEGER_SLOTS, OK, PHI, RE, RX, RY, SIZE, SLOPE, SLOTS, SQUARE, T0,
     T1, U, V, VARIANCE, W, X, Y, columns_of, errors, evidence, look_up, meet, move, pixel, projected_phase, ray,
 )  # fmt: skip

@@ -48,7 +48,7 @@ class SurfaceStage:
         )  # fmt: skip
 
     def locate(
-        self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], *, points: Points | None = None
+        self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], points: Points | None = None
     ) -> Located:
         """Match the pixels of this resolution, valid until the next call; ``left``, ``order`` hold only those.
 
@@ -81,7 +81,7 @@ class SurfaceStage:
         """
         part, some = (left, order) if self._every == 1 else (left.every(self._every), _every(order, self._every))
         points = Points.empty(self._size)
-        located = self.locate(part, right, some, correction, points=points)
+        located = self.locate(part, right, some, correction, points)
         if confirm is not None:
             confirm(located)
         watch.lap("refinement")

@@ -37,8 +37,8 @@ def step_of(
 ) -> Any:  # fmt: skip
     """Phasor of the phase's step by one pixel, from the unit phasors of a pixel and of its neighbours on both sides.
 
-    The central difference where both sides agree (``agreeing``: at least AGREEING); at the border of a surface the side whose step is nearer to the
-    expected one (``nominal``), since the other crosses over to another surface.
+    The central difference where both sides agree (``agreeing`` is AGREEING or more); at the border of a surface the
+    side whose step is nearer to the expected one (``nominal``), since the other crosses over to another surface.
 
     Returns:
         cosine and sine of the step; 1 where the neighbour behind continues the plane, else 0; the same ahead.

@@ -11,7 +11,7 @@ import pytest
 from pipeline import components
 from pipeline.components import Surfaces
 from pipeline.gates import Gates
-from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, Located
+from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, Located, Points
 from pipeline.outliers import RADIUS, drop_mixed_edges, local_outliers
 from pipeline.rivals import PARAMETER_STEPS, Values
 from pipeline.settings import Settings
@@ -122,7 +122,8 @@ def test_of_two_claims_to_one_pixel_the_one_of_the_definition_stays(by_depth: bo
     u = (PIXEL_STEPS * (j * 0.7 - 4 * label + 2) + rng.integers(0, 12, shape)).clip(0, OUTSIDE).astype(np.uint16)
     v = (PIXEL_STEPS * (i * 0.6 + label)).astype(np.uint16)
     u[:, :3] = OUTSIDE
-    depth = (800 + 0.01 * rng.permutation(label.size).reshape(shape)).astype(np.float32)
+    depth = Points.empty(shape).depth_mm(1)
+    depth[:] = 800 + 0.01 * rng.permutation(label.size).reshape(shape)
     phase = rng.integers(-32768, 32767, shape).astype(np.int16) // 64 * 64
     base, span = np.float32(1 / 900), np.float32(1 / 700 - 1 / 900)
     size = np.bincount(label[label > 0] - 1, minlength=4).astype(np.int32)
@@ -181,10 +182,12 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
         return (PIXEL_STEPS * x).clip(0, OUTSIDE).astype(np.uint16)
 
     located = Located(
-        known, (800 + 30 * area + 0.1 * j).astype(np.float32), np.ones(shape, np.float32),
-        steps(j + 25.0 * area), steps(i + 0.5), steps(0.7 * j + 20 * area), steps(0.7 * i),
+        known, steps(j + 25.0 * area), steps(i + 0.5), steps(0.7 * j + 20 * area), steps(0.7 * i),
         (24 * j + 2000 * area).astype(np.int16), *rng.normal(0, 30, (2, *shape)).astype(np.int16),
     )  # fmt: skip
+    points = Points.empty(shape)
+    depth = points.depth_mm(1)
+    depth[:] = 800 + 30 * area + 0.1 * j
     modulation = rng.integers(40, 90, shape).astype(np.uint8)
     gates = Gates(
         shape, right, projector, (24 * 2 * np.pi / TURN_STEPS, 0.0), DepthScale(1 / 900, 1 / 700 - 1 / 900), 0.1,
@@ -196,10 +199,10 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
         for threads in sorted({1, most}):
             numba.set_num_threads(threads)
             for _ in range(2):
-                for plane in located[1:]:
+                for plane in (depth, *located[1:]):
                     filling: Any = [np.nan, np.inf, 0] if plane.dtype.kind == "f" else [0, 65535, 7]
                     plane[known == 0] = rng.choice(np.array(filling).astype(plane.dtype), int((known == 0).sum()))
-                results.append(gates.certain(located, modulation).copy())
+                results.append(gates.certain(located, depth, modulation).copy())
     finally:
         numba.set_num_threads(most)
     assert all((r == results[0]).all() for r in results)

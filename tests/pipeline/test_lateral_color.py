@@ -153,7 +153,7 @@ def test_turned_channels_give_the_phase_of_the_unturned(encoding, radius):
     error = np.abs(wrapped(found.phase - phase)[INNER])
     assert before > 0.07
     assert error.max() < (0.03 if encoding == "rgb8" else 0.05)
-    assert np.abs(found.mean[INNER] - 100).max() < (1.5 if encoding == "rgb8" else 3)
+    assert np.abs(found.mean[INNER] - 100.0).max() < (1.5 if encoding == "rgb8" else 3)
     equal = np.abs(wrapped(found.phase_eq - phase)[INNER])
     assert np.sqrt((equal**2).mean()) < 0.05
 
@@ -166,7 +166,7 @@ def test_balance_takes_unequal_channels_out_of_the_phase():
     found = decoder(color=evened).decode(raw)
     assert np.abs(wrapped(found.phase - phase)[INNER]).max() < 0.03
     assert np.abs(wrapped(decoder().decode(raw).phase - phase)[INNER]).max() > 0.1
-    assert np.abs(found.mean[INNER] - 100).max() < 1.5
+    assert np.abs(found.mean[INNER] - 100.0).max() < 1.5
 
 
 def displaced_rig(chromatic, shift):
