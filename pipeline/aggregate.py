@@ -10,93 +10,19 @@ look at the same memory.
 
 from __future__ import annotations
 
-from math import pi
 from typing import Any
 
 import numpy as np
 
 from pipeline.candidates import NO_SUCH
-from pipeline.kernels import inline, ordered, parallel, prange
-from pipeline.tiles import decay, turns
+from pipeline.kernels import ordered, parallel, prange
 
 BLOCK = 16
 """Columns whose paths go down together: the costs of a row of them are neighbours in memory."""
 NONE = -32768
 """Order of a pixel that has none."""
-_TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
-_BROKEN = np.float32(0.15)
-_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
+_ZERO, _ONE = np.float32(0), np.float32(1)
 _UNREACHED = np.float32(1e9)
-
-
-@inline
-def _tie(total: Any, before: Any, here: Any, worst: Any, whole: bool) -> tuple[Any, Any]:
-    """Change of order along a continuous surface, and trust 0 .. 1 in it, from the unwrapped way between two pixels."""
-    sharp = min(_FOUR * worst * worst, _EIGHT)
-    return turns(before + total - here), decay(sharp) if whole else _BROKEN
-
-
-@inline
-def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any, jump: Any, trust: Any) -> None:
-    """How the lattice pixels of a row are tied to their left neighbours.
-
-    The phase is unwrapped pixel by pixel along the way: robust for steep surfaces, and every break is seen.
-
-    Args:
-        phase, valid: a row of the picture; lattice pixel b is its column ``j0 + step b``.
-        slope: expected phase step per pixel, radians; count: (w,) labels of each; nothing is tied between pixels
-            that have one label at most.
-        jump: (w,) int32, change of order from the neighbour to here along a continuous surface.
-        trust: (w,) float32, 0 (a break, or unknown) .. 1 (smooth phase).
-    """
-    jump[0], trust[0] = 0, _ZERO
-    for b in range(1, count.shape[0]):
-        if count[b] <= 1 and count[b - 1] <= 1:
-            continue
-        m = np.uint32(j0 + step * (b - 1))
-        total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
-        for s in range(step):
-            d = phase[m + np.uint32(s + 1)] - phase[m + np.uint32(s)] - slope
-            d -= _TURN * turns(d)
-            worst = max(worst, abs(d - last) if s > 0 else _ZERO)
-            last = d
-            total += d + slope
-            whole &= valid[m + np.uint32(s + 1)]
-        n = m + np.uint32(step)
-        worst = _HALF * abs(last) if step == 1 else worst
-        change, trusted = _tie(total, phase[m], phase[n], worst, whole)
-        both = valid[m] & valid[n]
-        jump[b], trust[b] = np.int32(change) if both else 0, trusted if both else _ZERO
-
-
-@parallel
-def column_links(
-    phase: Any, valid: Any, i0: int, down: int, j0: int, step: int, slope: Any, count: Any, jump: Any, trust: Any
-) -> None:
-    """How each lattice pixel is tied to its upper neighbour; as :func:`row_links`, for the whole lattice (h, w)."""
-    h, w = jump.shape
-    for a in prange(h):
-        if a == 0:
-            jump[0, :] = 0
-            trust[0, :] = _ZERO
-            continue
-        top = i0 + down * (a - 1)
-        for b in range(w):
-            if count[a, b] <= 1 and count[a - 1, b] <= 1:
-                continue
-            m = np.uint32(j0 + step * b)
-            total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
-            for s in range(down):
-                d = phase[top + s + 1, m] - phase[top + s, m] - slope
-                d -= _TURN * turns(d)
-                worst = max(worst, abs(d - last) if s > 0 else _ZERO)
-                last = d
-                total += d + slope
-                whole &= valid[top + s + 1, m]
-            worst = _HALF * abs(last) if down == 1 else worst
-            change, trusted = _tie(total, phase[top, m], phase[top + down, m], worst, whole)
-            both = valid[top, m] & valid[top + down, m]
-            jump[a, b], trust[a, b] = np.int32(change) if both else 0, trusted if both else _ZERO
 
 
 @ordered
@@ -134,34 +60,53 @@ def _known(paths: Any, old: int, labels: int, n: int) -> Any:
 
 
 @ordered
+def _row_step(
+    costs: Any, first: Any, b: int, q: int, jump: int, price: Any, last: int, paths: Any, old: int,
+    new: int, least: Any, labels: int, keep: Any, total: Any,
+) -> Any:  # fmt: skip
+    """One step of a horizontal path, from lattice pixel q (whose number of orders is ``last``) to b, of several orders.
+
+    ``jump`` is the change of order along a continuous surface, ``price`` that of another change.
+    """
+    if last <= 1:
+        least = _known(paths, old, labels, last)
+    return _advance(costs, b * labels, paths, old, new, least, labels, first[b] - jump - first[q], price, keep, total)
+
+
+@ordered
 def along_row(
     costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, paths: Any, total: Any
 ) -> None:
-    """Both horizontal paths of a lattice row.
+    """Both horizontal paths of a lattice row, side by side: each waits for its own last step, not for the other's.
 
     Args:
         costs, total: (w * labels,), NO_SUCH for labels that a pixel does not have; the second is written where there
             are several labels; first, count: (w,) first order, number of orders.
-        paths: (6 * labels,) scratch, NO_SUCH.
+        paths: (12 * labels,) scratch, NO_SUCH.
     """
     w = first.shape[0]
-    old, new = 0, 3 * labels
-    for direction in range(2):
-        last, least, keep = 0, NO_SUCH, np.float32(direction)
-        for t in range(w):
-            b = t if direction == 0 else w - 1 - t
-            if count[b] <= 1:
-                last = count[b]
-                continue
-            offset, price = 0, penalty
-            if t > 0:
-                q, tie = (b - 1, b) if direction == 0 else (b + 1, b + 1)
-                change = jump[tie] if direction == 0 else -jump[tie]
-                offset, price = first[b] - change - first[q], penalty * trust[tie]
-            if last <= 1:
-                least = _known(paths, old, labels, last)
-            least = _advance(costs, b * labels, paths, old, new, least, labels, offset, price, keep, total)
-            old, new, last = new, old, count[b]
+    right_old, right_new, left_old, left_new = 0, 3 * labels, 6 * labels, 9 * labels
+    right_last, left_last, right_least, left_least = 0, 0, NO_SUCH, NO_SUCH
+    for t in range(w):
+        b = t
+        if count[b] > 1:
+            q = max(b - 1, 0)
+            right_least = _row_step(
+                costs, first, b, q, jump[b], penalty * trust[b], right_last, paths, right_old, right_new,
+                right_least, labels, _ONE if 2 * t > w - 1 else _ZERO, total,
+            )  # fmt: skip
+            right_old, right_new = right_new, right_old
+        right_last = count[b]
+        b = w - 1 - t
+        if count[b] > 1:
+            q = min(b + 1, w - 1)
+            back, price = (-jump[q], penalty * trust[q]) if t > 0 else (0, penalty)
+            left_least = _row_step(
+                costs, first, b, q, back, price, left_last, paths, left_old, left_new, left_least, labels,
+                _ONE if 2 * t >= w - 1 else _ZERO, total,
+            )  # fmt: skip
+            left_old, left_new = left_new, left_old
+        left_last = count[b]
 
 
 @parallel
@@ -174,7 +119,8 @@ def along_columns(
     Columns go in blocks, one thread each, so that memory is walked in its own order.
 
     Args:
-        costs, total: (h, w * labels); first, count: (h, w) int32; jump, trust: (h, w), from :func:`column_links`.
+        costs, total: (h, w * labels); first, count: (h, w) int32.
+        jump, trust: (h, w), of :func:`pipeline.links.column_links`.
         margin: least lead of the best total over the second best for a decision that is sure.
         order: (h, w) int16, written, NONE where there are no candidates; sure: (h, w) uint8, written, 1 where there is
             one candidate only or its lead is large enough, else 0.
@@ -191,6 +137,17 @@ def along_columns(
             for t in range(h):
                 a = t if direction == 0 else h - 1 - t
                 q, tie = (a - 1, a) if direction == 0 else (a + 1, a + 1)
+                most = 0
+                for b in range(b0, b1):
+                    most = max(most, count[a, b])
+                if most <= 1:
+                    for b in range(b0, b1):
+                        last[b - b0] = count[a, b]
+                    if direction == 1:
+                        for b in range(b0, b1):
+                            one, none = np.int16(first[a, b]), np.int16(NONE)
+                            order[a, b], sure[a, b] = one if count[a, b] == 1 else none, count[a, b]
+                    continue
                 for b in range(b0, b1):
                     n, p = count[a, b], b - b0
                     if n <= 1:

@@ -28,10 +28,11 @@ _ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1)
 _TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20), np.float32(0.4)
 
 # Slots of the scratch array of floats (tables take three each), and of the one of integers.
-_PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE, _ROW = (k * TILE for k in range(9))
-_ALONG, _ACROSS, _OTHER_U, _OTHER_V = (k * TILE for k in (9, 12, 15, 18))
-_U, _FRACTION, _SEEN, _T0, _T1, _THERE, _COST, _SECOND = (k * TILE for k in range(21, 29))
-SLOTS = 29
+_PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE = (k * TILE for k in range(8))
+_LINES = 8 * TILE
+_M0, _M1, _M2, _Q0, _Q1, _R0, _R1 = (_LINES + k * TILE for k in range(7))
+_U, _FRACTION, _SEEN, _T0, _T1, _THERE, _COST, _SECOND = (k * TILE for k in range(15, 23))
+SLOTS = 23
 _CELL, _P0, _P1, _E0, _E1 = (k * TILE for k in range(5))
 INTEGER_SLOTS = 5
 MOVE, COST = _MOVE, _COST
@@ -39,26 +40,20 @@ MOVE, COST = _MOVE, _COST
 
 
 @inline
-def value(t: Any, table: int, j: int, s: Any) -> Any:
-    """Value of a ray table's entry at s."""
-    return (t[table + j] + t[table + TILE + j] * s) / (_ONE + t[table + 2 * TILE + j] * s)
-
-
-@inline
 def load_nodes(
-    t: Any, k: Any, nodes: Any, pixels: Any, n: int, tables: Any, start: Any, stop: Any, phase: Any, phasor: Any,
+    t: Any, k: Any, nodes: Any, pixels: Any, n: int, lines: Any, start: Any, stop: Any, phase: Any, phasor: Any,
     equalized: Any, mean: Any, first: Any, count: Any, labels: int,
 ) -> int:  # fmt: skip
     """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
     Args:
         nodes, pixels: numbers of the n lattice pixels in the lattice and in the picture.
-        tables: (12, h w); start, stop, first, count: (h w); phase .. mean: (H W).
+        lines: (7, h w), of :class:`pipeline.tables.RayTable`; start, stop, first, count: (h w); phase .. mean: (H W).
     """
-    for c in range(12):
-        table = tables[c]
+    for c in range(7):
+        line = lines[c]
         for j in range(n):
-            t[_ALONG + c * TILE + j] = table[np.uint32(nodes[j])]
+            t[_LINES + c * TILE + j] = line[np.uint32(nodes[j])]
     for j in range(n):
         m = np.uint32(pixels[j])
         t[_PHI + j], t[_MEAN + j] = phase[m], mean[m]
@@ -89,7 +84,6 @@ def load_nodes(
         t[_HI + j] *= p
         t[_ER + j] *= e
         t[_EI + j] *= e
-        t[_ROW + j] = value(t, _ACROSS, j, _HALF)
     return most
 
 
@@ -150,12 +144,13 @@ def price(
     step = np.int32(1) if along_x else np.int32(width)
     for j in range(TILE):
         u = t[_U + j]
-        u -= c0 + c1 * u + c2 * t[_ROW + j]
-        s = (u - t[_ALONG + j]) / (t[_ALONG + TILE + j] - t[_ALONG + 2 * TILE + j] * u)
-        v = value(t, _ACROSS, j, s)
+        v = t[_R0 + j] + t[_R1 + j] * u
         good = (t[_T0 + j] >= start) & (t[_T0 + j] <= stop) & (v >= -_HALF) & (v <= extent - _HALF)
         t[_COST + j] = _ZERO if good else _OUTSIDE
-        x, y = value(t, _OTHER_U, j, s), value(t, _OTHER_V, j, s)
+        u -= c0 + c1 * u + c2 * v
+        main = (t[_M0 + j] + t[_M1 + j] * u) / (_ONE + t[_M2 + j] * u)
+        side = t[_Q0 + j] + t[_Q1 + j] * main
+        x, y = (main, side) if along_x else (side, main)
         t[_SEEN + j] = _ONE if (x >= _ONE) & (y >= _ONE) & (x < right) & (y < bottom) else _ZERO
         # Linear along the direction in which the phase grows, the nearest pixel across it.
         x, y = clamped(x, _ONE, right), clamped(y, _ONE, bottom)
@@ -192,22 +187,21 @@ def price(
 
 
 @parallel
-def order_limits(along: Any, across: Any, limits: Any, phases: Any, correction: Any, start: Any, stop: Any) -> None:
+def order_limits(along: Any, lines: Any, limits: Any, phases: Any, correction: Any, start: Any, stop: Any) -> None:
     """Absolute phases (h, w) float32 between which a lattice pixel's lie, from its range of s; stop < start: none.
 
     Args:
-        along, across: (3, h, w) ray tables; limits: (2, h, w) range of s.
+        along, lines, limits: of :class:`pipeline.tables.RayTable`.
         phases: absolute phase at each projector coordinate; correction: see :mod:`pipeline.self_calibration`.
     """
     last = phases.shape[0] - 1
     for a in prange(start.shape[0]):
         for b in range(start.shape[1]):
-            row = (across[0, a, b] + across[1, a, b] * 0.5) / (1.0 + across[2, a, b] * 0.5)
             ends = np.empty(2)
             for e in range(2):
                 s = limits[e, a, b]
                 u = (along[0, a, b] + along[1, a, b] * s) / (1.0 + along[2, a, b] * s)
-                ends[e] = u + correction[0] + correction[1] * u + correction[2] * row
+                ends[e] = u + correction[0] + correction[1] * u + correction[2] * (lines[5, a, b] + lines[6, a, b] * u)
             low, high = min(ends[0], ends[1]), max(ends[0], ends[1])
             if high < -0.5 or low > last + 0.5:
                 start[a, b], stop[a, b] = np.float32(0.0), np.float32(-100.0)

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.equalize import advance, balance_of_row, equalized_row, means_of_row, mirrored, shared_row
+from pipeline.box_mean import advance, means_of_row, mirrored, shared_row
+from pipeline.equalize import balance_of_row, equalized_row
 from pipeline.kernels import parallel, prange, serial
 from pipeline.mosaic_fit import (
     EIGHTHS,

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.box_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_mean
-from pipeline.equalize import advance, balance_of_row, equalized_row, means_of_row, mirrored, shared_row
+from pipeline.equalize import balance_of_row, equalized_row
 from pipeline.kernels import parallel, prange, serial
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
 from pipeline.row_results import angles_of_row, counts_of_row, describe_row, packed_row, row_stride
@@ -51,7 +52,7 @@ def decode_rgb(
             of the design without crosstalk; all float32.
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
         clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
-        along, over, drops, scale: of :class:`pipeline.equalize.BoxMean`.
+        along, over, drops, scale: of :class:`pipeline.box_mean.BoxMean`.
         turns, turn_rows: table and step of :class:`pipeline.lateral_tables.ColorTurns`.
         phasor, equalized: (H, W) int32, packed; variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
         valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import aggregate, candidates, search
+from pipeline import aggregate, candidates, links, search
 from pipeline.packed import PHASOR_SCALE
 from pipeline.settle import settle
 from pipeline.tables import RayTable
@@ -108,11 +108,11 @@ class _Lattice:
         single = correction.astype(np.float32)
         if self._correction is None or not np.array_equal(correction, self._correction):
             candidates.order_limits(
-                table.coefficients[0], table.coefficients[1], table.limits, view.phases, single, self._start, self._stop
+                table.along, table.lines, table.limits, view.phases, single, self._start, self._stop
             )
             self._correction = correction.copy()
         search.search_rows(
-            table.top, table.down, table.left, table.step, every, table.coefficients, self._start, self._stop,
+            table.top, table.down, table.left, table.step, every, table.lines, self._start, self._stop,
             here.phase, here.phasor, here.equalized, here.mean,
             here.valid, there.phasor, there.equalized, there.mean,
             view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
@@ -126,7 +126,7 @@ class _Lattice:
         """Aggregate along the columns, and decide."""
         view, table = self._view, self.table
         penalty = view.settings.switch_penalty
-        aggregate.column_links(
+        links.column_links(
             here.phase, here.valid, table.top, table.down, table.left, table.step, np.float32(view.slopes[1]),
             self.count, self._jump, self._trust,
         )  # fmt: skip

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.box_mean import BoxMean
 from pipeline.calibration import ColorModel
 from pipeline.decode_bayer import decode_bayer
 from pipeline.decode_rgb import decode_rgb
-from pipeline.equalize import BoxMean
 from pipeline.lateral_tables import ColorTurns
 from pipeline.mosaic_fit import EIGHTHS
 from pipeline.noise import NoiseModel, estimate

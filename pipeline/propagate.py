@@ -14,7 +14,7 @@ from pipeline.tiles import turned
 NONE = np.int16(-32768)
 _TWO_PI = np.float32(2 * pi)
 _PER_TURN = np.float32(1 / (2 * pi))
-_NAN, _ZERO, _HALF, _ONE = np.float32(np.nan), np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_NAN, _ZERO, _ONE = np.float32(np.nan), np.float32(0.0), np.float32(1.0)
 _FARTHEST = np.float32(2.2)
 """Deviation, radians, from which no lattice pixel is followed."""
 _PER_PIXEL = np.float32(0.15)
@@ -54,19 +54,18 @@ def _projector_places(
 
 
 @serial
-def _parameters(low: Any, high: Any, part: Any, along: Any, across: Any, shift: Any, out: Any) -> None:
-    """Parameter s on each ray at which it meets its projector coordinate, low + part (high - low)."""
-    for b in range(out.shape[0]):
+def _other_places(low: Any, high: Any, part: Any, lines: Any, shift: Any, main: Any, side: Any) -> None:
+    """Where the other camera sees the points of rays at the projector coordinates low + part (high - low).
+
+    Args:
+        lines: (7, w), of :class:`pipeline.tables.RayTable`; shift: the column correction.
+        main, side: results, along the growth of the phase and across it, pixels.
+    """
+    for b in range(main.shape[0]):
         u = low[b] + part[b] * (high[b] - low[b])
-        v = (across[0, b] + across[1, b] * _HALF) / (_ONE + across[2, b] * _HALF)
-        u -= shift[0] + shift[1] * u + shift[2] * v
-        out[b] = (u - along[0, b]) / (along[1, b] - along[2, b] * u)
-
-
-@serial
-def _ratios(c: Any, s: Any, out: Any) -> None:
-    for b in range(out.shape[0]):
-        out[b] = (c[0, b] + c[1, b] * s[b]) / (_ONE + c[2, b] * s[b])
+        u -= shift[0] + shift[1] * u + shift[2] * (lines[5, b] + lines[6, b] * u)
+        place = (lines[0, b] + lines[1, b] * u) / (_ONE + lines[2, b] * u)
+        main[b], side[b] = place, lines[3, b] + lines[4, b] * place
 
 
 @serial
@@ -81,15 +80,16 @@ def _nearest(place: Any, first: Any, per_step: Any, count: int, out: Any) -> Non
 
 @parallel
 def cross_check(
-    order: Any, top: int, down: int, left: int, step: int, tables: Any, phase: Any, phasor: Any,
-    equalized: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
+    order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
+    phasor: Any, equalized: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
     other_phase: Any, table: Any, shift: Any, slope_x: Any, slope_y: Any, limit: Any, kept: Any,
 ) -> None:  # fmt: skip
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
 
     Args:
         order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the picture.
-        tables: (4, 3, h, w), see :class:`pipeline.tables.RayTable`; phase, phasor, equalized: of this picture.
+        lines: (7, h, w), of :class:`pipeline.tables.RayTable`; axis: 0 = phase grows along u.
+        phase, phasor, equalized: of this picture.
         other_order .. other_phase: the same of the other camera.
         table: even-grid table phase -> projector coordinate; shift: the column correction; all float32.
         slope_x, slope_y: the other picture's expected phase steps per pixel.
@@ -108,9 +108,9 @@ def cross_check(
     r0, c0 = np.float32(other_top), np.float32(other_left)
     per_row, per_column = _ONE / np.float32(other_down), _ONE / np.float32(other_step)
     for a in prange(h):
-        floats = np.empty((9, w), np.float32)
+        floats = np.empty((8, w), np.float32)
         here, bias, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
-        s, x, y = floats[6], floats[7], floats[8]
+        x, y = (floats[6], floats[7]) if axis == 0 else (floats[7], floats[6])
         index, p, q = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.int32)
         plain, even = np.empty(w, np.int32), np.empty(w, np.int32)
         i = top + down * a
@@ -123,9 +123,7 @@ def cross_check(
         for b in range(w):
             k = np.uint32(index[b] + 2)
             low[b], high[b] = table[k], table[k + np.uint32(1)]
-        _parameters(low, high, part, tables[0, :, a], tables[1, :, a], shift, s)
-        _ratios(tables[2, :, a], s, x)
-        _ratios(tables[3, :, a], s, y)
+        _other_places(low, high, part, lines[:, a], shift, floats[6], floats[7])
         _nearest(y, r0, per_row, n, p)
         _nearest(x, c0, per_column, m, q)
         for b in range(w):

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.aggregate import NONE, along_row, row_links
+from pipeline.aggregate import NONE, along_row
 from pipeline.candidates import COST, INTEGER_SLOTS, MOVE, NO_SUCH, SLOTS, load_nodes, predict, price
 from pipeline.kernels import parallel, prange
+from pipeline.links import row_links
 from pipeline.tiles import TILE
 
 REFRESH = 16
@@ -24,7 +25,7 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 
 @parallel
 def search_rows(
-    top: int, down: int, left: int, step: int, every: int, tables: Any, start: Any, stop: Any,
+    top: int, down: int, left: int, step: int, every: int, lines: Any, start: Any, stop: Any,
     phase: Any, phasor: Any, equalized: Any, mean: Any, valid: Any,
     other_phasor: Any, other_equalized: Any, other_mean: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
@@ -35,7 +36,7 @@ def search_rows(
 
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
-        tables: (4, 3, h, w) along, across, other_u, other_v; start, stop: see :func:`candidates.order_limits`.
+        lines: (7, h, w), of :class:`pipeline.tables.RayTable`; start, stop: see :func:`candidates.order_limits`.
         phasor, equalized: (H, W) int32 packed; phase: (H, W) float32; mean: (H, W) uint8; valid: (H, W) bool.
         other_phasor, other_equalized, other_mean: the other picture's.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
@@ -52,7 +53,7 @@ def search_rows(
     h, w = start.shape
     height, width = other_mean.shape
     pixels_across = mean.shape[1]
-    flat_tables, flat_start, flat_stop = tables.reshape(12, h * w), start.reshape(-1), stop.reshape(-1)
+    flat_lines, flat_start, flat_stop = lines.reshape(7, h * w), start.reshape(-1), stop.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
     flat_phase, flat_mean, flat_costs = phase.reshape(-1), mean.reshape(-1), costs.reshape(-1)
     flat_phasor, flat_equalized = phasor.reshape(-1), equalized.reshape(-1)
@@ -83,7 +84,7 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase,
+            load_nodes(t, k, part, pixels[o : o + m], m, flat_lines, flat_start, flat_stop, flat_phase,
                        flat_phasor, flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
             predict(t, part, m, flat_expected)
             price(t, k, 0, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width,
@@ -113,7 +114,7 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_tables, flat_start, flat_stop, flat_phase,
+            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_lines, flat_start, flat_stop, flat_phase,
                               flat_phasor, flat_equalized, flat_mean, flat_first, flat_count,
                               labels)  # fmt: skip
             for j in range(m):
@@ -128,7 +129,7 @@ def search_rows(
                     if order < flat_count[node]:
                         flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
         jump, trust = np.empty(w, np.int32), np.empty(w, np.float32)
-        paths = np.full(6 * labels, NO_SUCH)
+        paths = np.full(12 * labels, NO_SUCH)
         for a in range(a0, a1):
             i = top + down * a
             if a % every == 0:

@@ -1,9 +1,12 @@
 """Geometry of every lattice pixel's viewing ray, reduced to a few numbers.
 
 Along one ray let w = 1/z run linearly from the far limit (s = 0) to the near one (s = 1). The image of the ray's points
-in a pinhole device is then exactly ``u(s) = (c0 + c1 s) / (1 + c2 s)``: three numbers instead of a projection. Lens
-distortion bends this by far less than a pixel; three samples (s = 0, 1/2, 1) fix the numbers, and only the choice of
-the fringe order uses them: the final point is computed with the full models.
+in a pinhole device is then exactly ``u(s) = (c0 + c1 s) / (1 + c2 s)``, with the same c2 for its two coordinates. The
+parameter s drops out: from a projector coordinate p follows the coordinate along the fringes' growth in the other
+camera, ``m = (m0 + m1 p) / (1 + m2 p)``, from that the one across it, ``q0 + q1 m`` (the epipolar line), and the
+projector's other coordinate, ``r0 + r1 p`` likewise: seven numbers and one division instead of three projections. Lens
+distortion bends this by far less than a pixel; samples at s = 0, 1/2 and 1 fix the numbers, and only the choice of the
+fringe order uses them: the final point is computed with the full models.
 """
 
 from __future__ import annotations
@@ -22,6 +25,9 @@ from pipeline.errors import CalibrationError
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+_STILL = 1e-6
+"""Change along the ray, pixels, below which a coordinate is taken as constant."""
+
 
 def packed(device: CameraModel) -> F64:
     """(22,) numbers for :func:`pipeline.kernels.project`: [R | t] by rows, fx, skew, cx, fy, cy, k1, k2, p1, p2, k3."""
@@ -36,8 +42,9 @@ class RayTable:
 
     Args:
         top, down: lattice row a is picture row ``top + down a``; left, step: column b is column ``left + step b``.
-        coefficients: (4, 3, h, w) float32, c0, c1, c2 of the module's text for four coordinates: the projector's
-            along which the phase grows, its other one, the pixel (u, v) in the other camera.
+        along: (3, h, w) float32, c0, c1, c2 of the module's text for the projector coordinate along which the phase
+            grows.
+        lines: (7, h, w) float32, m0, m1, m2, q0, q1, r0, r1 of that text.
         limits: (2, h, w) float32, the least and the largest s of the ray inside the measuring volume.
     """
 
@@ -45,7 +52,8 @@ class RayTable:
     down: int
     left: int
     step: int
-    coefficients: F32
+    along: F32
+    lines: F32
     limits: F32
 
     @property
@@ -60,7 +68,8 @@ class RayTable:
             down=2 * self.down,
             left=self.left,
             step=2 * self.step,
-            coefficients=np.ascontiguousarray(self.coefficients[..., ::2, ::2]),
+            along=np.ascontiguousarray(self.along[:, ::2, ::2]),
+            lines=np.ascontiguousarray(self.lines[:, ::2, ::2]),
             limits=np.ascontiguousarray(self.limits[..., ::2, ::2]),
         )
 
@@ -114,14 +123,15 @@ def ray_table(
     first = 0 if axis == "x" else 1
     along = _homography([p[..., first] for p in projector], "projector")
     across = _homography([p[..., 1 - first] for p in projector], "projector", along[2])
-    other_u = _homography([p[..., 0] for p in other], "other camera")
-    other_v = _homography([p[..., 1] for p in other], "other camera", other_u[2])
+    main = _homography([p[..., first] for p in other], "other camera")
+    side = _homography([p[..., 1 - first] for p in other], "other camera", main[2])
     return RayTable(
         top=margin,
         down=step[1],
         left=margin,
         step=step[0],
-        coefficients=np.stack([along, across, other_u, other_v]).astype(np.float32),
+        along=along.astype(np.float32),
+        lines=np.concatenate([_composed(along, main), _line(main, side), _line(along, across)]).astype(np.float32),
         limits=_limits(direction, depth, inside),
     )
 
@@ -140,22 +150,37 @@ def _limits(direction: F64, depth: DepthScale, inside: tuple[CameraModel, Volume
     return np.clip(s, 0.0, 1.0).astype(np.float32)
 
 
-def _homography(values: list[F64], name: str, denominator: F64 | float = 0.0) -> F64:
-    """c0, c1, c2, (3, h, w), through the values at s = 0, 1/2, 1.
+def _homography(values: list[F64], name: str, denominator: F64 | None = None) -> F64:
+    """c0, c1, c2, (3, h, w), through the values at s = 0, 1/2, 1, or at 0 and 1 with a given c2.
 
-    A coordinate that hardly changes along the ray does not tell the denominator; it then takes the given one, which
-    the two coordinates of a device share.
+    A coordinate that hardly changes along the ray does not tell its denominator; it then takes none.
     """
     u0, uh, u1 = values
     if not np.isfinite(u0 + uh + u1).all():
         raise CalibrationError(f"part of the measuring volume lies behind the {name}; check its pose and the volume")
-    # (c0 + c1 s) / (1 + c2 s): 2 uh + uh c2 = 2 c0 + c1 and u1 + u1 c2 = c0 + c1.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        c2 = (2 * uh - u0 - u1) / (u1 - uh)
-    told = (np.abs(u1 - uh) > 2.0) & (np.abs(c2 - denominator) < 0.2)
-    c2 = np.where(told if np.ndim(denominator) else np.abs(u1 - uh) > 0.5, c2, denominator)
-    c1 = u1 * (1 + c2) - u0
-    return np.stack([u0, c1, c2])
+    if denominator is None:
+        # (c0 + c1 s) / (1 + c2 s): 2 uh + uh c2 = 2 c0 + c1 and u1 + u1 c2 = c0 + c1.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            denominator = np.where(np.abs(u1 - uh) > 0.5, (2 * uh - u0 - u1) / (u1 - uh), 0.0)
+    return np.stack([u0, u1 * (1 + denominator) - u0, denominator])
+
+
+def _composed(a: F64, b: F64) -> F64:
+    """m0, m1, m2, (3, h, w), of ``(m0 + m1 u) / (1 + m2 u)``: coordinate b where a is u.
+
+    Where a does not change along the ray it is the middle of b's range.
+    """
+    scale = a[1] - b[2] * a[0]
+    told = np.abs(scale) > _STILL
+    scale = np.where(told, scale, 1.0)
+    out = np.stack([b[0] * a[1] - b[1] * a[0], b[1] - b[0] * a[2], b[2] - a[2]]) / scale
+    middle = (b[0] + b[1] / 2) / (1 + b[2] / 2)
+    return np.where(told, out, np.stack([middle, np.zeros_like(middle), np.zeros_like(middle)]))
+
+
+def _line(a: F64, b: F64) -> F64:
+    """q0, q1, (2, h, w), of ``q0 + q1 u``: coordinate b where a, of the same device, is u."""
+    return _composed(a, b)[:2]
 
 
 def period_in_picture(calibration: Calibration, depth: DepthScale, *, axis: str, period: float) -> float:

@@ -67,7 +67,7 @@ class View:
         slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
         turns = color_turns(calibration, pattern, color, depth.depth(0.5))
         decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, turns=turns)
-        along = table.coefficients[0].astype(np.float64)
+        along = table.along.astype(np.float64)
         far, near = ((along[0] + along[1] * s) / (1 + along[2] * s) for s in table.limits.astype(np.float64))
         phases = pattern.phase
         across_volume = np.abs(np.interp(near, np.arange(len(phases)), phases)
@@ -91,7 +91,7 @@ class View:
         """Orders that the other view confirms, into ``kept``."""
         t, o = self.table, other.table
         propagate.cross_check(
-            order, t.top, t.down, t.left, t.step, t.coefficients, here.phase, here.phasor, here.equalized,
+            order, t.top, t.down, t.left, t.step, t.lines, self.first_axis, here.phase, here.phasor, here.equalized,
             other_order, o.top, o.down, o.left, o.step, there.phase, self.columns, correction.astype(np.float32),
             np.float32(other.slopes[0]), np.float32(other.slopes[1]), np.float32(self.settings.max_check), kept,
         )  # fmt: skip

@@ -38,7 +38,7 @@ class SetTables:
         """
         depth = DepthScale.of(volume)
         table = ray_table(calibration, depth, axis=axis, step=(_STEP, _STEP), margin=0, inside=inside)
-        along = table.coefficients[0].astype(np.float64)
+        along = table.along.astype(np.float64)
         ends = np.sort(
             [(along[0] + along[1] * s) / (1 + along[2] * s) for s in table.limits.astype(np.float64)], axis=0
         )

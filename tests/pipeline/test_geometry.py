@@ -75,7 +75,7 @@ def test_swapping_the_cameras_moves_the_world_not_the_pictures():
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
-def test_ray_tables_follow_the_full_models_within_a_tenth_of_a_pixel(axis):
+def test_ray_tables_follow_the_full_models_closely(axis):
     calibration, depth = rig(), DepthScale.of(Volume(1285, 1515))
     table = ray_table(calibration, depth, axis=axis, step=(8, 8))
     v, u = (table.sampled(plane) for plane in np.mgrid[: calibration.left.size[1], : calibration.left.size[0]])
@@ -85,11 +85,15 @@ def test_ray_tables_follow_the_full_models_within_a_tenth_of_a_pixel(axis):
         world = direction * depth.depth(s)
         projector, right = calibration.projector.project(world), calibration.right.project(world)
         first = 0 if axis == "x" else 1
-        truths = projector[..., first], projector[..., 1 - first], right[..., 0], right[..., 1]
-        for entry, truth in zip(table.coefficients, truths, strict=True):
-            value = (entry[0] + entry[1] * s) / (1 + entry[2] * s)
+        column = (table.along[0] + table.along[1] * s) / (1 + table.along[2] * s)
+        m0, m1, m2, q0, q1, r0, r1 = table.lines
+        main = (m0 + m1 * column) / (1 + m2 * column)
+        found = column, r0 + r1 * column, main, q0 + q1 * main
+        truths = projector[..., first], projector[..., 1 - first], right[..., first], right[..., 1 - first]
+        # Across the growth of the phase whole pixels serve.
+        for value, truth, most in zip(found, truths, (0.1, 0.2, 0.1, 0.2), strict=True):
             near = np.abs(truth - 140) < 150  # far outside the picture no one asks
-            assert np.abs(np.where(near, value - truth, 0)).max() < 0.1
+            assert np.abs(np.where(near, value - truth, 0)).max() < most
 
 
 def test_a_calibration_survives_its_mapping():

@@ -5,8 +5,8 @@ import numba
 import numpy as np
 import pytest
 
+from pipeline.box_mean import SHARED, BoxMean
 from pipeline.calibration import ColorModel
-from pipeline.equalize import SHARED, BoxMean
 from pipeline.noise import estimate
 from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, unpacked
 from pipeline.pattern import ColorFringe
