@@ -60,53 +60,34 @@ def _known(paths: Any, old: int, labels: int, n: int) -> Any:
 
 
 @ordered
-def _row_step(
-    costs: Any, first: Any, b: int, q: int, jump: int, price: Any, last: int, paths: Any, old: int,
-    new: int, least: Any, labels: int, keep: Any, total: Any,
-) -> Any:  # fmt: skip
-    """One step of a horizontal path, from lattice pixel q (whose number of orders is ``last``) to b, of several orders.
-
-    ``jump`` is the change of order along a continuous surface, ``price`` that of another change.
-    """
-    if last <= 1:
-        least = _known(paths, old, labels, last)
-    return _advance(costs, b * labels, paths, old, new, least, labels, first[b] - jump - first[q], price, keep, total)
-
-
-@ordered
 def along_row(
     costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, paths: Any, total: Any
 ) -> None:
-    """Both horizontal paths of a lattice row, side by side: each waits for its own last step, not for the other's.
+    """Both horizontal paths of a lattice row.
 
     Args:
         costs, total: (w * labels,), NO_SUCH for labels that a pixel does not have; the second is written where there
             are several labels; first, count: (w,) first order, number of orders.
-        paths: (12 * labels,) scratch, NO_SUCH.
+        paths: (6 * labels,) scratch, NO_SUCH.
     """
     w = first.shape[0]
-    right_old, right_new, left_old, left_new = 0, 3 * labels, 6 * labels, 9 * labels
-    right_last, left_last, right_least, left_least = 0, 0, NO_SUCH, NO_SUCH
-    for t in range(w):
-        b = t
-        if count[b] > 1:
-            q = max(b - 1, 0)
-            right_least = _row_step(
-                costs, first, b, q, jump[b], penalty * trust[b], right_last, paths, right_old, right_new,
-                right_least, labels, _ONE if 2 * t > w - 1 else _ZERO, total,
-            )  # fmt: skip
-            right_old, right_new = right_new, right_old
-        right_last = count[b]
-        b = w - 1 - t
-        if count[b] > 1:
-            q = min(b + 1, w - 1)
-            back, price = (-jump[q], penalty * trust[q]) if t > 0 else (0, penalty)
-            left_least = _row_step(
-                costs, first, b, q, back, price, left_last, paths, left_old, left_new, left_least, labels,
-                _ONE if 2 * t >= w - 1 else _ZERO, total,
-            )  # fmt: skip
-            left_old, left_new = left_new, left_old
-        left_last = count[b]
+    old, new = 0, 3 * labels
+    for direction in range(2):
+        last, least, keep = 0, NO_SUCH, np.float32(direction)
+        for t in range(w):
+            b = t if direction == 0 else w - 1 - t
+            if count[b] <= 1:
+                last = count[b]
+                continue
+            offset, price = 0, penalty
+            if t > 0:
+                q, tie = (b - 1, b) if direction == 0 else (b + 1, b + 1)
+                change = jump[tie] if direction == 0 else -jump[tie]
+                offset, price = first[b] - change - first[q], penalty * trust[tie]
+            if last <= 1:
+                least = _known(paths, old, labels, last)
+            least = _advance(costs, b * labels, paths, old, new, least, labels, offset, price, keep, total)
+            old, new, last = new, old, count[b]
 
 
 @parallel

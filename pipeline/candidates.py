@@ -19,6 +19,9 @@ from pipeline.packed import imaginary, real
 from pipeline.tiles import TILE, clamped, decay, root, turned, turns
 
 UNSEEN = np.float32(0.5)
+RAY = 9
+"""Numbers of a lattice pixel's ray, side by side since few pixels may ask for them: ``lines`` of
+:class:`pipeline.tables.RayTable`, then the absolute phases between which the pixel's lies."""
 NO_SUCH = np.float32(1000.0)
 """Price of an order that the pixel cannot have."""
 _OUTSIDE = np.float32(4.0)
@@ -31,39 +34,38 @@ _TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.fl
 _PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE = (k * TILE for k in range(8))
 _LINES = 8 * TILE
 _M0, _M1, _M2, _Q0, _Q1, _R0, _R1 = (_LINES + k * TILE for k in range(7))
-_U, _FRACTION, _SEEN, _T0, _T1, _THERE, _COST, _SECOND = (k * TILE for k in range(15, 23))
-SLOTS = 23
-_CELL, _P0, _P1, _E0, _E1 = (k * TILE for k in range(5))
-INTEGER_SLOTS = 5
+_U, _FRACTION, _SEEN, _T0, _T1, _COST = (k * TILE for k in range(15, 21))
+SLOTS = 21
+_CELL, _P0, _P1, _E0, _E1, _A0, _A1 = (k * TILE for k in range(7))
+INTEGER_SLOTS = 7
 MOVE, COST = _MOVE, _COST
 """Slots that :mod:`pipeline.search` reads."""
 
 
 @inline
 def load_nodes(
-    t: Any, k: Any, nodes: Any, pixels: Any, n: int, lines: Any, start: Any, stop: Any, phase: Any, phasor: Any,
-    equalized: Any, mean: Any, first: Any, count: Any, labels: int,
+    t: Any, k: Any, nodes: Any, pixels: Any, n: int, rays: Any, phase: Any, phasor: Any, equalized: Any, mean: Any,
+    first: Any, count: Any, labels: int,
 ) -> int:  # fmt: skip
     """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
     Args:
         nodes, pixels: numbers of the n lattice pixels in the lattice and in the picture.
-        lines: (7, h w), of :class:`pipeline.tables.RayTable`; start, stop, first, count: (h w); phase .. mean: (H W).
+        rays: (h w RAY), see :data:`RAY`; first, count: (h w); phase .. mean: (H W).
     """
-    for c in range(7):
-        line = lines[c]
-        for j in range(n):
-            t[_LINES + c * TILE + j] = line[np.uint32(nodes[j])]
+    for j in range(n):
+        at = np.uint32(RAY * nodes[j])
+        for c in range(7):
+            t[_LINES + c * TILE + j] = rays[at + np.uint32(c)]
+        t[_T0 + j], t[_T1 + j] = rays[at + np.uint32(7)], rays[at + np.uint32(8)]
     for j in range(n):
         m = np.uint32(pixels[j])
-        t[_PHI + j], t[_MEAN + j] = phase[m], mean[m]
-        k[_P0 + j], k[_E0 + j] = phasor[m], equalized[m]
-    for j in range(n):
-        b = np.uint32(nodes[j])
-        t[_T0 + j], t[_T1 + j] = start[b], stop[b]
+        t[_PHI + j] = phase[m]
+        k[_P0 + j], k[_E0 + j], k[_A0 + j] = phasor[m], equalized[m], mean[m]
     for j in range(TILE):
         t[_HR + j], t[_HI + j] = real(k[_P0 + j]), imaginary(k[_P0 + j])
         t[_ER + j], t[_EI + j] = real(k[_E0 + j]), imaginary(k[_E0 + j])
+        t[_MEAN + j] = np.float32(k[_A0 + j])
     for j in range(TILE):
         phi = t[_PHI + j]
         low = np.float32(np.ceil((t[_T0 + j] - phi) * _PER_TURN))
@@ -139,9 +141,12 @@ def price(
         for j in range(TILE):
             t[_U + j] = t[_T1 + j] + t[_FRACTION + j] * (t[_U + j] - t[_T1 + j])
     c0, c1, c2 = correction[0], correction[1], correction[2]
-    right, bottom = np.float32(width - 2), np.float32(height - 2)
-    along_x = axis == 0
-    step = np.int32(1) if along_x else np.int32(width)
+    ends, sides = (
+        (np.float32(width - 2), np.float32(height - 2))
+        if axis == 0
+        else (np.float32(height - 2), np.float32(width - 2))
+    )
+    step, beside = (np.int32(1), np.int32(width)) if axis == 0 else (np.int32(width), np.int32(1))
     for j in range(TILE):
         u = t[_U + j]
         v = t[_R0 + j] + t[_R1 + j] * u
@@ -150,21 +155,18 @@ def price(
         u -= c0 + c1 * u + c2 * v
         main = (t[_M0 + j] + t[_M1 + j] * u) / (_ONE + t[_M2 + j] * u)
         side = t[_Q0 + j] + t[_Q1 + j] * main
-        x, y = (main, side) if along_x else (side, main)
-        t[_SEEN + j] = _ONE if (x >= _ONE) & (y >= _ONE) & (x < right) & (y < bottom) else _ZERO
+        t[_SEEN + j] = _ONE if (main >= _ONE) & (side >= _ONE) & (main < ends) & (side < sides) else _ZERO
         # Linear along the direction in which the phase grows, the nearest pixel across it.
-        x, y = clamped(x, _ONE, right), clamped(y, _ONE, bottom)
-        x, y = (x, y + _HALF) if along_x else (x + _HALF, y)
-        i, m = np.int32(y), np.int32(x)
-        f = x - np.float32(m) if along_x else y - np.float32(i)
-        k[_CELL + j] = np.int32(i * np.int32(width) + m)
-        t[_FRACTION + j] = f
+        main, side = clamped(main, _ONE, ends), clamped(side, _ONE, sides) + _HALF
+        cell, row = np.int32(main), np.int32(side)
+        k[_CELL + j] = np.int32(cell * step + row * beside)
+        t[_FRACTION + j] = main - np.float32(cell)
     ahead = np.uint32(step)
     for j in range(TILE):
         place = np.uint32(k[_CELL + j])
         k[_P0 + j], k[_P1 + j] = phasor[place], phasor[place + ahead]
         k[_E0 + j], k[_E1 + j] = equalized[place], equalized[place + ahead]
-        t[_THERE + j], t[_SECOND + j] = mean[place], mean[place + ahead]
+        k[_A0 + j], k[_A1 + j] = mean[place], mean[place + ahead]
     for j in range(TILE):
         f = t[_FRACTION + j]
         r0, i0, r1, i1 = real(k[_P0 + j]), imaginary(k[_P0 + j]), real(k[_P1 + j]), imaginary(k[_P1 + j])
@@ -177,7 +179,8 @@ def price(
         t[_T1 + j] = (t[_ER + j] * er + t[_EI + j] * ei) / root(er * er + ei * ei + _TINY)
     for j in range(TILE):
         size, plain, equal = t[_T0 + j], t[_U + j], t[_T1 + j]
-        there, here = t[_THERE + j] + t[_FRACTION + j] * (t[_SECOND + j] - t[_THERE + j]), t[_MEAN + j]
+        first, second, here = np.float32(k[_A0 + j]), np.float32(k[_A1 + j]), t[_MEAN + j]
+        there = first + t[_FRACTION + j] * (second - first)
         # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
         cost = _ONE - _HALF * (decay((_TWO - _TWO * plain) * inv) + decay((_TWO - _TWO * equal) * inv))
         cost += texture * min(abs(here - there) / (here + there + _EIGHT), _MOST)
@@ -187,27 +190,27 @@ def price(
 
 
 @parallel
-def order_limits(along: Any, lines: Any, limits: Any, phases: Any, correction: Any, start: Any, stop: Any) -> None:
-    """Absolute phases (h, w) float32 between which a lattice pixel's lie, from its range of s; stop < start: none.
+def order_limits(along: Any, limits: Any, phases: Any, correction: Any, rays: Any) -> None:
+    """The last two numbers of ``rays`` (h, w, RAY) float32, from each ray's range of s; the second < the first: none.
 
     Args:
-        along, lines, limits: of :class:`pipeline.tables.RayTable`.
+        along, limits: of :class:`pipeline.tables.RayTable`.
         phases: absolute phase at each projector coordinate; correction: see :mod:`pipeline.self_calibration`.
     """
     last = phases.shape[0] - 1
-    for a in prange(start.shape[0]):
-        for b in range(start.shape[1]):
+    for a in prange(rays.shape[0]):
+        for b in range(rays.shape[1]):
             ends = np.empty(2)
             for e in range(2):
                 s = limits[e, a, b]
                 u = (along[0, a, b] + along[1, a, b] * s) / (1.0 + along[2, a, b] * s)
-                ends[e] = u + correction[0] + correction[1] * u + correction[2] * (lines[5, a, b] + lines[6, a, b] * u)
+                ends[e] = u + correction[0] + correction[1] * u + correction[2] * (rays[a, b, 5] + rays[a, b, 6] * u)
             low, high = min(ends[0], ends[1]), max(ends[0], ends[1])
             if high < -0.5 or low > last + 0.5:
-                start[a, b], stop[a, b] = np.float32(0.0), np.float32(-100.0)
+                rays[a, b, 7], rays[a, b, 8] = np.float32(0.0), np.float32(-100.0)
                 continue
             ends[0], ends[1] = max(low, -0.5), min(high, last + 0.5)
             for e in range(2):
                 i = min(max(int(np.floor(ends[e])), 0), last - 1)
                 ends[e] = phases[i] + (ends[e] - i) * (phases[i + 1] - phases[i])
-            start[a, b], stop[a, b] = ends[0], ends[1]
+            rays[a, b, 7], rays[a, b, 8] = ends[0], ends[1]

@@ -92,7 +92,8 @@ class _Lattice:
     def __init__(self, view: View, table: RayTable) -> None:
         h, w = table.shape
         self._view, self.table = view, table
-        self._start, self._stop = np.empty((h, w), np.float32), np.empty((h, w), np.float32)
+        self._rays = np.zeros((h, w, candidates.RAY), np.float32)
+        self._rays[..., : len(table.lines)] = np.moveaxis(table.lines, 0, -1)
         # Only what is searched is ever touched of these two.
         self.costs, self._total = (np.zeros((h, w * view.labels), np.float32) for _ in range(2))
         self.first, self.count = np.zeros((h, w), np.int32), np.zeros((h, w), np.int32)
@@ -107,12 +108,10 @@ class _Lattice:
         view, table, s = self._view, self.table, self._view.settings
         single = correction.astype(np.float32)
         if self._correction is None or not np.array_equal(correction, self._correction):
-            candidates.order_limits(
-                table.along, table.lines, table.limits, view.phases, single, self._start, self._stop
-            )
+            candidates.order_limits(table.along, table.limits, view.phases, single, self._rays)
             self._correction = correction.copy()
         search.search_rows(
-            table.top, table.down, table.left, table.step, every, table.lines, self._start, self._stop,
+            table.top, table.down, table.left, table.step, every, self._rays,
             here.phase, here.phasor, here.equalized, here.mean,
             here.valid, there.phasor, there.equalized, there.mean,
             view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,

@@ -25,7 +25,7 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 
 @parallel
 def search_rows(
-    top: int, down: int, left: int, step: int, every: int, lines: Any, start: Any, stop: Any,
+    top: int, down: int, left: int, step: int, every: int, rays: Any,
     phase: Any, phasor: Any, equalized: Any, mean: Any, valid: Any,
     other_phasor: Any, other_equalized: Any, other_mean: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
@@ -36,7 +36,7 @@ def search_rows(
 
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
-        lines: (7, h, w), of :class:`pipeline.tables.RayTable`; start, stop: see :func:`candidates.order_limits`.
+        rays: (h, w, RAY), see :data:`pipeline.candidates.RAY`.
         phasor, equalized: (H, W) int32 packed; phase: (H, W) float32; mean: (H, W) uint8; valid: (H, W) bool.
         other_phasor, other_equalized, other_mean: the other picture's.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
@@ -50,10 +50,10 @@ def search_rows(
         costs, total: (h, w * labels) float32, written where there are several candidates; first, count: (h, w) int32,
             written.
     """
-    h, w = start.shape
+    h, w = expected.shape
     height, width = other_mean.shape
     pixels_across = mean.shape[1]
-    flat_lines, flat_start, flat_stop = lines.reshape(7, h * w), start.reshape(-1), stop.reshape(-1)
+    flat_rays = rays.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
     flat_phase, flat_mean, flat_costs = phase.reshape(-1), mean.reshape(-1), costs.reshape(-1)
     flat_phasor, flat_equalized = phasor.reshape(-1), equalized.reshape(-1)
@@ -84,8 +84,8 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            load_nodes(t, k, part, pixels[o : o + m], m, flat_lines, flat_start, flat_stop, flat_phase,
-                       flat_phasor, flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
+            load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_phasor,
+                       flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
             predict(t, part, m, flat_expected)
             price(t, k, 0, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width,
                   height, axis, floor_sq, inv, texture)  # fmt: skip
@@ -114,9 +114,8 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_lines, flat_start, flat_stop, flat_phase,
-                              flat_phasor, flat_equalized, flat_mean, flat_first, flat_count,
-                              labels)  # fmt: skip
+            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_phasor,
+                              flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
             for j in range(m):
                 base = np.uint32(part[j] * labels)
                 for order in range(np.uint32(labels)):
