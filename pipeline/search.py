@@ -128,7 +128,7 @@ def search_rows(
                     if order < flat_count[node]:
                         flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
         jump, trust = np.empty(w, np.int32), np.empty(w, np.float32)
-        paths = np.full(12 * labels, NO_SUCH)
+        paths = np.full(6 * labels, NO_SUCH)
         for a in range(a0, a1):
             i = top + down * a
             if a % every == 0:
