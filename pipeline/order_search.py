@@ -54,26 +54,28 @@ class OrderSearch:
             follow: look only near what :meth:`expect` was told last, but for a few rows in turn.
         """
         coarse, fine, table, view = self._coarse, self._fine, self._view.table, self._view
-        turn = NO_TURN
         if follow and self._expects:
-            turn = self._turn = (self._turn + 1) % search.REFRESH
-        coarse.price(here, there, correction, turn, 1)
-        coarse.decide(here)
-        settle(
-            coarse.order, coarse.sure, here.phase, here.valid, table.top, table.down, table.left, table.step,
-            np.float32(view.slopes[0]), np.float32(view.slopes[1]), fine.settled,
-        )  # fmt: skip
-        fine.price(here, there, correction, NO_TURN, 1)
+            # One look at each pixel is less than what a quarter of them and the way between takes.
+            self._turn = (self._turn + 1) % search.REFRESH
+            fine.settled[:] = aggregate.NONE
+            fine.price(here, there, correction, self._turn, 1)
+        else:
+            coarse.price(here, there, correction, NO_TURN, 1)
+            coarse.decide(here)
+            settle(
+                coarse.order, coarse.sure, here.phase, here.valid, table.top, table.down, table.left, table.step,
+                np.float32(view.slopes[0]), np.float32(view.slopes[1]), fine.settled,
+            )  # fmt: skip
+            fine.price(here, there, correction, NO_TURN, 1)
         fine.decide(here)
         return fine.order
 
     def expect(self, here: PhaseMap, order: NDArray[np.int16]) -> None:
         """Expect these orders (h, w) of the last search, where they were cheap, in the next one."""
-        level, v = self._coarse, self._view
-        t = level.table
+        fine, v, t = self._fine, self._view, self._view.table
         search.remember(
-            np.ascontiguousarray(order[::2, ::2]), level.first, level.count, level.costs, v.labels,
-            np.float32(v.settings.follow_cost), t.top, t.down, t.left, t.step, here.phase, level.expected,
+            order, fine.settled, fine.first, fine.count, fine.costs, v.labels, np.float32(v.settings.follow_cost),
+            t.top, t.down, t.left, t.step, here.phase, fine.expected,
         )  # fmt: skip
         self._expects = True
 

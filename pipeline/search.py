@@ -138,14 +138,15 @@ def search_rows(
 
 @parallel
 def remember(
-    order: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int, left: int, step: int,
-    phase: Any, expected: Any,
+    order: Any, settled: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int,
+    left: int, step: int, phase: Any, expected: Any,
 ) -> None:  # fmt: skip
     """Absolute phases of lattice pixels whose order costs at most ``limit``, NaN elsewhere; see :func:`search_rows`.
 
     Args:
-        order: (h, w) int16, NONE = unknown; first, count: of the candidates priced last, orders beyond them cost too
-            much; expected: (h, w) float32, written.
+        order: (h, w) int16, NONE = unknown; settled: those that are certain without a price.
+        first, count: of the candidates priced last, orders beyond them cost too much.
+        expected: (h, w) float32, written.
     """
     h, w = order.shape
     for a in prange(h):
@@ -153,7 +154,9 @@ def remember(
         for b in range(w):
             value = _NAN
             label = order[a, b] - first[a, b]
-            priced = order[a, b] != NONE and 0 <= label < count[a, b]
-            if priced and costs[a, np.uint32(b * labels + label)] <= limit:
+            good = order[a, b] != NONE and 0 <= label < count[a, b]
+            if good and settled[a, b] == NONE:
+                good = costs[a, np.uint32(b * labels + label)] <= limit
+            if good:
                 value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])
             expected[a, b] = value
