@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
-from pipeline.packed import imaginary, real
-from pipeline.tiles import TILE, clamped, decay, root, turned, turns
+from pipeline.tiles import TILE, clamped, decay, turns
+from pipeline.traits import RADIANS, VALID, bias_of, equal_units, mean_of, phase_units, units
 
 UNSEEN = np.float32(0.5)
 RAY = 9
@@ -31,41 +31,39 @@ _ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1)
 _TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20), np.float32(0.4)
 
 # Slots of the scratch array of floats (tables take three each), and of the one of integers.
-_PHI, _BIAS, _HR, _HI, _ER, _EI, _MEAN, _MOVE = (k * TILE for k in range(8))
-_LINES = 8 * TILE
-_M0, _M1, _M2, _Q0, _Q1, _R0, _R1 = (_LINES + k * TILE for k in range(7))
-_U, _FRACTION, _SEEN, _T0, _T1, _COST = (k * TILE for k in range(15, 21))
-SLOTS = 21
-_CELL, _P0, _P1, _E0, _E1, _A0, _A1 = (k * TILE for k in range(7))
-INTEGER_SLOTS = 7
+_PHI, _BIAS, _MEAN, _MOVE = (k * TILE for k in range(4))
+_M0, _M1, _M2, _Q0, _Q1, _R0, _R1 = (k * TILE for k in range(4, 11))
+_U, _FRACTION, _SEEN, _T0, _T1, _COST = (k * TILE for k in range(11, 17))
+SLOTS = 17
+_CELL, _P0, _P1, _PHASE, _EQUAL = (k * TILE for k in range(5))
+INTEGER_SLOTS = 5
 MOVE, COST = _MOVE, _COST
 """Slots that :mod:`pipeline.search` reads."""
 
 
 @inline
 def load_nodes(
-    t: Any, k: Any, nodes: Any, pixels: Any, n: int, rays: Any, phase: Any, phasor: Any, equalized: Any, mean: Any,
-    first: Any, count: Any, labels: int,
+    t: Any, k: Any, nodes: Any, pixels: Any, n: int, rays: Any, phase: Any, traits: Any, first: Any, count: Any,
+    labels: int,
 ) -> int:  # fmt: skip
     """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
     Args:
         nodes, pixels: numbers of the n lattice pixels in the lattice and in the picture.
-        rays: (h w RAY), see :data:`RAY`; first, count: (h w); phase .. mean: (H W).
+        rays: (h w RAY), see :data:`RAY`; first, count: (h w); phase, traits: (H W).
     """
     for j in range(n):
         at = np.uint32(RAY * nodes[j])
         for c in range(7):
-            t[_LINES + c * TILE + j] = rays[at + np.uint32(c)]
+            t[_M0 + c * TILE + j] = rays[at + np.uint32(c)]
         t[_T0 + j], t[_T1 + j] = rays[at + np.uint32(7)], rays[at + np.uint32(8)]
     for j in range(n):
         m = np.uint32(pixels[j])
-        t[_PHI + j] = phase[m]
-        k[_P0 + j], k[_E0 + j], k[_A0 + j] = phasor[m], equalized[m], mean[m]
+        t[_PHI + j], k[_P0 + j] = phase[m], traits[m]
     for j in range(TILE):
-        t[_HR + j], t[_HI + j] = real(k[_P0 + j]), imaginary(k[_P0 + j])
-        t[_ER + j], t[_EI + j] = real(k[_E0 + j]), imaginary(k[_E0 + j])
-        t[_MEAN + j] = np.float32(k[_A0 + j])
+        x = k[_P0 + j]
+        t[_BIAS + j] = bias_of(x, t[_PHI + j])
+        k[_PHASE + j], k[_EQUAL + j], t[_MEAN + j] = units(t[_PHI + j]), equal_units(x), mean_of(x)
     for j in range(TILE):
         phi = t[_PHI + j]
         low = np.float32(np.ceil((t[_T0 + j] - phi) * _PER_TURN))
@@ -79,13 +77,6 @@ def load_nodes(
         most = max(most, count[b])
     for j in range(TILE):
         t[_PHI + j] += _TURN * t[_T0 + j]
-        t[_BIAS + j] = turned(t[_ER + j], t[_EI + j], t[_HR + j], t[_HI + j])
-        p = _ONE / root(t[_HR + j] * t[_HR + j] + t[_HI + j] * t[_HI + j] + _TINY)
-        e = _ONE / root(t[_ER + j] * t[_ER + j] + t[_EI + j] * t[_EI + j] + _TINY)
-        t[_HR + j] *= p
-        t[_HI + j] *= p
-        t[_ER + j] *= e
-        t[_EI + j] *= e
     return most
 
 
@@ -107,15 +98,15 @@ def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
 
 @inline
 def price(
-    t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, phasor: Any, equalized: Any,
-    mean: Any, width: int, height: int, axis: int, floor_sq: Any, inv: Any, texture: Any,
+    t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, traits: Any,
+    width: int, height: int, axis: int, inv: Any, texture: Any,
 ) -> None:  # fmt: skip
     """Cost 0 .. about 1.6 (slot _COST) of the candidates ``order`` after the first of a tile of lattice pixels.
 
     The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
     phases and the texture are compared there; UNSEEN outside the other picture or where that has no fringes.
-    ``phasor``, ``equalized`` (packed) and ``mean``, all flat, are the other picture's; ``linear``: the table
-    ``columns`` is a straight line, and need not be looked up.
+    ``traits``, flat, are the other picture's; ``linear``: the table ``columns`` is a straight line, and need not be
+    looked up.
     """
     start, stop = columns[0], columns[0] + columns[1] * np.float32(columns.shape[0] - 3)
     more = _TURN * np.float32(order)
@@ -164,27 +155,21 @@ def price(
     ahead = np.uint32(step)
     for j in range(TILE):
         place = np.uint32(k[_CELL + j])
-        k[_P0 + j], k[_P1 + j] = phasor[place], phasor[place + ahead]
-        k[_E0 + j], k[_E1 + j] = equalized[place], equalized[place + ahead]
-        k[_A0 + j], k[_A1 + j] = mean[place], mean[place + ahead]
+        k[_P0 + j], k[_P1 + j] = traits[place], traits[place + ahead]
     for j in range(TILE):
-        f = t[_FRACTION + j]
-        r0, i0, r1, i1 = real(k[_P0 + j]), imaginary(k[_P0 + j]), real(k[_P1 + j]), imaginary(k[_P1 + j])
-        re, im = r0 + f * (r1 - r0), i0 + f * (i1 - i0)
-        size = re * re + im * im
-        t[_T0 + j] = size
-        t[_U + j] = (t[_HR + j] * re + t[_HI + j] * im) / root(size + _TINY)
-        r0, i0, r1, i1 = real(k[_E0 + j]), imaginary(k[_E0 + j]), real(k[_E1 + j]), imaginary(k[_E1 + j])
-        er, ei = r0 + f * (r1 - r0), i0 + f * (i1 - i0)
-        t[_T1 + j] = (t[_ER + j] * er + t[_EI + j] * ei) / root(er * er + ei * ei + _TINY)
+        f, p, q = t[_FRACTION + j], k[_P0 + j], k[_P1 + j]
+        plain, equal = phase_units(p), equal_units(p)
+        step, step_equal = np.int32(phase_units(q) - plain), np.int32(equal_units(q) - equal)
+        plain, equal = np.int32(plain - k[_PHASE + j]), np.int32(equal - k[_EQUAL + j])
+        t[_T0 + j] = (np.float32(plain) + f * np.float32(step)) * RADIANS
+        t[_T1 + j] = (np.float32(equal) + f * np.float32(step_equal)) * RADIANS
     for j in range(TILE):
-        size, plain, equal = t[_T0 + j], t[_U + j], t[_T1 + j]
-        first, second, here = np.float32(k[_A0 + j]), np.float32(k[_A1 + j]), t[_MEAN + j]
-        there = first + t[_FRACTION + j] * (second - first)
-        # 2 (1 - cos d) is d^2 for small differences d, and saves the angle.
-        cost = _ONE - _HALF * (decay((_TWO - _TWO * plain) * inv) + decay((_TWO - _TWO * equal) * inv))
+        p, q, f = k[_P0 + j], k[_P1 + j], t[_FRACTION + j]
+        plain, equal, here = t[_T0 + j], t[_T1 + j], t[_MEAN + j]
+        there = mean_of(p) + f * (mean_of(q) - mean_of(p))
+        cost = _ONE - _HALF * (decay(min(plain * plain * inv, _EIGHT)) + decay(min(equal * equal * inv, _EIGHT)))
         cost += texture * min(abs(here - there) / (here + there + _EIGHT), _MOST)
-        seen = (t[_SEEN + j] > _ZERO) & (size >= floor_sq) & (cost == cost)
+        seen = (t[_SEEN + j] > _ZERO) & (np.int32(p & q & VALID) != 0)
         cost = cost if seen else UNSEEN
         t[_COST + j] = cost if t[_COST + j] == _ZERO else _OUTSIDE
 

@@ -20,11 +20,12 @@ from pipeline.mosaic_fit import (
     start_tile,
 )
 from pipeline.normal_equations import IM, MEAN, RE, VARIANCE, solve
-from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
-from pipeline.row_results import angles_of_row, counts_of_row, describe_row, packed_row, row_stride
+from pipeline.packed import PHASOR_SCALE
+from pipeline.row_results import angles_of_row, counts_of_row, describe_row, row_stride
 from pipeline.straighten import DESIGN_ROWS, straighten_phasors, turned_design, units_of_row
 from pipeline.three_step import levels_of_row
 from pipeline.tiles import TILE
+from pipeline.traits import complete_row, equal_row
 
 BANDS = 12
 
@@ -73,7 +74,7 @@ def _put_back(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any
 def decode_bayer(
     picture: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
     nominal: Any, clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any,
-    scale: float, turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any,
+    scale: float, turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any,
     modulation: Any, valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.phase.PhaseMap`; picture (H, W) uint8, mosaic (2, 2) channel numbers.
@@ -120,7 +121,7 @@ def decode_bayer(
                 equalized_row(levels, balance, unmix, ideal, re, im)
                 if turn_rows > 0:
                     straighten_phasors(turns, turn_rows, y, re, im)
-                packed_row(re, im, EQUALIZED_SCALE, equalized[y])
+                equal_row(re, im, traits[y])
             k = y % ring
             rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
             if turn_rows > 0:
@@ -133,6 +134,7 @@ def decode_bayer(
                 if y < edge or y >= height - edge:
                     phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                     counts_of_row(plain[k, :width], mean[y])
+                    complete_row(phase[y], valid[y], mean[y], traits[y])
             i = y - radius
             if turn_rows > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
                 turned_design(mosaic, rows, turns, turn_rows, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
@@ -161,3 +163,4 @@ def decode_bayer(
                 counts_of_row(plain[q, :width], mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, w, smallest, modulation[i], valid[i])
+                complete_row(phase[i], valid[i], mean[i], traits[i])

@@ -14,11 +14,12 @@ from pipeline.box_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_mean
 from pipeline.equalize import balance_of_row, equalized_row
 from pipeline.kernels import parallel, prange, serial
-from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE
-from pipeline.row_results import angles_of_row, counts_of_row, describe_row, packed_row, row_stride
+from pipeline.packed import PHASOR_SCALE
+from pipeline.row_results import angles_of_row, counts_of_row, describe_row, row_stride
 from pipeline.straighten import straighten_means, straighten_phasors, units_of_row
 from pipeline.three_step import levels_of_row, pointwise_row
 from pipeline.tiles import TILE
+from pipeline.traits import complete_row, equal_row
 from pipeline.window_fit import fold, fold_far
 
 BANDS = 12
@@ -41,7 +42,7 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
 def decode_rgb(
     picture: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
     clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any, scale: float,
-    turns: Any, turn_rows: int, phasor: Any, equalized: Any, mean: Any, variance: Any, phase: Any, modulation: Any,
+    turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any, modulation: Any,
     valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.phase.PhaseMap`.
@@ -54,7 +55,8 @@ def decode_rgb(
         clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
         along, over, drops, scale: of :class:`pipeline.box_mean.BoxMean`.
         turns, turn_rows: table and step of :class:`pipeline.lateral_tables.ColorTurns`.
-        phasor, equalized: (H, W) int32, packed; variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
+        phasor: (H, W) int32, packed; traits: (H, W) int32, see :mod:`pipeline.traits`;
+        variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
         valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
     """
     height, width = mean.shape
@@ -93,7 +95,7 @@ def decode_rgb(
                 equalized_row(levels, balance, unmix, ideal, w, c)
                 if turn_rows > 0:
                     straighten_phasors(turns, turn_rows, y, w, c)
-                packed_row(w, c, EQUALIZED_SCALE, equalized[y])
+                equal_row(w, c, traits[y])
             k = y % ring
             ur, ui = unit[k, :width], unit[ring + k, :width]
             found = pointwise_row(levels, black, solve, clip, floor, gain, ur, ui, w, c, s, a, v)
@@ -152,8 +154,10 @@ def decode_rgb(
                 counts_of_row(average, mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, variance[i], smallest, modulation[i], valid[i])
+                complete_row(phase[i], valid[i], mean[i], traits[i])
             if low <= y < high and (y < reach or y >= height - reach):
                 phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                 for x in range(width):
                     average[x] = plain_mean(picture[y], x, black, solve)
                 counts_of_row(average, mean[y])
+                complete_row(phase[y], valid[y], mean[y], traits[y])

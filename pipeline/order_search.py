@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import aggregate, candidates, links, search
-from pipeline.packed import PHASOR_SCALE
 from pipeline.settle import settle
 from pipeline.tables import RayTable
 
@@ -114,11 +113,10 @@ class _Lattice:
             self._correction = correction.copy()
         search.search_rows(
             table.top, table.down, table.left, table.step, every, self._rays,
-            here.phase, here.phasor, here.equalized, here.mean,
-            here.valid, there.phasor, there.equalized, there.mean,
+            here.phase, here.traits, here.valid, there.traits,
             view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
-            np.float32(view.slopes[0]), np.float32((s.min_modulation * PHASOR_SCALE) ** 2),
-            np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), np.float32(s.switch_penalty),
+            np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
+            np.float32(s.switch_penalty),
             self.settled, self.expected, turn, np.float32(s.follow_cost),
             self.costs, self._total, self.first, self.count,
         )  # fmt: skip

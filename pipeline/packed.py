@@ -15,8 +15,6 @@ from pipeline.kernels import inline
 
 PHASOR_SCALE = np.float32(128.0)
 """Units in a count: phasors of the pointwise phase, up to 255 counts."""
-EQUALIZED_SCALE = np.float32(8192.0)
-"""Units in one: equalised phasors, up to 3.99."""
 _MOST, _SHIFT, _MASK = np.float32(32767.0), np.int32(16), np.int32(0xFFFF)
 
 

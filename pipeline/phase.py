@@ -23,8 +23,8 @@ from pipeline.decode_rgb import decode_rgb
 from pipeline.lateral_tables import ColorTurns
 from pipeline.mosaic_fit import EIGHTHS
 from pipeline.noise import NoiseModel, estimate
-from pipeline.packed import EQUALIZED_SCALE, unpacked
 from pipeline.settings import Settings
+from pipeline.traits import equalised_phase
 from pipeline.window_fit import weights_of
 
 F32 = NDArray[np.float32]
@@ -38,7 +38,8 @@ class PhaseMap:
 
     Args:
         phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.packed`; 0 where unknown.
-        equalized: int32, packed, the same from channels divided by their local means; about unit size.
+        traits: int32, what the order search compares, see :mod:`pipeline.traits`; with the phase from channels divided
+            by their local means, the equalised one.
         variance: float32, variance of the pointwise phase from the picture's noise, rad^2.
         clipped: share of pixels with a clipped sample.
         phase: float32, wrapped angle of the pointwise phasor.
@@ -47,7 +48,7 @@ class PhaseMap:
     """
 
     phasor: NDArray[np.int32]
-    equalized: NDArray[np.int32]
+    traits: NDArray[np.int32]
     mean: NDArray[np.uint8]
     variance: F32
     clipped: float
@@ -57,8 +58,8 @@ class PhaseMap:
 
     @property
     def phase_eq(self) -> F32:
-        """Wrapped angle of the equalised phasor, made anew at every call."""
-        return np.asarray(np.angle(unpacked(self.equalized, EQUALIZED_SCALE)), dtype=np.float32)
+        """Equalised phase, made anew at every call."""
+        return equalised_phase(self.traits)
 
     def every(self, step: int) -> PhaseMap:
         """Every n-th pixel of every n-th row, copied."""
@@ -121,7 +122,7 @@ class Decoder:
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
             np.float32(self._settings.min_modulation), box.along, box.over, box.drops, np.float32(box.scale),
             self._turns.table, self._turns.step,
-            planes["phasor"], planes["equalized"], mean, planes["variance"], planes["phase"],
+            planes["phasor"], planes["traits"], mean, planes["variance"], planes["phase"],
             modulation, planes["valid"], planes["clipped"],
         )  # fmt: skip
         if self._mosaic is None:
@@ -129,7 +130,7 @@ class Decoder:
         else:
             decode_bayer(image, self._mosaic, *common)
         return PhaseMap(
-            planes["phasor"], planes["equalized"], mean, planes["variance"],
+            planes["phasor"], planes["traits"], mean, planes["variance"],
             float(planes["clipped"].sum()) / (height * width), planes["phase"],
             modulation, planes["valid"],
         )  # fmt: skip
@@ -138,7 +139,7 @@ class Decoder:
         """The planes that stay with the decoder: fresh ones cost as much as a good part of the decoding."""
         if not self._planes or self._planes["phase"].shape != (height, width):
             single = {k: np.empty((height, width), np.float32) for k in ("variance", "phase")}
-            double = {k: np.empty((height, width), np.int32) for k in ("phasor", "equalized")}
+            double = {k: np.empty((height, width), np.int32) for k in ("phasor", "traits")}
             rest = {"valid": np.empty((height, width), np.bool_), "clipped": np.empty(height, np.int32)}
             self._planes = {**single, **double, **rest}
         return self._planes

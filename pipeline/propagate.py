@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.kernels import inline, parallel, prange, serial
-from pipeline.packed import imaginary, real
-from pipeline.tiles import turned
+from pipeline.traits import bias_of
 
 NONE = np.int16(-32768)
 _TWO_PI = np.float32(2 * pi)
@@ -81,7 +80,7 @@ def _nearest(place: Any, first: Any, per_step: Any, count: int, out: Any) -> Non
 @parallel
 def cross_check(
     order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
-    phasor: Any, equalized: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
+    traits: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
     other_phase: Any, table: Any, shift: Any, slope_x: Any, slope_y: Any, limit: Any, kept: Any,
 ) -> None:  # fmt: skip
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
@@ -89,7 +88,7 @@ def cross_check(
     Args:
         order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the picture.
         lines: (7, h, w), of :class:`pipeline.tables.RayTable`; axis: 0 = phase grows along u.
-        phase, phasor, equalized: of this picture.
+        phase, traits: of this picture.
         other_order .. other_phase: the same of the other camera.
         table: even-grid table phase -> projector coordinate; shift: the column correction; all float32.
         slope_x, slope_y: the other picture's expected phase steps per pixel.
@@ -112,13 +111,12 @@ def cross_check(
         here, bias, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
         x, y = (floats[6], floats[7]) if axis == 0 else (floats[7], floats[6])
         index, p, q = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.int32)
-        plain, even = np.empty(w, np.int32), np.empty(w, np.int32)
         i = top + down * a
         for b in range(w):
             j = np.uint32(left + step * b)
-            here[b], plain[b], even[b] = phase[i, j], phasor[i, j], equalized[i, j]
+            here[b], index[b] = phase[i, j], traits[i, j]
         for b in range(w):
-            bias[b] = turned(real(even[b]), imaginary(even[b]), real(plain[b]), imaginary(plain[b]))
+            bias[b] = bias_of(index[b], here[b])
         _projector_places(order[a], here, bias, first, per_step, last, absolute, index, part)
         for b in range(w):
             k = np.uint32(index[b] + 2)

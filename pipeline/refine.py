@@ -23,7 +23,8 @@ from pipeline.epipolar import (  # isort: skip
 from pipeline.kernels import inline, parallel, prange
 from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS
 from pipeline.packed import imaginary, real
-from pipeline.tiles import TILE, clamped, root, turned
+from pipeline.tiles import TILE, clamped, root
+from pipeline.traits import bias_of
 
 _COHERENCE_SQ = np.float32(0.16)
 _CONVERGED = np.float32(0.1)
@@ -38,7 +39,7 @@ _PER_TURN = np.float32(TURN_STEPS / (2 * np.pi))
 
 @parallel
 def refine(
-    order: Any, rays_x: Any, rays_y: Any, phase: Any, equalized: Any, phasor: Any, variance: Any,
+    order: Any, rays_x: Any, rays_y: Any, phase: Any, traits: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
     columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float, every: int,
     xyz: Any, sigma: Any, known: Any, match_u: Any, match_v: Any, source_u: Any, source_v: Any, absolute: Any,
@@ -48,7 +49,8 @@ def refine(
 
     Args:
         order: (H, W) int16; rays_x, rays_y: (H, W) ideal normalised points of the pixels.
-        phasor, equalized, other: (H, W) int32, packed; floor_sq: least squared size of a packed phasor.
+        traits: (H, W) int32, see :mod:`pipeline.traits`; phasor, other: (H, W) int32, packed.
+        floor_sq: least squared size of a packed phasor.
         device, projector: packed models of the other camera and the projector; axis: 0 = phase grows along u.
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate;
@@ -86,7 +88,7 @@ def refine(
                 for j in range(n):
                     known[i, np.uint32(j0 + j)] = 0
                 continue
-            _load(t, n, row, phase[i, j0 : j0 + n], equalized[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
+            _load(t, n, row, phase[i, j0 : j0 + n], traits[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
                   rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
             columns_of(t, k, columns, linear)
             meet(t, projector, axis, correction)
@@ -151,7 +153,7 @@ def refine(
 
 
 @inline
-def _load(t: Any, n: int, order: Any, phase: Any, equalized: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
+def _load(t: Any, n: int, order: Any, phase: Any, traits: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
     """The left picture's side of a tile; slots PHI, BIAS and T0 get the absolute phase, bias, equalised phase."""
     for j in range(n):
         t[PHI + j] = phase[j] + _TURN * np.float32(order[j])
@@ -160,7 +162,7 @@ def _load(t: Any, n: int, order: Any, phase: Any, equalized: Any, phasor: Any, r
     for j in range(n):
         t[RE + j], t[IM + j] = real(phasor[j]), imaginary(phasor[j])
     for j in range(n):
-        t[BIAS + j] = turned(real(equalized[j]), imaginary(equalized[j]), t[RE + j], t[IM + j])
+        t[BIAS + j] = bias_of(traits[j], phase[j])
     for j in range(TILE):
         t[T0 + j] = t[PHI + j] + t[BIAS + j]
 

@@ -25,18 +25,12 @@ def row_stride(width: int) -> int:
 
 
 @serial
-def packed_row(re: Any, im: Any, scale: Any, phasor: Any) -> None:
-    """Phasors (n,) to a packed row (n,) int32."""
-    for j in range(phasor.shape[0]):
-        phasor[j] = pack(re[j], im[j], scale)
-
-
-@serial
 def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None:
     """Phasors (n,) to a packed row (n,) int32 and their angles (n,) float32."""
     for j in range(phase.shape[0]):
         phase[j] = angle(re[j], im[j])
-    packed_row(re, im, scale, phasor)
+    for j in range(phase.shape[0]):
+        phasor[j] = pack(re[j], im[j], scale)
 
 
 @serial

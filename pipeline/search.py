@@ -26,10 +26,9 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 @parallel
 def search_rows(
     top: int, down: int, left: int, step: int, every: int, rays: Any,
-    phase: Any, phasor: Any, equalized: Any, mean: Any, valid: Any,
-    other_phasor: Any, other_equalized: Any, other_mean: Any,
+    phase: Any, traits: Any, valid: Any, other_traits: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
-    floor_sq: Any, inv: Any, texture: Any, penalty: Any, settled: Any, expected: Any, turn: int, limit: Any,
+    inv: Any, texture: Any, penalty: Any, settled: Any, expected: Any, turn: int, limit: Any,
     costs: Any, total: Any, first: Any, count: Any,
 ) -> None:  # fmt: skip
     """Price the candidates of the lattice (of every n-th row) and aggregate along its rows.
@@ -37,12 +36,12 @@ def search_rows(
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         rays: (h, w, RAY), see :data:`pipeline.candidates.RAY`.
-        phasor, equalized: (H, W) int32 packed; phase: (H, W) float32; mean: (H, W) uint8; valid: (H, W) bool.
-        other_phasor, other_equalized, other_mean: the other picture's.
+        phase: (H, W) float32; traits: (H, W) int32, see :mod:`pipeline.traits`; valid: (H, W) bool.
+        other_traits: the other picture's.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
             across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.
-        floor_sq: least squared size of a packed phasor; inv: 1 / (2 cost_sigma^2).
+        inv: 1 / (2 cost_sigma^2).
         settled: (h, w) int16, orders that are known and need no search, NONE = open.
         expected: (h, w) float32, absolute phase to be expected, NaN = unknown; a pixel whose expected order costs at
             most ``limit``, amid others for which that holds, has no other candidate. Not used in lattice rows a with
@@ -51,14 +50,12 @@ def search_rows(
             written.
     """
     h, w = expected.shape
-    height, width = other_mean.shape
-    pixels_across = mean.shape[1]
+    height, width = other_traits.shape
+    pixels_across = traits.shape[1]
     flat_rays = rays.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
-    flat_phase, flat_mean, flat_costs = phase.reshape(-1), mean.reshape(-1), costs.reshape(-1)
-    flat_phasor, flat_equalized = phasor.reshape(-1), equalized.reshape(-1)
-    there_phasor, there_equalized = other_phasor.reshape(-1), other_equalized.reshape(-1)
-    there_mean = other_mean.reshape(-1)
+    flat_phase, flat_traits, flat_costs = phase.reshape(-1), traits.reshape(-1), costs.reshape(-1)
+    there = other_traits.reshape(-1)
     for strip in prange((h + STRIP - 1) // STRIP):
         a0, a1 = strip * STRIP, min(strip * STRIP + STRIP, h)
         t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
@@ -84,11 +81,10 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_phasor,
-                       flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
+            load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_traits,
+                       flat_first, flat_count, labels)  # fmt: skip
             predict(t, part, m, flat_expected)
-            price(t, k, 0, columns, linear, correction, extent, there_phasor, there_equalized, there_mean, width,
-                  height, axis, floor_sq, inv, texture)  # fmt: skip
+            price(t, k, 0, columns, linear, correction, extent, there, width, height, axis, inv, texture)
             for j in range(m):
                 node = np.uint32(part[j])
                 if t[COST + j] <= limit and t[MOVE + j] >= _ZERO:
@@ -114,15 +110,14 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_phasor,
-                              flat_equalized, flat_mean, flat_first, flat_count, labels)  # fmt: skip
+            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_traits,
+                              flat_first, flat_count, labels)  # fmt: skip
             for j in range(m):
                 base = np.uint32(part[j] * labels)
                 for order in range(np.uint32(labels)):
                     flat_costs[base + order] = NO_SUCH
             for order in range(most):
-                price(t, k, order, columns, linear, correction, extent, there_phasor, there_equalized, there_mean,
-                      width, height, axis, floor_sq, inv, texture)  # fmt: skip
+                price(t, k, order, columns, linear, correction, extent, there, width, height, axis, inv, texture)
                 for j in range(m):
                     node = np.uint32(part[j])
                     if order < flat_count[node]:

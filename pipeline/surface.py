@@ -57,7 +57,7 @@ class SurfaceStage:
         v = self._view
         points = points or Points.empty(self._size)
         refine(
-            order, self._rays_x, self._rays_y, left.phase, left.equalized, left.phasor, left.variance,
+            order, self._rays_x, self._rays_y, left.phase, left.traits, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
             correction.astype(np.float32), self._floor_sq, self._correlation, self._every,

@@ -91,7 +91,7 @@ class View:
         """Orders that the other view confirms, into ``kept``."""
         t, o = self.table, other.table
         propagate.cross_check(
-            order, t.top, t.down, t.left, t.step, t.lines, self.first_axis, here.phase, here.phasor, here.equalized,
+            order, t.top, t.down, t.left, t.step, t.lines, self.first_axis, here.phase, here.traits,
             other_order, o.top, o.down, o.left, o.step, there.phase, self.columns, correction.astype(np.float32),
             np.float32(other.slopes[0]), np.float32(other.slopes[1]), np.float32(self.settings.max_check), kept,
         )  # fmt: skip

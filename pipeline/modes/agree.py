@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.kernels import inline, parallel, prange
 from pipeline.modes.orders import NONE
-from pipeline.packed import imaginary, real
-from pipeline.tiles import angle, turns
+from pipeline.tiles import turns
+from pipeline.traits import bias_of
 
 _TURN, _ZERO, _ONE = np.float32(2 * np.pi), np.float32(0), np.float32(1)
 
@@ -27,14 +27,14 @@ def _lesser(a: Any, b: Any) -> Any:
 
 @parallel
 def agreed(
-    order: Any, phase: Any, equalized: Any, valid: Any, other_order: Any, other: Any, other_equalized: Any,
+    order: Any, phase: Any, traits: Any, valid: Any, other_order: Any, other: Any, other_traits: Any,
     other_valid: Any,
     ratio: Any, limit: Any, out: Any, away: Any, lit: Any,
 ) -> None:  # fmt: skip
     """The first fringe's order, or what the second's makes it, where the other phase fits and the two agree.
 
     Args:
-        order, phase, equalized (packed), valid: (H, W) of the first fringe; other ...: of the second.
+        order, phase, traits, valid: (H, W) of the first fringe; other ...: of the second.
         ratio: periods of the second per period of the first; limit: largest deviation of the second phase, radians.
         out: (H, W) int16, written, NONE where unknown.
         away: (H, W) float32, written: deviation of the phases squared, radians^2; lit: 1 where both are valid, else 0.
@@ -46,9 +46,7 @@ def agreed(
                 continue
             lit[i, j] = _ONE
             here, there = phase[i, j], other[i, j]
-            even, even_there = equalized[i, j], other_equalized[i, j]
-            bias = _wrapped(angle(real(even), imaginary(even)) - here)
-            bias_there = _wrapped(angle(real(even_there), imaginary(even_there)) - there)
+            bias, bias_there = bias_of(traits[i, j], here), bias_of(other_traits[i, j], there)
             first, second = order[i, j], NONE
             least, least_second = np.float32(np.pi), np.float32(np.pi)
             if first != NONE:

@@ -66,7 +66,7 @@ class ColorSets:
         other, _, other_order = second.decide(lefts[1], rights[1], watch)
         left, right, order = found
         agreed(
-            order, left.phase, left.equalized, left.valid, other_order, other.phase, other.equalized, other.valid,
+            order, left.phase, left.traits, left.valid, other_order, other.phase, other.traits, other.valid,
             self._ratio, WORST_DEVIATION, self._order, self._away, self._lit,
         )  # fmt: skip
         moved = orders.settle(

@@ -20,6 +20,7 @@ from pipeline.noise import NoiseModel, estimate
 from pipeline.phase import PhaseMap
 from pipeline.raw import BAYER
 from pipeline.settings import Settings
+from pipeline.traits import traits_without_color
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -84,7 +85,8 @@ class SetDecoder:
         many = (len(plan.fringes), height, width)
         self._phase, self._amplitude, self._variance = (np.empty(many, np.float32) for _ in range(3))
         self._mean, self._misfit = (np.empty((height, width), np.float32) for _ in range(2))
-        self._order, self._phasor = np.empty((height, width), np.int16), np.empty((height, width), np.int32)
+        self._order = np.empty((height, width), np.int16)
+        self._phasor, self._traits = (np.empty((height, width), np.int32) for _ in range(2))
         self._clipped = np.empty(height, np.int32)
         self._mosaic, self._window = encoding in BAYER, windowed(settings, encoding)
         self._spare = np.empty((3 if self._mosaic or self._window else 0, height, width), np.float32)
@@ -145,7 +147,8 @@ class SetDecoder:
         modulation = np.minimum(amplitude, 255).astype(np.uint8)
         share = float(self._clipped.sum()) / self._clipped.size / self._tables.size[0]
         valid = self._order != orders.NONE
-        found = PhaseMap(self._phasor, self._phasor, counts, variance, share, phase, modulation, valid)
+        traits_without_color(phase, valid, counts, self._traits)
+        found = PhaseMap(self._phasor, self._traits, counts, variance, share, phase, modulation, valid)
         return SetPhase(found, self._order, absolute, int(moved))
 
     def _take(self, pictures: Items[NDArray[Any]], side: str) -> None:

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.kernels import serial
-from pipeline.packed import EQUALIZED_SCALE, PHASOR_SCALE, imaginary, pack, real, unpacked
+from pipeline.packed import PHASOR_SCALE, imaginary, pack, real, unpacked
 
-SCALES = PHASOR_SCALE, EQUALIZED_SCALE
+SCALES = PHASOR_SCALE, np.float32(8192)
 MOST = 32767
 
 

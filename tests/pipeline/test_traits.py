@@ -1,0 +1,85 @@
+"""Laws of what the order search compares of a pixel."""
+
+import numpy as np
+import pytest
+
+from pipeline import traits
+from pipeline.kernels import serial
+from tests.pipeline.test_phase import decoder, hard_picture, mosaic, wrapped
+
+PHASE_ERROR, EQUAL_ERROR = 1.001 * np.pi / 2**12, 1.001 * np.pi / 2**11
+UNIT = 2 * np.pi / 2**32
+
+
+@serial
+def read(plane, phase, equal, mean, valid):
+    for j in range(plane.shape[0]):
+        x = plane[j]
+        phase[j], equal[j], mean[j] = traits.phase_units(x), traits.equal_units(x), traits.mean_of(x)
+        valid[j] = np.int32(x & traits.VALID) != 0
+
+
+@serial
+def differences(one, other, out):
+    for j in range(one.shape[0]):
+        out[j] = np.int32(traits.phase_units(one[j]) - traits.units(other[j]))
+
+
+@serial
+def biases(plane, phase, out):
+    for j in range(plane.shape[0]):
+        out[j] = traits.bias_of(plane[j], phase[j])
+
+
+def made(phase, equal, valid, mean):
+    out = np.empty(len(phase), np.int32)
+    size = np.float32(0.3)
+    traits.equal_row(size * np.cos(equal, dtype=np.float32), size * np.sin(equal, dtype=np.float32), out)
+    traits.complete_row(phase, valid, mean, out)
+    return out
+
+
+def drawn(n=20_000):
+    rng = np.random.default_rng(8)
+    phase, equal = rng.uniform(-np.pi, np.pi, (2, n)).astype(np.float32)
+    phase[:4] = np.pi, -np.pi, 0, np.nextafter(np.float32(np.pi), np.float32(0))
+    equal[:4] = -np.pi, np.pi, np.pi / 2, 0
+    return phase, equal, rng.random(n) < 0.5, rng.integers(0, 256, n).astype(np.uint8)
+
+
+def test_everything_returns_and_nothing_disturbs_its_neighbours():
+    phase, equal, valid, mean = drawn()
+    plane = made(phase, equal, valid, mean)
+    found = [np.empty(len(plane), kind) for kind in (np.int32, np.int32, np.float32, np.bool_)]
+    read(plane, *found)
+    assert np.abs(wrapped(found[0] * UNIT - phase)).max() <= PHASE_ERROR
+    assert np.abs(wrapped(found[1] * UNIT - equal)).max() <= EQUAL_ERROR
+    assert np.array_equal(found[2], mean) and np.array_equal(found[3], valid)
+    assert np.abs(wrapped(traits.equalised_phase(plane) - equal)).max() <= EQUAL_ERROR
+
+
+def test_differences_of_phases_wrap():
+    phase, equal, valid, mean = drawn()
+    other = np.roll(phase, 7)
+    found = np.empty(len(phase), np.int32)
+    differences(made(phase, equal, valid, mean), other, found)
+    assert np.abs(wrapped(found * UNIT - (phase - other))).max() < PHASE_ERROR + 1e-6
+
+
+def test_the_bias_is_the_difference_of_both_phases_within_half_a_turn():
+    phase, equal, valid, mean = drawn()
+    found = np.empty(len(phase), np.float32)
+    biases(made(phase, equal, valid, mean), phase, found)
+    assert np.abs(wrapped(found - (equal - phase))).max() <= EQUAL_ERROR + 1e-6
+    assert np.abs(found).max() <= np.pi + 1e-6
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
+def test_a_decoder_writes_every_pixel_of_them(encoding):
+    raw = hard_picture()
+    found = decoder(encoding).decode(raw if encoding == "rgb8" else mosaic(raw, encoding))
+    phase, equal, mean, valid = (np.empty(raw[..., 0].size, k) for k in (np.int32, np.int32, np.float32, np.bool_))
+    read(found.traits.ravel(), phase, equal, mean, valid)
+    assert np.abs(wrapped(phase * UNIT - found.phase.ravel())).max() <= PHASE_ERROR
+    assert np.array_equal(mean, found.mean.ravel()) and np.array_equal(valid, found.valid.ravel())
+    assert 0.2 < valid.mean() < 1
