@@ -23,6 +23,7 @@ from pipeline.decode_rgb import decode_rgb
 from pipeline.lateral_tables import ColorTurns
 from pipeline.mosaic_fit import EIGHTHS
 from pipeline.noise import NoiseModel, estimate
+from pipeline.raw import read_only
 from pipeline.settings import Settings
 from pipeline.traits import equalised_phase
 from pipeline.window_fit import weights_of
@@ -111,6 +112,7 @@ class Decoder:
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
         """Phase of a raw picture, (H, W, 3) three-chip or (H, W) mosaic; overwrites the planes of the last one."""
+        image = read_only(image)
         noise = self._noise(image)
         height, width = image.shape[:2]
         largest, unit = (255, 1.0) if self._mosaic is None else (255 * EIGHTHS, 1 / EIGHTHS)

@@ -36,7 +36,11 @@ def checked(image: NDArray[Any], side: str, encoding: str, size: tuple[int, int]
             f"{side} picture is {image.dtype} {image.shape}, but {encoding} of the calibrated camera is uint8 {shape}; "
             "use the calibration of this camera and its region of interest"
         )
-    picture = np.ascontiguousarray(image).view()
-    # Always read-only: a kernel is compiled for writable and for read-only arrays apart, the second one mid-run.
-    picture.setflags(write=False)
-    return picture
+    return read_only(np.ascontiguousarray(image))
+
+
+def read_only(image: NDArray[Any]) -> NDArray[Any]:
+    """A view that cannot be written: a kernel is compiled for writable and for read-only arrays apart, mid-run."""
+    view = image.view()
+    view.setflags(write=False)
+    return view

@@ -1,6 +1,8 @@
 """Compiles all kernels into the cache on disk, so that the tests' time-outs are those of running them.
 
 Compiling takes minutes on a slow machine, and several processes that tests start would each wait for it or do it again.
+A second process compiles at the same time what shares the least with the single shot of three-chip pictures, with which
+the first one begins; what it has done by then, the first one finds.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from daemon.install.kernels import compile_all, compile_modes
+from daemon.install.kernels import ENCODINGS, compile_all, compile_modes
 
 TIMEOUT_S = 1500
 
@@ -26,10 +28,38 @@ def compile_elsewhere() -> str:
     return done.stderr if done.returncode else ""
 
 
+def compile_ahead() -> None:
+    """Compile rendering, and the decoder of mosaics."""
+    from pipeline.raw import mosaic_of
+    from pipeline.settings import Settings
+    from pipeline.view import View
+    from sim.optics import Optics
+    from sim.render import render_pair
+    from sim.rig import RigLayout
+    from sim.scenes import build
+
+    layout, optics = RigLayout().scaled(0.125), Optics()
+    pairs = [
+        render_pair(layout, build("moving"), layout.pattern(), optics, encoding=encoding) for encoding in ENCODINGS
+    ]
+    calibration = layout.calibration_for(optics)
+    view = View.of(
+        calibration, layout.pattern(), layout.volume(), Settings(), calibration.left_color, mosaic_of(ENCODINGS[1])
+    )
+    view.decode(pairs[1].left)
+
+
 def main() -> None:
     """Compile what measuring and rendering need, the modes as far as tests use them."""
-    compile_all()
-    compile_modes([("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"), ("gray", "rgb8"), ("two_color", "rgb8")])
+    if sys.argv[1:] == ["ahead"]:
+        compile_ahead()
+        return
+    with subprocess.Popen([sys.executable, "-m", "tests.kernels", "ahead"]) as other:
+        compile_all()
+        compile_modes(
+            [("heterodyne", "bayer_rggb8"), ("heterodyne", "mono16"), ("gray", "rgb8"), ("two_color", "rgb8")]
+        )
+        other.wait()
 
 
 if __name__ == "__main__":
