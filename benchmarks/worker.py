@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from daemon.tuning import SPIN_COUNT
 from pipeline.calibration import Calibration
 from pipeline.cloud import Volume
 from pipeline.pattern import ColorFringe
@@ -86,6 +87,7 @@ def run(job: Job) -> Timing:
 # What the daemon sets for itself (daemon.tuning), said to the C library from outside; the peers get it as well.
 _TUNING = {
     "OMP_WAIT_POLICY": "PASSIVE",
+    "GOMP_SPINCOUNT": SPIN_COUNT,
     "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
     "MALLOC_ARENA_MAX": "1",

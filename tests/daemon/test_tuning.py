@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from daemon.tuning import SPIN_COUNT
+
 _FAULTS = """
 import resource, sys, threading
 import numpy as np
@@ -36,7 +38,7 @@ print(faults(20))
 
 
 def python(code: str, *arguments: str, **environment: str) -> str:
-    plain = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "OMP_"))}
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "OMP_", "GOMP_"))}
     command = [sys.executable, "-c", code, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=plain | environment)
     return done.stdout.strip()
@@ -47,12 +49,16 @@ def test_large_arrays_that_are_made_again_need_no_new_pages() -> None:
     assert int(python(_FAULTS, "tuned")) < 200
 
 
-_ENVIRONMENT = "import os; from daemon.tuning import prepare; prepare(); print(os.environ['OMP_WAIT_POLICY'])"
+_ENVIRONMENT = (
+    "import os; from daemon.tuning import prepare; prepare(); "
+    "print(os.environ['OMP_WAIT_POLICY'], os.environ.get('GOMP_SPINCOUNT'))"
+)
 
 
-def test_idle_threads_sleep_unless_the_user_wants_otherwise() -> None:
-    assert python(_ENVIRONMENT) == "PASSIVE"
-    assert python(_ENVIRONMENT, OMP_WAIT_POLICY="ACTIVE") == "ACTIVE"
+def test_idle_threads_sleep_soon_unless_the_user_wants_otherwise() -> None:
+    assert python(_ENVIRONMENT) == f"PASSIVE {SPIN_COUNT}"
+    assert python(_ENVIRONMENT, OMP_WAIT_POLICY="ACTIVE") == "ACTIVE None"
+    assert python(_ENVIRONMENT, GOMP_SPINCOUNT="7") == "PASSIVE 7"
 
 
 def test_every_command_is_started_so() -> None:
