@@ -2,8 +2,8 @@
 
 * OpenMP, which runs numba's threads, lets idle threads spin for milliseconds; on a PC with few cores that is the time
   of recorder and stream. Asleep at once they are woken forty times a pair, which takes a sixth of a pair's time where
-  that is slow (in a virtual machine). A quarter of a millisecond outlasts the gaps within a pair, and not those
-  between two.
+  that is slow (in a virtual machine). Awake for some hundredths of a millisecond more, most of them need no waking, and
+  beside other work they cost a tenth more processor time.
 * So does OpenBLAS with its threads, for matrices here that one of them multiplies in microseconds: beside other work on
   the same processors a calibration then takes twenty times as long.
 * The allocator gives every large array back to the kernel, which clears each page again when the next one is made:

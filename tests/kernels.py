@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from daemon.install.kernels import ENCODINGS, compile_all, compile_modes
+from daemon.install.kernels import ENCODINGS, compile_all, compile_modes, small_layout, small_pair
 
 TIMEOUT_S = 1500
 
@@ -34,19 +34,15 @@ def compile_ahead() -> None:
     from pipeline.settings import Settings
     from pipeline.view import View
     from sim.optics import Optics
-    from sim.render import render_pair
-    from sim.rig import RigLayout
-    from sim.scenes import build
 
-    layout, optics = RigLayout().scaled(0.125), Optics()
-    pairs = [
-        render_pair(layout, build("moving"), layout.pattern(), optics, encoding=encoding) for encoding in ENCODINGS
-    ]
-    calibration = layout.calibration_for(optics)
+    for encoding in ENCODINGS:
+        pair = small_pair(encoding)
+    layout = small_layout()
+    calibration = layout.calibration_for(Optics())
     view = View.of(
-        calibration, layout.pattern(), layout.volume(), Settings(), calibration.left_color, mosaic_of(ENCODINGS[1])
+        calibration, layout.pattern(), layout.volume(), Settings(), calibration.left_color, mosaic_of(encoding)
     )
-    view.decode(pairs[1].left)
+    view.decode(pair.left)
 
 
 def main() -> None:

@@ -7,11 +7,16 @@ import shutil
 import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from daemon.install.environment import OWN
 from daemon.install.errors import InstallError
 from daemon.install.layout import CACHE, KERNELS, STATE, USER
 from daemon.install.target import Target
+
+if TYPE_CHECKING:
+    from sim.render import RenderedPair
+    from sim.rig import RigLayout
 
 ENCODINGS = "rgb8", "bayer_rggb8"
 _TIMEOUT_S = 3600
@@ -82,6 +87,23 @@ def give_away(target: Target) -> None:
         os.chown(path, user, group, follow_symlinks=False)
 
 
+def small_layout() -> RigLayout:
+    """The rig on which kernels are compiled."""
+    from sim.rig import RigLayout
+
+    return RigLayout().scaled(0.125)
+
+
+def small_pair(encoding: str) -> RenderedPair:
+    """Pictures of that rig; compiles rendering."""
+    from sim.optics import Optics
+    from sim.render import render_pair
+    from sim.scenes import build
+
+    layout = small_layout()
+    return render_pair(layout, build("moving"), layout.pattern(), Optics(), encoding=encoding)
+
+
 def compile_all(modes: Sequence[str] = ()) -> None:
     """Compile what measuring and, for simulated rigs, rendering need; runs in the installed environment.
 
@@ -91,15 +113,12 @@ def compile_all(modes: Sequence[str] = ()) -> None:
     from pipeline.drift.observe import rehearse
     from pipeline.reconstruct import Reconstructor
     from sim.optics import Optics
-    from sim.render import render_pair
-    from sim.rig import RigLayout
-    from sim.scenes import build
 
-    layout, optics = RigLayout().scaled(0.125), Optics()
+    layout = small_layout()
     for encoding in ENCODINGS:
-        made = Reconstructor(layout.calibration_for(optics), layout.pattern(), layout.volume(), encoding=encoding)
+        made = Reconstructor(layout.calibration_for(Optics()), layout.pattern(), layout.volume(), encoding=encoding)
         made.warm_up(every=(1, 2), follow=True)
-        pair = render_pair(layout, build("moving"), layout.pattern(), optics, encoding=encoding)
+        pair = small_pair(encoding)
         made.reconstruct(pair.left, pair.right)
     rehearse()
     compile_modes([(mode, encoding) for mode in modes for encoding in ENCODINGS])
@@ -110,9 +129,8 @@ def compile_modes(wanted: Iterable[tuple[str, str]]) -> None:
     from pipeline.modes.reconstruct import SetReconstructor
     from pipeline.modes.sequences import mode_sequence
     from sim.optics import Optics
-    from sim.rig import RigLayout
 
-    layout = RigLayout().scaled(0.125)
+    layout = small_layout()
     calibration = layout.calibration_for(Optics())
     for mode, encoding in wanted:
         sequence = mode_sequence(mode, layout.projector_size, periods=layout.periods)
