@@ -1,0 +1,1 @@
+"""Programs that a person starts; the measuring daemon never imports them."""

@@ -1,0 +1,1 @@
+"""A calibration board as a PDF page, to scale."""

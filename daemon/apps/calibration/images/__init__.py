@@ -1,0 +1,1 @@
+"""Image files of calibration views, read within limits."""

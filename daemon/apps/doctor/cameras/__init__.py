@@ -1,0 +1,1 @@
+"""Checks of cameras, and of the libraries, buses and rights that they need."""

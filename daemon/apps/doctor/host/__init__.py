@@ -1,0 +1,1 @@
+"""Checks of the machine: clock, disk, memory, processors, sockets, service, files."""

@@ -1,0 +1,1 @@
+"""Checks of a rig: its file, calibration, exposure timing and display."""

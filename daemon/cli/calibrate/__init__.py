@@ -1,0 +1,1 @@
+"""``fringed calibrate`` and its commands."""

@@ -1,0 +1,1 @@
+"""Commands that measure, or show what is being measured."""

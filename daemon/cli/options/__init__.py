@@ -1,0 +1,1 @@
+"""Options and the progress bar that commands share."""

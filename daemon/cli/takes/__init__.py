@@ -1,0 +1,1 @@
+"""Commands for takes on disk."""

@@ -1,0 +1,1 @@
+"""The live path: frames are paired, measured, and handed to the sinks."""

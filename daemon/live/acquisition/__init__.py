@@ -1,0 +1,1 @@
+"""From the cameras' frames to pairs, and to sets of pairs."""

@@ -1,0 +1,1 @@
+"""Pairs and sets become clouds: the worker, its load shedding and temporal prior."""

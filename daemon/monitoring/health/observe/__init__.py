@@ -1,0 +1,1 @@
+"""The quantities that health judges: frames, rates, light, clocks, the host."""

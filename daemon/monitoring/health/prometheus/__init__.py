@@ -1,0 +1,1 @@
+"""Health for Prometheus: the text, and the HTTP server that gives it."""

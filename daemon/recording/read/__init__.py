@@ -1,0 +1,1 @@
+"""Takes read: their parts, catalogue and inspection."""

@@ -1,0 +1,1 @@
+"""Takes written: queue, parts, disk space, and numbers without gaps."""

@@ -1,0 +1,1 @@
+"""The rig's devices opened, and its files read: calibration.yaml and pattern.json."""

@@ -1,0 +1,1 @@
+"""The adjustment itself: parameters, observations, their projection, solver and uncertainty."""

@@ -1,0 +1,1 @@
+"""How good a solution is: errors, coverage of the views, observability, advice."""

@@ -1,0 +1,1 @@
+"""Marks detected in an image, and numbered."""

@@ -1,0 +1,1 @@
+"""Detected marks localised to fractions of a pixel."""

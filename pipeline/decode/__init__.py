@@ -1,0 +1,1 @@
+"""From raw image to phase map."""

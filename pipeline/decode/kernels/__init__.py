@@ -1,0 +1,1 @@
+"""Decoding compiled: rows, windows and what is fitted in them."""

@@ -1,0 +1,1 @@
+"""What is not certain becomes unknown: outliers, components, uniqueness, occlusion conflicts."""

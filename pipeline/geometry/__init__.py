@@ -1,0 +1,1 @@
+"""Tables of rays and views, and triangulation."""

@@ -1,0 +1,1 @@
+"""The match along the epipolar line to fractions of a pixel, and its result."""

@@ -1,0 +1,1 @@
+"""What is projected: the colour fringe, frames, and sequences of them."""

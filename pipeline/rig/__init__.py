@@ -1,0 +1,1 @@
+"""The rig's model: cameras, calibration, lateral chromatic aberration."""

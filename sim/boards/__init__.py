@@ -1,0 +1,1 @@
+"""Calibration boards as scenes: views of them rendered for a session."""

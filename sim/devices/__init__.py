@@ -1,0 +1,1 @@
+"""The drivers' protocols on rendered images: options, faults, triggers."""

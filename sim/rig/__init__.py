@@ -1,0 +1,1 @@
+"""Simulated rigs: layout, optics, disturbances, files."""

@@ -1,0 +1,1 @@
+"""Scenes: shapes, textures, and where rays meet them."""
