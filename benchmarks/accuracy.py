@@ -10,7 +10,7 @@ from benchmarks import rendered
 from benchmarks.cases import Case
 from benchmarks.speed import mean_score
 from benchmarks.tables import Table
-from sim.score import score
+from sim.evaluate.score import score
 
 
 def by_case(cases: Sequence[Case], seeds: int) -> tuple[Table, dict[str, Any], list[tuple[str, bool]]]:

@@ -12,14 +12,14 @@ from typing import Any
 
 import yaml
 
+from daemon.bootstrap.sinks import open_publisher
 from daemon.config import load_rig
-from daemon.outputs import open_publisher
-from daemon.rig import open_rig
-from daemon.service import Service
-from daemon.sinks import CloudItem, Item, PairItem
+from daemon.live.items import CloudItem, Item, PairItem
+from daemon.live.service import Service
+from daemon.rig.open_rig import open_rig
 from drivers.protocols import SIDES
 from sim.box.box import Box
-from sim.box.ledger import Ledger, Shown
+from sim.box.exposure_ledger import Ledger, Shown
 
 
 def wait_until(condition: Callable[[], object], timeout_s: float = 60.0, what: str = "the condition") -> None:

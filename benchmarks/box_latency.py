@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from benchmarks.box_daemon import Daemon, wait_until
 from benchmarks.tables import Table
-from daemon.sinks import Item, PairItem
+from daemon.live.items import Item, PairItem
 from fringed import SilenceError, subscribe
 from sim.box.box import GENTL_DIR, Box
-from sim.box.ledger import Shown
+from sim.box.exposure_ledger import Shown
 from sim.box.options import from_mapping
 from sim.box.world import Counts, Lit, Picture
 

@@ -20,11 +20,11 @@ from pathlib import Path
 
 from benchmarks.box_daemon import Daemon
 from benchmarks.process import sample
-from daemon.pairing import Pair
+from daemon.live.acquisition.pairer import Pair
 from drivers.protocols import SIDES
 from sim.box.box import GENTL_DIR, Box
 from sim.box.options import from_mapping
-from sim.faults import FaultKind
+from sim.devices.faults import FaultKind
 
 RATES = {
     "lost": 0.005,

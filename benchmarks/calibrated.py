@@ -17,25 +17,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.calibration import SIDES, marks_of
-from pipeline.bundle import calibrate
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.color_calibration import PhaseError, calibrate_color, check_sequence, color_sequence, phase_error
-from pipeline.color_calibration.solution import ColorSolution
-from pipeline.multi_shot import coordinate
-from pipeline.pattern import ColorFringe
-from pipeline.projector_marks import Seen, projector_marks
-from pipeline.reconstruct import Reconstructor
-from pipeline.sequence import Sequence, projector_sequence
-from pipeline.targets.board import DEFAULT_BOARD, Board
-from pipeline.targets.marks import BoardView
-from sim.boards import board_scene, fine, session_poses
-from sim.box.light import Stage
-from sim.optics import Optics
-from sim.render import render_pictures, truths
-from sim.rig import RigLayout
-from sim.scenes import build
-from sim.score import AlignedScore, aligned
+from pipeline.calibrate.bundle import calibrate
+from pipeline.calibrate.color import PhaseError, calibrate_color, check_sequence, color_sequence, phase_error
+from pipeline.calibrate.color.solution import ColorSolution
+from pipeline.calibrate.projector.absolute_phase import coordinate
+from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
+from pipeline.calibrate.targets.marks import BoardView
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import Sequence, projector_sequence
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
+from sim.boards.board_scene import board_scene, fine, session_poses
+from sim.evaluate.score import AlignedScore, aligned
+from sim.render.projection_transport import Stage
+from sim.render.render_pair import render_pictures, truths
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 
 SCENES = "plane", "spheres", "face"
 ERROR_LIMIT, PHASE_LIMIT = 1.3, 8.0

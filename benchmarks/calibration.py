@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle import Solution, calibrate
-from pipeline.camera_model import CameraModel
-from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
-from pipeline.targets.find import find_marks
-from pipeline.targets.marks import BoardView, Marks
-from sim.boards import RenderedViews, render_views, session_poses, true_centroids, true_marks
-from sim.optics import Optics
-from sim.rig import RigLayout
+from pipeline.calibrate.bundle import Solution, calibrate
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board, parse_board
+from pipeline.calibrate.targets.find_marks import find_marks
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.rig.camera_model import CameraModel
+from sim.boards.board_scene import RenderedViews, render_views, session_poses, true_centroids, true_marks
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from pipeline.pattern import ColorFringe, modulated_profile
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
-from sim.optics import Optics
-from sim.render import RenderedPair, render_pair
-from sim.rig import RigLayout
-from sim.scenes import build
+from pipeline.common.settings import Settings
+from pipeline.pattern.color_fringe import ColorFringe, modulated_profile
+from pipeline.reconstruct.reconstructor import Reconstructor
+from sim.render.render_pair import RenderedPair, render_pair
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 
 
 @dataclass(frozen=True, slots=True)

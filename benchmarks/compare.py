@@ -19,8 +19,8 @@ from benchmarks.rendered import Shot
 from benchmarks.speed import THREADS, cells, measure, timed
 from benchmarks.tables import Table
 from benchmarks.worker import environment
-from sim.score import score
-from sim.truth import Truth, phases
+from sim.evaluate.score import score
+from sim.render.ground_truth import Truth, phases
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = ROOT / ".bench-venv" / "bin" / "python"

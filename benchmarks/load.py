@@ -20,7 +20,7 @@ from typing import Any
 
 from benchmarks.load_actors import Actors
 from benchmarks.running import Running
-from daemon.atomic import write_atomically
+from daemon.common.files import write_atomically
 from fringed import wire
 from fringed.receiver import Receiver
 

@@ -40,8 +40,8 @@ def deaf(endpoint: str) -> None:
 
 def poller(endpoint: str) -> None:
     """Asks for the status once a second."""
-    from daemon.control.client import ControlClient
-    from daemon.errors import ControlError
+    from daemon.common.errors import ControlError
+    from daemon.control.rpc.client import ControlClient
 
     with ControlClient(endpoint, timeout_s=30.0) as client:
         _tell()

@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from benchmarks.tables import Table
-from pipeline.cloud import Cloud
-from pipeline.modes.reconstruct import SetReconstructor
-from pipeline.modes.sequences import MODES, mode_sequence
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
-from sim.box.light import Stage
-from sim.optics import Optics
-from sim.render import truths
-from sim.rig import RigLayout
-from sim.scenes import Scene, build
-from sim.score import score
-from sim.shapes import COLORED, Motion, Texture, plane
-from sim.truth import Truth
+from pipeline.common.settings import Settings
+from pipeline.multi_frame.set_reconstructor import SetReconstructor
+from pipeline.pattern.mode_sequences import MODES, mode_sequence
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.reconstructor import Reconstructor
+from sim.evaluate.score import score
+from sim.render.ground_truth import Truth
+from sim.render.projection_transport import Stage
+from sim.render.render_pair import truths
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import Scene, build
+from sim.scene.shapes import COLORED, Motion, Texture, plane
 
 SINGLE = "single"
 SCENES = "plane", "spheres", "steps", "mixed"

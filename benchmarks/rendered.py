@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 import pipeline
 import sim
 from benchmarks.cases import Case
-from sim.render import render_pair
-from sim.scenes import build
-from sim.truth import Truth
+from sim.render.ground_truth import Truth
+from sim.render.render_pair import render_pair
+from sim.scene.named_scenes import build
 
 OUT = Path(__file__).resolve().parents[1] / "out" / "bench"
 # Of the pipeline only what the renderer uses.
-_SHARED = ("calibration.py", "camera_model.py", "pattern.py")
+_SHARED = ("rig/calibration.py", "rig/camera_model.py", "pattern/color_fringe.py")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +80,7 @@ def _folder() -> Path:
 
 def source_digest() -> str:
     """Digest of every source file that the pictures depend on."""
-    files = sorted(Path(sim.__file__).parent.glob("*.py"))
+    files = sorted(Path(sim.__file__).parent.rglob("*.py"))
     files += [Path(pipeline.__file__).parent / name for name in _SHARED]
     digest = hashlib.sha256()
     for file in files:

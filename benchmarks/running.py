@@ -14,10 +14,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
+from daemon.control.rpc.client import ControlClient
 
-FRINGED = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 _END_S = 60.0
 _LOOK_S = 0.02
 

@@ -10,7 +10,7 @@ from benchmarks import rendered
 from benchmarks.cases import Case
 from benchmarks.speed import THREADS, cells, measure, median, timed
 from benchmarks.tables import Table
-from sim.rig import RigLayout
+from sim.rig.layout import RigLayout
 
 STANDARD = RigLayout()
 SIZES = ((512, 410), (768, 615), (1024, 820), (1536, 1230), (2048, 1640), (2448, 2048))

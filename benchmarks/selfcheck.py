@@ -14,17 +14,17 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.config.models import SelfCheckLimits
-from daemon.selfcheck.watch import Watch, limits_of
-from daemon.selfcheck.words import told
-from pipeline.drift.observe import Observation, Observer, Reading
-from pipeline.reconstruct import Reconstructor
-from sim.knock import Disturbance
-from sim.live import LiveScene
-from sim.options import SimOptions
-from sim.projector import LiveProjector
-from sim.render import picture_sent
-from sim.rig import RigLayout
+from daemon.config.rig_config import SelfCheckLimits
+from daemon.monitoring.calibration_drift.explanation import told
+from daemon.monitoring.calibration_drift.verdicts import Watch, limits_of
+from pipeline.monitor.observe import Observation, Observer, Reading
+from pipeline.reconstruct.reconstructor import Reconstructor
+from sim.devices.live_world import LiveScene
+from sim.devices.options import SimOptions
+from sim.devices.projector import LiveProjector
+from sim.render.render_pair import picture_sent
+from sim.rig.disturbance import Disturbance
+from sim.rig.layout import RigLayout
 
 RATE_HZ = 5.0
 WITHIN_S = 5.0

@@ -23,12 +23,12 @@ from rich.console import Console
 from benchmarks import soak_report as report
 from benchmarks.process import Sample, sample
 from benchmarks.soak_readers import Readers
-from daemon.atomic import write_atomically
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
+from daemon.common.files import write_atomically
+from daemon.control.rpc.client import ControlClient
 
 _TOPICS = ("cloud/full", "cloud/depth")
-_FRINGED = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+_FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 _PART_MB = 1024
 _END_S = 60.0
 

@@ -18,8 +18,8 @@ from benchmarks.cases import CASES, Case
 from benchmarks.rendered import Shot
 from benchmarks.tables import Table, median_and_worst
 from benchmarks.worker import Job, Timing, run
-from sim.score import Score, score
-from sim.truth import Truth
+from sim.evaluate.score import Score, score
+from sim.render.ground_truth import Truth
 
 ALONE_PER_S = 30.0
 """Promised pairs a second by themselves, two threads, three-chip pictures of 1024 x 820."""

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from daemon.tuning import SPIN_COUNT
-from pipeline.calibration import Calibration
-from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
-from pipeline.reconstruct import Reconstructor
+from daemon.cli.allocator import SPIN_COUNT
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
 
 _LIMIT_S = 600
 
@@ -84,7 +84,7 @@ def run(job: Job) -> Timing:
     return Timing(**json.loads(result.stdout))
 
 
-# What the daemon sets for itself (daemon.tuning), said to the C library from outside; the peers get it as well.
+# What the daemon sets for itself (daemon.cli.allocator), said to the C library from outside; the peers get it as well.
 _TUNING = {
     "OMP_WAIT_POLICY": "PASSIVE",
     "GOMP_SPINCOUNT": SPIN_COUNT,

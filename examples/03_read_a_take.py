@@ -9,8 +9,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from daemon.recording.reader import TakeReader
-from daemon.replay.runner import Replay
+from daemon.apps.replay.runner import Replay
+from daemon.recording.read.take_reader import TakeReader
 
 with TakeReader(Path(sys.argv[1])) as take:
     calibration = take.calibration()

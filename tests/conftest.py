@@ -12,7 +12,7 @@ import pytest
 
 from tests import kernels
 
-# As the program itself has it (daemon.tuning), before anything imports numpy.
+# As the program itself has it (daemon.cli.allocator), before anything imports numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 UMASK = 0o022
@@ -71,7 +71,7 @@ def fringed() -> Callable[..., subprocess.CompletedProcess[str]]:
     """``fringed("info", "take.mcap")`` runs the command as a user would, in a process of its own."""
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        start = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+        start = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
         return subprocess.run(
             [sys.executable, "-c", start, *arguments], capture_output=True, text=True, timeout=100, check=False
         )

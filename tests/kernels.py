@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from daemon.install.kernels import ENCODINGS, compile_all, compile_modes, small_layout, small_pair
+from daemon.apps.install.kernels import ENCODINGS, compile_all, compile_modes, small_layout, small_pair
 
 TIMEOUT_S = 1500
 
@@ -30,10 +30,10 @@ def compile_elsewhere() -> str:
 
 def compile_ahead() -> None:
     """Compile rendering, and the decoder of mosaics."""
-    from pipeline.raw import mosaic_of
-    from pipeline.settings import Settings
-    from pipeline.view import View
-    from sim.optics import Optics
+    from pipeline.common.settings import Settings
+    from pipeline.decode.raw_image import mosaic_of
+    from pipeline.geometry.view_tables import View
+    from sim.rig.optics import Optics
 
     for encoding in ENCODINGS:
         pair = small_pair(encoding)

@@ -35,9 +35,9 @@ def test_three_real_pictures_shifted_by_120_degrees_give_the_known_fringes(
     shared_data, name, suffix, axis, period, grows
 ):
     """Each set's README tells period, direction and share of valid pixels; here by the pipeline's own solution."""
-    from pipeline.calibration import ColorModel
-    from pipeline.pattern import ColorFringe
-    from pipeline.phase import design
+    from pipeline.decode.decoder import design
+    from pipeline.pattern.color_fringe import ColorFringe
+    from pipeline.rig.calibration import ColorModel
 
     pictures = [
         cv2.imread(str(shared_data("threephase", name, f"phase{k}.{suffix}")), cv2.IMREAD_GRAYSCALE) for k in (1, 2, 3)

@@ -23,9 +23,9 @@ from benchmarks.campaign.report import Campaign, Outcome
 from benchmarks.campaign.takes import first_part, last_shown, stem_of
 from benchmarks.process import sample
 from benchmarks.running import tree
-from daemon.atomic import write_atomically
-from daemon.errors import ControlError
-from daemon.recording.errors import TakeError
+from daemon.common.errors import ControlError
+from daemon.common.files import write_atomically
+from daemon.recording.format.errors import TakeError
 
 _READ_EVERY = 20
 _KILLED = "daemon killed"

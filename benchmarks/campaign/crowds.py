@@ -15,7 +15,7 @@ from typing import Any
 import zmq
 
 from benchmarks.campaign.place import Place, pause
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
 
 _SUBSCRIBER = """
 import sys, time, zmq

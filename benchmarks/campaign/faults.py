@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from benchmarks.campaign import crowds
 from benchmarks.campaign.place import Place, pause
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
 from drivers.protocols import SIDES, Side
 
 Strike = Callable[[Place, random.Random], None]

@@ -16,12 +16,12 @@ from benchmarks.campaign.disk import Disk
 from benchmarks.campaign.tampered import TamperedCable
 from benchmarks.running import Running
 from benchmarks.shifted_clock import ShiftedClock
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
 from drivers.protocols import SIDES
 from fringed import wire
 from fringed.receiver import Receiver
 from sim.box.box import GENTL_DIR, Box
-from sim.box.ledger import Ledger
+from sim.box.exposure_ledger import Ledger
 from sim.box.options import from_mapping
 
 RECOVERY_S = 90.0

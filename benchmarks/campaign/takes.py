@@ -6,10 +6,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.recording.errors import TakeError
-from daemon.recording.parts import PARTIAL
-from daemon.recording.reader import TakeReader
-from sim.box.ledger import Ledger, Shown
+from daemon.recording.format.errors import TakeError
+from daemon.recording.format.part_names import PARTIAL
+from daemon.recording.read.take_reader import TakeReader
+from sim.box.exposure_ledger import Ledger, Shown
 
 _ENDING = re.compile(r"(_part\d+)?\.mcap(\.partial)?$")
 

@@ -12,23 +12,23 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from daemon.capture import Capture
+from daemon.bootstrap.sighup import Reloads, hung_up, terminals
+from daemon.bootstrap.sinks import open_capture, open_gate, open_health, open_publisher, open_selfcheck, open_take
+from daemon.bootstrap.systemd.logging_setup import tell_fields
+from daemon.bootstrap.systemd.notifier import Notifier
+from daemon.bootstrap.systemd.supervisor import Supervisor
+from daemon.common.errors import DaemonError
+from daemon.common.ipc_endpoints import runtime_beside
 from daemon.config import RigConfig, load_rig
-from daemon.control.calibrate import CalibrateMethods
+from daemon.control.calibrate_methods import CalibrateMethods
+from daemon.control.health_methods import HealthMethods
 from daemon.control.methods import Methods
-from daemon.control.server import ControlServer
-from daemon.errors import DaemonError
-from daemon.health.methods import HealthMethods
-from daemon.outputs import open_capture, open_gate, open_health, open_publisher, open_selfcheck, open_take
-from daemon.recorder import Recorder
-from daemon.rig import OptionsError, Progress, open_rig
-from daemon.runtime import runtime_beside
-from daemon.service import Service
-from daemon.sinks import Sink
-from daemon.supervision.hangup import Reloads, hung_up, terminals
-from daemon.supervision.log import tell_fields
-from daemon.supervision.notify import Notifier
-from daemon.supervision.supervisor import Supervisor
+from daemon.control.rpc.server import ControlServer
+from daemon.control.sequence_capture import Capture
+from daemon.live.items import Sink
+from daemon.live.service import Service
+from daemon.recording.recorder import Recorder
+from daemon.rig.open_rig import OptionsError, Progress, open_rig
 
 log = logging.getLogger("fringed")
 

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from daemon.common.ipc_endpoints import stream_endpoint
 from daemon.config.checks import for_others
-from daemon.config.models import RigConfig
-from daemon.control.protocol import Method
-from daemon.rig import Rig
-from daemon.runtime import stream_endpoint
-from daemon.sequencing.sets import Shown
-from daemon.sinks import Sink
+from daemon.config.rig_config import RigConfig
+from daemon.control.rpc.protocol import Method
+from daemon.live.items import Sink
+from daemon.live.sets import Shown
+from daemon.rig.open_rig import Rig
 
 if TYPE_CHECKING:
-    from daemon.health.sink import Health
+    from daemon.monitoring.health.sink import Health
 
 MEGABYTE = 1_000_000
 
@@ -31,7 +31,7 @@ class StatusSink(Sink, Protocol):
 
 def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
     """The ZeroMQ publisher, bound to every endpoint."""
-    from daemon.publisher import Publisher
+    from daemon.live.publishing.publisher import Publisher
 
     return Publisher(
         local_endpoints(config),
@@ -55,9 +55,9 @@ def open_gate(
     config: RigConfig, base_dir: Path, publisher: StatusSink, control: str, methods: Mapping[str, Method]
 ) -> Sink | None:
     """The gate between other machines and the stream and ``control``; None when no address is meant for them."""
-    from daemon.security.order import Order
-    from daemon.security.remote import RemoteGate
-    from daemon.security.store import KeyStore
+    from daemon.keys.key_store import KeyStore
+    from daemon.remote_access.gate_messages import Order
+    from daemon.remote_access.gate_sink import RemoteGate
 
     stream = [endpoint for endpoint in config.stream.endpoints if for_others(endpoint)]
     if config.security.keys is None or not (stream or config.control.remote):
@@ -83,7 +83,7 @@ def open_take(
     Args:
         shown: what is shown instead of the rig's pattern.
     """
-    from daemon.recording.writer import TakeWriter
+    from daemon.recording.write.take_writer import TakeWriter
 
     recording = config.recording
     return TakeWriter(
@@ -112,7 +112,7 @@ def open_capture(
     config: RigConfig, rig: Rig, session: str, path: Path, pattern: Mapping[str, Any], *, min_free_bytes: int
 ) -> Sink:
     """The writer of a captured sequence: a take whose pattern is the sequence and whose triggers count from 0."""
-    from daemon.recording.writer import TakeWriter
+    from daemon.recording.write.take_writer import TakeWriter
 
     return TakeWriter(
         path,
@@ -131,7 +131,7 @@ def open_capture(
 
 def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
     """The continuous check of the calibration, running."""
-    from daemon.selfcheck.sink import SelfCheck
+    from daemon.monitoring.calibration_drift.sink import SelfCheck
 
     return SelfCheck(
         config.selfcheck,
@@ -145,6 +145,6 @@ def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
 
 def open_health(config: RigConfig, rig: Rig, base_dir: Path) -> Health:
     """The watch over how the daemon fares, running."""
-    from daemon.health.sink import Health
+    from daemon.monitoring.health.sink import Health
 
     return Health(config, rig, base_dir)

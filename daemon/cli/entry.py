@@ -6,7 +6,7 @@ import importlib
 import os
 import sys
 
-from daemon.tuning import prepare
+from daemon.cli.allocator import prepare
 
 _INSTALL = (
     "fringed: the commands need the packages of a rig PC; install them with: pip install 'fringed[rig]' "
@@ -26,7 +26,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments or bool(os.environ.get("FRINGED_DEBUG"))
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
-        status: int = importlib.import_module("daemon.cli").invoke(arguments)
+        status: int = importlib.import_module("daemon.cli.command_table").invoke(arguments)
         return status
     except ModuleNotFoundError as error:
         if debug or (error.name or "").partition(".")[0] in _OWN:
@@ -49,10 +49,10 @@ def _expected(error: Exception) -> bool:
 
 
 _EXPECTED = {
-    "daemon.errors.DaemonError",
+    "daemon.common.errors.DaemonError",
     "drivers.errors.DriverError",
-    "pipeline.errors.PipelineError",
+    "pipeline.common.errors.PipelineError",
     "fringed.errors.FringedError",
-    "sim.options.OptionError",
+    "sim.devices.options.OptionError",
     "zmq.error.ZMQError",
 }

@@ -7,7 +7,7 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 
 TCP_STREAM = "tcp://127.0.0.1:5555"
 _SERVICE = Path("/run/fringed")  # RuntimeDirectory= of fringed.service

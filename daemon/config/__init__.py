@@ -1,6 +1,6 @@
 """rig.yaml: its model, and reading it with every mistake told at its line and column."""
 
 from daemon.config.load import load_rig, parse_rig
-from daemon.config.models import RigConfig
+from daemon.config.rig_config import RigConfig
 
 __all__ = ["RigConfig", "load_rig", "parse_rig"]

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from daemon.config.registry import CAMERAS, PROJECTORS, RIGS
+from daemon.config.driver_table import CAMERAS, PROJECTORS, RIGS
 from daemon.config.security import key_problems
-from daemon.config.source import Path_
-from pipeline.errors import PipelineError
-from pipeline.pattern import from_mapping as pattern_from_mapping
-from pipeline.settings import Settings
+from daemon.config.yaml_source import Path_
+from pipeline.common.errors import PipelineError
+from pipeline.common.settings import Settings
+from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
 
 Found = Iterator[tuple[Path_, str]]
 

@@ -6,14 +6,14 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 
 RIGS: dict[str, str] = {
-    "sim": "sim.devices:open_rig",
+    "sim": "sim.devices.open_rig:open_rig",
 }
 """Whole rigs: a function of the options that gives both cameras, the projector and what they know of themselves."""
 
-SIM_OPTIONS = "sim.options:from_mapping"
+SIM_OPTIONS = "sim.devices.options:from_mapping"
 """What checks the options of the simulated rig without rendering anything."""
 
 CAMERAS: dict[str, str] = {

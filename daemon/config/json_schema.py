@@ -1,4 +1,4 @@
-"""The JSON Schema of rig.yaml, for editors; ``python -m daemon.config.schema`` writes it."""
+"""The JSON Schema of rig.yaml, for editors; ``python -m daemon.config.json_schema`` writes it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from daemon.config.models import RigConfig
+from daemon.config.rig_config import RigConfig
 
 COMMITTED = Path(__file__).parents[2] / "schema" / "fringed.schema.json"
 

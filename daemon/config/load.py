@@ -12,10 +12,10 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from daemon.common.errors import ConfigError
 from daemon.config.checks import semantic_problems
-from daemon.config.models import RigConfig
-from daemon.config.source import Path_, Source, read_yaml
-from daemon.errors import ConfigError
+from daemon.config.rig_config import RigConfig
+from daemon.config.yaml_source import Path_, Source, read_yaml
 
 MAX_BYTES = 1 << 20
 _BRANCHES = ("path", "inline", "bool", "int", "float")

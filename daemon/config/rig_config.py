@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from daemon import runtime
+from daemon.common import ipc_endpoints
 from daemon.config.health import Health
 from daemon.config.section import Section
 from daemon.config.security import Security
-from daemon.config.sequencing import Mode, Sequencing
+from daemon.config.sequence import Mode, Sequencing
 
 
 class Device(Section):
@@ -81,7 +81,7 @@ class Stream(Section):
     """The point-cloud stream."""
 
     endpoints: Annotated[list[str], Field(min_length=1, max_length=8, description="Where the stream is bound.")] = (
-        Field(default_factory=lambda: [runtime.stream_endpoint(), runtime.TCP_STREAM])
+        Field(default_factory=lambda: [ipc_endpoints.stream_endpoint(), ipc_endpoints.TCP_STREAM])
     )
     allow_remote: Annotated[
         bool, Field(description="Allow addresses that other machines can reach, with keys only.")
@@ -93,7 +93,7 @@ class Control(Section):
     """The control socket."""
 
     endpoint: Annotated[str, Field(description="Where requests are answered.")] = Field(
-        default_factory=runtime.control_endpoint
+        default_factory=ipc_endpoints.control_endpoint
     )
     remote: Annotated[list[str], Field(max_length=8, description="Addresses for other machines, with keys only.")] = []
     allow_remote: Annotated[bool, Field(description="Listen at those addresses.")] = False

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from daemon.config.section import Section
-from daemon.config.source import Path_, read_yaml
+from daemon.config.yaml_source import Path_, read_yaml
 
 
 class Security(Section):
@@ -21,8 +21,8 @@ class Security(Section):
 
 def key_problems(data: dict[str, Any], base_dir: Path) -> Iterator[tuple[Path_, str]]:
     """Keys that are named and cannot be used; files that only the service's user may read are left to it."""
-    from daemon.errors import DaemonError
-    from daemon.security.store import KeyStore
+    from daemon.common.errors import DaemonError
+    from daemon.keys.key_store import KeyStore
 
     directory = _named(data)
     if directory is None:

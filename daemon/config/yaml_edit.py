@@ -6,8 +6,8 @@ import copy
 import re
 from typing import Any
 
-from daemon.config.source import Path_, read_yaml
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
+from daemon.config.yaml_source import Path_, read_yaml
 
 
 def with_value(text: str, path: Path_, value: float) -> str:

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from daemon.capture import LONGEST_HOLD_S, MOST_PAIRS, Capture, Order
-from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, RpcError
-from daemon.service import Service
-from pipeline.calibration import Response
-from pipeline.errors import CalibrationError, PatternError
-from pipeline.sequence import Sequence
-from pipeline.sequence import from_mapping as sequence_from_mapping
+from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, Method, RpcError
+from daemon.control.sequence_capture import LONGEST_HOLD_S, MOST_PAIRS, Capture, Order
+from daemon.live.service import Service
+from pipeline.common.errors import CalibrationError, PatternError
+from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import from_mapping as sequence_from_mapping
+from pipeline.rig.calibration import Response
 
 _MOST_LEVELS = 256
 _CURVES = ("red", "green", "blue")

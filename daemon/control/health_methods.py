@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from daemon.control.protocol import INVALID_PARAMS, Method, Role, RpcError
-from daemon.health.events import KEPT
-from daemon.health.quantities import BY_NAME, NAMES
-from daemon.health.sink import Health
+from daemon.control.rpc.protocol import INVALID_PARAMS, Method, Role, RpcError
+from daemon.monitoring.health.events import KEPT
+from daemon.monitoring.health.quantities import BY_NAME, NAMES
+from daemon.monitoring.health.sink import Health
 
 MOST_SERIES, MOST_POINTS, LONGEST_S = 8, 600, 72 * 3600
 

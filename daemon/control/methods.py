@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from daemon.atomic import write_atomically
-from daemon.control.calibrate import CalibrateMethods
-from daemon.control.protocol import FAILED, INVALID_PARAMS, Method, Role, RpcError
-from daemon.errors import DaemonError
-from daemon.health.methods import HealthMethods
-from daemon.recorder import Recorder
-from daemon.reload import Reloader
-from daemon.service import Service
-from daemon.settings.catalogue import catalogue
-from daemon.settings.change import Changer, NeedsRestartError, SettingError
-from daemon.version import program_version
-from pipeline.errors import PipelineError
+from daemon.common.errors import DaemonError
+from daemon.common.files import write_atomically
+from daemon.common.version import program_version
+from daemon.control.calibrate_methods import CalibrateMethods
+from daemon.control.health_methods import HealthMethods
+from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, Method, Role, RpcError
+from daemon.control.settings.catalogue import catalogue
+from daemon.control.settings.change import Changer, NeedsRestartError, SettingError
+from daemon.control.settings.reload import Reloader
+from daemon.live.service import Service
+from daemon.recording.recorder import Recorder
+from pipeline.common.errors import PipelineError
 
 log = logging.getLogger("fringed.control")
 
@@ -98,14 +98,14 @@ class Methods:
         }
 
     def status(self, _: dict[str, Any]) -> dict[str, Any]:
-        """See :class:`daemon.status.Status`."""
+        """See :class:`daemon.live.status.Status`."""
         return self._service.status().as_dict()
 
     def get(self, params: dict[str, Any]) -> Any:
         """Settings.
 
         Params: ``path`` of a setting or a section, for its value; without one, or with ``detail: true``: a row for
-        each, see :func:`daemon.settings.catalogue.catalogue`.
+        each, see :func:`daemon.control.settings.catalogue.catalogue`.
         """
         path, detail = _text(params, "path", ""), params.get("detail", False)
         if not isinstance(detail, bool):

@@ -20,16 +20,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from daemon.errors import DaemonError
-from daemon.mailbox import Mailbox
-from daemon.pairing import Pair
-from daemon.recording.raw_image import ENCODINGS
-from daemon.service import Service
-from daemon.shooting import CaptureCancelledError, Shooting, patience_s, settling_ns
-from daemon.sinks import PairItem, Sink
+from daemon.common.errors import DaemonError
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.items import PairItem, Sink
+from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting, patience_s, settling_ns
+from daemon.live.service import Service
+from daemon.recording.format.raw_image import ENCODINGS
 from drivers.protocols import SIDES
-from pipeline.calibration import Response
-from pipeline.sequence import Sequence
+from pipeline.pattern.sequence import Sequence
+from pipeline.rig.calibration import Response
 
 log = logging.getLogger("fringed.capture")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 from fringed.keys import is_name, is_z85
 
 Role = Literal["none", "view", "operate"]

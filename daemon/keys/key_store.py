@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from daemon.atomic import write_atomically
-from daemon.errors import DaemonError
-from daemon.security import allowed
-from daemon.security.allowed import Allowed, Entry
+from daemon.common.errors import DaemonError
+from daemon.common.files import write_atomically
+from daemon.keys import authorized_keys as allowed
+from daemon.keys.authorized_keys import Allowed, Entry
 from fringed.errors import KeyFileError
 from fringed.keys import Key, new_key, read_key
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from daemon.status import CameraStatus
+from daemon.live.status import CameraStatus
 from drivers.protocols import ProjectorInfo, Side
-from pipeline.calibration import Calibration
-from pipeline.pattern import ColorFringe
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Calibration
 
 _WHOLE = 0.01
 """How far an exposure may be off a whole number of the projector's periods, in periods."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from drivers.protocols import Frame
-from pipeline.cloud import Cloud
+from pipeline.reconstruct.cloud import Cloud
 
 if TYPE_CHECKING:
-    from daemon.config.models import RigConfig
-    from daemon.rig import Rig
+    from daemon.config.rig_config import RigConfig
+    from daemon.rig.open_rig import Rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)

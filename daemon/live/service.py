@@ -10,26 +10,26 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from daemon import threads
-from daemon.acquisition import CameraThread
-from daemon.clock import SystemClock
-from daemon.config.models import RigConfig
-from daemon.counters import Counters
-from daemon.errors import DaemonError
-from daemon.pairing import Pair
-from daemon.pairing_desk import PairingDesk, pairing_settings
-from daemon.reconstruction import make_reconstructor, warm_up
-from daemon.rig import Rig
-from daemon.sequencing.desk import Outlets, Sequencing
-from daemon.sinks import CloudItem, Item, LoneItem, PairItem, Sink
-from daemon.status import CameraState, CameraStatus, State, Status
-from daemon.stop import StopEvent
-from daemon.suitability import projector_problem, size_problem, timing_warnings
-from daemon.version import program_version
-from daemon.worker import Reconstructs, ReconstructsSets, Worker
+from daemon.common import threads
+from daemon.common.clock import SystemClock
+from daemon.common.counters import Counters
+from daemon.common.errors import DaemonError
+from daemon.common.stop_event import StopEvent
+from daemon.common.version import program_version
+from daemon.config.rig_config import RigConfig
+from daemon.live.acquisition.camera_thread import CameraThread
+from daemon.live.acquisition.locked_pairer import PairingDesk, pairing_settings
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.compatibility import projector_problem, size_problem, timing_warnings
+from daemon.live.items import CloudItem, Item, LoneItem, PairItem, Sink
+from daemon.live.processing.reconstructor_factory import make_reconstructor, warm_up
+from daemon.live.processing.worker import Reconstructs, ReconstructsSets, Worker
+from daemon.live.projection.mode_controller import Outlets, Sequencing
+from daemon.live.status import CameraState, CameraStatus, State, Status
+from daemon.rig.open_rig import Rig
 from drivers.protocols import SIDES, Clock, Frame, ProjectorInfo, Side
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
+from pipeline.common.settings import Settings
+from pipeline.reconstruct.reconstructor import Reconstructor
 
 log = logging.getLogger("fringed")
 
@@ -160,7 +160,7 @@ class Service:
         Args:
             config, settings: checked, differing from what holds now in nothing that needs a restart.
             rig: the same devices, perhaps another calibration or volume.
-            commits: quick, called between the same two pairs; see :class:`daemon.sinks.Changeable`.
+            commits: quick, called between the same two pairs; see :class:`daemon.live.items.Changeable`.
 
         Raises:
             DaemonError: while starting or stopping, or when the pipeline does not get to it; PipelineError.

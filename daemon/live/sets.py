@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daemon.pairing import Pair
+from daemon.live.acquisition.pairer import Pair
 from drivers.protocols import Frame
 
 SINGLE = "single"

@@ -8,14 +8,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from daemon.config.models import RigConfig
-from daemon.errors import DaemonError
-from daemon.recording.before import MEGABYTE, Before
-from daemon.recording.catalog import scan
-from daemon.recording.inbox import Picture
-from daemon.rig import Rig
-from daemon.service import Service
-from daemon.sinks import CloudItem, Item, Sink
+from daemon.common.errors import DaemonError
+from daemon.config.rig_config import RigConfig
+from daemon.live.items import CloudItem, Item, Sink
+from daemon.live.service import Service
+from daemon.recording.read.catalog import scan
+from daemon.recording.write.frame_queue import Picture
+from daemon.recording.write.pretrigger_buffer import MEGABYTE, Before
+from daemon.rig.open_rig import Rig
 
 SINK = "recorder"
 MOST_TAKES, MOST_GARBAGE = 1000, 100

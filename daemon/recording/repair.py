@@ -10,12 +10,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from daemon.atomic import sync_directory
-from daemon.recording.errors import TakeError
-from daemon.recording.lock import being_written
-from daemon.recording.part_reader import PartReader
-from daemon.recording.part_writer import PartWriter
-from daemon.recording.parts import PARTIAL
+from daemon.common.files import sync_directory
+from daemon.recording.format.errors import TakeError
+from daemon.recording.format.file_lock import being_written
+from daemon.recording.format.part_names import PARTIAL
+from daemon.recording.read.part_reader import PartReader
+from daemon.recording.write.part_writer import PartWriter
 from drivers.protocols import Frame
 
 BROKEN = ".broken"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from daemon.security.allowed import Allowed, Entry
+from daemon.keys.authorized_keys import Allowed, Entry
 from fringed.keys import Key
 
 

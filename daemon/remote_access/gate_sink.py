@@ -13,14 +13,14 @@ from typing import Any
 
 import msgspec
 
-from daemon.errors import DaemonError
-from daemon.security.link import Link
-from daemon.security.order import Order, Told
-from daemon.security.store import KeyStore
-from daemon.security.watch import KeyWatch
-from daemon.sinks import Item
+from daemon.common.errors import DaemonError
+from daemon.keys.key_store import KeyStore
+from daemon.live.items import Item
+from daemon.remote_access.gate_messages import Order, Told
+from daemon.remote_access.key_watch import KeyWatch
+from daemon.remote_access.link import Link
+from drivers import child_process
 from drivers.errors import DriverError
-from drivers.remote import spawn
 
 log = logging.getLogger("fringed.gate")
 
@@ -99,20 +99,20 @@ class RemoteGate:
             self._link.hang_up()
         self._thread.join(_JOIN_S)
         self._link.close()
-        spawn.end(self._process, _JOIN_S)
+        child_process.end(self._process, _JOIN_S)
         self._prints.join(1.0)
 
-    def _start(self) -> tuple[Link, subprocess.Popen[bytes], spawn.Prints]:
+    def _start(self) -> tuple[Link, subprocess.Popen[bytes], child_process.Prints]:
         ours, theirs = socket.socketpair()
         try:
             arguments = [str(theirs.fileno()), str(os.getpid())]
-            process = spawn.start("daemon.security.gate", arguments, pass_fds=[theirs.fileno()])
+            process = child_process.start("daemon.remote_access.gate.process", arguments, pass_fds=[theirs.fileno()])
         except BaseException:
             ours.close()
             raise
         finally:
             theirs.close()
-        prints = spawn.Prints(process, log, "gate-prints")
+        prints = child_process.Prints(process, log, "gate-prints")
         link = Link(ours)
         with suppress(OSError):  # it has ended; what it printed is told when its first word does not come
             link.say(self._order)
@@ -128,7 +128,7 @@ class RemoteGate:
         if told is not None and not told.failed:
             return told
         self._link.close()
-        spawn.end(self._process, _JOIN_S if told is not None else 0.0)
+        child_process.end(self._process, _JOIN_S if told is not None else 0.0)
         self._prints.join(1.0)
         raise DaemonError(told.failed if told is not None else f"the gate does not start: {self._prints.text()}")
 
@@ -164,7 +164,7 @@ class RemoteGate:
                     self._link.say(self._keys.keyring)
         if self._closing.is_set():
             return ""
-        status = spawn.end(self._process, 1.0)
+        status = child_process.end(self._process, 1.0)
         self._prints.join(1.0)
         return f"the gate ended with exit status {status}: {self._prints.text()}"
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 
-from daemon.errors import DaemonError
-from daemon.security.order import Keyring
-from daemon.security.store import KeyStore
+from daemon.common.errors import DaemonError
+from daemon.keys.key_store import KeyStore
+from daemon.remote_access.gate_messages import Keyring
 from fringed.errors import FringedError
 
 log = logging.getLogger("fringed.gate")

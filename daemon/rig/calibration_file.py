@@ -12,11 +12,11 @@ from typing import Any, TypeVar
 
 import yaml
 
-from daemon.atomic import write_atomically
-from daemon.bounded import read_at_most
-from pipeline import calibration as model
-from pipeline.calibration import Calibration, Cameras
-from pipeline.errors import CalibrationError
+from daemon.common.bounded import read_at_most
+from daemon.common.files import write_atomically
+from pipeline.common.errors import CalibrationError
+from pipeline.rig import calibration as model
+from pipeline.rig.calibration import Calibration, Cameras
 
 SIZE_LIMIT = 4 << 20
 VALUES_LIMIT = 1 << 20

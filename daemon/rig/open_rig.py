@@ -10,17 +10,17 @@ from typing import Any
 
 import yaml
 
-from daemon.calibration_file import CalibrationFile, parse_calibration, read_calibration
-from daemon.config import registry
-from daemon.config.models import RigConfig
-from daemon.config.source import read_yaml
-from daemon.errors import ConfigError
-from daemon.pattern_file import read_pattern, read_volume
+from daemon.common.errors import ConfigError
+from daemon.config import driver_table
+from daemon.config.rig_config import RigConfig
+from daemon.config.yaml_source import read_yaml
+from daemon.rig.calibration_file import CalibrationFile, parse_calibration, read_calibration
+from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Camera, Projector, Side
-from pipeline.calibration import Calibration
-from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
-from pipeline.pattern import from_mapping as pattern_from_mapping
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration
 
 Progress = Callable[[int, int], None]
 
@@ -132,11 +132,11 @@ def check_options(config: RigConfig, base_dir: Path) -> None:
     Raises:
         OptionsError: as :func:`open_devices`.
     """
-    if config.cameras.driver in registry.CAMERAS:
+    if config.cameras.driver in driver_table.CAMERAS:
         open_devices(config, base_dir).close()
     elif config.cameras.driver == "sim":
         try:
-            registry.load(registry.SIM_OPTIONS)(config.simulation, base_dir)
+            driver_table.load(driver_table.SIM_OPTIONS)(config.simulation, base_dir)
         except (ValueError, TypeError) as error:
             raise OptionsError("simulation", str(error)) from error
 
@@ -144,12 +144,12 @@ def check_options(config: RigConfig, base_dir: Path) -> None:
 def _devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Any:
     """What a whole rig's driver gives, or the same put together from a camera driver and a projector driver."""
     name, projector = config.cameras.driver, config.projector
-    if name in registry.RIGS:
-        return registry.load(registry.RIGS[name])(_options(config), base_dir, progress=progress)
-    if projector is None or projector.driver not in registry.PROJECTORS:
-        raise ValueError(f"projector.driver is missing, expected one of: {', '.join(registry.PROJECTORS)}")
-    open_camera = registry.load(registry.CAMERAS[name])
-    open_projector = registry.load(registry.PROJECTORS[projector.driver])
+    if name in driver_table.RIGS:
+        return driver_table.load(driver_table.RIGS[name])(_options(config), base_dir, progress=progress)
+    if projector is None or projector.driver not in driver_table.PROJECTORS:
+        raise ValueError(f"projector.driver is missing, expected one of: {', '.join(driver_table.PROJECTORS)}")
+    open_camera = driver_table.load(driver_table.CAMERAS[name])
+    open_projector = driver_table.load(driver_table.PROJECTORS[projector.driver])
     options: dict[Side, dict[str, Any]] = {"left": config.cameras.left, "right": config.cameras.right}
     return _Devices(
         {side: open_camera(side, options[side], base_dir) for side in SIDES},

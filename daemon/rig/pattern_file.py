@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daemon.bounded import read_at_most
-from pipeline.cloud import Volume
-from pipeline.errors import PatternError, PipelineError
-from pipeline.pattern import ColorFringe, from_mapping
-from pipeline.sequence import Sequence
-from pipeline.sequence import from_mapping as sequence_from_mapping
+from daemon.common.bounded import read_at_most
+from pipeline.common.errors import PatternError, PipelineError
+from pipeline.pattern.color_fringe import ColorFringe, from_mapping
+from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import from_mapping as sequence_from_mapping
+from pipeline.reconstruct.cloud import Volume
 
 PATTERN_LIMIT = 4 << 20
 VOLUME_LIMIT = 1 << 16

@@ -12,8 +12,8 @@ from typing import Any
 
 import msgspec
 
+from drivers import child_process
 from drivers.errors import DriverError
-from drivers.remote import spawn
 
 log = logging.getLogger("fringed.camera")
 
@@ -67,18 +67,18 @@ def discover(producers: Sequence[Path]) -> list[CameraFound]:
             raise FileNotFoundError(f"there is no GenTL producer {path}")
     reading, writing = os.pipe()
     try:
-        process = spawn.start("drivers.genicam.look", [str(writing), *map(str, producers)], pass_fds=[writing])
+        process = child_process.start("drivers.genicam.look", [str(writing), *map(str, producers)], pass_fds=[writing])
     except BaseException:
         os.close(reading)
         raise
     finally:
         os.close(writing)
-    prints = spawn.Prints(process, log, "listing-prints")
+    prints = child_process.Prints(process, log, "listing-prints")
     try:
         text = _read_all(reading, time.monotonic() + _TIMEOUT_S)
     finally:
         os.close(reading)
-        status = spawn.end(process, 1.0)
+        status = child_process.end(process, 1.0)
         prints.join(1.0)
     if status != 0 or not text:
         raise DriverError(f"looking for cameras failed (exit status {status}): {prints.text()}")

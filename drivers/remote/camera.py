@@ -25,9 +25,10 @@ from typing import Any, NoReturn
 
 import msgspec
 
+from drivers import child_process
 from drivers.errors import DeviceLost, DriverError, SettingRefused
 from drivers.protocols import CameraHealth, CameraInfo, Frame, Side
-from drivers.remote import messages, spawn
+from drivers.remote import messages
 from drivers.remote.messages import Configure, Done, Failed, Opened, Order, Ready, Returned, ToChild, Took, ToParent
 from drivers.remote.outbox import WINDOW
 from drivers.remote.ring import RingReader, added
@@ -60,7 +61,7 @@ class _Process:
 
     process: subprocess.Popen[bytes]
     socket: socket.socket
-    prints: spawn.Prints
+    prints: child_process.Prints
     poll: select.poll
     ring: RingReader | None = None
     lent: set[int] = field(default_factory=set)
@@ -155,13 +156,15 @@ class RemoteCamera:
         ours, theirs = messages.pair()
         with theirs:
             try:
-                process = spawn.start("drivers.remote.child", [str(theirs.fileno())], pass_fds=[theirs.fileno()])
+                process = child_process.start(
+                    "drivers.remote.child", [str(theirs.fileno())], pass_fds=[theirs.fileno()]
+                )
             except BaseException:
                 ours.close()
                 raise
         poll = select.poll()
         poll.register(ours, select.POLLIN)
-        prints = spawn.Prints(process, self._log, f"prints-{self.side}")
+        prints = child_process.Prints(process, self._log, f"prints-{self.side}")
         child = _Process(process, ours, prints, poll)
         with self._lock:
             self._child = child
@@ -267,7 +270,7 @@ class RemoteCamera:
             if child.ring is not None:
                 self._past = added(self._past, child.ring.health().counters)
         child.socket.close()
-        status = spawn.end(child.process, _END_S)
+        status = child_process.end(child.process, _END_S)
         child.prints.join(_END_S)
         return status, child.prints.text()
 

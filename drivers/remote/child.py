@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from drivers.child_process import die_with_parent
 from drivers.errors import DeviceLost, DriverError, SettingRefused
 from drivers.protocols import Camera, CameraHealth, CameraInfo
 from drivers.remote.messages import (
@@ -40,7 +41,6 @@ from drivers.remote.messages import (
 )
 from drivers.remote.outbox import Outbox
 from drivers.remote.ring import RingWriter
-from drivers.remote.spawn import die_with_parent
 
 _IDLE_S = 0.1
 _READ_S = 0.02

@@ -1,8 +1,9 @@
 """Small drifts corrected from ordinary scenes: which device has turned, by how much, and what that makes better.
 
 Half of the pairs find the correction, the other half judge it. One device is turned: the one that alone explains the
-readings (see :mod:`pipeline.drift.explain`), or the one that is named. A projector is refined in full by
-:mod:`pipeline.trinocular`. The cameras' distances and lenses stay: a scene without known lengths says nothing of them.
+readings (see :mod:`pipeline.monitor.explain`), or the one that is named. A projector is refined in full by
+:mod:`pipeline.calibrate.projector.trinocular_residual`. The cameras' distances and lenses stay: a scene without known
+lengths says nothing of them.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.calibrate.errors import SourceError
-from daemon.errors import DaemonError
-from pipeline.calibration import Calibration
-from pipeline.cloud import Volume
-from pipeline.drift.explain import DEVICES, GEOMETRY, Turn, clear, explain, turned
-from pipeline.drift.observe import Observer, Patches, Reading
-from pipeline.errors import CalibrationError
-from pipeline.pattern import ColorFringe
-from pipeline.reconstruct import Reconstructor
-from pipeline.trinocular import Samples, refine_projector
+from daemon.apps.calibration.errors import SourceError
+from daemon.common.errors import DaemonError
+from pipeline.calibrate.projector.trinocular_residual import Samples, refine_projector
+from pipeline.common.errors import CalibrationError
+from pipeline.monitor.explain import DEVICES, GEOMETRY, Turn, clear, explain, turned
+from pipeline.monitor.observe import Observer, Patches, Reading
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
 
 Pixels = NDArray[np.uint8]
 Pair = tuple[Pixels, Pixels]

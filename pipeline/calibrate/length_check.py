@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.figures import epipolar_distances
-from pipeline.bundle.symmetry import symmetries
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
-from pipeline.errors import TargetError
-from pipeline.targets import disc
-from pipeline.targets.board import Board
-from pipeline.targets.marks import Marks
+from pipeline.calibrate.bundle.initialise.board_symmetry import symmetries
+from pipeline.calibrate.bundle.quality.reprojection_error import epipolar_distances
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.localise import circle_projection
+from pipeline.calibrate.targets.marks import Marks
+from pipeline.common.errors import TargetError
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 
@@ -175,9 +175,9 @@ def _as_points(
             r, t = device.rotation @ rotation, device.rotation @ place + device.translation
             diameter = board.diameter_mm
             if not diameter and seen.areas_px is not None and len(seen) == len(ids):
-                diameter = disc.diameter_mm(np.sort(seen.areas_px), device, r, t, truth)
+                diameter = circle_projection.diameter_mm(np.sort(seen.areas_px), device, r, t, truth)
             radius = (diameter or board.printed_diameter_mm) / 2
-            out.append(measured - disc.offsets(device, r, t, truth, radius))
+            out.append(measured - circle_projection.offsets(device, r, t, truth, radius))
         moved = out[0], out[1]
     return moved
 

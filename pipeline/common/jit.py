@@ -27,7 +27,7 @@ prange = numba.prange
 
 @serial
 def project(device: Any, x: float, y: float, z: float) -> tuple[float, float]:
-    """Pixel of a world point through the full model; ``device`` is :func:`pipeline.tables.packed`."""
+    """Pixel of a world point through the full model; ``device`` is :func:`pipeline.geometry.ray_tables.packed`."""
     cz = device[8] * x + device[9] * y + device[10] * z + device[11]
     inv = 1.0 / cz
     a = (device[0] * x + device[1] * y + device[2] * z + device[3]) * inv

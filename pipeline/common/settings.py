@@ -7,7 +7,7 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pipeline.errors import PipelineError
+from pipeline.common.errors import PipelineError
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline
+from pipeline.common.jit import inline
 
 TILE = 128
 

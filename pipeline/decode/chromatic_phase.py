@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration, ColorModel
-from pipeline.pattern import ColorFringe
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Calibration, ColorModel
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -16,17 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.box_mean import BoxMean
-from pipeline.calibration import ColorModel
-from pipeline.decode_bayer import decode_bayer
-from pipeline.decode_rgb import decode_rgb
-from pipeline.lateral_tables import ColorTurns
-from pipeline.mosaic_fit import EIGHTHS
-from pipeline.noise import NoiseModel, estimate
-from pipeline.raw import read_only
-from pipeline.settings import Settings
-from pipeline.traits import equalised_phase
-from pipeline.window_fit import weights_of
+from pipeline.common.settings import Settings
+from pipeline.decode.chromatic_phase import ColorTurns
+from pipeline.decode.kernels.decode_bayer import decode_bayer
+from pipeline.decode.kernels.decode_rgb import decode_rgb
+from pipeline.decode.kernels.local_mean import BoxMean
+from pipeline.decode.kernels.mosaic_fit import EIGHTHS
+from pipeline.decode.kernels.window_fit import weights_of
+from pipeline.decode.noise_model import NoiseModel, estimate
+from pipeline.decode.pixel_descriptor import equalised_phase
+from pipeline.decode.raw_image import read_only
+from pipeline.rig.calibration import ColorModel
 
 F32 = NDArray[np.float32]
 
@@ -38,9 +38,9 @@ class PhaseMap:
     The decoder's next picture overwrites all planes but the mean and the modulation.
 
     Args:
-        phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.packed`; 0 where unknown.
-        traits: int32, what the order search compares, see :mod:`pipeline.traits`; with the phase from channels divided
-            by their local means, the equalised one.
+        phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.decode.packed_phasor`; 0 where unknown.
+        traits: int32, what the order search compares, see :mod:`pipeline.decode.pixel_descriptor`; with the phase from
+            channels divided by their local means, the equalised one.
         variance: float32, variance of the pointwise phase from the picture's noise, rad^2.
         clipped: share of pixels with a clipped sample.
         phase: float32, wrapped angle of the pointwise phasor.

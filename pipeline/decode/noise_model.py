@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels import parallel, prange, serial
+from pipeline.common.jit import parallel, prange, serial
 
 _TILE = 16
 _SAMPLES = _TILE * _TILE

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels import inline
+from pipeline.common.jit import inline
 
 PHASOR_SCALE = np.float32(128.0)
 """Units in a count: phasors of the pointwise phase, up to 255 counts."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels import inline, parallel, prange, serial
-from pipeline.tiles import angle, turns
+from pipeline.common.jit import inline, parallel, prange, serial
+from pipeline.common.tile_math import angle, turns
 
 VALID = np.int32(256)
 RADIANS = np.float32(2 * pi / 2**32)

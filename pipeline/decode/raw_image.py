@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import PictureError
+from pipeline.common.errors import PictureError
 
 BAYER: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "bayer_rggb8": ((0, 1), (1, 2)),

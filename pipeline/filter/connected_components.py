@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels import parallel, prange, serial
-from pipeline.located import PIXEL_STEPS, TURN_STEPS
+from pipeline.common.jit import parallel, prange, serial
+from pipeline.match.match_result import PIXEL_STEPS, TURN_STEPS
 
 LEFT, UP = np.uint8(1), np.uint8(2)
 """Bits of a link: the pixel continues its left neighbour, the one above it."""
@@ -50,7 +50,7 @@ def links(absolute: Any, match_u: Any, match_v: Any, slope_x: int, slope_y: int,
 
     Args:
         absolute: (H, W) int16, absolute phase; match_u, match_v: (H, W) int16, pixel in the right picture, all in the
-            steps of :mod:`pipeline.located`, modulo 16 bits.
+            steps of :mod:`pipeline.match.match_result`, modulo 16 bits.
         slope_x, slope_y: expected change of the phase per pixel, steps.
     """
     height, width = absolute.shape

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.located import PIXEL_STEPS, Points
-from pipeline.rivals import PARAMETER_STEPS, Values
-from pipeline.uniqueness import Uniqueness
+from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.uniqueness import Uniqueness
+from pipeline.match.match_result import PIXEL_STEPS, Points
 
 _SIDE = 16
 

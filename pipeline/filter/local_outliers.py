@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import parallel, prange, serial
+from pipeline.common.jit import parallel, prange, serial
 
 RADIUS = 3
 """Half width of the neighbourhood whose mean residual counts, pixels."""
@@ -156,7 +156,7 @@ def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
     At the border of a surface a pixel that sees only half of it, or half in shadow, mixes two phases.
 
     Args:
-        label: (H, W) uint16, of :meth:`pipeline.components.Surfaces.paint`.
+        label: (H, W) uint16, of :meth:`pipeline.filter.connected_components.Surfaces.paint`.
         modulation: (H, W) uint8; share: float32, up to 1.
         out: (H, W) uint8, becomes 1 where a pixel of a surface stays, else 0.
     """

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import parallel, prange
+from pipeline.common.jit import parallel, prange
 
 _NAN = np.float32(np.nan)
 _NOWHERE = np.int16(-1)

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels import parallel, prange, serial
-from pipeline.located import PIXEL_STEPS
+from pipeline.common.jit import parallel, prange, serial
+from pipeline.match.match_result import PIXEL_STEPS
 
 TILE_ROWS, TILE_COLUMNS = 8, 16
 """Pixels of the left picture's tiles."""
@@ -73,7 +73,7 @@ def list_claims(
     Args:
         known: (H, W) uint8; label: (H, W) uint16, one more than the surface; depth: (H, W) mm.
         u, v: (H, W) uint16, pixel in the other device of this width and height; values: :class:`Values`.
-        box, number: of :mod:`pipeline.uniqueness`.
+        box, number: of :mod:`pipeline.filter.uniqueness`.
         entries, pixels, places, surfaces, depths, all_values: the arrays of :class:`Claims`, written.
     """
     rows, columns = known.shape

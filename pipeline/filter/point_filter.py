@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import components
-from pipeline.components import Surfaces
-from pipeline.kernels import parallel, prange
-from pipeline.located import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, Located
-from pipeline.outliers import drop_mixed_edges, local_outliers
-from pipeline.rivals import PARAMETER_STEPS, Values
-from pipeline.settings import Settings
-from pipeline.tables import DepthScale
-from pipeline.uniqueness import PARTS, Uniqueness
+from pipeline.common.jit import parallel, prange
+from pipeline.common.settings import Settings
+from pipeline.filter import connected_components
+from pipeline.filter.connected_components import Surfaces
+from pipeline.filter.local_outliers import drop_mixed_edges, local_outliers
+from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.uniqueness import PARTS, Uniqueness
+from pipeline.geometry.ray_tables import DepthScale
+from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, Located
 
 _NO = np.uint8(0)
 
@@ -81,7 +81,7 @@ class Gates:
         s, known, label, surfaces = self._settings, self._known, self._label, self._surfaces
         limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)
         local_outliers(located.known, located.residual_eq, located.residual, limit, largest, known)
-        components.links(
+        connected_components.links(
             located.absolute, located.match_u.view(np.int16), located.match_v.view(np.int16), *self._slopes, self._link
         )
         surfaces.find(known, self._link, self._smallest)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import rivals
-from pipeline.kernels import parallel, prange, serial
-from pipeline.located import OUTSIDE, PIXEL_STEPS
-from pipeline.rivals import TILE_COLUMNS, TILE_ROWS
+from pipeline.common.jit import parallel, prange, serial
+from pipeline.filter import occlusion_conflicts
+from pipeline.filter.occlusion_conflicts import TILE_COLUMNS, TILE_ROWS
+from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS
 
 PARTS = 8
 """Bands of rows that are worked on independently: fixed, so that nothing depends on the number of threads."""
@@ -99,7 +99,7 @@ def claim_blocks(
 
     Args:
         known: (H, W) uint8; label: (H, W) uint16, one more than the surface.
-        u, v: (H, W) uint16, pixel in the other device of this width and height, see :mod:`pipeline.located`.
+        u, v: (H, W) uint16, pixel in the other device of this width and height, see :mod:`pipeline.match.match_result`.
         box: (tiles down, tiles across, 4) int32, becomes first and last column, first and last row of the blocks that
             a tile's known pixels lie in.
         owner: (PARTS, blocks) int32, becomes the claiming surface, NOBODY or SEVERAL, by bands of rows.
@@ -186,12 +186,12 @@ class Uniqueness:
         self._owner, self._number = np.empty((PARTS, blocks), np.int32), np.empty(blocks, np.int32)
         # Only as much as there are rival claims is ever touched of these.
         rows = -(-tiles[0] // PARTS) * TILE_ROWS
-        self._claims = rivals.Claims.empty(PARTS, rows * width)
+        self._claims = occlusion_conflicts.Claims.empty(PARTS, rows * width)
         self._near, self._far = (np.empty(64 * blocks, np.int32) for _ in range(2))
 
     def apply(
         self, known: NDArray[np.uint8], label: NDArray[np.uint16], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
-        device: tuple[int, int], values: rivals.Values, tolerance: int, sure: int,
+        device: tuple[int, int], values: occlusion_conflicts.Values, tolerance: int, sure: int,
     ) -> None:  # fmt: skip
         """Forget what does not prevail in one device.
 
@@ -210,15 +210,15 @@ class Uniqueness:
         shared = number_shared(owner, number)
         if not shared:
             return
-        rivals.list_claims(
+        occlusion_conflicts.list_claims(
             known, label, u, v, depth, values, width, height, self._box, number,
             c.entries, c.pixel, c.place, c.surface, c.depth, c.value,
         )  # fmt: skip
         near, far = self._near[: 64 * shared], self._far[: 64 * shared]
-        rivals.nearest_and_farthest(c.entries, c.place, c.depth, near, far)
+        occlusion_conflicts.nearest_and_farthest(c.entries, c.place, c.depth, near, far)
         against = np.zeros((PARTS, len(size)), np.int32)
-        rivals.contest(c.entries, c.place, c.surface, c.value, near, far, tolerance, c.rival, against)
+        occlusion_conflicts.contest(c.entries, c.place, c.surface, c.value, near, far, tolerance, c.rival, against)
         share = (against.sum(axis=0) / size).astype(np.float32)
-        rivals.arbitrate(
+        occlusion_conflicts.arbitrate(
             c.entries, c.pixel, c.place, c.surface, c.depth, c.rival, near, far, size, share, sure, known.reshape(-1)
         )

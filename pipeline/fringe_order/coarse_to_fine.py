@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.aggregate import NONE
-from pipeline.kernels import inline, parallel, prange, serial
-from pipeline.tiles import turns
+from pipeline.common.jit import inline, parallel, prange, serial
+from pipeline.common.tile_math import turns
+from pipeline.fringe_order.semi_global_aggregation import NONE
 
 _TURN, _ZERO = np.float32(2 * np.pi), np.float32(0)
 _BENT = np.float32(1.0)

@@ -4,7 +4,7 @@ A wrapped phase phi leaves the absolute phases phi + 2 pi k. Each is a projector
 ray at one point; the other camera must see the same phase at that point's image. On a plane, a candidate wrong by m
 periods leaves a residual of 2 pi frac(m rho), rho = baseline left-right over baseline left-projector.
 
-The k-th candidates of a tile of lattice pixels are priced together (see :mod:`pipeline.tiles`).
+The k-th candidates of a tile of lattice pixels are priced together (see :mod:`pipeline.common.tile_math`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline, parallel, prange
-from pipeline.tiles import TILE, clamped, decay, turns
-from pipeline.traits import RADIANS, VALID, bias_of, equal_units, mean_of, phase_units, units
+from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.tile_math import TILE, clamped, decay, turns
+from pipeline.decode.pixel_descriptor import RADIANS, VALID, bias_of, equal_units, mean_of, phase_units, units
 
 UNSEEN = np.float32(0.5)
 RAY = 9
 """Numbers of a lattice pixel's ray, side by side since few pixels may ask for them: ``lines`` of
-:class:`pipeline.tables.RayTable`, then the absolute phases between which the pixel's lies."""
+:class:`pipeline.geometry.ray_tables.RayTable`, then the absolute phases between which the pixel's lies."""
 NO_SUCH = np.float32(1000.0)
 """Price of an order that the pixel cannot have."""
 _OUTSIDE = np.float32(4.0)
@@ -38,7 +38,7 @@ SLOTS = 17
 _CELL, _P0, _P1, _PHASE, _EQUAL = (k * TILE for k in range(5))
 INTEGER_SLOTS = 5
 MOVE, COST = _MOVE, _COST
-"""Slots that :mod:`pipeline.search` reads."""
+"""Slots that :mod:`pipeline.fringe_order.strip_search` reads."""
 
 
 @inline
@@ -179,8 +179,9 @@ def order_limits(along: Any, limits: Any, phases: Any, correction: Any, rays: An
     """The last two numbers of ``rays`` (h, w, RAY) float32, from each ray's range of s; the second < the first: none.
 
     Args:
-        along, limits: of :class:`pipeline.tables.RayTable`.
-        phases: absolute phase at each projector coordinate; correction: see :mod:`pipeline.self_calibration`.
+        along, limits: of :class:`pipeline.geometry.ray_tables.RayTable`.
+        phases: absolute phase at each projector coordinate; correction: see
+            :mod:`pipeline.reconstruct.column_correction`.
     """
     last = phases.shape[0] - 1
     for a in prange(rays.shape[0]):

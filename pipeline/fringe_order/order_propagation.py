@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline, parallel, prange, serial
-from pipeline.traits import bias_of
+from pipeline.common.jit import inline, parallel, prange, serial
+from pipeline.decode.pixel_descriptor import bias_of
 
 NONE = np.int16(-32768)
 _TWO_PI = np.float32(2 * pi)
@@ -57,7 +57,7 @@ def _other_places(low: Any, high: Any, part: Any, lines: Any, shift: Any, main: 
     """Where the other camera sees the points of rays at the projector coordinates low + part (high - low).
 
     Args:
-        lines: (7, w), of :class:`pipeline.tables.RayTable`; shift: the column correction.
+        lines: (7, w), of :class:`pipeline.geometry.ray_tables.RayTable`; shift: the column correction.
         main, side: results, along the growth of the phase and across it, pixels.
     """
     for b in range(main.shape[0]):
@@ -87,7 +87,7 @@ def cross_check(
 
     Args:
         order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the picture.
-        lines: (7, h, w), of :class:`pipeline.tables.RayTable`; axis: 0 = phase grows along u.
+        lines: (7, h, w), of :class:`pipeline.geometry.ray_tables.RayTable`; axis: 0 = phase grows along u.
         phase, traits: of this picture.
         other_order .. other_phase: the same of the other camera.
         table: even-grid table phase -> projector coordinate; shift: the column correction; all float32.

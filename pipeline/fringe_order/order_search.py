@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import aggregate, candidates, links, search
-from pipeline.settle import settle
-from pipeline.tables import RayTable
+from pipeline.fringe_order import order_candidates, phase_links, semi_global_aggregation
+from pipeline.fringe_order import strip_search as search
+from pipeline.fringe_order.coarse_to_fine import settle
+from pipeline.geometry.ray_tables import RayTable
 
 if TYPE_CHECKING:
-    from pipeline.phase import PhaseMap
-    from pipeline.view import View
+    from pipeline.decode.decoder import PhaseMap
+    from pipeline.geometry.view_tables import View
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -35,7 +36,7 @@ class OrderSearch:
     def mean_best_cost(self, here: PhaseMap, there: PhaseMap, correction: F64, *, every: int) -> float:
         """Mean least cost of the pixels with two candidates at least, on every n-th lattice row."""
         level = self._fine
-        level.settled[:] = aggregate.NONE
+        level.settled[:] = semi_global_aggregation.NONE
         level.price(here, there, correction, NO_TURN, every)
         count = level.count[::every]
         several = count >= 2
@@ -56,7 +57,7 @@ class OrderSearch:
         if follow and self._expects:
             # One look at each pixel is less than what a quarter of them and the way between takes.
             self._turn = (self._turn + 1) % search.REFRESH
-            fine.settled[:] = aggregate.NONE
+            fine.settled[:] = semi_global_aggregation.NONE
             fine.price(here, there, correction, self._turn, 1)
         else:
             coarse.price(here, there, correction, NO_TURN, 1)
@@ -93,7 +94,7 @@ class _Lattice:
     def __init__(self, view: View, table: RayTable) -> None:
         h, w = table.shape
         self._view, self.table = view, table
-        self._rays = np.zeros((h, w, candidates.RAY), np.float32)
+        self._rays = np.zeros((h, w, order_candidates.RAY), np.float32)
         self._rays[..., : len(table.lines)] = np.moveaxis(table.lines, 0, -1)
         # Only what is searched is ever touched of these two.
         self.costs, self._total = (np.zeros((h, w * view.labels), np.float32) for _ in range(2))
@@ -102,14 +103,14 @@ class _Lattice:
         self._correction: F64 | None = None
         self.order, self.sure = np.empty((h, w), np.int16), np.empty((h, w), np.uint8)
         self.expected = np.full((h, w), np.nan, np.float32)
-        self.settled = np.full((h, w), aggregate.NONE, np.int16)
+        self.settled = np.full((h, w), semi_global_aggregation.NONE, np.int16)
 
     def price(self, here: PhaseMap, there: PhaseMap, correction: F64, turn: int, every: int) -> None:
         """Price the candidates of the pixels that are not settled, and aggregate along the rows."""
         view, table, s = self._view, self.table, self._view.settings
         single = correction.astype(np.float32)
         if self._correction is None or not np.array_equal(correction, self._correction):
-            candidates.order_limits(table.along, table.limits, view.phases, single, self._rays)
+            order_candidates.order_limits(table.along, table.limits, view.phases, single, self._rays)
             self._correction = correction.copy()
         search.search_rows(
             table.top, table.down, table.left, table.step, every, self._rays,
@@ -125,11 +126,11 @@ class _Lattice:
         """Aggregate along the columns, and decide."""
         view, table = self._view, self.table
         penalty = view.settings.switch_penalty
-        links.column_links(
+        phase_links.column_links(
             here.phase, here.valid, table.top, table.down, table.left, table.step, np.float32(view.slopes[1]),
             self.count, self._jump, self._trust,
         )  # fmt: skip
-        aggregate.along_columns(
+        semi_global_aggregation.along_columns(
             self.costs, self.first, self.count, self._jump, self._trust, np.float32(penalty), view.labels,
             np.float32(SURE * penalty), self._total, self.order, self.sure,
         )  # fmt: skip

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline, parallel, prange
-from pipeline.tiles import decay, turns
+from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.tile_math import decay, turns
 
 _TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
 _BROKEN = np.float32(0.15)

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.candidates import NO_SUCH
-from pipeline.kernels import ordered, parallel, prange
+from pipeline.common.jit import ordered, parallel, prange
+from pipeline.fringe_order.order_candidates import NO_SUCH
 
 BLOCK = 16
 """Columns whose paths go down together: the costs of a row of them are neighbours in memory."""
@@ -101,7 +101,7 @@ def along_columns(
 
     Args:
         costs, total: (h, w * labels); first, count: (h, w) int32.
-        jump, trust: (h, w), of :func:`pipeline.links.column_links`.
+        jump, trust: (h, w), of :func:`pipeline.fringe_order.phase_links.column_links`.
         margin: least lead of the best total over the second best for a decision that is sure.
         order: (h, w) int16, written, NONE where there are no candidates; sure: (h, w) uint8, written, 1 where there is
             one candidate only or its lead is large enough, else 0.

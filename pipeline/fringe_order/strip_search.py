@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.aggregate import NONE, along_row
-from pipeline.candidates import COST, INTEGER_SLOTS, MOVE, NO_SUCH, SLOTS, load_nodes, predict, price
-from pipeline.kernels import parallel, prange
-from pipeline.links import row_links
-from pipeline.tiles import TILE
+from pipeline.common.jit import parallel, prange
+from pipeline.common.tile_math import TILE
+from pipeline.fringe_order.order_candidates import COST, INTEGER_SLOTS, MOVE, NO_SUCH, SLOTS, load_nodes, predict, price
+from pipeline.fringe_order.phase_links import row_links
+from pipeline.fringe_order.semi_global_aggregation import NONE, along_row
 
 REFRESH = 16
 """Every lattice row is searched without expectations once in this many pairs, so that no error outlives them."""
@@ -35,8 +35,8 @@ def search_rows(
 
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
-        rays: (h, w, RAY), see :data:`pipeline.candidates.RAY`.
-        phase: (H, W) float32; traits: (H, W) int32, see :mod:`pipeline.traits`; valid: (H, W) bool.
+        rays: (h, w, RAY), see :data:`pipeline.fringe_order.order_candidates.RAY`.
+        phase: (H, W) float32; traits: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`; valid: (H, W) bool.
         other_traits: the other picture's.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
             across.

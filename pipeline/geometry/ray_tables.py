@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.cloud import Volume
-from pipeline.errors import CalibrationError
+from pipeline.common.errors import CalibrationError
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -30,7 +30,7 @@ _STILL = 1e-6
 
 
 def packed(device: CameraModel) -> F64:
-    """(22,) numbers for :func:`pipeline.kernels.project`: [R | t] by rows, fx, skew, cx, fy, cy, k1, k2, p1, p2, k3."""
+    """(22,) for :func:`pipeline.common.jit.project`: [R | t] by rows, fx, skew, cx, fy, cy, k1, k2, p1, p2, k3."""
     m = device.matrix
     pose = np.concatenate([device.rotation, device.translation[:, None]], axis=1).ravel()
     return np.concatenate([pose, [m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2]], device.distortion])

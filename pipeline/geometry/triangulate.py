@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
+from pipeline.rig.camera_model import CameraModel
 
 F64 = NDArray[np.float64]
 

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import propagate
-from pipeline.calibration import Calibration, ColorModel
-from pipeline.camera_model import CameraModel
-from pipeline.cloud import Volume
-from pipeline.lateral_tables import color_turns
-from pipeline.located import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, Located
-from pipeline.pattern import ColorFringe
-from pipeline.phase import Decoder, PhaseMap
-from pipeline.settings import Settings
-from pipeline.tables import DepthScale, RayTable, packed, period_in_picture, ray_table
+from pipeline.common.settings import Settings
+from pipeline.decode.chromatic_phase import color_turns
+from pipeline.decode.decoder import Decoder, PhaseMap
+from pipeline.fringe_order import order_propagation
+from pipeline.geometry.ray_tables import DepthScale, RayTable, packed, period_in_picture, ray_table
+from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, Located
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration, ColorModel
+from pipeline.rig.camera_model import CameraModel
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -90,7 +90,7 @@ class View:
     ) -> None:
         """Orders that the other view confirms, into ``kept``."""
         t, o = self.table, other.table
-        propagate.cross_check(
+        order_propagation.cross_check(
             order, t.top, t.down, t.left, t.step, t.lines, self.first_axis, here.phase, here.traits,
             other_order, o.top, o.down, o.left, o.step, there.phase, self.columns, correction.astype(np.float32),
             np.float32(other.slopes[0]), np.float32(other.slopes[1]), np.float32(self.settings.max_check), kept,
@@ -100,7 +100,7 @@ class View:
         """Order of every pixel, into ``out``."""
         t = self.table
         slope_x, slope_y = np.float32(self.slopes[0]), np.float32(self.slopes[1])
-        propagate.spread(order, t.top, t.down, t.left, t.step, here.phase, here.valid, slope_x, slope_y, out)
+        order_propagation.spread(order, t.top, t.down, t.left, t.step, here.phase, here.valid, slope_x, slope_y, out)
 
     def column_differences(self, located: Located, correction: F64) -> tuple[F64, F64, F64]:
         """Observed minus calibrated projector coordinate of located points (a subset), and where they are."""

@@ -1,4 +1,4 @@
-"""Steps of the sub-pixel match, each for a tile of pixels of the left picture (see :mod:`pipeline.tiles`).
+"""Steps of the sub-pixel match, each for a tile of pixels of the left picture (see :mod:`pipeline.common.tile_math`).
 
 A pixel's viewing ray is met with the projector's column, and the other camera's picture is read where it sees that
 point: phasors, interpolated, never wrapped phases.
@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline
-from pipeline.packed import imaginary, real
-from pipeline.tiles import TILE, angle, clamped
+from pipeline.common.jit import inline
+from pipeline.common.tile_math import TILE, angle, clamped
+from pipeline.decode.packed_phasor import imaginary, real
 
 FEW = 8
 """Pixels that are matched together where a whole tile is not worth it; a divisor of TILE."""
@@ -41,7 +41,7 @@ def ray(t: Any, d: Any, j: int) -> tuple[Any, Any, Any]:
 
 @inline
 def pixel(d: Any, ax: Any, ay: Any, az: Any, w: Any) -> tuple[Any, Any]:
-    """Pixel of the point at inverse depth w of a ray; ``d`` as :func:`pipeline.tables.packed`, float32."""
+    """Pixel of the point at inverse depth w of a ray; ``d`` as :func:`pipeline.geometry.ray_tables.packed`, float32."""
     inv = _ONE / (az + d[11] * w)
     a, b = (ax + d[3] * w) * inv, (ay + d[7] * w) * inv
     aa, bb, ab = a * a, b * b, a * b

@@ -3,11 +3,11 @@
 For a left pixel with a known order the right camera must see the same pointwise phase at the image of the point. The
 unknown is one number, the inverse depth w = 1/z on the pixel's viewing ray; some Newton steps on the phases, from where
 the projector's column lies, find it. Because the match is sought along the ray's own epipolar curve, by both full
-camera models, the four linear equations of the two views (see :mod:`pipeline.triangulate`) agree there: the point on
-the ray is their solution.
+camera models, the four linear equations of the two views (see :mod:`pipeline.geometry.triangulate`) agree there: the
+point on the ray is their solution.
 
-Everything is done for tiles of one picture row (see :mod:`pipeline.tiles`). Two looks at the other picture serve nine
-pixels in ten; the others are gathered for a third one.
+Everything is done for tiles of one picture row (see :mod:`pipeline.common.tile_math`). Two looks at the other picture
+serve nine pixels in ten; the others are gathered for a third one.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.epipolar import (  # isort: skip
+from pipeline.match.epipolar_search import (  # isort: skip
     ACROSS, BIAS, ERROR, EX, EY, FEW, FRACTION, IM, INTEGER_SLOTS, OK, PHI, RE, RX, RY, SIZE, SLOPE, SLOTS, SQUARE, T0,
     T1, U, V, VARIANCE, W, X, Y, columns_of, errors, evidence, look_up, meet, move, pixel, projected_phase, ray,
 )  # fmt: skip
-from pipeline.kernels import inline, parallel, prange
-from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS
-from pipeline.packed import imaginary, real
-from pipeline.tiles import TILE, clamped, root
-from pipeline.traits import bias_of
+from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.tile_math import TILE, clamped, root
+from pipeline.decode.packed_phasor import imaginary, real
+from pipeline.decode.pixel_descriptor import bias_of
+from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, TURN_STEPS
 
 _COHERENCE_SQ = np.float32(0.16)
 _CONVERGED = np.float32(0.1)
@@ -49,7 +49,7 @@ def refine(
 
     Args:
         order: (H, W) int16; rays_x, rays_y: (H, W) ideal normalised points of the pixels.
-        traits: (H, W) int32, see :mod:`pipeline.traits`; phasor, other: (H, W) int32, packed.
+        traits: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`; phasor, other: (H, W) int32, packed.
         floor_sq: least squared size of a packed phasor.
         device, projector: packed models of the other camera and the projector; axis: 0 = phase grows along u.
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
@@ -58,8 +58,8 @@ def refine(
         correlation: of neighbouring phases' noise in the other picture (0 pointwise, more after a window fit).
         xyz, sigma: (every H, every W, 3) and (every H, every W) or a little less, mm; pixel (i, j) is theirs at (every
             i, every j). Written where known; where not, perhaps.
-        known ... residual: the planes of :class:`pipeline.located.Located`, written. (One by one: what a parallel
-            kernel writes to the members of a tuple can get lost.)
+        known ... residual: the planes of :class:`pipeline.match.match_result.Located`, written. (One by one: what a
+            parallel kernel writes to the members of a tuple can get lost.)
     """
     height, width = order.shape
     other_height, other_width = other_variance.shape
@@ -230,7 +230,7 @@ def _store_phases(t: Any, n: int, absolute: Any, residual_eq: Any, residual: Any
 
 @inline
 def _steps_of_pixel(x: Any) -> Any:
-    """A coordinate in steps from the picture's edge, see :mod:`pipeline.located`."""
+    """A coordinate in steps from the picture's edge, see :mod:`pipeline.match.match_result`."""
     x = (x + _HALF) * _PER_PIXEL
     return np.uint16(np.int32(x if (x >= _ZERO) & (x < _FARTHEST) else _FARTHEST))
 

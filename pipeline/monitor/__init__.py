@@ -17,8 +17,8 @@ angles to them. But they never do everywhere: where the surface slopes, fringes 
 the picture), and the match slips by g e along the line. The regression of the residual on that answer tells e, with a
 standard deviation that says whether the scene has slopes enough (a wall at right angles has none). The surface's own
 texture tells e again: what the left picture shows at a point, the right one shows a little higher (instruments against
-the noise of gradients, see :mod:`pipeline.drift.brightness`). Both are combined by their variances; where neither sees
-anything the residual is not observable.
+the noise of gradients, see :mod:`pipeline.monitor.brightness`). Both are combined by their variances; where neither
+sees anything the residual is not observable.
 
 **Crosstalk.** After unmixing with the calibrated matrix, channel c carries rho_c (A + B cos(Phi + shift_c)). If entry
 (c, k) of the true matrix has grown by x, it carries x rho_k (A + B cos(Phi + shift_k)) too, and its phase turns by

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.drift.polynomial import quadratic, waves
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
+from pipeline.monitor.polynomial import quadratic, waves
 
 TEXTURE = 8
 """Sums of a patch: L_u e, L_v e, L_u R_u, L_u R_v, L_v R_u, L_v R_v, e e, L_v L_v."""

@@ -2,8 +2,8 @@
 
 A turn of a device by a few thousandths of a degree and a shift of its lens look almost alike, so turns stand for both.
 For a point X on its left ray, a turned right camera displaces the right picture by (du, dv), to which the residual
-answers as :func:`pipeline.drift.geometry.answers` has it; a turned projector changes the predicted column itself; a
-turned left camera is a turn of the world, which moves both the other way. What tells them apart is how the residual
+answers as :func:`pipeline.monitor.sensitivity.answers` has it; a turned projector changes the predicted column itself;
+a turned left camera is a turn of the world, which moves both the other way. What tells them apart is how the residual
 changes across the picture: left and right camera give slopes of opposite sign.
 """
 
@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.drift import geometry
-from pipeline.drift.observe import Reading
+from pipeline.monitor import sensitivity
+from pipeline.monitor.observe import Reading
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
 
 F64 = NDArray[np.float64]
 
@@ -80,8 +80,8 @@ def _rotation(vector: F64) -> F64:
 def signature(calibration: Calibration, shape: F64, first: int, device: str) -> F64:
     """(4, 3) readings :data:`GEOMETRY` per degree of a turn of the device about x, y, z, for these patches."""
     points = shape[:, :3]
-    by_u, by_v = geometry.answers(calibration, shape, first)
-    design = geometry.design(calibration, shape, first)
+    by_u, by_v = sensitivity.answers(calibration, shape, first)
+    design = sensitivity.design(calibration, shape, first)
     out = np.empty((4, 3))
     for axis in range(3):
         turn = (_STEP_DEG * (axis == 0), _STEP_DEG * (axis == 1), _STEP_DEG * (axis == 2))
@@ -98,7 +98,7 @@ def explain(calibration: Calibration, shape: F64, first: int, changes: Mapping[s
     """Every device as an explanation of some changes of the readings, the best first.
 
     Args:
-        shape: (n, 14) of patches, see :func:`pipeline.drift.patches.measure_patches`.
+        shape: (n, 14) of patches, see :func:`pipeline.monitor.patches.measure_patches`.
         changes: of some of :data:`GEOMETRY`; others are not looked at.
     """
     names = [name for name in GEOMETRY if name in changes]

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.pattern import ColorFringe
-from pipeline.raw import BAYER
+from pipeline.decode.raw_image import BAYER
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Calibration
 
 Plane = NDArray[np.float32]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.drift.polynomial import solved, waves
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
+from pipeline.monitor.polynomial import solved, waves
 
 LIGHT = 3
 """Numbers of a channel in a patch: a, p, q."""

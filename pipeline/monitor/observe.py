@@ -8,17 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud, Volume
-from pipeline.drift import geometry, texture
-from pipeline.drift.brightness import TEXTURE
-from pipeline.drift.lock_in import LIGHT
-from pipeline.drift.patches import SHAPE, measure_patches
-from pipeline.drift.robust import fit, means
-from pipeline.pattern import ColorFringe
-from pipeline.raw import checked, mosaic_of
-from pipeline.settings import Settings
-from pipeline.tables import DepthScale, packed, period_in_picture
+from pipeline.common.settings import Settings
+from pipeline.decode.raw_image import checked, mosaic_of
+from pipeline.geometry.ray_tables import DepthScale, packed, period_in_picture
+from pipeline.monitor import sensitivity
+from pipeline.monitor import texture_disparity as texture
+from pipeline.monitor.brightness import TEXTURE
+from pipeline.monitor.lock_in import LIGHT
+from pipeline.monitor.patches import SHAPE, measure_patches
+from pipeline.monitor.robust import fit, means
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.rig.calibration import Calibration
 
 F64 = NDArray[np.float64]
 
@@ -42,9 +43,9 @@ class Observation:
     """One pair, looked at.
 
     Args:
-        readings: by name, only those that this scene shows; see :data:`pipeline.drift.OBSERVABLES`.
+        readings: by name, only those that this scene shows; see :data:`pipeline.monitor.OBSERVABLES`.
         patches: how many pieces of the surface were used.
-        shape: (n, 14) the patches' places and slopes, see :func:`pipeline.drift.patches.measure_patches`.
+        shape: (n, 14) the patches' places and slopes, see :func:`pipeline.monitor.patches.measure_patches`.
         lit: share of the left picture where fringes are seen; known: share of those pixels that have a point.
     """
 
@@ -57,7 +58,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """The usable patches of one pair; columns as in :func:`pipeline.drift.patches.measure_patches`."""
+    """The usable patches of one pair; columns as in :func:`pipeline.monitor.patches.measure_patches`."""
 
     shape: F64
     light: F64
@@ -204,7 +205,7 @@ class Observer:
     def _columns(self, found: Patches, ahead: F64) -> dict[str, Reading]:
         """Trinocular residual: observed minus predicted projector coordinate, and how it changes over the picture."""
         residual = self._residuals(found, ahead)
-        solution = fit(geometry.design(self.calibration, found.shape, self._first), residual)
+        solution = fit(sensitivity.design(self.calibration, found.shape, self._first), residual)
         if solution is None:
             return {}
         names = ("column_px", "column_x_px", "column_y_px", "slope")
@@ -215,7 +216,7 @@ class Observer:
         known = [] if slope is None else [slope]
         use = found.textured
         if use.sum() >= _LEAST_PATCHES:
-            x, y = geometry.in_picture(self.calibration, found.shape[use, :3])
+            x, y = sensitivity.in_picture(self.calibration, found.shape[use, :3])
             told = texture.displacement(found.texture[use], x, y, across=1 - self._first)
             known += [] if told is None else [Reading(*told)]
         if not known:
@@ -229,7 +230,7 @@ class Observer:
 
         Lateral colour of the lenses turns channels too, the other way on the other side; slopes take it up.
         """
-        x, y = geometry.in_picture(self.calibration, found.shape[:, :3])
+        x, y = sensitivity.in_picture(self.calibration, found.shape[:, :3])
         design = np.stack([np.ones_like(x), x, y], axis=1)
         turned = np.angle(waves * self._turn_back * np.exp(-1j * ahead)[:, :, None])
         out = {}

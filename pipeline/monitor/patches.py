@@ -3,7 +3,7 @@
 A patch is a rectangle of left pixels about two fringe periods wide. Its points (the cloud's) are projected into the
 projector and into the right camera; the projector's phase there, and the right pixels, are fitted by quadratic
 polynomials. These are smooth: the noise of single points and whatever ripples within a period are averaged out. Then
-the light (:mod:`pipeline.drift.lock_in`) and the texture (:mod:`pipeline.drift.brightness`) are measured on it.
+the light (:mod:`pipeline.monitor.lock_in`) and the texture (:mod:`pipeline.monitor.brightness`) are measured on it.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.drift.brightness import EDGE, brightness, compare
-from pipeline.drift.lock_in import lock_in
-from pipeline.drift.polynomial import QUADRATIC, fit_quadratic, quadratic
-from pipeline.kernels import project, serial
+from pipeline.common.jit import project, serial
+from pipeline.monitor.brightness import EDGE, brightness, compare
+from pipeline.monitor.lock_in import lock_in
+from pipeline.monitor.polynomial import QUADRATIC, fit_quadratic, quadratic
 
 SHAPE = 14
 """Numbers of a patch's shape; see :func:`measure_patches`."""
@@ -42,7 +42,7 @@ def measure_patches(
             along u and v, of the right one along u and v, rad per pixel; phase per projector coordinate, rad per pixel;
             projector coordinate; share of known points; rms of the texture's difference.
         light: (n, 2, 3, 3) camera, channel, (a, p, q), raw counts.
-        texture: (n, 8), see :data:`pipeline.drift.brightness.TEXTURE`.
+        texture: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`.
     """
     height, width = xyz.shape[:2]
     other_height, other_width = right.shape[:2]

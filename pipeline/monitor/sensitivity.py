@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
+from pipeline.rig.calibration import Calibration
 
 F64 = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def answers(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]
     coordinate by p_s ds.
 
     Args:
-        shape: (n, 14), as of :func:`pipeline.drift.patches.measure_patches`.
+        shape: (n, 14), as of :func:`pipeline.monitor.patches.measure_patches`.
     """
     p, seen = along_ray(calibration, shape[:, :3], first)
     slope_u, slope_v = shape[:, 8], shape[:, 9]

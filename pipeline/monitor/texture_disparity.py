@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.drift.robust import scale_of
+from pipeline.monitor.robust import scale_of
 
 F64 = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[float, 
     and the displacement along the lines, which the phase has fixed already, are nuisances.
 
     Args:
-        sums: (n, 8), see :data:`pipeline.drift.brightness.TEXTURE`; x, y: (n,) place in the picture, -1 .. 1.
+        sums: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`; x, y: (n,) place in the picture, -1 .. 1.
         across: 1 when the epipolar lines run along u, else 0.
     """
     one = np.stack([np.ones_like(x), x, y], axis=1)

@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud, Volume
-from pipeline.errors import PictureError
-from pipeline.modes import orders
-from pipeline.modes.agree import agreed
-from pipeline.modes.plan import Plan
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
-from pipeline.stopwatch import Stopwatch
+from pipeline.common.errors import PictureError
+from pipeline.common.settings import Settings
+from pipeline.common.stopwatch import Stopwatch
+from pipeline.multi_frame import temporal_unwrapping
+from pipeline.multi_frame.image_roles import Plan
+from pipeline.multi_frame.order_agreement import agreed
+from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
 
 WORST_DEVIATION = np.float32(0.6)
 """Largest deviation of the second phase from what the first lets expect, radians; a period off gives 1.26."""
 
 
 class ColorSets:
-    """For one calibration, plan and volume; arguments as of :class:`pipeline.modes.reconstruct.SetReconstructor`."""
+    """For one calibration, plan and volume; arguments as of ``SetReconstructor``."""
 
     def __init__(
         self, calibration: Calibration, plan: Plan, volume: Volume, *, encoding: str, settings: Settings
@@ -69,7 +69,7 @@ class ColorSets:
             order, left.phase, left.traits, left.valid, other_order, other.phase, other.traits, other.valid,
             self._ratio, WORST_DEVIATION, self._order, self._away, self._lit,
         )  # fmt: skip
-        moved = orders.settle(
+        moved = temporal_unwrapping.settle(
             self._order, self._unused, self._lit, self._away, left.variance, np.float32(0.5), WORST_DEVIATION,
             self._absolute,
         )  # fmt: skip

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import self_calibration
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud, Volume
-from pipeline.located import TURN_STEPS, Located
-from pipeline.modes import orders
-from pipeline.modes.decoder import SetDecoder, SetPhase, windowed
-from pipeline.modes.plan import Plan
-from pipeline.modes.smooth import CORRELATION
-from pipeline.modes.tables import SetTables
-from pipeline.pattern import ColorFringe
-from pipeline.reconstruct import volume_of_right
-from pipeline.settings import Settings
-from pipeline.stopwatch import Stopwatch
-from pipeline.surface import SurfaceStage
-from pipeline.view import View
+from pipeline.common.settings import Settings
+from pipeline.common.stopwatch import Stopwatch
+from pipeline.geometry.view_tables import View
+from pipeline.match.match_result import TURN_STEPS, Located
+from pipeline.multi_frame import temporal_unwrapping
+from pipeline.multi_frame.image_roles import Plan
+from pipeline.multi_frame.phase_limits import SetTables
+from pipeline.multi_frame.phase_smoothing import CORRELATION
+from pipeline.multi_frame.set_decoder import SetDecoder, SetPhase, windowed
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct import column_correction
+from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.orders_to_cloud import SurfaceStage
+from pipeline.reconstruct.reconstructor import volume_of_right
+from pipeline.rig.calibration import Calibration
 
 _TURN = 2 * np.pi
 _COARSE = 4
@@ -35,12 +35,12 @@ WORST_MISFIT = 0.05
 
 
 class GreySets:
-    """For one calibration, plan and volume; arguments as of :class:`pipeline.modes.reconstruct.SetReconstructor`."""
+    """For one calibration, plan and volume; arguments as of ``SetReconstructor``."""
 
     def __init__(
         self, calibration: Calibration, plan: Plan, volume: Volume, *, encoding: str, settings: Settings
     ) -> None:
-        self.correction = self_calibration.NO_CORRECTION.copy()
+        self.correction = column_correction.NO_CORRECTION.copy()
         self.calibrated = not settings.self_calibrate
         self._calibration, self._settings = calibration, settings
         finest = ColorFringe(plan.size, plan.periods, plan.axis)
@@ -84,7 +84,7 @@ class GreySets:
         return replace(cloud, moved=max(left.moved, right.moved))
 
     def _confirm(self, located: Located, right: SetPhase) -> None:
-        orders.confirm(
+        temporal_unwrapping.confirm(
             located.known, located.absolute, located.match_u, located.match_v, right.absolute,
             np.float32(TURN_STEPS / _TURN), np.float32(self._settings.max_check),
         )  # fmt: skip
@@ -96,7 +96,7 @@ class GreySets:
         the most of them, then an affine fit.
         """
         best, most = 0.0, -1
-        for offset in self_calibration.offsets_to_try(self._settings.self_calibration_range, step=1.0):
+        for offset in column_correction.offsets_to_try(self._settings.self_calibration_range, step=1.0):
             agreed = int(np.count_nonzero(self._located(left, right, np.array([offset, 0.0, 0.0])).known))
             if agreed > 1.02 * most:
                 best, most = float(offset), agreed
@@ -105,7 +105,7 @@ class GreySets:
         difference, along, across = self._left.column_differences(located, correction)
         if len(difference) >= _FEWEST // _COARSE:
             limit = self._settings.self_calibration_range + 1.0
-            self.correction = self_calibration.affine_fit(along, across, difference, limit=limit)
+            self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
             self.calibrated = True
 
     def _located(self, left: SetPhase, right: SetPhase, correction: NDArray[np.float64]) -> Located:

@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import PatternError
-from pipeline.n_step import solution_of
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import Axis, Fringe, GrayBit, Sequence
+from pipeline.common.errors import PatternError
+from pipeline.multi_frame.n_step import solution_of
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import Axis, Fringe, GrayBit, Sequence
 
 F32 = NDArray[np.float32]
 Kind = Literal["two_color", "heterodyne", "gray"]

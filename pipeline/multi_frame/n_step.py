@@ -15,8 +15,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import PatternError
-from pipeline.noise import NoiseModel
+from pipeline.common.errors import PatternError
+from pipeline.decode.noise_model import NoiseModel
 
 F64: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import parallel, prange, serial
-from pipeline.tiles import angle, clamped, root
+from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.tile_math import angle, clamped, root
 
 BIT_STEPS = np.float32(64.0)
 """Steps of a bit's contrast: 64 is the fringe's own amplitude."""

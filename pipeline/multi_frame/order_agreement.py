@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline, parallel, prange
-from pipeline.modes.orders import NONE
-from pipeline.tiles import turns
-from pipeline.traits import bias_of
+from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.tile_math import turns
+from pipeline.decode.pixel_descriptor import bias_of
+from pipeline.multi_frame.temporal_unwrapping import NONE
 
 _TURN, _ZERO, _ONE = np.float32(2 * np.pi), np.float32(0), np.float32(1)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.cloud import Volume
-from pipeline.tables import DepthScale, ray_table
+from pipeline.geometry.ray_tables import DepthScale, ray_table
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -34,7 +34,7 @@ class SetTables:
 
         Args:
             per_px: radians per projector pixel; margin_px: projector pixels by which the projector may be wrong.
-            inside: the camera that the volume is given along, see :func:`pipeline.tables.ray_table`.
+            inside: the camera that the volume is given along, see :func:`pipeline.geometry.ray_tables.ray_table`.
         """
         depth = DepthScale.of(volume)
         table = ray_table(calibration, depth, axis=axis, step=(_STEP, _STEP), margin=0, inside=inside)

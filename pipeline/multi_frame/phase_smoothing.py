@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import parallel, prange
-from pipeline.modes.orders import NONE, UNIT
-from pipeline.packed import PHASOR_SCALE, pack
+from pipeline.common.jit import parallel, prange
+from pipeline.decode.packed_phasor import PHASOR_SCALE, pack
+from pipeline.multi_frame.temporal_unwrapping import NONE, UNIT
 
 CORRELATION = 2 / 3
 """Of neighbouring pixels' noise afterwards."""

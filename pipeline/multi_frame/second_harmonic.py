@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.modes.plan import Plan, Shifted
+from pipeline.multi_frame.image_roles import Plan, Shifted
 
 F64 = NDArray[np.float64]
 _EVERY = 8
@@ -20,7 +20,7 @@ _FEWEST = 200
 
 
 def bends(plan: Plan, stack: NDArray[Any], channels: int, smallest: float) -> F64:
-    """(J, 2), for each fringe of four steps the harmonic as :func:`pipeline.modes.samples.phases` wants it."""
+    """(J, 2), for each fringe of four steps the harmonic that ``n_step_kernel.phases`` takes."""
     out = np.zeros((len(plan.fringes), 2))
     for q, fringe in enumerate(plan.fringes):
         if fringe.bend:

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import ColorModel
-from pipeline.errors import PictureError
-from pipeline.modes import orders, samples
-from pipeline.modes.harmonic import bends
-from pipeline.modes.plan import Plan
-from pipeline.modes.smooth import blend, smooth
-from pipeline.modes.tables import SetTables
-from pipeline.noise import NoiseModel, estimate
-from pipeline.phase import PhaseMap
-from pipeline.raw import BAYER
-from pipeline.settings import Settings
-from pipeline.traits import traits_without_color
+from pipeline.common.errors import PictureError
+from pipeline.common.settings import Settings
+from pipeline.decode.decoder import PhaseMap
+from pipeline.decode.noise_model import NoiseModel, estimate
+from pipeline.decode.pixel_descriptor import traits_without_color
+from pipeline.decode.raw_image import BAYER
+from pipeline.multi_frame import n_step_kernel, temporal_unwrapping
+from pipeline.multi_frame.image_roles import Plan
+from pipeline.multi_frame.phase_limits import SetTables
+from pipeline.multi_frame.phase_smoothing import blend, smooth
+from pipeline.multi_frame.second_harmonic import bends
+from pipeline.rig.calibration import ColorModel
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -106,7 +106,7 @@ class SetDecoder:
             self._rest_first,
         )  # fmt: skip
         bend = bends(self._plan, self._stack, self._channels, float(smallest)).astype(np.float32)
-        samples.phases(
+        n_step_kernel.phases(
             *given, bend, self._bit_index, self._bit_sign, self._phase, self._amplitude, self._variance, self._mean,
             self._misfit, self._bits, self._clipped,
         )  # fmt: skip
@@ -119,12 +119,12 @@ class SetDecoder:
         planes = self._phase, self._amplitude, self._variance, self._tables.low, self._tables.high
         if plan.bits:
             fringe = plan.fringes[0]
-            orders.by_bits(
+            temporal_unwrapping.by_bits(
                 *planes, self._bits, self._number, np.float32(plan.bits[0][1].cells / fringe.periods),
                 len(fringe.frames), smallest, self._misfit, self._order, self._phasor,
             )  # fmt: skip
         else:
-            orders.by_phase(
+            temporal_unwrapping.by_phase(
                 *planes, self._ratio, self._weight, smallest, np.float32(self._limits[0]), self._misfit, self._order,
                 self._phasor,
             )  # fmt: skip
@@ -132,7 +132,7 @@ class SetDecoder:
     def _settled(self, smallest: np.float32) -> SetPhase:
         absolute = self._phase[0].copy()
         amplitude = self._amplitude[0]
-        moved = orders.settle(
+        moved = temporal_unwrapping.settle(
             self._order, self._phasor, amplitude, self._misfit, self._variance[0], smallest,
             np.float32(self._limits[1]), absolute,
         )  # fmt: skip
@@ -146,7 +146,7 @@ class SetDecoder:
         counts = np.rint(mean).clip(0, 255).astype(np.uint8)
         modulation = np.minimum(amplitude, 255).astype(np.uint8)
         share = float(self._clipped.sum()) / self._clipped.size / self._tables.size[0]
-        valid = self._order != orders.NONE
+        valid = self._order != temporal_unwrapping.NONE
         traits_without_color(phase, valid, counts, self._traits)
         found = PhaseMap(self._phasor, self._traits, counts, variance, share, phase, modulation, valid)
         return SetPhase(found, self._order, absolute, int(moved))

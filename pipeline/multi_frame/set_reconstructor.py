@@ -10,28 +10,28 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud, Volume
-from pipeline.errors import CalibrationError, PictureError
-from pipeline.modes.color_sets import ColorSets
-from pipeline.modes.decoder import ENCODINGS
-from pipeline.modes.grey_sets import GreySets
-from pipeline.modes.plan import plan_of
-from pipeline.rehearsal import rehearse_contest
-from pipeline.sequence import Sequence
-from pipeline.settings import Settings
-from pipeline.stopwatch import Stopwatch
+from pipeline.common.errors import CalibrationError, PictureError
+from pipeline.common.settings import Settings
+from pipeline.common.stopwatch import Stopwatch
+from pipeline.filter.kernel_warmup import rehearse_contest
+from pipeline.multi_frame.color_sets import ColorSets
+from pipeline.multi_frame.gray_sets import GreySets
+from pipeline.multi_frame.image_roles import plan_of
+from pipeline.multi_frame.set_decoder import ENCODINGS
+from pipeline.pattern.sequence import Sequence
+from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.rig.calibration import Calibration
 
 
 class SetReconstructor:
     """Built once for a calibration, a sequence and a volume; then :meth:`reconstruct` for every set.
 
-    Everything that holds for :class:`pipeline.reconstruct.Reconstructor` holds here: sets do not depend on each other
-    but for the projector's column correction, which the first set gives, nor on the number of threads.
+    Everything that holds for :class:`pipeline.reconstruct.reconstructor.Reconstructor` holds here: sets do not depend
+    on each other but for the projector's column correction, which the first set gives, nor on the number of threads.
 
     Args:
         calibration: of the rig; sequence: what the projector shows, such as
-            :func:`pipeline.modes.sequences.mode_sequence` makes; volume: where surfaces may be.
+            :func:`pipeline.pattern.mode_sequences.mode_sequence` makes; volume: where surfaces may be.
         encoding: of the raw pictures, ``rgb8``, ``bayer_....8``, ``mono8`` or ``mono16``.
         settings, clock, threads: as there.
 

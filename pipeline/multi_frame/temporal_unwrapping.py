@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline, parallel, prange
-from pipeline.modes.samples import BIT_STEPS
-from pipeline.packed import PHASOR_SCALE, pack
-from pipeline.tiles import turns
+from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.tile_math import turns
+from pipeline.decode.packed_phasor import PHASOR_SCALE, pack
+from pipeline.multi_frame.n_step_kernel import BIT_STEPS
 
 NONE = np.int16(-32768)
 UNIT = np.float32(100.0)
@@ -147,8 +147,9 @@ def by_bits(
 
     Args:
         phase, amplitude, variance: (1, H, W); low, high, smallest, order, phasor: see :func:`by_phase`.
-        bits: (n, H, W) int8, see :func:`pipeline.modes.samples.phases`; number: (n,) int32, place of each in the code,
-            0 = the least significant; per_period: cells of the code per period; steps: pictures of the fringe.
+        bits: (n, H, W) int8, see :func:`pipeline.multi_frame.n_step_kernel.phases`; number: (n,) int32, place of each
+            in the code, 0 = the least significant; per_period: cells of the code per period; steps: pictures of the
+            fringe.
         misfit: (H, W), the mean square of what noise does not explain of the bits' contrasts is added.
     """
     height, width = order.shape
@@ -227,7 +228,7 @@ def confirm(known: Any, absolute: Any, match_u: Any, match_v: Any, there: Any, p
     """Forget matches whose pixel in the other picture has another absolute phase, or none.
 
     Args:
-        known: (h, w) uint8, changed; absolute, match_u, match_v: of :class:`pipeline.located.Located`.
+        known: (h, w) uint8, changed; absolute, match_u, match_v: of :class:`pipeline.match.match_result.Located`.
         there: (H, W) float32, absolute phases of the other picture; limit: radians.
     """
     for i in prange(known.shape[0]):

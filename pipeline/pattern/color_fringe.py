@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Response
-from pipeline.errors import PatternError
+from pipeline.common.errors import PatternError
+from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
 

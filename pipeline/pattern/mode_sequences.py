@@ -10,9 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence as Items
 from math import ceil, log2, pi
 
-from pipeline.errors import PatternError
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import CHANNELS, GREY_AMPLITUDE, GREY_MEAN, Axis, Frame, Fringe, GrayBit, Sequence, check_size
+from pipeline.common.errors import PatternError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import (
+    CHANNELS,
+    GREY_AMPLITUDE,
+    GREY_MEAN,
+    Axis,
+    Frame,
+    Fringe,
+    GrayBit,
+    Sequence,
+    check_size,
+)
 
 MODES = ("two_color", "heterodyne", "gray")
 """Beside the single shot, which is no sequence."""

@@ -1,4 +1,4 @@
-"""Kinds of pictures that the projector shows, beside :class:`pipeline.pattern.ColorFringe`.
+"""Kinds of pictures that the projector shows, beside :class:`pipeline.pattern.color_fringe.ColorFringe`.
 
 An even picture in drive values, as it is sent to the projector (its response may be what is asked for); in light, the
 same in every channel that is lit, one fringe, and one bit of a Gray code.
@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Response
-from pipeline.errors import PatternError
+from pipeline.common.errors import PatternError
+from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -9,19 +9,19 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from pipeline.errors import PatternError
-from pipeline.frame_kinds import CHANNELS as CHANNELS
-from pipeline.frame_kinds import GREY_AMPLITUDE as GREY_AMPLITUDE
-from pipeline.frame_kinds import GREY_MEAN as GREY_MEAN
-from pipeline.frame_kinds import LARGEST_SIDE as LARGEST_SIDE
-from pipeline.frame_kinds import Axis as Axis
-from pipeline.frame_kinds import Fringe as Fringe
-from pipeline.frame_kinds import GrayBit as GrayBit
-from pipeline.frame_kinds import Picture as Picture
-from pipeline.frame_kinds import Uniform as Uniform
-from pipeline.frame_kinds import check_size as check_size
-from pipeline.pattern import ColorFringe
-from pipeline.pattern import from_mapping as fringe_from_mapping
+from pipeline.common.errors import PatternError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.color_fringe import from_mapping as fringe_from_mapping
+from pipeline.pattern.projected_frames import CHANNELS as CHANNELS
+from pipeline.pattern.projected_frames import GREY_AMPLITUDE as GREY_AMPLITUDE
+from pipeline.pattern.projected_frames import GREY_MEAN as GREY_MEAN
+from pipeline.pattern.projected_frames import LARGEST_SIDE as LARGEST_SIDE
+from pipeline.pattern.projected_frames import Axis as Axis
+from pipeline.pattern.projected_frames import Fringe as Fringe
+from pipeline.pattern.projected_frames import GrayBit as GrayBit
+from pipeline.pattern.projected_frames import Picture as Picture
+from pipeline.pattern.projected_frames import Uniform as Uniform
+from pipeline.pattern.projected_frames import check_size as check_size
 
 MOST_FRAMES = 512
 _LONGEST_NAME = 64

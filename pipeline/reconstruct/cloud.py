@@ -17,7 +17,7 @@ class Volume:
 
     def __post_init__(self) -> None:
         if not 0 < self.near_mm < self.far_mm < float("inf"):
-            from pipeline.errors import PipelineError
+            from pipeline.common.errors import PipelineError
 
             raise PipelineError(f"volume {self.near_mm} .. {self.far_mm} mm: need 0 < near_mm < far_mm")
 

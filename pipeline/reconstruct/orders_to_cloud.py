@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud
-from pipeline.conceal import conceal
-from pipeline.gates import Gates
-from pipeline.located import Located, Points
-from pipeline.packed import PHASOR_SCALE
-from pipeline.phase import PhaseMap
-from pipeline.refine import refine
-from pipeline.settings import Settings
-from pipeline.stopwatch import Stopwatch
-from pipeline.view import View
+from pipeline.common.settings import Settings
+from pipeline.common.stopwatch import Stopwatch
+from pipeline.decode.decoder import PhaseMap
+from pipeline.decode.packed_phasor import PHASOR_SCALE
+from pipeline.filter.mask_rejected import conceal
+from pipeline.filter.point_filter import Gates
+from pipeline.geometry.view_tables import View
+from pipeline.match.match_result import Located, Points
+from pipeline.match.subpixel_match import refine
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.rig.calibration import Calibration
 
 
 class SurfaceStage:

@@ -9,20 +9,20 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import self_calibration
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud, Volume
-from pipeline.errors import CalibrationError
-from pipeline.order_search import OrderSearch
-from pipeline.pattern import ColorFringe
-from pipeline.phase import PhaseMap
-from pipeline.raw import checked, mosaic_of
-from pipeline.rehearsal import rehearse_contest
-from pipeline.settings import Settings
-from pipeline.stopwatch import Stopwatch
-from pipeline.surface import SurfaceStage
-from pipeline.view import View
-from pipeline.window_fit import weights_of
+from pipeline.common.errors import CalibrationError
+from pipeline.common.settings import Settings
+from pipeline.common.stopwatch import Stopwatch
+from pipeline.decode.decoder import PhaseMap
+from pipeline.decode.kernels.window_fit import weights_of
+from pipeline.decode.raw_image import checked, mosaic_of
+from pipeline.filter.kernel_warmup import rehearse_contest
+from pipeline.fringe_order.order_search import OrderSearch
+from pipeline.geometry.view_tables import View
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct import column_correction
+from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.orders_to_cloud import SurfaceStage
+from pipeline.rig.calibration import Calibration
 
 MAX_LABELS = 64
 
@@ -37,7 +37,7 @@ class Reconstructor:
     Args:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
         encoding: of the raw pictures, ``rgb8`` or ``bayer_....8``.
-        settings: see :class:`pipeline.settings.Settings`.
+        settings: see :class:`pipeline.common.settings.Settings`.
         clock: returns nanoseconds; only used to fill ``Cloud.ms``.
         threads: 0 = all that numba knows of.
 
@@ -63,7 +63,7 @@ class Reconstructor:
             )
         self.calibration, self.pattern, self.volume, self.encoding = calibration, pattern, volume, encoding
         self.settings = settings or Settings()
-        self.correction = self_calibration.NO_CORRECTION.copy()
+        self.correction = column_correction.NO_CORRECTION.copy()
         self.calibrated = not self.settings.self_calibrate
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
@@ -147,7 +147,7 @@ class Reconstructor:
     def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> None:
         """Find the projector's column correction from a pair and keep it."""
         best, least = 0.0, np.inf
-        for offset in self_calibration.offsets_to_try(self.settings.self_calibration_range):
+        for offset in column_correction.offsets_to_try(self.settings.self_calibration_range):
             cost = self._searches[0].mean_best_cost(left, right, np.array([offset, 0.0, 0.0]), every=8)
             if cost < least - 1e-6:
                 best, least = float(offset), cost
@@ -159,7 +159,7 @@ class Reconstructor:
         difference, along, across = self._left.column_differences(located, self.correction)
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
-            self.correction = self_calibration.affine_fit(along, across, difference, limit=limit)
+            self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
 
     def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, follow: bool) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
-from pipeline.lateral import Lateral, Registration, lateral_of, registration_of
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.lateral_chromatic import Lateral, Registration, lateral_of, registration_of
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import CalibrationError
+from pipeline.common.errors import CalibrationError
 
 Array = NDArray[np.float64]
 

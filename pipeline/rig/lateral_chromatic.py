@@ -3,7 +3,7 @@
 A lens magnifies every colour a little differently, and its centring shifts them: the image of a point in red light
 stands at ``x + d_red(x)`` when its image in green light stands at x. The displacement is kept as a shift, a radial
 magnification and its cubic term, about the principal point, in pixels; a projector's as an affine map. Both are tiny
-(tenths of a pixel) but turn each channel's fringe by an angle of its own, see :mod:`pipeline.lateral_tables`.
+(tenths of a pixel) but turn each channel's fringe by an angle of its own, see :mod:`pipeline.decode.chromatic_phase`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.targets.board import DEFAULT_BOARD, Board
-from sim.rig import RigLayout
-from sim.shapes import Triple, rotation_about
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
+from pipeline.rig.camera_model import CameraModel
+from sim.rig.layout import RigLayout
+from sim.scene.shapes import Triple, rotation_about
 
 Array = NDArray[np.float64]
 

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.sequence import Sequence as Frames
-from pipeline.sequence import camera_sequence
-from pipeline.targets import printed
-from pipeline.targets.board import Board
-from sim.box.light import Counts, Stage
-from sim.ink import Ink
-from sim.optics import Optics
-from sim.poses import BoardPose, middle, session_poses
-from sim.render import Picture, with_noise
-from sim.rig import RigLayout
-from sim.scenes import Scene
-from sim.shapes import Shape, Triple, rectangle
+from pipeline.calibrate.targets.board import board_drawing
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.pattern.sequence import camera_sequence
+from pipeline.rig.camera_model import CameraModel
+from sim.boards.board_poses import BoardPose, middle, session_poses
+from sim.render.projection_transport import Counts, Stage
+from sim.render.render_pair import Picture, with_noise
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import Scene
+from sim.scene.printed_marks import Ink
+from sim.scene.shapes import Shape, Triple, rectangle
 
 __all__ = [
     "BoardPose",
@@ -47,7 +46,7 @@ def board_shape(board: Board, *, at_mm: Triple = (0.0, 0.0, 0.0), turn: Triple =
         board: what is printed.
         at_mm: place of the middle of its marks on the stage; turn: rotation vector, radians.
     """
-    sheet = printed.shapes(board)
+    sheet = board_drawing.shapes(board)
     x, y = sheet.width_mm / 2 - sheet.offset_mm[0], sheet.height_mm / 2 - sheet.offset_mm[1]
     centre = np.array([x, y, 0.0])
     ink = Ink(sheet.discs - centre, sheet.squares - [x, y, x, y], INK_ALBEDO / PAPER_ALBEDO)
@@ -153,9 +152,3 @@ def true_centroids(device: CameraModel, board: Board, rotation: Array, place: Ar
 def _derivative(values: Array) -> Array:
     spectrum = np.fft.rfft(values, axis=-1)
     return np.asarray(np.fft.irfft(1j * np.arange(spectrum.shape[-1]) * spectrum, n=values.shape[-1], axis=-1))
-
-
-if __name__ == "__main__":
-    from sim.capture import main
-
-    sys.exit(main(sys.argv[1:]))

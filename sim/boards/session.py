@@ -18,19 +18,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.errors import PipelineError
-from pipeline.sequence import Sequence as Frames
-from pipeline.sequence import camera_sequence, projector_sequence
-from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
-from sim import files
-from sim.boards import BoardPose, board_scene, fine, session_poses, true_centroids, true_marks
-from sim.box.light import Stage
-from sim.optics import Optics
-from sim.render import Picture
-from sim.rig import RigLayout
-from sim.scenes import Scene
-from sim.scenes import build as build_scene
-from sim.sensor import ENCODINGS
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board, parse_board
+from pipeline.common.errors import PipelineError
+from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.pattern.sequence import camera_sequence, projector_sequence
+from sim.boards.board_scene import BoardPose, board_scene, fine, session_poses, true_centroids, true_marks
+from sim.render.projection_transport import Stage
+from sim.render.render_pair import Picture
+from sim.render.sensor import ENCODINGS
+from sim.rig import rig_files
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import Scene
+from sim.scene.named_scenes import build as build_scene
 
 
 def write_capture(
@@ -46,7 +46,8 @@ def write_capture(
     """Render each scene under each frame of a sequence and write a capture folder.
 
     Args:
-        folder: is made. scenes: one a view. seed: of the noise; all else as :func:`sim.render.render_pair` has it.
+        folder: is made. scenes: one a view. seed: of the noise; all else as :func:`sim.render.render_pair.render_pair`
+            has it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     _write_json(folder / "capture.json", {"encoding": encoding, "sequence": sequence.as_mapping()})
@@ -90,9 +91,9 @@ def write_truth(
     """The files of the rig as it really is, and where the marks really are."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, mapping in (
-        ("truth_calibration.json", files.calibration_mapping(layout, optics)),
-        ("pattern.json", files.pattern_mapping(layout)),
-        ("volume.json", files.volume_mapping(layout)),
+        ("truth_calibration.json", rig_files.calibration_mapping(layout, optics)),
+        ("pattern.json", rig_files.pattern_mapping(layout)),
+        ("volume.json", rig_files.volume_mapping(layout)),
     ):
         _write_json(folder / name, mapping)
     if board is not None:
@@ -146,7 +147,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _write_color(folder: Path, layout: RigLayout, optics: Optics, encoding: str, seed: int) -> None:
-    from pipeline.color_calibration import color_sequence
+    from pipeline.calibrate.color import color_sequence
 
     sequence = color_sequence(layout.projector_size, check=layout.pattern())
     write_capture(folder, layout, sequence, [build_scene("plane")], optics, encoding=encoding, seed=seed)

@@ -21,11 +21,11 @@ from types import FrameType
 from drivers.errors import DriverError
 from sim.box.box import GENTL_DIR, OUTPUT, Box
 from sim.box.options import BoxOptions, read
+from sim.box.xserver import XServerError
+from sim.devices.options import OptionError
 from sim.gentl.build import BuildError
-from sim.options import OptionError
-from sim.xserver import XServerError
 
-_DAEMON = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+_DAEMON = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 _STOP_S = 20.0
 
 

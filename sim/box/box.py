@@ -9,16 +9,16 @@ from pathlib import Path
 from types import TracebackType
 
 from drivers.protocols import SIDES, Side
-from sim.box.grab import Grabber
-from sim.box.ledger import Ledger
-from sim.box.light import Stage
+from sim.box.exposure_ledger import Ledger
 from sim.box.options import BoxOptions
-from sim.box.rig import PIXEL_FORMATS, RigPlaces, write_rig
+from sim.box.output_grabber import Grabber
+from sim.box.rig_files import PIXEL_FORMATS, RigPlaces, write_rig
 from sim.box.world import World
+from sim.box.xserver import Head, XServer
+from sim.devices.scene_options import scene_of
 from sim.gentl.build import build
 from sim.gentl.cable import Cable, Filter
-from sim.staging import scene_of
-from sim.xserver import Head, XServer
+from sim.render.projection_transport import Stage
 
 GENTL_DIR = "FRINGED_GENTL_DIR"
 OUTPUT = "DUMMY1"

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.protocols import SIDES, Side
-from sim.faults import FaultKind
+from sim.devices.faults import FaultKind
 
 _DIGEST_BYTES = 16
 

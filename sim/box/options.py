@@ -11,9 +11,9 @@ from typing import Any
 import yaml
 
 from drivers.protocols import SIDES, Side
-from sim.options import OptionError, SimOptions, known
-from sim.options import from_mapping as sim_from_mapping
-from sim.rig import RigLayout
+from sim.devices.options import OptionError, SimOptions, known
+from sim.devices.options import from_mapping as sim_from_mapping
+from sim.rig.layout import RigLayout
 
 MAX_FILE_BYTES = 1 << 16
 _CAMERA_STEP, _PROJECTOR_STEP = (4, 2), (8, 1)
@@ -75,7 +75,7 @@ class BoxOptions:
     @property
     def instants_s(self) -> tuple[float, ...]:
         """Times of the moving scene's instants, seconds."""
-        from sim.staging import scene_of
+        from sim.devices.scene_options import scene_of
 
         simulation = self.simulation
         period_s = scene_of(simulation).period_s

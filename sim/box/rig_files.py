@@ -11,9 +11,9 @@ from typing import Any
 import yaml
 
 from drivers.protocols import SIDES, Side
-from sim import files
-from sim.optics import Optics
-from sim.rig import RigLayout
+from sim.rig import rig_files
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,12 @@ def write_rig(
         extra: further sections of rig.yaml; they come last and replace those of the same name.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    calibration = files.calibration_mapping(layout, optics)
+    calibration = rig_files.calibration_mapping(layout, optics)
     for side in SIDES:
         calibration["cameras"][side]["serial"] = places.serials[side]
     (folder / "calibration.yaml").write_text(yaml.safe_dump(calibration, sort_keys=False))
-    (folder / "pattern.json").write_text(json.dumps(files.pattern_mapping(layout), indent=1))
-    (folder / "volume.json").write_text(json.dumps(files.volume_mapping(layout), indent=1))
+    (folder / "pattern.json").write_text(json.dumps(rig_files.pattern_mapping(layout), indent=1))
+    (folder / "volume.json").write_text(json.dumps(rig_files.volume_mapping(layout), indent=1))
     width, height = layout.camera_size
     cameras = {
         side: {

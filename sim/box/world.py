@@ -30,11 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.protocols import SIDES, Side
-from sim.box.grab import DisplayLost
-from sim.box.ledger import Ledger, Shown, digest
-from sim.box.light import Counts
-from sim.faults import FaultKind, FaultPlan
-from sim.render import Picture
+from sim.box.exposure_ledger import Ledger, Shown, digest
+from sim.box.output_grabber import DisplayLost
+from sim.devices.faults import FaultKind, FaultPlan
+from sim.render.projection_transport import Counts
+from sim.render.render_pair import Picture
 
 _NO_EDGE = (FaultKind.WRONG_NUMBER, FaultKind.BLACKOUT, FaultKind.GONE)
 

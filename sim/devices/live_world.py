@@ -1,7 +1,7 @@
 """What the cameras see of what the projector really shows, rendered when it is asked for.
 
-A scene at rest is met by each camera's rays once (:class:`sim.box.light.Stage`); a new picture costs a look-up, another
-trigger under the same picture only its noise.
+A scene at rest is met by each camera's rays once (:class:`sim.render.projection_transport.Stage`); a new picture costs
+a look-up, another trigger under the same picture only its noise.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
 
-from sim.box.light import Stage
-from sim.grain import GrainPool, deviation_of
-from sim.knock import Device, Disturbance, TrueRig
-from sim.options import BOARD_SCENE, SimOptions
-from sim.projector import LiveProjector
-from sim.render import Picture
-from sim.sensor import Light
-from sim.staging import optics_of, poses_of, scene_of
-from sim.world import Lamp, SimWorld
+from sim.devices.options import BOARD_SCENE, SimOptions
+from sim.devices.projector import LiveProjector
+from sim.devices.scene_options import optics_of, poses_of, scene_of
+from sim.devices.trigger_world import Lamp, SimWorld
+from sim.render.noise_pool import GrainPool, deviation_of
+from sim.render.projection_transport import Stage
+from sim.render.render_pair import Picture
+from sim.render.sensor import Light
+from sim.rig.disturbance import Device, Disturbance, TrueRig
 
 # Bytes of rendered stages and of lit pictures that are kept for the next time.
 _STAGE_BYTES, _LIT_BYTES = 600 << 20, 400 << 20
@@ -36,7 +36,7 @@ class _Situation:
 
 
 class LiveScene:
-    """Pictures of a scene under a projector that shows anything; for :class:`sim.world.SimWorld`.
+    """Pictures of a scene under a projector that shows anything; for :class:`sim.devices.trigger_world.SimWorld`.
 
     Args:
         options: scene, rig, seed; ``disturb`` is what happens by itself, ``hold`` how long a pose lasts.
@@ -170,6 +170,6 @@ class LiveWorld(SimWorld):
         Args:
             side: ``left``, ``right`` or ``projector``.
             change: ``turn_deg=(x, y, z)``, ``shift_px=(u, v)``, ``crosstalk=0.03``, see
-                :class:`sim.knock.Disturbance`.
+                :class:`sim.rig.disturbance.Disturbance`.
         """
         self._scene.disturb(Disturbance(side, at=self.triggers, **change))

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from drivers.protocols import Camera, Clock, Projector, Side
-from sim import files
-from sim.live import LiveScene, LiveWorld
-from sim.loop import Progress, loops_of
-from sim.options import SimOptions, from_mapping
-from sim.projector import LiveProjector, SimProjector
-from sim.render import picture_sent
-from sim.world import Pictures, SimWorld
+from sim.devices.live_world import LiveScene, LiveWorld
+from sim.devices.options import SimOptions, from_mapping
+from sim.devices.projector import LiveProjector, SimProjector
+from sim.devices.rendered_loop import Progress, loops_of
+from sim.devices.trigger_world import Pictures, SimWorld
+from sim.render.render_pair import picture_sent
+from sim.rig import rig_files
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +25,7 @@ class RigDevices:
         cameras: ``left`` and ``right``, closed.
         projector: closed.
         trigger: gives triggers by itself once a camera has started (``rate_hz`` above 0), else by ``step()``;
-            ``close()`` ends it and all devices. That of a live rig is a :class:`sim.live.LiveWorld`.
+            ``close()`` ends it and all devices. That of a live rig is a :class:`sim.devices.live_world.LiveWorld`.
         options: as checked.
         calibration, pattern, volume: plain mappings of the three files of such a rig.
     """
@@ -98,7 +98,7 @@ def open_rig(
         projector,
         world,
         checked,
-        files.calibration_mapping(layout, optics),
-        files.pattern_mapping(layout),
-        files.volume_mapping(layout),
+        rig_files.calibration_mapping(layout, optics),
+        rig_files.pattern_mapping(layout),
+        rig_files.volume_mapping(layout),
     )

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, get_args
 
 from drivers.protocols import Side
-from pipeline.errors import TargetError
-from pipeline.targets.board import parse_board
-from sim.faults import RANDOM_KINDS, Fault, FaultKind, FaultPlan
-from sim.knock import DEVICES, Disturbance
-from sim.optics import Optics
-from sim.rig import RigLayout
-from sim.scenes import NAMES
-from sim.sensor import ENCODINGS
+from pipeline.calibrate.targets.board.board import parse_board
+from pipeline.common.errors import TargetError
+from sim.devices.faults import RANDOM_KINDS, Fault, FaultKind, FaultPlan
+from sim.render.sensor import ENCODINGS
+from sim.rig.disturbance import DEVICES, Disturbance
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import NAMES
 
 BOARD_SCENE = "board"
 _SCENES = (*NAMES, BOARD_SCENE)
@@ -31,7 +31,7 @@ class SimOptions:
     """Everything a simulated rig is made of.
 
     Args:
-        scene: name, see :mod:`sim.scenes`, or ``board``.
+        scene: name, see :mod:`sim.scene.named_scenes`, or ``board``.
         mesh: file of a triangle mesh, for the scene ``mesh``.
         seed: of textures and noise.
         frames: pictures in the loop.

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import render
-from sim.knock import TrueRig
-from sim.options import BOARD_SCENE, SimOptions
-from sim.scenes import Scene
-from sim.staging import optics_of, scene_of
+from sim.devices.options import BOARD_SCENE, SimOptions
+from sim.devices.scene_options import optics_of, scene_of
+from sim.render import render_pair
+from sim.rig.disturbance import TrueRig
+from sim.scene.named_scenes import Scene
 
 # To be raised whenever the same options would give other pictures.
 RENDER_VERSION = 1
@@ -115,7 +115,7 @@ def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
         if counts is None or scene.moves:
             counts = _counts(options, scene, index)
         noise_seed = options.seed * 1_000_003 + index
-        pairs.append(render.with_noise(counts, options.optics, noise_seed, options.encoding))
+        pairs.append(render_pair.with_noise(counts, options.optics, noise_seed, options.encoding))
     if progress is not None:
         progress(options.frames, options.frames)
     return Loop(_frozen([left for left, _ in pairs]), _frozen([right for _, right in pairs]))
@@ -132,7 +132,7 @@ def _counts(options: SimOptions, scene: Scene, index: int) -> tuple[NDArray[np.f
     rig = TrueRig.of(options.layout, optics)
     for knock in options.disturb:
         rig = rig.after(knock)
-    return render.render_counts(options.layout, scene, pattern, optics, t_s, options.encoding, rig)
+    return render_pair.render_counts(options.layout, scene, pattern, optics, t_s, options.encoding, rig)
 
 
 def _frozen(pictures: list[Picture]) -> Picture:

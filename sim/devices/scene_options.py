@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
-from sim import scenes
-from sim.boards import board_scene, fine
-from sim.optics import Optics
-from sim.options import BOARD_SCENE, SimOptions
-from sim.poses import BoardPose, session_poses
-from sim.rig import RigLayout
-from sim.scenes import Scene
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board, parse_board
+from sim.boards.board_poses import BoardPose, session_poses
+from sim.boards.board_scene import board_scene, fine
+from sim.devices.options import BOARD_SCENE, SimOptions
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene import named_scenes
+from sim.scene.named_scenes import Scene
 
 
 def scene_of(options: SimOptions, pose: int = 0) -> Scene:
@@ -19,7 +19,7 @@ def scene_of(options: SimOptions, pose: int = 0) -> Scene:
     if options.scene == BOARD_SCENE:
         poses = poses_of(options)
         return board_scene(board_of(options), poses[min(pose, len(poses) - 1)])
-    return scenes.build(options.scene, seed=options.seed, mesh_file=options.mesh)
+    return named_scenes.build(options.scene, seed=options.seed, mesh_file=options.mesh)
 
 
 def optics_of(options: SimOptions) -> Optics:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Clock, Frame, Side
-from sim.camera import SimCamera
-from sim.clock import SystemClock
-from sim.faults import Fault, FaultKind, FaultPlan, Ledger
+from sim.devices.camera import SimCamera
+from sim.devices.clock import SystemClock
+from sim.devices.faults import Fault, FaultKind, FaultPlan, Ledger
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 

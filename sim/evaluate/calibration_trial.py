@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pipeline.calibration import Calibration
-from pipeline.pattern import ColorFringe
-from pipeline.reconstruct import Reconstructor
-from sim import render, scenes
-from sim.optics import Optics
-from sim.render import Picture
-from sim.rig import RigLayout
-from sim.score import AlignedScore, aligned
-from sim.truth import Truth
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
+from sim.evaluate.score import AlignedScore, aligned
+from sim.render import render_pair
+from sim.render.ground_truth import Truth
+from sim.render.render_pair import Picture
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene import named_scenes as scenes
 
 SCENES = ("plane", "spheres", "face")
 
@@ -41,14 +42,15 @@ def measuring_pair(
 
     Args:
         calibration: only its response matters here. layout, optics: the rig as it is.
-        scene: name, see :mod:`sim.scenes`. pattern: that of the layout if None. seed: of textures and noise.
+        scene: name, see :mod:`sim.scene.named_scenes`. pattern: that of the layout if None. seed: of textures and
+            noise.
     """
     optics, pattern = optics or Optics(), pattern or layout.pattern()
     built = scenes.build(scene, seed=seed)
-    left, right = render.render_pictures(
+    left, right = render_pair.render_pictures(
         layout, built, pattern.picture(calibration.response), optics, seed=seed, encoding=encoding
     )
-    truth, _ = render.truths(layout, built, pattern, 0.5e-6 * optics.exposure_us)
+    truth, _ = render_pair.truths(layout, built, pattern, 0.5e-6 * optics.exposure_us)
     return left, right, truth
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.truth import Truth
+from sim.render.ground_truth import Truth
 
 RIGHT_MM = 1.0
 WRONG_MM = 6.0

@@ -1,4 +1,4 @@
-"""``python -m sim.shot SCENE FOLDER``: one pair of a scene as PNG files, with its truth and the rig's files.
+"""``python -m sim.evaluate.write_pair SCENE FOLDER``: one pair of a scene as PNG files, with truth and rig files.
 
 Options of the rig follow as ``key=value`` of its optics, for instance ``defocus_px=1.5 gamma=2.2``.
 """
@@ -12,10 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim import files, scenes
-from sim.optics import Optics
-from sim.render import RenderedPair, render_pair
-from sim.rig import RigLayout
+from sim.render.render_pair import RenderedPair, render_pair
+from sim.rig import rig_files
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene import named_scenes
 
 
 def write_shot(pair: RenderedPair, folder: Path) -> None:
@@ -31,18 +32,20 @@ def write_shot(pair: RenderedPair, folder: Path) -> None:
 def main(arguments: list[str]) -> int:
     """Render, write, and tell in one line what there is."""
     if len(arguments) < 2:
-        sys.stderr.write(f"{__doc__}Scenes: {', '.join(scenes.NAMES)}; a path stands for the mesh of that file.\n")
+        sys.stderr.write(
+            f"{__doc__}Scenes: {', '.join(named_scenes.NAMES)}; a path stands for the mesh of that file.\n"
+        )
         return 2
     name, folder, *changes = arguments
     optics = Optics(**{key: json.loads(value) for key, _, value in (item.partition("=") for item in changes)})
-    mesh_file = None if name in scenes.NAMES else Path(name)
-    layout, scene = RigLayout(), scenes.build("mesh" if mesh_file else name, mesh_file=mesh_file)
+    mesh_file = None if name in named_scenes.NAMES else Path(name)
+    layout, scene = RigLayout(), named_scenes.build("mesh" if mesh_file else name, mesh_file=mesh_file)
     pair = render_pair(layout, scene, layout.pattern(), optics)
     write_shot(pair, Path(folder))
     for file, mapping in (
-        ("calibration.json", files.calibration_mapping(layout, optics)),
-        ("pattern.json", files.pattern_mapping(layout)),
-        ("volume.json", files.volume_mapping(layout)),
+        ("calibration.json", rig_files.calibration_mapping(layout, optics)),
+        ("pattern.json", rig_files.pattern_mapping(layout)),
+        ("volume.json", rig_files.volume_mapping(layout)),
     ):
         (Path(folder) / file).write_text(json.dumps(mapping, indent=1))
     share = float(pair.truth_left.scorable.mean())

@@ -16,7 +16,7 @@ import numpy as np
 
 from sim.gentl import memory
 from sim.gentl.counters import CableState, read_state
-from sim.gentl.pictures import Picture, Pictures
+from sim.gentl.shared_images import Picture, Pictures
 
 Filter = Literal["mono", "RG", "GR", "GB", "BG"]
 _FLOCK = "hhqqi4x"

@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.pattern import ColorFringe
-from sim.lens import packed, pixel_rays, pixels_of
-from sim.surface import Surfaces
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.camera_model import CameraModel
+from sim.render.lens import packed, pixel_rays, pixels_of
+from sim.scene.ray_hits import Surfaces
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

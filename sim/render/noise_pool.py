@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.optics import Optics
-from sim.sensor import Light, noise_variance
+from sim.render.sensor import Light, noise_variance
+from sim.rig.optics import Optics
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 _PLACES = 1 << 20
@@ -16,7 +16,7 @@ _PLACES = 1 << 20
 class GrainPool:
     """Standard normal numbers for pictures of one size.
 
-    Two pictures have the same grain once in two million; the law is :func:`sim.sensor.read_out`'s.
+    Two pictures have the same grain once in two million; the law is :func:`sim.render.sensor.read_out`'s.
 
     Args:
         values: of one picture.

@@ -7,10 +7,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.intersect import Table
-from sim.lens import pixel_of
-from sim.optics import Optics
-from sim.texture import albedo
+from sim.render.lens import pixel_of
+from sim.rig.optics import Optics
+from sim.scene.ray_intersection import Table
+from sim.scene.texture import albedo
 
 Array = NDArray[np.float64]
 

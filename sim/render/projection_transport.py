@@ -2,8 +2,8 @@
 
 Light is linear. For a scene at rest each ray of a camera picture meets one place of the projector picture and brings
 back a fixed share of its light; what changes with the picture is a look-up per ray, and what follows (lens blur,
-colours, mosaic, noise) is the renderer's own code. :mod:`sim.render` renders from the pixels of the picture on the
-cable too, so the two differ by rounding alone.
+colours, mosaic, noise) is the renderer's own code. :mod:`sim.render.render_pair` renders from the pixels of the picture
+on the cable too, so the two differ by rounding alone.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from sim import light as lighting
-from sim import render, sensor
-from sim.knock import TrueRig
-from sim.lens import packed, pixel_rays, pixels_of
-from sim.optics import Optics
-from sim.render import Picture
-from sim.rig import RigLayout
-from sim.scenes import Scene
-from sim.surface import Surfaces, surfaces
+from pipeline.rig.camera_model import CameraModel
+from sim.render import projected_light as lighting
+from sim.render import render_pair, sensor
+from sim.render.lens import packed, pixel_rays, pixels_of
+from sim.render.render_pair import Picture
+from sim.rig.disturbance import TrueRig
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import Scene
+from sim.scene.ray_hits import Surfaces, surfaces
 
 Light = NDArray[np.float32]
 Counts = tuple[Light, Light]
@@ -48,7 +48,7 @@ class Footprint:
     dark: Light
 
     def under(self, light: Light, optics: Optics) -> Light:
-        """Light on the sensor, (H, W, 3), under ``light`` of :func:`sim.light.projected_light`."""
+        """Light on the sensor, (H, W, 3), under ``light`` of :func:`sim.render.projected_light.projected_light`."""
         edged = cv2.copyMakeBorder(light, _EDGE_PX, _EDGE_PX, _EDGE_PX, _EDGE_PX, cv2.BORDER_REPLICATE)
         rays = np.empty_like(self.gain)
         shifts = np.asarray(optics.color_shift_px, dtype=np.float32)
@@ -59,7 +59,7 @@ class Footprint:
             for start, end in groups:
                 _look_up(self.uv[some], self.gain[some], edged, shifts[start], start, end, rays[some])
 
-        render.in_bands(band, len(rays))
+        render_pair.in_bands(band, len(rays))
         return _pixels(rays, optics) + self.dark
 
 
@@ -69,7 +69,7 @@ class Stage:
     Keeps 20 bytes a ray, camera and instant: 70 MB a camera at 1024 x 820, 4 MB at a quarter of that each way.
 
     Args:
-        layout, scene, optics, encoding: as :func:`sim.render.render_pair` takes them.
+        layout, scene, optics, encoding: as :func:`sim.render.render_pair.render_pair` takes them.
         instants_s: starts of exposure in the scene's time; one is enough for a scene at rest.
         rig: instead of that of the layout and of the optics, when something has happened to it.
     """
@@ -99,13 +99,13 @@ class Stage:
         ]
 
     def counts(self, picture: NDArray[np.uint8], instant: int = 0) -> Counts:
-        """Counts above black of both cameras without noise, as :func:`sim.render.render_counts` gives them.
+        """Counts above black of both cameras without noise, as :func:`sim.render.render_pair.render_counts` gives them.
 
         Args:
             picture: (H, W, 3) uint8 of the projector's size.
             instant: index of ``instants_s``; it goes round.
         """
-        sent = render.picture_sent(picture, self.optics, self.layout.projector_size)
+        sent = render_pair.picture_sent(picture, self.optics, self.layout.projector_size)
         light = lighting.projected_light(sent, self.optics)
         left, right = (
             sensor.exposed(
@@ -117,13 +117,13 @@ class Stage:
 
     def pictures(self, counts: Counts, seed: int) -> tuple[Picture, Picture]:
         """What the sensors make of counts; the seed decides the noise, bit by bit."""
-        return render.with_noise(counts, self.optics, seed, self.encoding)
+        return render_pair.with_noise(counts, self.optics, seed, self.encoding)
 
 
 def _footprint(
     layout: RigLayout, projector: CameraModel, scene: Scene, optics: Optics, t_s: float, camera: CameraModel
 ) -> Footprint:
-    """The rays of :func:`sim.render.light_on_sensor`, kept instead of lit."""
+    """The rays of :func:`sim.render.render_pair.light_on_sensor`, kept instead of lit."""
     s, (columns, rows) = optics.supersampling, camera.size
     uv = np.empty((rows * s, columns * s, 2), np.float32)
     gain, dark = np.empty((rows * s, columns * s, 3), np.float32), np.empty((rows * s, columns * s, 3), np.float32)
@@ -138,7 +138,7 @@ def _footprint(
 
 
 def _pixels(rays: Light, optics: Optics) -> Light:
-    """:func:`sim.sensor.blurred` with the mean over each pixel's rays taken in a quarter of the time."""
+    """:func:`sim.render.sensor.blurred` with the mean over each pixel's rays taken in a quarter of the time."""
     s = optics.supersampling
     blurred = sensor.blurred(rays, replace(optics, supersampling=1, psf_px=optics.psf_px * s))
     rows, columns = rays.shape[0] // s, rays.shape[1] // s
@@ -169,11 +169,11 @@ def _sampled(
         gain = lighting.shade(*surface, lit, lamp, unit, shift, standoff, 0.0)
         dark = lighting.shade(*surface, np.zeros_like(lit), lamp, black, shift, standoff, optics.ambient)
         for part in (gain, dark):
-            now.darken(part, hits, camera.centre, render.angle_of_a_ray(camera, optics))
+            now.darken(part, hits, camera.centre, render_pair.angle_of_a_ray(camera, optics))
         uv = np.where(lit[:, None], pixels_of(lamp, hits.points), 0.0).astype(np.float32)
         return tuple(part.reshape(height, columns, -1) for part in (uv, gain, dark))  # type: ignore[return-value]
 
-    bands = render.in_bands(band, rows)
+    bands = render_pair.in_bands(band, rows)
     uv, gain, dark = (np.concatenate([part[k] for part in bands]) for k in range(3))
     return uv, gain, dark
 

@@ -15,17 +15,17 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.pattern import ColorFringe
-from sim import light as lighting
-from sim import sensor
-from sim.knock import TrueRig
-from sim.lens import packed, pixel_rays
-from sim.optics import Optics
-from sim.rig import RigLayout
-from sim.scenes import Scene
-from sim.surface import Surfaces, surfaces
-from sim.truth import Truth, rows_of_truth, stacked
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.camera_model import CameraModel
+from sim.render import projected_light as lighting
+from sim.render import sensor
+from sim.render.ground_truth import Truth, rows_of_truth, stacked
+from sim.render.lens import packed, pixel_rays
+from sim.rig.disturbance import TrueRig
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import Scene
+from sim.scene.ray_hits import Surfaces, surfaces
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 T = TypeVar("T")
@@ -126,7 +126,7 @@ def with_noise(
 def picture_sent(pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size: tuple[int, int]) -> NDArray[np.uint8]:
     """The picture on the cable to the projector, (H, W, 3) uint8."""
     if isinstance(pattern, ColorFringe):
-        from pipeline.calibration import Response
+        from pipeline.rig.calibration import Response
 
         corrected = optics.precorrected and optics.gamma != 1.0
         picture = pattern.picture(Response(*optics.response_table()) if corrected else None)

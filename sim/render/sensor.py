@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.optics import Optics
+from sim.rig.optics import Optics
 
 Light = NDArray[np.float32]
 

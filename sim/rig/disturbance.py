@@ -8,10 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from sim.optics import Optics, crosstalk_shape
-from sim.rig import RigLayout
-from sim.shapes import Triple, rotation_about
+from pipeline.rig.camera_model import CameraModel
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics, crosstalk_shape
+from sim.scene.shapes import Triple, rotation_about
 
 Array = NDArray[np.float64]
 Device = Literal["left", "right", "projector"]

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration, ColorModel, Response
-from pipeline.camera_model import CameraModel
-from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
-from sim.optics import Optics
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration, ColorModel, Response
+from pipeline.rig.camera_model import CameraModel
+from sim.rig.optics import Optics
 
 Array = NDArray[np.float64]
 

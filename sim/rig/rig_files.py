@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pipeline.calibration import to_mapping
-from sim.optics import Optics
-from sim.rig import RigLayout
+from pipeline.rig.calibration import to_mapping
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
 
 
 def calibration_mapping(layout: RigLayout, optics: Optics) -> dict[str, Any]:

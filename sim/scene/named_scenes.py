@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sim.shapes import COLORED, Motion, Shape, Texture, box, cylinder, mesh, plane, rectangle, relief, sphere
+from sim.scene.shapes import COLORED, Motion, Shape, Texture, box, cylinder, mesh, plane, rectangle, relief, sphere
 
 SKIN = (0.78, 0.60, 0.50)
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import intersect
-from sim.ink import Cells, darken
-from sim.intersect import MESH, Table
-from sim.mesh import Mesh, load
-from sim.scenes import Scene
-from sim.shapes import table_of
+from sim.scene import ray_intersection
+from sim.scene.mesh import Mesh, load
+from sim.scene.named_scenes import Scene
+from sim.scene.printed_marks import Cells, darken
+from sim.scene.ray_intersection import MESH, Table
+from sim.scene.shapes import table_of
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -37,7 +37,7 @@ class Surfaces:
 
     def hits(self, origin: Array, rays: Array) -> Hits:
         """First hits of unit rays (n, 3) from one origin (3,)."""
-        distance, which, normals = intersect.nearest(self.table, origin, rays)
+        distance, which, normals = ray_intersection.nearest(self.table, origin, rays)
         for index, mesh in self.meshes:
             rotation, place = self.table.rotation[index], self.table.translation[index]
             far, triangle = mesh.nearest((origin - place) @ rotation, rays @ rotation)
@@ -51,7 +51,7 @@ class Surfaces:
 
     def seen_from(self, hits: Hits, viewer: Array) -> Bools:
         """Which hits a viewer at a place (3,) sees: nothing in between, and from the same side."""
-        seen = intersect.visible(self.table, hits.points, hits.normals, viewer)
+        seen = ray_intersection.visible(self.table, hits.points, hits.normals, viewer)
         for index, mesh in self.meshes:
             rotation, place = self.table.rotation[index], self.table.translation[index]
             asked = np.flatnonzero(seen)

@@ -1,6 +1,6 @@
 """Where rays meet the analytic shapes, exactly, in compiled code.
 
-Every shape is met in its own frame; ``dims`` means what :mod:`sim.shapes` says for its kind. A miss is ``inf``.
+Every shape is met in its own frame; ``dims`` means what :mod:`sim.scene.shapes` says for its kind. A miss is ``inf``.
 """
 
 from __future__ import annotations

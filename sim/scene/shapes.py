@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.ink import Ink
-from sim.intersect import BOX, CYLINDER, MESH, RECTANGLE, RELIEF, SPHERE, Table, relief_height
+from sim.scene.printed_marks import Ink
+from sim.scene.ray_intersection import BOX, CYLINDER, MESH, RECTANGLE, RELIEF, SPHERE, Table, relief_height
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -59,7 +59,7 @@ class Shape:
     """One thing; made by the functions below.
 
     Args:
-        kind: number of the kind, see :mod:`sim.intersect`.
+        kind: number of the kind, see :mod:`sim.scene.ray_intersection`.
         dims: sizes, mm, (at most 6), as the kind has it.
         radius_mm: of a sphere about the origin of the shape that holds it all.
         at_mm: place on the stage.

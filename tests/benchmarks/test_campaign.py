@@ -15,10 +15,10 @@ from benchmarks.campaign.faults import FAULTS
 from benchmarks.campaign.report import Campaign, Outcome
 from benchmarks.campaign.takes import Takes, first_part, stem_of
 from benchmarks.load import percentile, verdict
-from daemon.recording.reader import TakeReader
+from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import SIDES
-from sim.box.ledger import Ledger, Shown, digest
-from sim.faults import FaultKind
+from sim.box.exposure_ledger import Ledger, Shown, digest
+from sim.devices.faults import FaultKind
 
 TAKE = Path(__file__).parents[1] / "golden" / "take.mcap"
 

@@ -16,9 +16,9 @@ from benchmarks.compare import phase_error
 from benchmarks.rendered import Shot
 from benchmarks.speed import mean_score, scored, timed
 from benchmarks.worker import there_and_back
-from sim.rig import RigLayout
-from sim.score import score
-from sim.truth import phases
+from sim.evaluate.score import score
+from sim.render.ground_truth import phases
+from sim.rig.layout import RigLayout
 
 SMALL = Case("small", "plane", layout=RigLayout().scaled(0.25), periods=24.0)
 

@@ -10,10 +10,10 @@ import pytest
 
 from benchmarks.box_daemon import Daemon, wait_until
 from fringed import subscribe
-from pipeline.reconstruct import Reconstructor
-from sim import render
+from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.box.box import Box
-from sim.score import Score, score
+from sim.evaluate.score import Score, score
+from sim.render import render_pair
 
 PAIRS = 5
 
@@ -22,7 +22,7 @@ def simulated(box: Box, index: int) -> np.ndarray:
     """The cloud of the same scene and noise, rendered and reconstructed in memory."""
     options, layout = box.options.simulation, box.options.layout
     pattern = layout.pattern()
-    pair = render.render_pair(layout, box.stage.scene, pattern, options.optics, 0.0, index, options.encoding)
+    pair = render_pair.render_pair(layout, box.stage.scene, pattern, options.optics, 0.0, index, options.encoding)
     made = Reconstructor(layout.calibration_for(options.optics), pattern, layout.volume(), encoding=options.encoding)
     return made.reconstruct(pair.left, pair.right).xyz
 
@@ -38,7 +38,7 @@ def line(name: str, scored: Score) -> str:
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
 def test_the_loop_costs_no_accuracy(make_box: Callable[..., Box], encoding: str) -> None:
     box = make_box(encoding=encoding)
-    truth, _ = render.truths(box.options.layout, box.stage.scene, box.options.layout.pattern())
+    truth, _ = render_pair.truths(box.options.layout, box.stage.scene, box.options.layout.pattern())
     with Daemon(box) as daemon, closing(subscribe(daemon.stream, latest=False, timeout_s=30)) as clouds:
         wait_until(lambda: "cloud/full" in daemon.service.sinks["stream"].status()["topics"], 30, "the subscription")
         received = []

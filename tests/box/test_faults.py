@@ -12,7 +12,7 @@ import pytest
 from benchmarks.box_daemon import Daemon, wait_until
 from drivers.protocols import SIDES
 from sim.box.box import Box
-from sim.faults import FaultKind
+from sim.devices.faults import FaultKind
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 

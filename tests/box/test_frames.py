@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
-from daemon.pairing import Lost, Pair, Pairer, PairingSettings
+from daemon.live.acquisition.pairer import Lost, Pair, Pairer, PairingSettings
 from drivers.genicam import open_camera
 from drivers.projector import OutputProjector, open_projector
 from drivers.protocols import SIDES, Camera, Side
-from sim import scenes
 from sim.box.box import Box
-from sim.box.light import Stage
+from sim.render.projection_transport import Stage
+from sim.scene import named_scenes
 
 TRIGGERS = 300
 
@@ -53,7 +53,7 @@ def pictures(box: Box) -> list[np.ndarray]:
 def test_frames_are_what_was_shown_and_pairs_are_right(make_box: Callable[..., Box], encoding: str) -> None:
     box = make_box(encoding=encoding)
     optics, layout = box.options.simulation.optics, box.options.layout
-    moving = Stage(layout, scenes.build("moving"), optics, encoding=encoding, instants_s=(0.0, 0.8, 1.7))
+    moving = Stage(layout, named_scenes.build("moving"), optics, encoding=encoding, instants_s=(0.0, 0.8, 1.7))
     shown_pictures, pairer, told = pictures(box), Pairer(PairingSettings(tolerance_ns=500_000)), Counter[str]()
     with devices(box) as (projector, cameras):
         for index in range(TRIGGERS):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import render, scenes
-from sim.box.light import Stage
-from sim.optics import Optics
-from sim.rig import RigLayout
+from sim.render import render_pair
+from sim.render.projection_transport import Stage
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene import named_scenes
 
 SMALL = RigLayout().scaled(0.125)
 CASES = {
@@ -31,14 +32,14 @@ def pictures() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("case", CASES)
 def test_any_picture_looks_as_the_renderer_has_it(case: str) -> None:
     name, optics, encoding, t_s = CASES[case]
-    scene = scenes.build(name, seed=2)
+    scene = named_scenes.build(name, seed=2)
     stage = Stage(SMALL, scene, optics, encoding=encoding, instants_s=(t_s,))
     for picture in pictures().values():
-        expected = render.render_counts(SMALL, scene, picture, optics, t_s, encoding)
+        expected = render_pair.render_counts(SMALL, scene, picture, optics, t_s, encoding)
         for lit, rendered in zip(stage.counts(picture), expected, strict=True):
             assert lit.dtype == np.float32 and lit.shape == rendered.shape
             assert np.abs(lit - rendered).max() < 2e-3
-        noisy = render.with_noise(expected, optics, 9, encoding)
+        noisy = render_pair.with_noise(expected, optics, 9, encoding)
         for made, wanted in zip(stage.pictures(stage.counts(picture), 9), noisy, strict=True):
             assert np.abs(made.astype(np.int64) - wanted).max() <= 1
             assert np.mean(made != wanted) < 1e-3 if made.dtype == np.uint8 else True
@@ -46,7 +47,7 @@ def test_any_picture_looks_as_the_renderer_has_it(case: str) -> None:
 
 def test_light_adds_up() -> None:
     optics = Optics()
-    stage = Stage(SMALL, scenes.build("mixed"), optics)
+    stage = Stage(SMALL, named_scenes.build("mixed"), optics)
     rng = np.random.default_rng(1)
     one, other = (rng.integers(0, 128, pictures()["noise"].shape, dtype=np.uint8) for _ in range(2))
     dark, first, second, both = (stage.counts(p)[0] for p in (np.zeros_like(one), one, other, one + other))
@@ -54,7 +55,7 @@ def test_light_adds_up() -> None:
 
 
 def test_the_noise_depends_on_the_seed_alone() -> None:
-    stage = Stage(SMALL, scenes.build("plane"))
+    stage = Stage(SMALL, named_scenes.build("plane"))
     counts = stage.counts(pictures()["fringes"])
     first, again, other = (stage.pictures(counts, seed)[1] for seed in (5, 5, 6))
     assert np.array_equal(first, again)
@@ -63,7 +64,7 @@ def test_the_noise_depends_on_the_seed_alone() -> None:
 
 def test_instants_go_round_and_a_scene_at_rest_needs_one() -> None:
     times = (0.0, 1.0, 2.0)
-    moving, still = (Stage(SMALL, scenes.build(name), instants_s=times) for name in ("moving", "plane"))
+    moving, still = (Stage(SMALL, named_scenes.build(name), instants_s=times) for name in ("moving", "plane"))
     assert (moving.instants_s, still.instants_s) == (times, (0.0,))
     white = np.full_like(pictures()["black"], 255)
     pics = [moving.counts(white, instant)[0] for instant in range(4)]
@@ -73,8 +74,8 @@ def test_instants_go_round_and_a_scene_at_rest_needs_one() -> None:
 
 def test_mistakes_are_told() -> None:
     with pytest.raises(ValueError, match="encoding is 'yuv', expected one of rgb8"):
-        Stage(SMALL, scenes.build("plane"), encoding="yuv")
+        Stage(SMALL, named_scenes.build("plane"), encoding="yuv")
     with pytest.raises(ValueError, match="instants_s is empty"):
-        Stage(SMALL, scenes.build("plane"), instants_s=())
+        Stage(SMALL, named_scenes.build("plane"), instants_s=())
     with pytest.raises(ValueError, match=r"the picture to show is \(4, 4, 3\)"):
-        Stage(SMALL, scenes.build("plane")).counts(np.zeros((4, 4, 3), np.uint8))
+        Stage(SMALL, named_scenes.build("plane")).counts(np.zeros((4, 4, 3), np.uint8))

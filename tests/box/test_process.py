@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from benchmarks.box_daemon import wait_until
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
+from daemon.control.rpc.client import ControlClient
 from fringed import subscribe
 from sim.box.box import Box, heads
 from sim.box.options import from_mapping
-from sim.options import OptionError
-from sim.xserver import XServer
+from sim.box.xserver import XServer
+from sim.devices.options import OptionError
 
 CONFIG = """
 folder: {folder}

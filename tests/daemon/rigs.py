@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from daemon.config import RigConfig, parse_rig
-from daemon.rig import Rig
-from daemon.sinks import CloudItem, Item, PairItem
-from pipeline import calibration, cloud, pattern
-from sim.devices import RigDevices, open_rig
+from daemon.live.items import CloudItem, Item, PairItem
+from daemon.rig.open_rig import Rig
+from pipeline.pattern import color_fringe
+from pipeline.reconstruct import cloud
+from pipeline.rig import calibration
+from sim.devices.open_rig import RigDevices, open_rig
 
 SMALL = {"frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}}
 
@@ -58,7 +60,7 @@ def step(made: RigDevices) -> None:
 
 
 def open_rig_size(options: dict[str, Any]) -> tuple[int, int]:
-    from sim.options import from_mapping
+    from sim.devices.options import from_mapping
 
     width, height = from_mapping(options).layout.camera_size
     return width, height
@@ -69,7 +71,7 @@ def rig_of(made: RigDevices) -> Rig:
         made.cameras,
         made.projector,
         calibration.from_mapping(made.calibration),
-        pattern.from_mapping(made.pattern),
+        color_fringe.from_mapping(made.pattern),
         cloud.Volume(**made.volume),
         b"x",
         "sha256:00",

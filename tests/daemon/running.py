@@ -11,15 +11,15 @@ from typing import Any
 
 import yaml
 
+from daemon.common.errors import DaemonError
 from daemon.config import load_rig
-from daemon.config.models import RigConfig
+from daemon.config.rig_config import RigConfig
 from daemon.control.methods import Methods
-from daemon.errors import DaemonError
-from daemon.recorder import Recorder
-from daemon.rig import Rig
-from daemon.service import Service
-from daemon.settings.files import read_again
-from daemon.status import State
+from daemon.control.settings.changed_files import read_again
+from daemon.live.service import Service
+from daemon.live.status import State
+from daemon.recording.recorder import Recorder
+from daemon.rig.open_rig import Rig
 from tests.daemon.rigs import Collector, devices, rig_of, step, wait_until
 
 RIG = """cameras: {{driver: sim}}

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from drivers.protocols import CameraHealth, CameraInfo, Frame, ProjectorInfo
-from pipeline.pattern import ColorFringe
+from pipeline.pattern.color_fringe import ColorFringe
 
 SIZE, PROJECTOR = (96, 64), (128, 102)
 

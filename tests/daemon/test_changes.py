@@ -12,16 +12,16 @@ from typing import cast
 import pytest
 import yaml
 
-from daemon.capture import Capture
-from daemon.control.calibrate import CalibrateMethods
+from daemon.common.errors import DaemonError
+from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.methods import Methods
-from daemon.control.protocol import FAILED, INVALID_PARAMS, RpcError
-from daemon.errors import DaemonError
-from daemon.service import Service
-from daemon.settings.live import LIVE
-from daemon.status import State
-from pipeline import pattern
-from pipeline.pattern import ColorFringe
+from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, RpcError
+from daemon.control.sequence_capture import Capture
+from daemon.control.settings.live_settings import LIVE
+from daemon.live.service import Service
+from daemon.live.status import State
+from pipeline.pattern import color_fringe
+from pipeline.pattern.color_fringe import ColorFringe
 from tests.daemon.rigs import wait_until
 from tests.daemon.running import Running, warmed
 
@@ -192,7 +192,7 @@ def test_another_projected_picture_needs_a_restart(running: Running) -> None:
         running.write(f"pattern: {dict(running.devices.pattern)}\n")
         assert "pattern" in refused(running, "reload").as_object()["data"]["restart"]
     finally:
-        running.service.rig = replace(running.service.rig, pattern=pattern.from_mapping(running.devices.pattern))
+        running.service.rig = replace(running.service.rig, pattern=color_fringe.from_mapping(running.devices.pattern))
 
 
 def test_a_sink_that_refuses_keeps_everything_as_it_was(running: Running) -> None:

@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from daemon import entry
-from daemon.cli import COMMANDS
-from daemon.errors import ConfigError
+from daemon.cli import entry
+from daemon.cli.command_table import COMMANDS
+from daemon.common.errors import ConfigError
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
@@ -18,7 +18,7 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_help_imports_nothing_heavy_and_names_every_command() -> None:
     done = python(
-        "import sys; from daemon.entry import run; code = run(['--help'])\n"
+        "import sys; from daemon.cli.entry import run; code = run(['--help'])\n"
         "print(code, sorted({'numpy', 'cv2', 'numba', 'zmq', 'pydantic', 'rerun'} & set(sys.modules)))"
     )
     assert done.stdout.splitlines()[-1] == "0 []", done.stderr
@@ -26,7 +26,7 @@ def test_the_help_imports_nothing_heavy_and_names_every_command() -> None:
 
 
 def test_an_unknown_command_is_wrong_usage() -> None:
-    done = python("import sys; from daemon.entry import run; sys.exit(run(['mesure']))")
+    done = python("import sys; from daemon.cli.entry import run; sys.exit(run(['mesure']))")
     assert done.returncode == 2 and "No such command 'mesure'" in done.stderr
 
 
@@ -36,7 +36,7 @@ def test_an_expected_error_is_one_sentence_and_exit_code_1(
     def fail(arguments: list[str]) -> int:
         raise ConfigError([f"rig.yaml:1:1: no good {arguments}"])
 
-    monkeypatch.setattr("daemon.cli.invoke", fail)
+    monkeypatch.setattr("daemon.cli.command_table.invoke", fail)
     monkeypatch.delenv("FRINGED_DEBUG", raising=False)
     assert entry.run(["run"]) == 1
     assert capsys.readouterr().err == "fringed: rig.yaml:1:1: no good ['run']\n"
@@ -48,12 +48,14 @@ def test_a_bug_is_not_dressed_up_as_an_expected_error(monkeypatch: pytest.Monkey
     def fail(arguments: list[str]) -> int:
         raise KeyError(arguments[0])
 
-    monkeypatch.setattr("daemon.cli.invoke", fail)
+    monkeypatch.setattr("daemon.cli.command_table.invoke", fail)
     with pytest.raises(KeyError):
         entry.run(["run"])
 
 
 def test_without_the_packages_of_a_rig_it_tells_how_to_install_them() -> None:
-    done = python("import sys; sys.modules['typer'] = None; from daemon.entry import run; sys.exit(run(['--help']))")
+    done = python(
+        "import sys; sys.modules['typer'] = None; from daemon.cli.entry import run; sys.exit(run(['--help']))"
+    )
     assert done.returncode == 1
     assert "pip install 'fringed[rig]'" in done.stderr and "Traceback" not in done.stderr

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from daemon.commands.check import check_file
-from daemon.config import load_rig, registry
-from daemon.errors import ConfigError
-from daemon.launch import run_rig
-from daemon.rig import open_rig
+from daemon.bootstrap.run import run_rig
+from daemon.cli.setup.check import check_file
+from daemon.common.errors import ConfigError
+from daemon.config import driver_table, load_rig
+from daemon.rig.open_rig import open_rig
 from tests.daemon import silent_rig
 
 THIS = "tests.daemon.test_composed_rig"
@@ -34,8 +34,8 @@ def open_projector(options: dict[str, Any], base_dir: Path) -> silent_rig.Projec
 
 @pytest.fixture
 def rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setitem(registry.CAMERAS, "test", f"{THIS}:open_camera")
-    monkeypatch.setitem(registry.PROJECTORS, "test", f"{THIS}:open_projector")
+    monkeypatch.setitem(driver_table.CAMERAS, "test", f"{THIS}:open_camera")
+    monkeypatch.setitem(driver_table.PROJECTORS, "test", f"{THIS}:open_projector")
     silent_rig.write(tmp_path)
     opened.clear()
     return tmp_path / "rig.yaml"

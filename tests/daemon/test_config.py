@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import RigConfig, load_rig, parse_rig, schema
-from daemon.config import schema as schema_module
-from daemon.errors import ConfigError
+from daemon.common.errors import ConfigError
+from daemon.config import RigConfig, json_schema, load_rig, parse_rig
+from daemon.config import json_schema as schema_module
 
 GOOD = "cameras: {driver: sim}\n"
 
@@ -97,4 +97,6 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
 
 
 def test_the_committed_schema_is_current() -> None:
-    assert schema_module.COMMITTED.read_text(encoding="utf-8") == schema.text(), "run python -m daemon.config.schema"
+    assert schema_module.COMMITTED.read_text(encoding="utf-8") == json_schema.text(), (
+        "run python -m daemon.config.json_schema"
+    )

@@ -13,10 +13,10 @@ import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.control.client import ControlClient
-from daemon.control.protocol import MAX_BYTES, Method, Role, RpcError, answer
-from daemon.control.server import ControlServer
-from daemon.errors import ControlError, DaemonError
+from daemon.common.errors import ControlError, DaemonError
+from daemon.control.rpc.client import ControlClient
+from daemon.control.rpc.protocol import MAX_BYTES, Method, Role, RpcError, answer
+from daemon.control.rpc.server import ControlServer
 
 
 def refuse(_: dict[str, Any]) -> None:

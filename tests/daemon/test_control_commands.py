@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator
 import pytest
 from rich.console import Console
 
-from daemon import cli
-from daemon.commands.get import bounds, listed
-from daemon.commands.set import parsed
-from daemon.commands.status_page import page, watch
-from daemon.control.server import ControlServer
-from daemon.errors import ControlError
+from daemon.cli import command_table
+from daemon.cli.control.get import bounds, listed
+from daemon.cli.control.set import parsed
+from daemon.cli.control.status_page import page, watch
+from daemon.common.errors import ControlError
+from daemon.control.rpc.server import ControlServer
 from tests.daemon.running import Running, warmed
 
 
@@ -32,7 +32,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Running, 
 @pytest.fixture
 def typed(daemon: tuple[Running, str], capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     def run(*words: str) -> str:
-        assert cli.invoke([*words, "--endpoint", daemon[1], "--timeout", "60"]) == 0
+        assert command_table.invoke([*words, "--endpoint", daemon[1], "--timeout", "60"]) == 0
         return capsys.readouterr().out
 
     return run
@@ -59,7 +59,7 @@ def test_all_settings_are_listed(typed: Callable[..., str]) -> None:
 
 def test_a_refusal_is_told_in_the_daemons_words(daemon: tuple[Running, str]) -> None:
     with pytest.raises(ControlError, match=r"device\.name cannot be set live"):
-        cli.invoke(["set", "device.name", "x", "--endpoint", daemon[1], "--timeout", "60"])
+        command_table.invoke(["set", "device.name", "x", "--endpoint", daemon[1], "--timeout", "60"])
 
 
 def test_it_pauses_goes_on_and_takes_a_snapshot(typed: Callable[..., str]) -> None:

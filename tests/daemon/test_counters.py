@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from daemon.counters import Counters, Percentiles, Rate
-from daemon.mailbox import Mailbox
+from daemon.common.counters import Counters, Percentiles, Rate
+from daemon.common.latest_wins_queue import Mailbox
 
 
 def test_counts_from_many_threads_add_up() -> None:

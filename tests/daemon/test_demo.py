@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from daemon.commands import demo, demo_parts
+from daemon.cli.measure import demo, demo_processes
 from daemon.config import load_rig
 from tests.daemon.rigs import wait_until
 
@@ -30,14 +30,14 @@ def test_the_demo_writes_a_valid_rig_file(tmp_path: Path, small: bool) -> None:
 
 
 def test_the_line_tells_rate_points_and_latency() -> None:
-    text = demo_parts.line(STATUS)
+    text = demo_processes.line(STATUS)
     assert all(part in text for part in ("4.5 clouds/s", "1000 points", "latency 100 ms", "dropped 2"))
-    assert "no cloud yet" in demo_parts.line(STATUS | {"latency_ms": {}})
+    assert "no cloud yet" in demo_processes.line(STATUS | {"latency_ms": {}})
 
 
 def test_the_demo_ends_after_its_seconds_of_measuring() -> None:
     now_s, said, stopped = [0.0], [], []
-    report = demo_parts.Report(
+    report = demo_processes.Report(
         2.0, stop=lambda: stopped.append(True), viewer=None, say=said.append, now_s=lambda: now_s[0]
     )
     for second in (50.0, 51.0, 52.0):
@@ -47,10 +47,10 @@ def test_the_demo_ends_after_its_seconds_of_measuring() -> None:
 
 
 def test_a_viewer_that_dies_is_told_once_and_measuring_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demo_parts, "_VIEW", "raise SystemExit(7)")
+    monkeypatch.setattr(demo_processes, "_VIEW", "raise SystemExit(7)")
     said: list[str] = []
-    viewer = demo_parts.Viewer("ipc://nowhere")
-    report = demo_parts.Report(None, stop=lambda: None, viewer=viewer, say=said.append, now_s=lambda: 0.0)
+    viewer = demo_processes.Viewer("ipc://nowhere")
+    report = demo_processes.Report(None, stop=lambda: None, viewer=viewer, say=said.append, now_s=lambda: 0.0)
     report(STATUS)
     assert viewer._process is not None
     wait_until(lambda: viewer._process is not None and viewer._process.poll() is not None)
@@ -60,8 +60,8 @@ def test_a_viewer_that_dies_is_told_once_and_measuring_goes_on(monkeypatch: pyte
 
 
 def test_a_viewer_that_hangs_is_ended_with_the_demo(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demo_parts, "_VIEW", "import time; time.sleep(1000)")
-    viewer = demo_parts.Viewer("ipc://nowhere")
+    monkeypatch.setattr(demo_processes, "_VIEW", "import time; time.sleep(1000)")
+    viewer = demo_processes.Viewer("ipc://nowhere")
     viewer.start()
     process = viewer._process
     viewer.close()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from daemon.config.edit import with_value
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
+from daemon.config.yaml_edit import with_value
 
 KEY = ("projector", "options", "latency_ms")
 BLOCK = (

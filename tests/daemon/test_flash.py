@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.flash import measure_latency
+from daemon.live.projection.latency_measurement import measure_latency
 from drivers.errors import DriverError
 from drivers.protocols import CameraHealth, CameraInfo, Frame, ProjectorInfo
 

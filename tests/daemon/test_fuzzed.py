@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from daemon.config.load import check_rig
-from daemon.control.protocol import INTERNAL_ERROR, MAX_ANSWER_BYTES
-from daemon.control.server import ControlServer
-from daemon.settings.leaves import leaves
-from daemon.settings.live import is_live
+from daemon.control.rpc.protocol import INTERNAL_ERROR, MAX_ANSWER_BYTES
+from daemon.control.rpc.server import ControlServer
+from daemon.control.settings.flatten import leaves
+from daemon.control.settings.live_settings import is_live
 from tests.daemon.rigs import wait_until
 from tests.daemon.running import warmed
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from daemon.garbage import Garbage, Pauses
+from daemon.live.processing.gc_control import Garbage, Pauses
 
 
 class Ring:

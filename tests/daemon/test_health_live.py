@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
+from daemon.control.rpc.client import ControlClient
 from tests.daemon.rigs import wait_until
 
 RIG = """
@@ -45,7 +45,7 @@ health:
     least_modulation: null
     clock_offset_ms: null
 """
-_FRINGED = "from daemon.entry import main; main()"
+_FRINGED = "from daemon.cli.entry import main; main()"
 
 Start = Callable[[float], Path]
 

@@ -9,21 +9,22 @@ from pathlib import Path
 _PROGRAM = """
 import sys, threading, types
 from pathlib import Path
-from daemon import launch, service
-from daemon.config import registry
+from daemon.bootstrap import run
+from daemon.live import service
+from daemon.config import driver_table
 from tests.daemon import silent_rig
-registry.RIGS["silent"] = "tests.daemon.silent_rig:open_rig"
+driver_table.RIGS["silent"] = "tests.daemon.silent_rig:open_rig"
 path = Path(sys.argv[1])
 silent_rig.write(path)
-flag = launch.StopFlag()
+flag = run.StopFlag()
 states = []
 def on_status(status):
     states.append(status["state"])
     if status["state"] == "running":
         flag.ask()
-launch.run_rig(path / "rig.yaml", flag=flag, on_status=on_status)
+run.run_rig(path / "rig.yaml", flag=flag, on_status=on_status)
 heavy = ("rerun", "matplotlib", "sim", "pyarrow", "trimesh")
-solving = ("daemon.calibrate", "pipeline.bundle", "pipeline.targets", "pipeline.color_calibration")
+solving = ("daemon.apps.calibration", *(f"pipeline.calibrate.{part}" for part in ("bundle", "targets", "color")))
 loaded = [name for name in sys.modules if name.partition(".")[0] in heavy or name.startswith(solving)]
 print(states[-1], sorted(loaded))
 """

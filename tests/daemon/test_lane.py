@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import zmq
 
-from daemon.control.lane import ROOM, Job, Lane
-from daemon.control.protocol import BUSY, FAILED, FORBIDDEN, MAX_ANSWER_BYTES, MAX_BATCH, Method, Role, answer
-from daemon.control.server import ControlServer
+from daemon.control.rpc.background_executor import ROOM, Job, Lane
+from daemon.control.rpc.protocol import BUSY, FAILED, FORBIDDEN, MAX_ANSWER_BYTES, MAX_BATCH, Method, Role, answer
+from daemon.control.rpc.server import ControlServer
 from tests.daemon.rigs import wait_until
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from daemon import launch
-from daemon.control.client import ControlClient
-from daemon.errors import ConfigError, DaemonError
-from daemon.launch import StopFlag
+from daemon.bootstrap import run
+from daemon.bootstrap.run import StopFlag
+from daemon.common.errors import ConfigError, DaemonError
+from daemon.control.rpc.client import ControlClient
 from tests.daemon.rigs import Collector, wait_until
 
 RIG = """
@@ -36,7 +36,7 @@ class Stream(Collector):
 @pytest.fixture
 def stream(monkeypatch: pytest.MonkeyPatch) -> Stream:
     made = Stream()
-    monkeypatch.setattr(launch, "open_publisher", lambda *_: made)
+    monkeypatch.setattr(run, "open_publisher", lambda *_: made)
     return made
 
 
@@ -58,7 +58,7 @@ def test_a_simulated_rig_is_rendered_measured_and_stopped_by_a_signal(tmp_path: 
     watcher = threading.Thread(target=watch)
     with StopFlag().on_signals() as flag:
         watcher.start()
-        launch.run_rig(rig_file(tmp_path), flag=flag, progress=lambda done, of: told.append((done, of)))
+        run.run_rig(rig_file(tmp_path), flag=flag, progress=lambda done, of: told.append((done, of)))
     watcher.join()
     assert told[-1] == (2, 2) and stream.closed
     assert stream.statuses[-1]["state"] == "stopping"
@@ -67,19 +67,19 @@ def test_a_simulated_rig_is_rendered_measured_and_stopped_by_a_signal(tmp_path: 
 
 def test_a_signal_while_the_rig_is_rendered_ends_it_there(tmp_path: Path, stream: Stream) -> None:
     with StopFlag().on_signals() as flag:
-        launch.run_rig(rig_file(tmp_path), flag=flag, progress=lambda *_: os.kill(os.getpid(), signal.SIGINT))
+        run.run_rig(rig_file(tmp_path), flag=flag, progress=lambda *_: os.kill(os.getpid(), signal.SIGINT))
     assert not stream.items and not stream.statuses
 
 
 def test_an_unknown_option_of_the_simulation_is_told(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"rig\.yaml:3:\d+: simulation\.farmes is not an option"):
-        launch.run_rig(rig_file(tmp_path, ", farmes: 3"))
+        run.run_rig(rig_file(tmp_path, ", farmes: 3"))
 
 
 def test_a_take_that_cannot_begin_is_told_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
     (tmp_path / "takes").write_text("no directory")
     with pytest.raises(DaemonError, match="takes: cannot be made"):
-        launch.run_rig(rig_file(tmp_path), record="x")
+        run.run_rig(rig_file(tmp_path), record="x")
     assert stream.closed and not (tmp_path / "c").exists()
 
 
@@ -88,5 +88,5 @@ def test_an_address_that_is_taken_is_told_and_everything_is_closed(tmp_path: Pat
     path.write_text(path.read_text().replace(f"ipc://{tmp_path}/c", f"ipc://{tmp_path}/no/such/{'x' * 20}"))
     (tmp_path / "no").write_text("a file where a directory should be")
     with pytest.raises((DaemonError, OSError)):
-        launch.run_rig(path)
+        run.run_rig(path)
     assert stream.closed

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
+from daemon.control.rpc.client import ControlClient
 from fringed import subscribe
 from tests.daemon.rigs import wait_until
 
@@ -30,7 +30,7 @@ stream: {{endpoints: ["ipc://{tmp}/s"]}}
 control: {{endpoint: "ipc://{tmp}/c"}}
 recording: {{min_free_mb: 10}}
 """
-_FRINGED = "from daemon.entry import main; main()"
+_FRINGED = "from daemon.cli.entry import main; main()"
 
 
 @pytest.fixture

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from daemon.control.methods import Methods
-from daemon.control.protocol import RpcError
-from daemon.recorder import Recorder
-from daemon.service import Service
-from daemon.status import State
+from daemon.control.rpc.protocol import RpcError
+from daemon.live.service import Service
+from daemon.live.status import State
+from daemon.recording.recorder import Recorder
 from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
 
 RIG = "cameras: {{driver: sim}}\npipeline: {{settings: {{min_modulation: {0}}}}}\n{1}"
@@ -113,7 +113,7 @@ def test_measuring_stops_and_starts(methods: Methods) -> None:
 def test_the_status_is_plain_json(methods: Methods) -> None:
     import json
 
-    from daemon.commands.status import table
+    from daemon.cli.control.status import table
 
     status = json.loads(json.dumps(call(methods, "status")))
     assert status["state"] == "running" and "camera left" in table(status)

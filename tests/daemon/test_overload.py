@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from daemon.overload import Overload
+from daemon.live.processing.load_shedding import Overload
 
 FULL_MS, HALF_MS = 60.0, 20.0
 

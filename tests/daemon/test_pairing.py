@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.pairing import Event, Fate, Lost, Pair, Pairer, PairingSettings, Resynced
+from daemon.live.acquisition.pairer import Event, Fate, Lost, Pair, Pairer, PairingSettings, Resynced
 from drivers.protocols import TRIGGER_MODULUS, Frame
 from tests.daemon.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
 

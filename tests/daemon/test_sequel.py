@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from daemon.sequel import Sequel
+from daemon.live.processing.temporal_prior import Sequel
 
 PERIOD_NS = 33_000_000
 

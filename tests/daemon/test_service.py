@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from daemon.errors import DaemonError
-from daemon.recorder import Recorder
-from daemon.service import Service
-from daemon.sinks import Item
-from daemon.status import State
-from sim.devices import RigDevices
+from daemon.common.errors import DaemonError
+from daemon.live.items import Item
+from daemon.live.service import Service
+from daemon.live.status import State
+from daemon.recording.recorder import Recorder
+from sim.devices.open_rig import RigDevices
 from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
 
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 
-from daemon.stop import StopEvent
+from daemon.common.stop_event import StopEvent
 
 
 def test_all_who_wait_are_woken_and_later_ones_do_not_wait() -> None:
@@ -29,7 +29,7 @@ def test_waiting_ends_by_itself_too() -> None:
 
 _STORM = """
 import os, signal, sys, threading
-from daemon.stop import StopEvent
+from daemon.common.stop_event import StopEvent
 
 stops = [StopEvent() for _ in range(200)]
 at = [0]

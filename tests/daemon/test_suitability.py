@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from daemon.status import CameraState, CameraStatus
-from daemon.suitability import projector_problem, size_problem, timing_warnings
+from daemon.live.compatibility import projector_problem, size_problem, timing_warnings
+from daemon.live.status import CameraState, CameraStatus
 from drivers.protocols import ProjectorInfo
-from sim.rig import RigLayout
+from sim.rig.layout import RigLayout
 
 
 def camera(exposure_us: float) -> CameraStatus:

@@ -6,7 +6,7 @@ import os
 import threading
 from pathlib import Path
 
-from daemon import threads
+from daemon.common import threads
 
 
 def comm(thread: int) -> str:

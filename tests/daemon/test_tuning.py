@@ -9,12 +9,12 @@ import sys
 
 import pytest
 
-from daemon.tuning import SPIN_COUNT
+from daemon.cli.allocator import SPIN_COUNT
 
 _FAULTS = """
 import resource, sys, threading
 import numpy as np
-from daemon.tuning import prepare
+from daemon.cli.allocator import prepare
 if "tuned" in sys.argv:
     prepare()
 
@@ -50,7 +50,7 @@ def test_large_arrays_that_are_made_again_need_no_new_pages() -> None:
 
 
 _ENVIRONMENT = (
-    "import os; from daemon.tuning import prepare; prepare(); "
+    "import os; from daemon.cli.allocator import prepare; prepare(); "
     "print(os.environ['OMP_WAIT_POLICY'], os.environ.get('GOMP_SPINCOUNT'))"
 )
 
@@ -62,6 +62,6 @@ def test_idle_threads_sleep_soon_unless_the_user_wants_otherwise() -> None:
 
 
 def test_every_command_is_started_so() -> None:
-    code = "import os, sys; from daemon import entry; entry.run = lambda _: print(os.environ['OMP_WAIT_POLICY']); "
+    code = "import os, sys; from daemon.cli import entry; entry.run = lambda _: print(os.environ['OMP_WAIT_POLICY']); "
     code += "sys.argv = ['fringed']; entry.main()"
     assert python(code) == "PASSIVE"

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.config.models import Pipeline
-from daemon.counters import Counters
-from daemon.pairing import Pair
-from daemon.sinks import CloudItem
-from daemon.worker import Worker
+from daemon.common.counters import Counters
+from daemon.config.rig_config import Pipeline
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.items import CloudItem
+from daemon.live.processing.worker import Worker
 from drivers.protocols import Frame, Side
-from pipeline.cloud import Cloud
-from pipeline.errors import PipelineError
+from pipeline.common.errors import PipelineError
+from pipeline.reconstruct.cloud import Cloud
 from tests.daemon.rigs import SteppedClock, wait_until
 
 SIZE = (4, 6)

@@ -7,14 +7,14 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-from daemon.calibration_file import write_calibration
-from daemon.recording.writer import TakeWriter
-from daemon.sinks import PairItem
+from daemon.live.items import PairItem
+from daemon.recording.write.take_writer import TakeWriter
+from daemon.rig.calibration_file import write_calibration
 from drivers.protocols import Frame
-from sim.optics import Optics
-from sim.render import render_pictures
-from sim.rig import RigLayout
-from sim.scenes import build
+from sim.render.render_pair import render_pictures
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 
 HERE = Path(__file__).parent
 TAKE, FIGURES = HERE / "take.mcap", HERE / "golden.json"
@@ -45,7 +45,7 @@ def main() -> None:
     writer.close()
     calibration.unlink()
     command = ["replay", str(TAKE), "--no-output", "--bless", str(FIGURES), "--set", "min_component=60"]
-    start = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+    start = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
     subprocess.run([sys.executable, "-c", start, *command], check=True)
 
 

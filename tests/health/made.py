@@ -8,9 +8,9 @@ import numpy as np
 
 from daemon.config.health import Health as Config
 from daemon.config.health import HealthLimits
-from daemon.sinks import CloudItem, PairItem
+from daemon.live.items import CloudItem, PairItem
 from drivers.protocols import Frame, Side
-from pipeline.cloud import Cloud
+from pipeline.reconstruct.cloud import Cloud
 
 REAL_NS = 1_700_000_000_000_000_000
 SIZE = (64, 48)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from daemon.health import clock_sync
-from daemon.health.clock_sync import ClockSync
+from daemon.monitoring.health.observe import clock_sync
+from daemon.monitoring.health.observe.clock_sync import ClockSync
 
 TRACKING = "A29FC87B,time.example,3,1700000000.1,{0},-0.00001,0.00002,1,0,0,0.01,0.002,64.2,{1}"
 

@@ -9,8 +9,8 @@ from http.client import HTTPConnection
 
 import pytest
 
-from daemon.errors import DaemonError
-from daemon.health.endpoint import MAX_REQUEST, MOST_CONNECTIONS, MetricsServer
+from daemon.common.errors import DaemonError
+from daemon.monitoring.health.prometheus.http_server import MAX_REQUEST, MOST_CONNECTIONS, MetricsServer
 
 PAGE = "fringed_up 1\n" * 5000
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.health.deltas import Deltas
-from daemon.health.frames import KEPT, Frames, spread
+from daemon.monitoring.health.observe.counter_rates import Deltas
+from daemon.monitoring.health.observe.frame_statistics import KEPT, Frames, spread
 from tests.health.made import camera, cloud, pair, status
 
 S = 1_000_000_000

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.health.history import SECONDS, History, summed
+from daemon.monitoring.health.history import SECONDS, History, summed
 
 
 def filled(values: list[float], *, hours: float = 2.0) -> History:

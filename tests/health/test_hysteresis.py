@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.health.hysteresis import FORGET_S, Hysteresis
+from daemon.monitoring.health.hysteresis import FORGET_S, Hysteresis
 from tests.health.made import config
 
 CONFIG = config(raise_s=3.0, clear_s=5.0, margin=0.1)

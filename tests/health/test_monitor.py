@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from daemon.health.clock_sync import ClockSync
-from daemon.health.events import KEPT
-from daemon.health.metrics import exposition
-from daemon.health.monitor import Monitor
-from daemon.health.quantities import NAMES, TABLE, shown
-from daemon.health.rules import RULES
-from daemon.health.words import text
+from daemon.apps.health_report.text import text
+from daemon.monitoring.health.events import KEPT
+from daemon.monitoring.health.monitor import Monitor
+from daemon.monitoring.health.observe.clock_sync import ClockSync
+from daemon.monitoring.health.prometheus.exposition import exposition
+from daemon.monitoring.health.quantities import NAMES, TABLE, shown
+from daemon.monitoring.health.rules import RULES
 from tests.health.made import camera, cloud, config, pair, status
 
 S = 1_000_000_000

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from daemon.apps.health_report import page, panels
 from daemon.config import RigConfig, parse_rig
-from daemon.control.protocol import RpcError
-from daemon.health.methods import HealthMethods
-from daemon.health.picture import courses, page
-from daemon.health.quantities import NAMES
-from daemon.health.sink import Health
-from daemon.rig import Rig
-from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
+from daemon.control.health_methods import HealthMethods
+from daemon.control.rpc.protocol import RpcError
+from daemon.monitoring.health.quantities import NAMES
+from daemon.monitoring.health.sink import Health
+from daemon.rig.open_rig import Rig
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
 from tests.daemon.rigs import wait_until
 from tests.health.made import Clock, cloud, frame, pair, status
 from tests.stream.clouds import calibration
@@ -135,7 +135,7 @@ def test_the_pictures_are_made_from_what_the_methods_tell(watch: Health, clock: 
     seconds(watch, clock, 15)
     seconds(watch, clock, 15, latency_ms=300.0)
     table = HealthMethods(watch).table()
-    shown = courses.ask(lambda name, /, **params: json.loads(json.dumps(table[name](params))), 60.0)
+    shown = panels.ask(lambda name, /, **params: json.loads(json.dumps(table[name](params))), 60.0)
     assert "Latency" in [panel.title for panel in shown.panels()]
     html = page.html(shown).decode()
     ET.fromstring(html.split("\n", 1)[1])
@@ -152,14 +152,14 @@ def test_without_fonts_the_picture_is_drawn_with_strokes(
     monkeypatch.delattr(cv2, "FontFace", raising=False)
     seconds(watch, clock, 12)
     table = HealthMethods(watch).table()
-    shown = courses.ask(lambda name, /, **params: table[name](params), 60.0)
+    shown = panels.ask(lambda name, /, **params: table[name](params), 60.0)
     picture = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None and (picture[:100] < 128).any()
 
 
 def test_pictures_of_a_daemon_that_has_just_begun(watch: Health) -> None:
     table = HealthMethods(watch).table()
-    shown = courses.ask(lambda name, /, **params: table[name](params), 600.0)
+    shown = panels.ask(lambda name, /, **params: table[name](params), 600.0)
     assert not shown.panels() and b"nothing is known" in page.html(shown) and page.png(shown)
 
 

@@ -9,7 +9,7 @@ import yaml
 
 from sim.box.box import heads
 from sim.box.options import from_mapping
-from sim.xserver import configuration
+from sim.box.xserver import configuration
 from tests.nspawn.helpers import Fringed
 from tools.nspawn.machine import WAIT_S, wait_until
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
+from daemon.control.rpc.client import ControlClient
 from tools.nspawn import Machine
 from tools.nspawn.machine import WAIT_S, wait_until
 

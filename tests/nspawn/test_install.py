@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from daemon.install.layout import CONFIG_FILES, DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, UNITS, Place
+from daemon.apps.install.layout import CONFIG_FILES, DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, UNITS, Place
 from tests.nspawn.helpers import MARKS, rig
 from tools.nspawn import Machine
 

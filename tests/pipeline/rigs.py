@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pipeline.calibration import Calibration, ColorModel
-from pipeline.camera_model import CameraModel
+from pipeline.rig.calibration import Calibration, ColorModel
+from pipeline.rig.camera_model import CameraModel
 
 CROSSTALK = np.array([[1.0, 0.08, 0.02], [0.06, 1.0, 0.09], [0.01, 0.07, 1.0]])
 

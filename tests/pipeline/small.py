@@ -5,14 +5,14 @@ import functools
 
 import numpy as np
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
-from sim.optics import Optics
-from sim.render import render_pair
-from sim.rig import RigLayout
-from sim.scenes import build
+from pipeline.common.settings import Settings
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
+from sim.render.render_pair import render_pair
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 
 LAYOUT = RigLayout().scaled(0.375)
 SETTINGS = Settings(min_component=40)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.score import score
+from sim.evaluate.score import score
 from tests.pipeline.small import pair, pictures, reconstructor, upright
 
 

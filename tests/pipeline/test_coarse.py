@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from sim.score import RIGHT_MM, score
+from sim.evaluate.score import RIGHT_MM, score
 from tests.pipeline.small import pair, pictures, reconstructor, same, upright
 
 AXES = pytest.mark.parametrize("axis", ["x", "y"])

@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 
-from sim.score import score
+from sim.evaluate.score import score
 from tests.pipeline.small import SETTINGS, pair, pictures, reconstructor, same, upright
 
 AXES = pytest.mark.parametrize("axis", ["x", "y"])

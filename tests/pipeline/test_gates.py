@@ -8,15 +8,15 @@ import numba
 import numpy as np
 import pytest
 
-from pipeline import components
-from pipeline.components import Surfaces
-from pipeline.gates import Gates
-from pipeline.located import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, Located, Points
-from pipeline.outliers import RADIUS, drop_mixed_edges, local_outliers
-from pipeline.rivals import PARAMETER_STEPS, Values
-from pipeline.settings import Settings
-from pipeline.tables import DepthScale
-from pipeline.uniqueness import Uniqueness
+from pipeline.common.settings import Settings
+from pipeline.filter import connected_components
+from pipeline.filter.connected_components import Surfaces
+from pipeline.filter.local_outliers import RADIUS, drop_mixed_edges, local_outliers
+from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
+from pipeline.filter.point_filter import Gates
+from pipeline.filter.uniqueness import Uniqueness
+from pipeline.geometry.ray_tables import DepthScale
+from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, Located, Points
 
 SHAPES = [(1, 1), (5, 7), (40, 33), (70, 90)]
 
@@ -107,9 +107,9 @@ def test_links_follow_the_expected_steps_and_the_phase_may_wrap_around() -> None
     absolute[:, 7:] += TURN_STEPS
     u[1, :] += 2 * PIXEL_STEPS
     out = np.full((2, 10), 9, np.uint8)
-    components.links(absolute, u, v, 24, 0, out)
-    assert (out[0, 1:] == components.LEFT).tolist() == [True] * 6 + [False] + [True] * 2
-    assert not (out[1] & components.UP).any()
+    connected_components.links(absolute, u, v, 24, 0, out)
+    assert (out[0, 1:] == connected_components.LEFT).tolist() == [True] * 6 + [False] + [True] * 2
+    assert not (out[1] & connected_components.UP).any()
 
 
 @pytest.mark.parametrize(("by_depth", "seed"), [(False, 4), (True, 5), (False, 6)])

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.calibration import Calibration, ColorModel, from_mapping, to_mapping
-from pipeline.camera_model import CameraModel
-from pipeline.cloud import Volume
-from pipeline.errors import CalibrationError
-from pipeline.kernels import project
-from pipeline.tables import DepthScale, packed, ray_table
-from pipeline.triangulate import triangulate
+from pipeline.common.errors import CalibrationError
+from pipeline.common.jit import project
+from pipeline.geometry.ray_tables import DepthScale, packed, ray_table
+from pipeline.geometry.triangulate import triangulate
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration, ColorModel, from_mapping, to_mapping
+from pipeline.rig.camera_model import CameraModel
 from tests.pipeline.rigs import camera, points, rig, rotation
 
 

@@ -6,19 +6,19 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pipeline.calibration import Calibration, ColorModel, from_mapping, to_mapping
-from pipeline.errors import CalibrationError
-from pipeline.lateral import ColorDisplacement, ColorOffset, Lateral, Registration
-from pipeline.lateral_tables import STEP, ColorTurns, channel_angles, color_turns
-from pipeline.pattern import ColorFringe
-from pipeline.phase import Decoder
-from pipeline.raw import mosaic_of
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
-from sim.optics import Optics
-from sim.render import render_pair
-from sim.scenes import build
-from sim.score import score
+from pipeline.common.errors import CalibrationError
+from pipeline.common.settings import Settings
+from pipeline.decode.chromatic_phase import STEP, ColorTurns, channel_angles, color_turns
+from pipeline.decode.decoder import Decoder
+from pipeline.decode.raw_image import mosaic_of
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration, ColorModel, from_mapping, to_mapping
+from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Lateral, Registration
+from sim.evaluate.score import score
+from sim.render.render_pair import render_pair
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 from tests.pipeline.rigs import rig
 from tests.pipeline.small import LAYOUT, PERIODS, SETTINGS
 from tests.pipeline.test_phase import COLOR, INNER, SHIFTS, decoder, mosaic, smooth_phase, wrapped

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.lighting import fringe_period_px, lighting
-from pipeline.pattern import ColorFringe
-from pipeline.raw import BAYER
+from pipeline.decode.raw_image import BAYER
+from pipeline.monitor.illumination import fringe_period_px, lighting
+from pipeline.pattern.color_fringe import ColorFringe
 from tests.pipeline import rigs
 
 WIDTH, HEIGHT, PERIOD = 512, 400, 16.7

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.kernels import serial
-from pipeline.packed import PHASOR_SCALE, imaginary, pack, real, unpacked
+from pipeline.common.jit import serial
+from pipeline.decode.packed_phasor import PHASOR_SCALE, imaginary, pack, real, unpacked
 
 SCALES = PHASOR_SCALE, np.float32(8192)
 MOST = 32767

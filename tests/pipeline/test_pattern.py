@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.calibration import ColorModel, Response
-from pipeline.errors import PatternError
-from pipeline.pattern import ColorFringe, from_mapping, modulated_profile
-from pipeline.phase import design
+from pipeline.common.errors import PatternError
+from pipeline.decode.decoder import design
+from pipeline.pattern.color_fringe import ColorFringe, from_mapping, modulated_profile
+from pipeline.rig.calibration import ColorModel, Response
 
 
 def wrapped(a):

@@ -5,14 +5,14 @@ import numba
 import numpy as np
 import pytest
 
-from pipeline.box_mean import SHARED, BoxMean
-from pipeline.calibration import ColorModel
-from pipeline.noise import estimate
-from pipeline.packed import PHASOR_SCALE, unpacked
-from pipeline.pattern import ColorFringe
-from pipeline.phase import Decoder
-from pipeline.raw import BAYER, mosaic_of
-from pipeline.settings import Settings
+from pipeline.common.settings import Settings
+from pipeline.decode.decoder import Decoder
+from pipeline.decode.kernels.local_mean import SHARED, BoxMean
+from pipeline.decode.noise_model import estimate
+from pipeline.decode.packed_phasor import PHASOR_SCALE, unpacked
+from pipeline.decode.raw_image import BAYER, mosaic_of
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import ColorModel
 from tests.pipeline.rigs import CROSSTALK
 
 SHIFTS = ColorFringe().shifts

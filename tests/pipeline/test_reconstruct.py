@@ -5,19 +5,19 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.cloud import Volume
-from pipeline.errors import CalibrationError, PictureError, PipelineError
-from pipeline.pattern import modulated_profile
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import LIMITS, Settings
-from pipeline.triangulate import triangulate
-from sim.optics import Optics
-from sim.render import render_counts, render_pair, with_noise
-from sim.rig import RigLayout
-from sim.scenes import build
-from sim.score import score
+from pipeline.common.errors import CalibrationError, PictureError, PipelineError
+from pipeline.common.settings import LIMITS, Settings
+from pipeline.geometry.triangulate import triangulate
+from pipeline.pattern.color_fringe import modulated_profile
+from pipeline.reconstruct.cloud import Volume
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
+from sim.evaluate.score import score
+from sim.render.render_pair import render_counts, render_pair, with_noise
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 
 SMALL = RigLayout().scaled(0.375)
 SETTINGS = Settings(min_component=40)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.aggregate import NONE
-from pipeline.settle import settle
+from pipeline.fringe_order.coarse_to_fine import settle
+from pipeline.fringe_order.semi_global_aggregation import NONE
 
 TOP, DOWN, LEFT, STEP = 3, 2, 3, 3
 SLOPE = 0.6

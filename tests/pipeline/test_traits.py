@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline import traits
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
+from pipeline.decode import pixel_descriptor
 from tests.pipeline.test_phase import decoder, hard_picture, mosaic, wrapped
 
 PHASE_ERROR, EQUAL_ERROR = 1.001 * np.pi / 2**12, 1.001 * np.pi / 2**11
@@ -15,27 +15,31 @@ UNIT = 2 * np.pi / 2**32
 def read(plane, phase, equal, mean, valid):
     for j in range(plane.shape[0]):
         x = plane[j]
-        phase[j], equal[j], mean[j] = traits.phase_units(x), traits.equal_units(x), traits.mean_of(x)
-        valid[j] = np.int32(x & traits.VALID) != 0
+        phase[j], equal[j], mean[j] = (
+            pixel_descriptor.phase_units(x),
+            pixel_descriptor.equal_units(x),
+            pixel_descriptor.mean_of(x),
+        )
+        valid[j] = np.int32(x & pixel_descriptor.VALID) != 0
 
 
 @serial
 def differences(one, other, out):
     for j in range(one.shape[0]):
-        out[j] = np.int32(traits.phase_units(one[j]) - traits.units(other[j]))
+        out[j] = np.int32(pixel_descriptor.phase_units(one[j]) - pixel_descriptor.units(other[j]))
 
 
 @serial
 def biases(plane, phase, out):
     for j in range(plane.shape[0]):
-        out[j] = traits.bias_of(plane[j], phase[j])
+        out[j] = pixel_descriptor.bias_of(plane[j], phase[j])
 
 
 def made(phase, equal, valid, mean):
     out = np.empty(len(phase), np.int32)
     size = np.float32(0.3)
-    traits.equal_row(size * np.cos(equal, dtype=np.float32), size * np.sin(equal, dtype=np.float32), out)
-    traits.complete_row(phase, valid, mean, out)
+    pixel_descriptor.equal_row(size * np.cos(equal, dtype=np.float32), size * np.sin(equal, dtype=np.float32), out)
+    pixel_descriptor.complete_row(phase, valid, mean, out)
     return out
 
 
@@ -55,7 +59,7 @@ def test_everything_returns_and_nothing_disturbs_its_neighbours():
     assert np.abs(wrapped(found[0] * UNIT - phase)).max() <= PHASE_ERROR
     assert np.abs(wrapped(found[1] * UNIT - equal)).max() <= EQUAL_ERROR
     assert np.array_equal(found[2], mean) and np.array_equal(found[3], valid)
-    assert np.abs(wrapped(traits.equalised_phase(plane) - equal)).max() <= EQUAL_ERROR
+    assert np.abs(wrapped(pixel_descriptor.equalised_phase(plane) - equal)).max() <= EQUAL_ERROR
 
 
 def test_differences_of_phases_wrap():

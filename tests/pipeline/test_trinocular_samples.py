@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.trinocular import moved, refine_projector, spread
-from pipeline.trinocular_samples import PairSampler
-from sim.optics import Optics
-from sim.render import render_pair
-from sim.rig import RigLayout
-from sim.scenes import build
+from pipeline.calibrate.projector.trinocular_residual import moved, refine_projector, spread
+from pipeline.calibrate.projector.trinocular_samples import PairSampler
+from sim.render.render_pair import render_pair
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 
 KNOCK = {"cx": 0.25, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
 

@@ -77,6 +77,6 @@ class Disk:
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     made = Disk()
-    for module in ("part_writer", "syncer", "chain"):
-        monkeypatch.setattr(f"daemon.recording.{module}.os", made)
+    for module in ("part_writer", "disk_sync", "part_chain"):
+        monkeypatch.setattr(f"daemon.recording.write.{module}.os", made)
     return made

@@ -10,32 +10,33 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from daemon.recording.writer import TakeWriter
-from daemon.sinks import PairItem
+from daemon.live.items import PairItem
+from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame
-from sim import files, scenes
-from sim.optics import Optics
-from sim.render import render_pair
-from sim.rig import RigLayout
+from sim.render.render_pair import render_pair
+from sim.rig import rig_files
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene import named_scenes
 
 LAYOUT = RigLayout().scaled(0.125)
 OPTICS = Optics()
 SCENES = ("plane", "spheres", "face")
-CALIBRATION = yaml.safe_dump(files.calibration_mapping(LAYOUT, OPTICS), sort_keys=False).encode()
+CALIBRATION = yaml.safe_dump(rig_files.calibration_mapping(LAYOUT, OPTICS), sort_keys=False).encode()
 
 Pictures = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
 
 def render() -> list[Pictures]:
     """Left and right picture of every scene."""
-    pairs = [render_pair(LAYOUT, scenes.build(name), LAYOUT.pattern(), OPTICS) for name in SCENES]
+    pairs = [render_pair(LAYOUT, named_scenes.build(name), LAYOUT.pattern(), OPTICS) for name in SCENES]
     return [(pair.left, pair.right) for pair in pairs]
 
 
 def write(path: Path, pictures: Sequence[Pictures], *, first: int = 40, **options: Any) -> Path:
     """A take of these pictures, numbered from ``first``."""
     values: dict[str, Any] = {"session": "small", "device": "sim", "calibration_data": CALIBRATION}
-    values |= {"pattern": files.pattern_mapping(LAYOUT), "volume": files.volume_mapping(LAYOUT)}
+    values |= {"pattern": rig_files.pattern_mapping(LAYOUT), "volume": rig_files.volume_mapping(LAYOUT)}
     recorder = TakeWriter(path, **(values | {"min_free_bytes": 0, "queue": 100} | options))
     for number, (left, right) in enumerate(pictures, first):
         t_ns = 1_790_000_000_000_000_000 + 250_000_000 * number

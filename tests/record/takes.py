@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from daemon.recording.writer import TakeWriter
-from daemon.sinks import LoneItem, PairItem
+from daemon.live.items import LoneItem, PairItem
+from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame, Side
 
 CALIBRATION = b"fringed_calibration: 1  # byte for byte\n"

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
-from daemon.atomic import write_atomically
-from daemon.calibration_file import SIZE_LIMIT, parse_calibration, read_calibration, write_calibration
-from daemon.pattern_file import parse_pattern, parse_volume, read_pattern
-from pipeline.calibration import from_mapping
-from pipeline.errors import CalibrationError, PatternError, PipelineError
+from daemon.common.files import write_atomically
+from daemon.rig.calibration_file import SIZE_LIMIT, parse_calibration, read_calibration, write_calibration
+from daemon.rig.pattern_file import parse_pattern, parse_volume, read_pattern
+from pipeline.common.errors import CalibrationError, PatternError, PipelineError
+from pipeline.rig.calibration import from_mapping
 
 
 def mapping() -> dict[str, Any]:

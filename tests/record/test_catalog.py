@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.cli import invoke
-from daemon.recording import part_reader
-from daemon.recording.catalog import CACHE, Listing, scan
-from daemon.recording.errors import TakeError
-from daemon.recording.reader import TakeReader
+from daemon.cli.command_table import invoke
+from daemon.recording.format.errors import TakeError
+from daemon.recording.read import part_reader
+from daemon.recording.read.catalog import CACHE, Listing, scan
+from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.repair import repair
-from sim import files
+from sim.rig import rig_files
 from tests.record.small_take import CALIBRATION, LAYOUT
 from tests.record.takes import lone, pair, wait_until, write, writer
 
 
 def good(path: Path, items: list[Any], **options: Any) -> dict[str, Any]:
     """A take whose attachments are right too."""
-    values = {"calibration_data": CALIBRATION, "pattern": files.pattern_mapping(LAYOUT)}
-    return write(path, items, **(values | {"volume": files.volume_mapping(LAYOUT)} | options))
+    values = {"calibration_data": CALIBRATION, "pattern": rig_files.pattern_mapping(LAYOUT)}
+    return write(path, items, **(values | {"volume": rig_files.volume_mapping(LAYOUT)} | options))
 
 
 def cut(path: Path, at: int) -> Path:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.recording.reader import TakeReader
-from daemon.recording.writer import TakeWriter
+from daemon.recording.read.take_reader import TakeReader
+from daemon.recording.write.take_writer import TakeWriter
 from tests.record.faulty import Disk, disk
 from tests.record.takes import pair, wait_until, writer
 
@@ -85,7 +85,7 @@ def test_without_a_disk_what_does_not_fit_is_dropped_and_counted(tmp_path: Path,
 def test_a_hanging_disk_is_told_and_nobody_waits_for_it(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daemon.recording.writer.HANGS_S", 0.05)
+    monkeypatch.setattr("daemon.recording.write.take_writer.HANGS_S", 0.05)
     recorder = take(tmp_path / "take.mcap", queue=4)
     disk.hang()
     assert recorder.offer(pair(0))

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.errors import DaemonError
-from daemon.export.cloud_files import SavedCloud, cloud_bytes, cloud_name, clouds_in, read_cloud
-from daemon.export.depth_video import depth_limits, depth_picture, write_video
+from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name, clouds_in, read_cloud
+from daemon.apps.export.depth_video import depth_limits, depth_picture, write_video
+from daemon.common.errors import DaemonError
 
 
 def make_cloud(seed: int = 0, height: int = 11, width: int = 14) -> SavedCloud:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.entry import run
-from daemon.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
-from daemon.recording.inspect import gaps, inspect, unwrapped
-from daemon.recording.reader import TakeReader
+from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
+from daemon.cli.entry import run
+from daemon.recording.read.inspect import gaps, inspect, unwrapped
+from daemon.recording.read.take_reader import TakeReader
 from tests.record.takes import lone, pair, write
 
 PATTERN = {

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.clock import SystemClock
-from daemon.pairing import Fate, PairingSettings
-from daemon.pairing_desk import PairingDesk
-from daemon.recording.reader import TakeReader
-from daemon.sinks import Item, LoneItem, PairItem
+from daemon.common.clock import SystemClock
+from daemon.live.acquisition.locked_pairer import PairingDesk
+from daemon.live.acquisition.pairer import Fate, PairingSettings
+from daemon.live.items import Item, LoneItem, PairItem
+from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import Frame, Side
 from tests.daemon.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
 from tests.record.takes import frame, lone, pair, write, writer
@@ -144,7 +144,7 @@ def test_halves_of_a_pair_are_not_spread_over_two_parts(tmp_path: Path) -> None:
 
 
 def test_more_numbers_than_are_remembered_cost_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daemon.recording.numbers._SLOTS", 8)
+    monkeypatch.setattr("daemon.recording.write.trigger_ledger._SLOTS", 8)
     path = tmp_path / "take.mcap"
     recorder = writer(path)
     for number in (*range(4_294_967_290, 4_294_967_296), *range(20)):

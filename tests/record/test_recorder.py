@@ -13,15 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.commands.status import recorder_text
+from daemon.cli.control.status import recorder_text
+from daemon.common.errors import ConfigError, DaemonError
 from daemon.config import RigConfig, parse_rig
-from daemon.errors import ConfigError, DaemonError
-from daemon.recorder import Recorder
-from daemon.recording.before import Before, size_of
-from daemon.recording.errors import TakeError
-from daemon.recording.reader import TakeReader
-from daemon.recording.writer import TakeWriter
-from daemon.sinks import CloudItem
+from daemon.live.items import CloudItem
+from daemon.recording.format.errors import TakeError
+from daemon.recording.read.take_reader import TakeReader
+from daemon.recording.recorder import Recorder
+from daemon.recording.write.pretrigger_buffer import Before, size_of
+from daemon.recording.write.take_writer import TakeWriter
 from tests.record.takes import lone, pair, wait_until, writer
 
 RATE_HZ = 20

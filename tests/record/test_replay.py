@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.entry import run
-from daemon.export.cloud_files import read_cloud
-from pipeline.reconstruct import Reconstructor
+from daemon.apps.export.cloud_files import read_cloud
+from daemon.cli.entry import run
+from pipeline.reconstruct.reconstructor import Reconstructor
 from tests.record import small_take
 
 
@@ -256,7 +256,7 @@ def test_the_example_reads_a_take(take: Path) -> None:
 
 def test_rerun_is_not_loaded_unless_asked_for(take: Path, tmp_path: Path) -> None:
     code = (
-        "import sys; from daemon.entry import run; "
+        "import sys; from daemon.cli.entry import run; "
         f"assert run(['replay', {str(take)!r}, '--out', {str(tmp_path)!r}]) == 0; "
         "assert not {'rerun', 'matplotlib', 'sim'} & {name.partition('.')[0] for name in sys.modules}"
     )

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from daemon.errors import DaemonError
-from daemon.recording import raw_image
-from daemon.recording.errors import TakeError
-from daemon.recording.part_writer import PartWriter, _schema
-from daemon.recording.reader import TakePair, TakeReader
-from daemon.sinks import CloudItem, PairItem
+from daemon.common.errors import DaemonError
+from daemon.live.items import CloudItem, PairItem
+from daemon.recording.format import raw_image
+from daemon.recording.format.errors import TakeError
+from daemon.recording.read.take_reader import TakePair, TakeReader
+from daemon.recording.write.part_writer import PartWriter, _schema
 from tests.record import independent_reader
 from tests.record.takes import CALIBRATION, SIZE, frame, lone, pair, wait_until, write, writer
 
@@ -230,7 +230,7 @@ def test_a_disk_that_cannot_keep_the_data_ends_the_take(tmp_path: Path, monkeypa
         raise OSError(errno.EIO, "Input/output error")
 
     recorder = writer(tmp_path / "take.mcap")
-    monkeypatch.setattr("daemon.recording.syncer.os.fdatasync", broken)
+    monkeypatch.setattr("daemon.recording.write.disk_sync.os.fdatasync", broken)
     assert recorder.offer(pair(0))
     wait_until(lambda: not recorder.offer(pair(1)))
     recorder.close()
@@ -240,7 +240,9 @@ def test_a_disk_that_cannot_keep_the_data_ends_the_take(tmp_path: Path, monkeypa
 def test_what_was_written_is_synced_while_the_take_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []
     recorder = writer(tmp_path / "take.mcap")
-    monkeypatch.setattr("daemon.recording.syncer.os.fdatasync", lambda handle: synced.append(os.fstat(handle).st_size))
+    monkeypatch.setattr(
+        "daemon.recording.write.disk_sync.os.fdatasync", lambda handle: synced.append(os.fstat(handle).st_size)
+    )
     assert recorder.offer(pair(0))
     wait_until(lambda: bool(synced))
     assert synced[0] >= 2 * pair(0).left.image.nbytes

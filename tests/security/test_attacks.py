@@ -14,7 +14,7 @@ import zmq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daemon.control.client import ControlClient
+from daemon.control.rpc.client import ControlClient
 from fringed.keys import Key
 from tests.security.world import CONNECTIONS, Tap, World, request, rude, talk, until
 

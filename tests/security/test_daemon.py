@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
+from daemon.control.rpc.client import ControlClient
 from tests.daemon.rigs import wait_until
 from tests.security import listening
 from tests.security.world import until
@@ -33,7 +33,7 @@ control:
 security: {{keys: keys}}
 recording: {{min_free_mb: 1}}
 """
-_FRINGED = "import os; os.umask(0o022); from daemon.entry import main; main()"
+_FRINGED = "import os; os.umask(0o022); from daemon.cli.entry import main; main()"
 Fringed = Callable[..., subprocess.CompletedProcess[str]]
 pytestmark = pytest.mark.timeout(600)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from daemon.apps.doctor.host.file_permissions import check
+from daemon.apps.doctor.machine import Machine
+from daemon.apps.doctor.subject import Subject
 from daemon.config import parse_rig
-from daemon.doctor.files import check
-from daemon.doctor.machine import Machine
-from daemon.doctor.subject import Subject
-from daemon.security.store import KeyStore
+from daemon.keys.key_store import KeyStore
 
 RIG = "cameras: {driver: sim}\nsecurity: {keys: keys}\n"
 

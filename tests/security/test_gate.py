@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 import zmq
 
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError, DaemonError
-from daemon.security import remote
-from daemon.security.order import Order
-from daemon.security.remote import RemoteGate
-from daemon.security.store import KeyStore
+from daemon.common.errors import ControlError, DaemonError
+from daemon.control.rpc.client import ControlClient
+from daemon.keys.key_store import KeyStore
+from daemon.remote_access import gate_sink
+from daemon.remote_access.gate_messages import Order
+from daemon.remote_access.gate_sink import RemoteGate
 from fringed import SilenceError, subscribe
 from fringed.keys import new_key
 from tests.security.world import World, pause_for, request, rude, until
@@ -211,7 +211,7 @@ def test_a_gate_that_dies_is_started_again_at_the_same_addresses(own: World, num
 def test_a_gate_that_hangs_is_replaced(own: World, monkeypatch: pytest.MonkeyPatch) -> None:
     own.lives()
     with monkeypatch.context() as impatient:
-        impatient.setattr(remote, "_SILENCE_S", 5.0)
+        impatient.setattr(gate_sink, "_SILENCE_S", 5.0)
         os.kill(own.gate.pid, signal.SIGSTOP)
         until(lambda: own.gate.status()["restarts"])
     assert own.sees(own.viewer)

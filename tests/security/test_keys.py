@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.entry import run
-from daemon.errors import DaemonError
-from daemon.security import allowed
-from daemon.security.allowed import Entry
-from daemon.security.store import KeyStore, write_key
+from daemon.cli.entry import run
+from daemon.common.errors import DaemonError
+from daemon.keys import authorized_keys
+from daemon.keys.authorized_keys import Entry
+from daemon.keys.key_store import KeyStore, write_key
 from fringed import KeyFileError, Keys
 from fringed.keys import is_z85, new_key, parse_key, read_key
 
@@ -67,7 +67,7 @@ def test_a_secret_that_others_can_read_is_refused(tmp_path: Path) -> None:
 @settings(max_examples=300, deadline=None, derandomize=True, database=None)
 @given(st.text(max_size=300))
 def test_any_text_is_a_key_or_an_error_of_ours(text: str) -> None:
-    for parse in (parse_key, allowed.parse):
+    for parse in (parse_key, authorized_keys.parse):
         try:
             parse(text, "x")
         except (KeyFileError, DaemonError) as error:
@@ -84,7 +84,7 @@ def test_z85_is_known_by_the_bytes_that_it_stands_for(data: bytes) -> None:
 
 
 def entry(name: str, control: str = "view") -> Entry:
-    return Entry(name, "view", allowed.role("control", control), new_key(name).public)
+    return Entry(name, "view", authorized_keys.role("control", control), new_key(name).public)
 
 
 def test_a_key_is_allowed_changed_and_revoked_and_comments_stay(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_the_same_key_under_two_names_is_refused_and_the_list_stays(tmp_path: Pa
 )
 def test_a_mistake_in_the_list_is_told_with_its_line(line: str, told: str) -> None:
     with pytest.raises(DaemonError) as caught:
-        allowed.parse(line + "\n", "allowed")
+        authorized_keys.parse(line + "\n", "allowed")
     assert told in str(caught.value)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from zmq.utils import z85
 
-from daemon.counters import Counters
-from daemon.security.allowed import Allowed, Entry
-from daemon.security.zap import Gatekeeper
+from daemon.common.counters import Counters
+from daemon.keys.authorized_keys import Allowed, Entry
+from daemon.remote_access.gate.zap_handler import Gatekeeper
 from fringed.keys import new_key
 
 VIEWER, OPERATOR, STRANGER = (new_key(name) for name in ("viewer", "operator", "stranger"))

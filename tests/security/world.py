@@ -13,15 +13,15 @@ from typing import Any
 
 import zmq
 
-from daemon.control.client import ControlClient
-from daemon.control.protocol import Method, Role
-from daemon.control.server import ControlServer
-from daemon.publisher import Publisher
-from daemon.security import allowed
-from daemon.security.allowed import Entry
-from daemon.security.order import Order
-from daemon.security.remote import RemoteGate
-from daemon.security.store import KeyStore
+from daemon.control.rpc.client import ControlClient
+from daemon.control.rpc.protocol import Method, Role
+from daemon.control.rpc.server import ControlServer
+from daemon.keys import authorized_keys
+from daemon.keys.authorized_keys import Entry
+from daemon.keys.key_store import KeyStore
+from daemon.live.publishing.publisher import Publisher
+from daemon.remote_access.gate_messages import Order
+from daemon.remote_access.gate_sink import RemoteGate
 from fringed import Keys, SilenceError, subscribe
 from fringed.keys import Key, new_key
 from tests.daemon.rigs import wait_until
@@ -77,7 +77,11 @@ class World:
 
     def allow(self, key: Key, control: str, stream: str = "view") -> None:
         """Write a key into the list."""
-        self.store.allow(Entry(key.name, allowed.role("stream", stream), allowed.role("control", control), key.public))
+        self.store.allow(
+            Entry(
+                key.name, authorized_keys.role("stream", stream), authorized_keys.role("control", control), key.public
+            )
+        )
 
     def revoke(self, name: str) -> None:
         """Take a key out of the list; returns when connections were cut, so that none is made that will be."""

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from daemon.config import RigConfig, parse_rig
-from daemon.rig import open_rig
-from daemon.service import Service
-from daemon.status import State
-from pipeline.cloud import Cloud
+from daemon.live.service import Service
+from daemon.live.status import State
+from daemon.rig.open_rig import open_rig
+from pipeline.reconstruct.cloud import Cloud
 from tests.calibrate.live.lit_rig import FlatReconstructor, FreeProjector, devices
 from tests.daemon.rigs import Collector, config, rig_of, wait_until
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from daemon.errors import DaemonError
-from daemon.pairing import Pair
-from daemon.sequencing import driver as driver_module
-from daemon.sequencing.driver import Driver
-from daemon.sequencing.sets import PictureSet
-from daemon.shooting import Shooting, settling_ns
+from daemon.common.errors import DaemonError
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.projection import sequence_player as driver_module
+from daemon.live.projection.confirmed_capture import Shooting, settling_ns
+from daemon.live.projection.sequence_player import Driver
+from daemon.live.sets import PictureSet
 from drivers.errors import DriverError
 from tests.calibrate.live.bench import MS, Bench, level, picture
 from tests.daemon.rigs import wait_until

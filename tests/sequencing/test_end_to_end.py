@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.entry import run
-from daemon.export.cloud_files import read_cloud
-from daemon.outputs import open_take
-from daemon.recorder import Recorder
-from daemon.recording.reader import TakeReader
-from daemon.replay.shots import Sets
-from daemon.stream import messages
-from pipeline.modes.reconstruct import SetReconstructor
-from sim import scenes
-from sim.render import truths
-from sim.rig import RigLayout
-from sim.score import score
+from daemon.apps.export.cloud_files import read_cloud
+from daemon.apps.replay.take_items import Sets
+from daemon.bootstrap.sinks import open_take
+from daemon.cli.entry import run
+from daemon.live.publishing import messages
+from daemon.recording.read.take_reader import TakeReader
+from daemon.recording.recorder import Recorder
+from pipeline.multi_frame.set_reconstructor import SetReconstructor
+from sim.evaluate.score import score
+from sim.render.render_pair import truths
+from sim.rig.layout import RigLayout
+from sim.scene import named_scenes
 from tests.daemon.rigs import wait_until
 from tests.sequencing.rigs import rendered
 
@@ -43,7 +43,7 @@ def test_clouds_are_right_and_a_replay_of_the_take_gives_the_same_bit_for_bit(tm
         status = service.status()
         assert status.mode == "heterodyne" and status.sequence["frames"] == 12 and status.sequence["sets"] >= 3
         clouds = {item.seq: item for item in running.sink.clouds}
-    truth = truths(LAYOUT, scenes.build("spheres"), LAYOUT.pattern())[0]
+    truth = truths(LAYOUT, named_scenes.build("spheres"), LAYOUT.pattern())[0]
     for item in clouds.values():
         assert item.frames == 12 and item.span_ms > 0 and item.latency_ms >= item.span_ms and item.seq % 12 == 0
         found = score(item.cloud.xyz, truth)

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.pairing import Pair, Pairer
-from daemon.sequencing.gather import MOST_GAP_NS, Gatherer
+from daemon.live.acquisition.pairer import Pair, Pairer
+from daemon.live.acquisition.set_assembler import MOST_GAP_NS, Gatherer
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame
 
 MS = 1_000_000

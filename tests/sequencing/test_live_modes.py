@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
-from daemon.capture import Capture
+from daemon.bootstrap.sinks import open_capture
+from daemon.common.errors import ConfigError
 from daemon.config import parse_rig
-from daemon.control.calibrate import CalibrateMethods
+from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.methods import Methods
-from daemon.control.protocol import RpcError
-from daemon.errors import ConfigError
-from daemon.outputs import open_capture
-from daemon.recorder import Recorder
-from daemon.sinks import PairItem
-from daemon.status import State
+from daemon.control.rpc.protocol import RpcError
+from daemon.control.sequence_capture import Capture
+from daemon.live.items import PairItem
+from daemon.live.status import State
+from daemon.recording.recorder import Recorder
 from tests.daemon.rigs import Collector, wait_until
 from tests.sequencing.rigs import Lit, lit
 

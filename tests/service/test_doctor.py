@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from daemon.doctor import service
-from daemon.doctor.finding import Finding
-from daemon.doctor.machine import Machine
-from daemon.doctor.subject import Subject
-from daemon.install import work
-from daemon.install.environment import Source, default_python
-from daemon.install.target import Target
+from daemon.apps.doctor.finding import Finding
+from daemon.apps.doctor.host import service
+from daemon.apps.doctor.machine import Machine
+from daemon.apps.doctor.subject import Subject
+from daemon.apps.install import steps
+from daemon.apps.install.environment import Source, default_python
+from daemon.apps.install.target import Target
 from tests.service.manager import PATIENT
 from tests.service.test_install import as_root
 from tests.service.test_units import needs_systemd
@@ -25,7 +25,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     needs_systemd()
     root = tmp_path_factory.mktemp("image")
     source = Source(default_python(), shared=True)
-    work.install(Target(root), source, work.Wishes(compile=False), lambda _: None)
+    steps.install(Target(root), source, steps.Wishes(compile=False), lambda _: None)
     return root
 
 

@@ -9,8 +9,8 @@ import threading
 
 import pytest
 
-from daemon.launch import StopFlag
-from daemon.supervision.hangup import Reloads, hung_up, terminals
+from daemon.bootstrap.run import StopFlag
+from daemon.bootstrap.sighup import Reloads, hung_up, terminals
 from tests.service.manager import PATIENT, wait_until
 
 pytestmark = PATIENT

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import pytest
 
+from daemon.apps.install import config_files, environment, layout, steps
+from daemon.apps.install.environment import Source, default_python, fingerprint
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, Place
+from daemon.apps.install.target import MARK, Target, check_prefix, reachable
+from daemon.common.errors import ConfigError
 from daemon.config import load_rig, parse_rig
-from daemon.errors import ConfigError
-from daemon.install import config_files, environment, layout, work
-from daemon.install.environment import Source, default_python, fingerprint
-from daemon.install.errors import InstallError
-from daemon.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, Place
-from daemon.install.target import MARK, Target, check_prefix, reachable
 from tests.service.manager import PATIENT
 from tests.service.test_units import needs_systemd
 
 pytestmark = PATIENT
 
 SOURCE = Source(default_python(), shared=True)
-WISHES = work.Wishes(compile=False)
+WISHES = steps.Wishes(compile=False)
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 
 
@@ -32,7 +32,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A machine with nothing on it but the program; tests must not change it."""
     needs_systemd()
     root = tmp_path_factory.mktemp("image")
-    work.install(Target(root), SOURCE, WISHES, print)
+    steps.install(Target(root), SOURCE, WISHES, print)
     return root  # type: ignore[return-value]
 
 
@@ -49,8 +49,8 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         link.symlink_to("env-1")
         return True
 
-    monkeypatch.setattr(work.environment, "make", fake)
-    monkeypatch.setattr(work.kernels, "seed", lambda _: 0)
+    monkeypatch.setattr(steps.environment, "make", fake)
+    monkeypatch.setattr(steps.kernels, "seed", lambda _: 0)
     root = tmp_path / "image"
     root.mkdir()
     return root
@@ -58,7 +58,7 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def install(root: Path, **wishes: object) -> list[str]:
     said: list[str] = []
-    work.install(Target(root), SOURCE, work.Wishes(compile=False, **wishes), said.append)  # type: ignore[arg-type]
+    steps.install(Target(root), SOURCE, steps.Wishes(compile=False, **wishes), said.append)  # type: ignore[arg-type]
     return said
 
 
@@ -87,7 +87,7 @@ def test_the_service_owns_nothing_but_its_data_and_nothing_is_open_to_all(image:
 def test_the_program_runs_from_where_it_was_put(image: Path) -> None:
     python = image / "opt/fringed/env/bin/python"
     plain = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    code = "import daemon, daemon.install.files as f; print(daemon.__file__); print(f.sources())"
+    code = "import daemon, daemon.apps.install.files as f; print(daemon.__file__); print(f.sources())"
     done = subprocess.run(
         [python, "-P", "-c", code], capture_output=True, text=True, timeout=60, check=True, cwd=image, env=plain
     )
@@ -115,7 +115,7 @@ def test_the_second_time_changes_nothing(image: Path) -> None:
         return {path: path.stat().st_mtime_ns for path in kept if path.name != MARK}
 
     before, said = all_times(), []
-    work.install(Target(image), SOURCE, WISHES, said.append)
+    steps.install(Target(image), SOURCE, WISHES, said.append)
     after = all_times()
     assert {path for path in after if after[path] != before.get(path)} == set()
     assert said == [f"installed into the image {image}"]
@@ -173,12 +173,12 @@ def test_a_bad_rig_is_refused_before_anything_is_touched(bare: Path, tmp_path: P
 
 def test_another_prefix_stands_in_every_file(bare: Path) -> None:
     target = Target(bare, Path("/srv/rig/fringed"))
-    work.install(target, SOURCE, WISHES, lambda _: None)
+    steps.install(target, SOURCE, WISHES, lambda _: None)
     assert not (bare / "opt").exists()
     for place in (*FILES.values(), *PROGRAMS.values()):
         assert "/opt/fringed" not in target.path(place.path).read_text(), place.path
     assert "ExecStart=/srv/rig/fringed/bin/fringed run" in (bare / "etc/systemd/system/fringed.service").read_text()
-    work.uninstall(target, lambda _: None)
+    steps.uninstall(target, lambda _: None)
     assert not (bare / "srv/rig/fringed").exists()
 
 
@@ -208,7 +208,7 @@ def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
     take = bare / "var/lib/fringed/takes/a.mcap"
     take.touch()
     said: list[str] = []
-    work.uninstall(Target(bare), said.append)
+    steps.uninstall(Target(bare), said.append)
     assert take.exists() and (bare / "etc/fringed/rig.yaml").exists()
     for place in (*FILES.values(), *PROGRAMS.values()):
         assert not (bare / place.path.relative_to("/")).exists()
@@ -217,7 +217,7 @@ def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
     assert not list((bare / "etc/systemd/system").rglob("*fringed*"))
     assert "stay" in said[-1]
     with pytest.raises(InstallError, match="nothing is installed"):
-        work.uninstall(Target(bare), said.append)
+        steps.uninstall(Target(bare), said.append)
 
 
 def test_purge_takes_all(bare: Path) -> None:
@@ -225,7 +225,7 @@ def test_purge_takes_all(bare: Path) -> None:
     drop_in = bare / "etc/systemd/system/fringed.service.d/override.conf"
     drop_in.parent.mkdir()
     drop_in.touch()
-    work.uninstall(Target(bare), lambda _: None, purge=True)
+    steps.uninstall(Target(bare), lambda _: None, purge=True)
     for gone in ("var/lib/fringed", "etc/fringed", "var/log/fringed", "opt/fringed"):
         assert not (bare / gone).exists()
     assert not drop_in.parent.exists()
@@ -239,7 +239,7 @@ def test_somebody_elses_command_is_left_alone(bare: Path) -> None:
     other.write_text("mine")
     install(bare)
     assert other.read_text() == "mine"
-    work.uninstall(Target(bare), lambda _: None)
+    steps.uninstall(Target(bare), lambda _: None)
     assert other.read_text() == "mine"
 
 

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.supervision.journal import JournalHandler, begun_by_systemd, encode
+from daemon.bootstrap.systemd.journal import JournalHandler, begun_by_systemd, encode
 
 
 class Journal:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.supervision.notify import Notifier
+from daemon.bootstrap.systemd.notifier import Notifier
 from tests.service.manager import Manager
 
 

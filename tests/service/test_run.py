@@ -21,7 +21,7 @@ simulation: {{scene: plane, frames: 2, rate_hz: 20.0, layout: {{scale: 0.125}}, 
 stream: {{endpoints: ["ipc://{tmp}/s"]}}
 control: {{endpoint: "ipc://{tmp}/c"}}
 """
-START = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+START = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.service import Service
-from daemon.supervision.notify import Notifier
-from daemon.supervision.supervisor import Supervisor
-from sim.devices import RigDevices
+from daemon.bootstrap.systemd.notifier import Notifier
+from daemon.bootstrap.systemd.supervisor import Supervisor
+from daemon.live.service import Service
+from sim.devices.open_rig import RigDevices
 from tests.daemon.rigs import Collector, config, devices, rig_of, step
 from tests.service.manager import PATIENT, Manager, wait_until
 
@@ -173,7 +173,7 @@ def test_a_camera_driver_that_hangs_is_not_fed_for(running: Running) -> None:
 
 
 def test_a_sink_that_does_not_turn_is_not_fed_for(running: Running) -> None:
-    from daemon.supervision.pulse import Pulse
+    from daemon.common.heartbeat import Pulse
 
     sink = running.service.sinks["stream"]
     sink.pulse = Pulse(running.clock.monotonic_ns)  # type: ignore[attr-defined]

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.commands.run import WRONG_CONFIG
-from daemon.install import layout
-from daemon.install.files import sources
-from daemon.install.layout import FILES, PROGRAMS, UNITS
+from daemon.apps.install import layout
+from daemon.apps.install.files import sources
+from daemon.apps.install.layout import FILES, PROGRAMS, UNITS
+from daemon.cli.measure.run import WRONG_CONFIG
 from tests.service.manager import PATIENT
 
 pytestmark = PATIENT

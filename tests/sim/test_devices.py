@@ -9,10 +9,11 @@ import pytest
 
 from drivers.errors import DriverError, SettingRefused
 from drivers.protocols import SIDES, Camera, Projector
-from pipeline import calibration, pattern
-from pipeline.cloud import Volume
-from sim.clock import SteppedClock
-from sim.devices import open_rig
+from pipeline.pattern import color_fringe
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig import calibration
+from sim.devices.clock import SteppedClock
+from sim.devices.open_rig import open_rig
 
 OPTIONS = {"scene": "plane", "frames": 2, "layout": {"scale": 0.0625}, "rate_hz": 0}
 
@@ -145,7 +146,7 @@ def test_a_dark_projector_makes_dark_pictures(rig):
     camera, projector = rig.cameras["left"], rig.projector
     camera.open()
     camera.start()
-    picture = pattern.from_mapping(rig.pattern).picture()
+    picture = color_fringe.from_mapping(rig.pattern).picture()
     brightness = []
     for act in (projector.open, lambda: projector.show(picture), lambda: projector.show(picture * 0), projector.close):
         act()
@@ -171,7 +172,7 @@ def test_the_pattern_sent_through_the_known_response_is_the_one_rendered(tmp_pat
     rig = open_rig(options)
     known = calibration.from_mapping(rig.calibration)
     rig.projector.open()
-    rig.projector.show(pattern.from_mapping(rig.pattern).picture(known.response))
+    rig.projector.show(color_fringe.from_mapping(rig.pattern).picture(known.response))
     assert rig.trigger.cameras["left"].size == known.left.size
     rig.close()
 
@@ -182,5 +183,5 @@ def test_the_files_of_a_rig_read_back_as_the_rig(rig):
     assert known.right.translation == pytest.approx(true.right.translation)
     assert known.left_color.black == pytest.approx([4, 4, 4])
     assert rig.calibration["cameras"]["left"]["serial"] == "sim-left"
-    assert pattern.from_mapping(rig.pattern).size == known.projector.size
+    assert color_fringe.from_mapping(rig.pattern).size == known.projector.size
     assert Volume(**rig.volume) == rig.options.layout.volume()

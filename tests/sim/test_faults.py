@@ -10,10 +10,10 @@ import pytest
 
 from drivers.errors import DeviceLost
 from drivers.protocols import SIDES, TRIGGER_MODULUS
-from sim.clock import SteppedClock
-from sim.faults import RANDOM_KINDS, Fault, FaultKind, FaultPlan
-from sim.projector import SimProjector
-from sim.world import SimWorld
+from sim.devices.clock import SteppedClock
+from sim.devices.faults import RANDOM_KINDS, Fault, FaultKind, FaultPlan
+from sim.devices.projector import SimProjector
+from sim.devices.trigger_world import SimWorld
 
 
 class Numbered:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim import loop as loops
-from sim.options import OptionError, SimOptions, from_mapping
-from sim.rig import RigLayout
+from sim.devices import rendered_loop as loops
+from sim.devices.options import OptionError, SimOptions, from_mapping
+from sim.rig.layout import RigLayout
 
 
 @pytest.fixture
@@ -160,10 +160,11 @@ def test_wrong_options_are_told_by_name(data, message):
 def test_a_shot_holds_pictures_and_truth(tmp_path, small):
     import cv2
 
-    from sim import render, scenes
-    from sim.shot import write_shot
+    from sim.evaluate.write_pair import write_shot
+    from sim.render import render_pair
+    from sim.scene import named_scenes
 
-    pair = render.render_pair(small, scenes.build("face"), small.pattern())
+    pair = render_pair.render_pair(small, named_scenes.build("face"), small.pattern())
     write_shot(pair, tmp_path)
     assert np.array_equal(cv2.imread(str(tmp_path / "left.png"))[..., ::-1], pair.left)
     with np.load(tmp_path / "truth_right.npz", allow_pickle=False) as truth:

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration import Calibration
-from sim.knock import Disturbance, TrueRig
-from sim.measuring import judged, true_calibration
-from sim.optics import Optics
-from sim.rig import RigLayout
-from sim.shapes import rotation_about
+from pipeline.rig.calibration import Calibration
+from sim.evaluate.calibration_trial import judged, true_calibration
+from sim.rig.disturbance import Disturbance, TrueRig
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.shapes import rotation_about
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import render, scenes
-from sim.optics import Optics
-from sim.scenes import Scene
-from sim.shapes import mesh, plane, sphere
+from sim.render import render_pair
+from sim.rig.optics import Optics
+from sim.scene import named_scenes
+from sim.scene.named_scenes import Scene
+from sim.scene.shapes import mesh, plane, sphere
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -24,8 +25,8 @@ def test_a_mesh_of_a_ball_is_the_ball(ball, small):
     wall = plane().placed((0, 0, 80))
     meshed = Scene("mesh", (mesh(ball, 60.0).placed((10, -5, 0)), wall))
     exact = Scene("ball", (sphere(60).placed((10, -5, 0)), wall))
-    ours, _ = render.truths(small, meshed)
-    true, _ = render.truths(small, exact)
+    ours, _ = render_pair.truths(small, meshed)
+    true, _ = render_pair.truths(small, exact)
     same = np.abs(ours.xyz[..., 2] - true.xyz[..., 2]) < 0.15
     assert same.mean() > 0.98
     assert (ours.lit == true.lit).mean() > 0.99
@@ -33,7 +34,7 @@ def test_a_mesh_of_a_ball_is_the_ball(ball, small):
 
 
 def test_mesh_points_project_to_their_own_pixels(ball, small):
-    truth, _ = render.truths(small, Scene("mesh", (mesh(ball, 90.0).placed(turn=(0.2, 0.3, 0.1)),)))
+    truth, _ = render_pair.truths(small, Scene("mesh", (mesh(ball, 90.0).placed(turn=(0.2, 0.3, 0.1)),)))
     v, u = np.mgrid[0:102, 0:128]
     away = small.calibration().left.project(truth.xyz.astype(np.float64)) - np.stack([u, v], axis=-1)
     assert truth.hit.sum() > 1000
@@ -41,7 +42,7 @@ def test_mesh_points_project_to_their_own_pixels(ball, small):
 
 
 def test_the_mesh_scene_renders_a_file_of_the_user(ball, small):
-    pair = render.render_pair(small, scenes.build("mesh", mesh_file=ball), small.pattern(), Optics())
+    pair = render_pair.render_pair(small, named_scenes.build("mesh", mesh_file=ball), small.pattern(), Optics())
     assert pair.left.max() > 100
     assert pair.truth_left.scorable.mean() > 0.3
 
@@ -51,11 +52,11 @@ def test_a_file_without_triangles_is_refused_by_name(content, tmp_path, small):
     path = tmp_path / "broken.obj"
     path.write_text(content)
     with pytest.raises(ValueError, match=r"mesh .*broken\.obj"):
-        render.truths(small, scenes.build("mesh", mesh_file=path))
+        render_pair.truths(small, named_scenes.build("mesh", mesh_file=path))
 
 
 def test_a_missing_file_is_named(tmp_path, small):
     with pytest.raises(ValueError, match=r"gone\.obj: no such file"):
-        render.truths(small, scenes.build("mesh", mesh_file=tmp_path / "gone.obj"))
+        render_pair.truths(small, named_scenes.build("mesh", mesh_file=tmp_path / "gone.obj"))
     with pytest.raises(ValueError, match="needs a file"):
-        scenes.build("mesh")
+        named_scenes.build("mesh")

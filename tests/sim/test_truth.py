@@ -6,20 +6,21 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.pattern import ColorFringe
-from sim import render, scenes
-from sim.optics import Optics
-from sim.rig import RigLayout
-from sim.scenes import Scene
-from sim.shapes import COLORED, Motion, box, cylinder, plane, rectangle, relief, sphere
-from sim.truth import phases
+from pipeline.pattern.color_fringe import ColorFringe
+from sim.render import render_pair
+from sim.render.ground_truth import phases
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene import named_scenes
+from sim.scene.named_scenes import Scene
+from sim.scene.shapes import COLORED, Motion, box, cylinder, plane, rectangle, relief, sphere
 
 SCENES = ("plane", "spheres", "steps", "face", "isolated", "mixed", "moving")
 
 
 @pytest.fixture(scope="module", params=SCENES)
 def seen(request, small):
-    return render.truths(small, scenes.build(request.param), small.pattern(), 0.4)
+    return render_pair.truths(small, named_scenes.build(request.param), small.pattern(), 0.4)
 
 
 def test_every_true_point_projects_to_its_own_pixel(seen, small):
@@ -62,9 +63,9 @@ def test_scenes_stay_inside_the_measuring_volume():
     layout = RigLayout().scaled(0.06)
     volume = layout.volume()
     for name in SCENES:
-        scene = scenes.build(name)
+        scene = named_scenes.build(name)
         for share in (0.0, 0.25, 0.5, 0.75) if scene.moves else (0.0,):
-            z = render.truths(layout, scene, t_s=share * scene.period_s)[0].xyz[..., 2]
+            z = render_pair.truths(layout, scene, t_s=share * scene.period_s)[0].xyz[..., 2]
             assert np.nanmin(z) > volume.near_mm, (name, share)
             assert np.nanmax(z) < volume.far_mm, (name, share)
 
@@ -80,7 +81,7 @@ def _hidden_by_ball(points, viewer, centre, radius):
 
 def test_shadow_and_occlusion_behind_a_ball_are_those_of_geometry(small):
     scene = Scene("ball", (plane().placed((0, 0, 60)), sphere(35).placed((10, 5, -20))))
-    truth, _ = render.truths(small, scene)
+    truth, _ = render_pair.truths(small, scene)
     rig, (rotation, origin) = small.calibration(), small.stage_pose()
     centre = rotation @ np.array([10.0, 5.0, -20.0]) + origin
     xyz = truth.xyz.astype(np.float64)
@@ -98,7 +99,7 @@ def test_shadow_and_occlusion_behind_a_ball_are_those_of_geometry(small):
 
 
 def test_the_far_side_of_a_ball_is_dark(small):
-    truth, _ = render.truths(small, Scene("ball", (sphere(60).placed(),)))
+    truth, _ = render_pair.truths(small, Scene("ball", (sphere(60).placed(),)))
     rig, (_, origin) = small.calibration(), small.stage_pose()
     normal = (truth.xyz - origin) / 60
     facing = np.sum(normal * (rig.projector.centre - truth.xyz), axis=-1)
@@ -124,7 +125,7 @@ def _distance(shape, local):
 def test_hits_lie_on_the_surface_of_turned_and_moving_shapes(shape, small):
     placed = shape.placed((12, -7, 9), turn=(0.3, 0.7, -0.2), motion=Motion((15, 4, -8), 0.4, (1.0, 0.3, 0.0)))
     scene = Scene("one", (placed,), period_s=2.0)
-    truth, _ = render.truths(small, scene, t_s=0.31)
+    truth, _ = render_pair.truths(small, scene, t_s=0.31)
     rotation, origin = small.stage_pose()
     turn, place = placed.pose(scene.share(0.31))
     local = ((truth.xyz[truth.hit].astype(np.float64) - origin) @ rotation - place) @ turn
@@ -134,10 +135,10 @@ def test_hits_lie_on_the_surface_of_turned_and_moving_shapes(shape, small):
 
 @pytest.mark.parametrize("variant", ["face", "waves"])
 def test_reliefs_are_met_at_their_surface_and_nowhere_before(variant, small):
-    from sim.intersect import relief_height
+    from sim.scene.ray_intersection import relief_height
 
     shape = relief(170, 230, 70, variant=variant).placed((0, 0, 35), turn=(0.1, 0.5, 0.0))
-    truth, _ = render.truths(small, Scene("one", (shape,)))
+    truth, _ = render_pair.truths(small, Scene("one", (shape,)))
     rotation, origin = small.stage_pose()
     turn, place = shape.pose(0)
 
@@ -155,8 +156,8 @@ def test_reliefs_are_met_at_their_surface_and_nowhere_before(variant, small):
 
 
 def test_a_supersampled_picture_is_lit_where_the_truth_says_so(small):
-    scene = scenes.build("spheres")
-    pair = render.render_pair(small, scene, np.full((128, 160, 3), 255, np.uint8), Optics.ideal())
+    scene = named_scenes.build("spheres")
+    pair = render_pair.render_pair(small, scene, np.full((128, 160, 3), 255, np.uint8), Optics.ideal())
     inner = cv2.erode(pair.truth_left.lit.astype(np.uint8), np.ones((3, 3))) > 0
     dark = cv2.erode((~pair.truth_left.lit).astype(np.uint8), np.ones((3, 3))) > 0
     grazing = pair.left[inner].max(axis=-1) == 0
@@ -166,11 +167,11 @@ def test_a_supersampled_picture_is_lit_where_the_truth_says_so(small):
 
 @pytest.mark.parametrize("name", ["spheres", "face"])
 def test_noise_free_phase_is_the_phase_of_the_truth(name, small):
-    scene = scenes.build(name)
+    scene = named_scenes.build(name)
     white = tuple(s.placed(s.at_mm, turn=s.turn, albedo=0.8, motion=s.motion) for s in scene.shapes)
     pattern: ColorFringe = small.pattern()
-    counts = render.render_counts(small, Scene(name, white), pattern, Optics.ideal(supersampling=4))
-    for picture, truth in zip(counts, render.truths(small, Scene(name, white), pattern), strict=True):
+    counts = render_pair.render_counts(small, Scene(name, white), pattern, Optics.ideal(supersampling=4))
+    for picture, truth in zip(counts, render_pair.truths(small, Scene(name, white), pattern), strict=True):
         red, green, blue = (picture[..., c].astype(np.float64) for c in range(3))
         phase = np.arctan2(np.sqrt(3) * (red - blue), 2 * green - red - blue)
         error = np.angle(np.exp(1j * (phase - phases(truth.projector.astype(np.float64), pattern))))
@@ -183,10 +184,10 @@ def test_noise_free_phase_is_the_phase_of_the_truth(name, small):
 
 
 def test_frequency_modulated_patterns_have_orders_of_their_own_table(small):
-    from pipeline.pattern import modulated_profile
+    from pipeline.pattern.color_fringe import modulated_profile
 
     pattern = small.pattern(profile=modulated_profile(160, 12))
-    truth, _ = render.truths(small, scenes.build("plane"), pattern)
+    truth, _ = render_pair.truths(small, named_scenes.build("plane"), pattern)
     table = np.floor(pattern.phase / (2 * np.pi))
     columns = np.clip(np.rint(truth.projector[..., 0]), 0, 159).astype(int)
     assert np.abs(truth.order - table[columns])[truth.lit].max() <= 1
@@ -197,7 +198,7 @@ def test_textures_move_with_the_thing(small):
     shape = rectangle(120, 120).placed((0, 0, 0), texture=COLORED, motion=Motion(swing_mm=(30, 0, 0)))
     scene = Scene("one", (shape,), period_s=4.0)
     optics = Optics.ideal(exposure_us=1.0)
-    still, moved = (render.render_counts(small, scene, flat, optics, t_s)[0] for t_s in (0.0, 1.0))
+    still, moved = (render_pair.render_counts(small, scene, flat, optics, t_s)[0] for t_s in (0.0, 1.0))
     shift = round(30 * small.focal_px / small.standoff_mm * 0.984)
     both = np.abs(still[30:70, 45:80] - moved[30:70, 45 + shift : 80 + shift])
     elsewhere = np.abs(still[30:70, 45:80] - moved[30:70, 45:80])

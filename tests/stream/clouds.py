@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from daemon.publisher import Publisher
-from daemon.sinks import CloudItem
+from daemon.live.items import CloudItem
+from daemon.live.publishing.publisher import Publisher
 from drivers.protocols import Frame
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.rig.calibration import Calibration
 from tests.pipeline import rigs
 
 SIZE = (32, 26)

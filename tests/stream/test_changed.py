@@ -8,9 +8,9 @@ from typing import Any
 
 import zmq
 
-from daemon.rig import Rig
-from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
+from daemon.rig.open_rig import Rig
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
 from tests.daemon import rigs
 from tests.stream import clouds
 

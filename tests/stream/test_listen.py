@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.publisher import Publisher
+from daemon.live.publishing.publisher import Publisher
 from fringed.ply import ply_bytes
 from tests.stream import clouds
 from tests.stream.test_wire import GOLDEN
@@ -48,7 +48,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def listen(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    from daemon.entry import run as command
+    from daemon.cli.entry import run as command
 
     status = command(["listen", *arguments])
     return status, capsys.readouterr().out

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import zmq
 
-from daemon.errors import DaemonError
-from daemon.outputs import open_publisher
-from daemon.publisher import Publisher
-from daemon.sinks import LoneItem
-from daemon.stream.preview import overlay
+from daemon.bootstrap.sinks import open_publisher
+from daemon.common.errors import DaemonError
+from daemon.live.items import LoneItem
+from daemon.live.publishing.preview import overlay
+from daemon.live.publishing.publisher import Publisher
 from fringed import FringedError, SilenceError, WireError, asubscribe, subscribe, wire
 from fringed.client import Subscription
 from fringed.losses import Losses
@@ -176,7 +176,7 @@ def test_offering_never_waits_and_overtaken_clouds_are_counted(monkeypatch: pyte
         assert go_on.wait(WAIT_S)
         return [b"cloud/full", b"{}"]
 
-    monkeypatch.setattr("daemon.stream.messages.full", slow)
+    monkeypatch.setattr("daemon.live.publishing.messages.full", slow)
     with clouds.publisher() as made, Receiver(made.endpoints[0], ["cloud/full"]):
         connected(made)
         made.offer(clouds.item(0))
@@ -192,7 +192,7 @@ def test_offering_never_waits_and_overtaken_clouds_are_counted(monkeypatch: pyte
 
 def test_topics_cost_nothing_while_nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
     made_clouds = []
-    monkeypatch.setattr("daemon.stream.messages.full", lambda *a: made_clouds.append(a))
+    monkeypatch.setattr("daemon.live.publishing.messages.full", lambda *a: made_clouds.append(a))
     with clouds.publisher() as made, Receiver(made.endpoints[0], ["status"]) as receiver:
         connected(made, "status")
         made.offer(clouds.item(1))

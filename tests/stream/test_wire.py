@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.stream import messages
-from daemon.stream.messages import Origin
+from daemon.live.publishing import messages
+from daemon.live.publishing.messages import Origin
 from fringed import codecs, wire
 from fringed.errors import CodecMissingError, WireError
 from tests.stream import clouds

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from daemon.view.screenshot import BROWSERS, browser_program
+from daemon.apps.viewer.screenshot import BROWSERS, browser_program
 
 
 @pytest.fixture

@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.view import colors, log, quiet, screenshot, sinks
+from daemon.apps.viewer import colors, rerun_import, rerun_log, rerun_targets, screenshot
 from tests.stream import clouds
 from tests.view import logged
 
 
 def write(file: Path, cloud: Any, **options: Any) -> None:
-    recording = sinks.to_file(file)
-    logger = log.Logger(recording, **options)
+    recording = rerun_targets.to_file(file)
+    logger = rerun_log.Logger(recording, **options)
     logger.time(seq=7, t_ns=1_700_000_000_123_456_789)
     logger.cloud(cloud.xyz, cloud.gray, cloud.sigma_mm)
     logger.figures({"points": 3.0})
@@ -78,8 +78,8 @@ def test_a_cloud_without_points_is_logged_as_none(tmp_path: Path) -> None:
 def test_pictures_are_decoded_and_a_damaged_one_costs_only_itself(tmp_path: Path) -> None:
     left = np.full((40, 60, 3), (10, 100, 200), np.uint8)
     jpeg = cv2.imencode(".jpg", left)[1].reshape(-1)
-    recording = sinks.to_file(tmp_path / "x.rrd")
-    logger = log.Logger(recording, decimate=1)
+    recording = rerun_targets.to_file(tmp_path / "x.rrd")
+    logger = rerun_log.Logger(recording, decimate=1)
     logger.time(seq=1, t_ns=1)
     logger.pictures({"left": jpeg, "right": jpeg[:9], "overlay": jpeg[:0]})
     recording.flush()
@@ -91,9 +91,9 @@ def test_pictures_are_decoded_and_a_damaged_one_costs_only_itself(tmp_path: Path
 
 def test_the_usage_reports_of_rerun_are_off_without_touching_the_users_file() -> None:
     theirs = Path(os.environ["XDG_CONFIG_HOME"])
-    quiet.rerun()
+    rerun_import.rerun()
     told = subprocess.run(
-        [str(sinks.viewer_program()), "analytics", "config"], capture_output=True, text=True, check=True
+        [str(rerun_targets.viewer_program()), "analytics", "config"], capture_output=True, text=True, check=True
     )
     assert '"analytics_enabled": false' in told.stdout
     assert not list(theirs.iterdir())
@@ -101,8 +101,8 @@ def test_the_usage_reports_of_rerun_are_off_without_touching_the_users_file() ->
 
 def test_an_unfinished_file_is_not_left_behind(tmp_path: Path) -> None:
     file = tmp_path / "x.rrd"
-    with pytest.raises(RuntimeError, match="stop"), sinks.file_recording(file) as recording:
-        log.Logger(recording)
+    with pytest.raises(RuntimeError, match="stop"), rerun_targets.file_recording(file) as recording:
+        rerun_log.Logger(recording)
         raise RuntimeError("stop")
     assert not list(tmp_path.iterdir())
 

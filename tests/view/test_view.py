@@ -19,10 +19,10 @@ from urllib.request import urlopen
 import cv2
 import pytest
 
-from daemon.entry import run
-from daemon.view import screenshot, sinks
-from daemon.view.bridge import Bridge, Options
-from daemon.view.source import NewestMessages
+from daemon.apps.viewer import rerun_targets, screenshot
+from daemon.apps.viewer.bridge import Bridge, Options
+from daemon.apps.viewer.stream_source import NewestMessages
+from daemon.cli.entry import run
 from fringed import SilenceError, subscribe
 from tests.security import listening
 from tests.stream import clouds
@@ -35,7 +35,7 @@ LARGE = (256, 205)
 @contextmanager
 def viewing(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """``fringed view`` as a process."""
-    program = "from daemon.entry import main; main()"
+    program = "from daemon.cli.entry import main; main()"
     command = [sys.executable, "-c", program, "view", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -68,7 +68,7 @@ def test_clouds_pictures_and_figures_of_a_stream_reach_the_file(tmp_path: Path) 
     file = tmp_path / "x.rrd"
     with clouds.publisher() as publisher, NewestMessages(publisher.endpoints[0]) as source:
         wanted(publisher, "cloud/full", "preview", "status")
-        with sinks.file_recording(file) as recording:
+        with rerun_targets.file_recording(file) as recording:
             bridge = Bridge(source, recording, Options(decimate=1, rate_hz=1000))
             clouds.send(publisher, clouds.item(3))
             publisher.publish_status({"t_ns": 5, "cloud_rate_hz": 4.5, "drops": {"a": 2, "b": 3}})
@@ -195,7 +195,7 @@ def test_the_command_ends_with_its_native_viewer(
     program = tmp_path / "viewer"
     program.write_text(f"#!/bin/sh\nexit {status}\n")
     program.chmod(0o755)
-    monkeypatch.setattr(sinks, "viewer_program", lambda: program)
+    monkeypatch.setattr(rerun_targets, "viewer_program", lambda: program)
     assert run(["view", f"ipc://{tmp_path}/nobody"]) == 1
     assert told in capsys.readouterr().err
 
@@ -205,6 +205,6 @@ def test_a_port_that_is_taken_is_told_and_the_usual_one_gives_way_to_a_free_one(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(sinks.DaemonError, match=f"port {port} is taken"):
-            sinks._port(port, 1, "127.0.0.1")
-        assert sinks._port(None, port, "127.0.0.1") not in (0, port)
+        with pytest.raises(rerun_targets.DaemonError, match=f"port {port} is taken"):
+            rerun_targets._port(port, 1, "127.0.0.1")
+        assert rerun_targets._port(None, port, "127.0.0.1") not in (0, port)

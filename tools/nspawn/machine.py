@@ -115,7 +115,7 @@ class Machine:
 
     def fringed(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
         """``fringed`` of the checkout, not of what is installed inside."""
-        start = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+        start = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
         return self.python("-c", start, *arguments, **options)
 
     def systemctl(self, *arguments: str, check: bool = True, timeout_s: float = WAIT_S) -> str:

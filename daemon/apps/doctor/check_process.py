@@ -1,8 +1,8 @@
-"""The process that runs the checks: ``python -m daemon.doctor.worker FD PARENT JOB``.
+"""The process that runs the checks: ``python -m daemon.apps.doctor.check_process FD PARENT JOB``.
 
 Answers go to file descriptor FD, one JSON line an area; what vendors' libraries print stays out of them. A check that
 raises becomes a finding here; one that crashes or hangs takes this process with it and becomes one in
-:mod:`daemon.doctor.examine`.
+:mod:`daemon.apps.doctor.run_checks`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from pathlib import Path
 
 import msgspec
 
-from daemon.doctor.areas import Check
-from daemon.doctor.finding import Finding
-from daemon.doctor.machine import Machine
-from daemon.doctor.rig_file import read_leniently
-from daemon.doctor.subject import Subject
-from drivers.remote.spawn import die_with_parent
+from daemon.apps.doctor.check_table import Check
+from daemon.apps.doctor.finding import Finding
+from daemon.apps.doctor.machine import Machine
+from daemon.apps.doctor.rig.rig_file import read_leniently
+from daemon.apps.doctor.subject import Subject
+from drivers.child_process import die_with_parent
 
 
 class Job(msgspec.Struct, frozen=True):

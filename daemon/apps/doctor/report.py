@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from daemon.doctor.finding import Finding, Level, counts, exit_code
+from daemon.apps.doctor.finding import Finding, Level, counts, exit_code
 
 WIDTH = 110
 MARKS: dict[Level, str] = {"ok": "ok", "note": "-", "warning": "warning", "problem": "PROBLEM"}

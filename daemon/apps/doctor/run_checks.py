@@ -16,10 +16,10 @@ from typing import Self
 
 import msgspec
 
-from daemon.doctor.areas import AREAS, Check
-from daemon.doctor.finding import Finding
-from daemon.doctor.worker import Done, Job
-from drivers.remote import spawn
+from daemon.apps.doctor.check_process import Done, Job
+from daemon.apps.doctor.check_table import AREAS, Check
+from daemon.apps.doctor.finding import Finding
+from drivers import child_process
 
 log = logging.getLogger("fringed.doctor")
 
@@ -79,13 +79,15 @@ class _Worker:
         self._reading, writing = os.pipe()
         try:
             arguments = [str(writing), str(os.getpid()), msgspec.json.encode(job).decode()]
-            self._process: subprocess.Popen[bytes] = spawn.start("daemon.doctor.worker", arguments, pass_fds=[writing])
+            self._process: subprocess.Popen[bytes] = child_process.start(
+                "daemon.apps.doctor.check_process", arguments, pass_fds=[writing]
+            )
         except BaseException:
             os.close(self._reading)
             raise
         finally:
             os.close(writing)
-        self._prints = spawn.Prints(self._process, log, "doctor-prints")
+        self._prints = child_process.Prints(self._process, log, "doctor-prints")
         self._text = b""
         self._late = False
         self._ended = ""

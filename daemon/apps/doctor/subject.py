@@ -7,13 +7,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daemon.config.models import RigConfig
-from daemon.doctor.machine import Machine
+from daemon.apps.doctor.machine import Machine
+from daemon.config.rig_config import RigConfig
 from drivers.errors import DriverError
 from drivers.protocols import SIDES, Side
 
 if TYPE_CHECKING:
-    from daemon.calibration_file import CalibrationFile
+    from daemon.rig.calibration_file import CalibrationFile
     from drivers.genicam import CameraFound
     from drivers.projector import OutputFound
 
@@ -81,7 +81,7 @@ class Subject:
         """The options of the simulated rig, None for another one."""
         if self.config is None or self.config.cameras.driver != "sim":
             return None
-        from sim.options import from_mapping
+        from sim.devices.options import from_mapping
 
         try:
             return from_mapping(dict(self.config.simulation), self.base_dir)
@@ -146,7 +146,7 @@ class Subject:
     @cached_property
     def calibration(self) -> CalibrationFile | None:
         """The calibration that rig.yaml names, None if it names none; PipelineError if it cannot be used."""
-        from daemon.calibration_file import read_calibration
+        from daemon.rig.calibration_file import read_calibration
 
         if self.config is None or self.config.calibration is None:
             return None

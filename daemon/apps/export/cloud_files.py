@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.errors import DaemonError
-from daemon.export.pcd import pcd_bytes
+from daemon.common.errors import DaemonError
+from fringed.pcd import pcd_bytes
 from fringed.ply import ply_bytes
 
 KINDS = ("npz", "ply", "pcd")

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 

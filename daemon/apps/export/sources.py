@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daemon.errors import DaemonError
-from daemon.export.cloud_files import SavedCloud, clouds_in, read_cloud
-from daemon.recording.reader import TakeReader
+from daemon.apps.export.cloud_files import SavedCloud, clouds_in, read_cloud
+from daemon.common.errors import DaemonError
+from daemon.recording.read.take_reader import TakeReader
 
 if TYPE_CHECKING:
-    from pipeline.settings import Settings
+    from pipeline.common.settings import Settings
 
 Clouds = Iterator[tuple[int, SavedCloud]]
 Progress = Callable[[int, int], Any]
@@ -41,8 +41,8 @@ def reconstructed_clouds(
     Raises:
         DaemonError: a take that gives no cloud; PipelineError: files that do not fit together.
     """
-    from daemon.replay.runner import Replay
-    from pipeline.settings import Settings
+    from daemon.apps.replay.runner import Replay
+    from pipeline.common.settings import Settings
 
     with TakeReader(path) as take:
         replay = Replay(take, settings or Settings(), calibration=calibration)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from daemon.health.picture.axes import number, ticks, times, value_range
-from daemon.health.picture.canvas import Canvas, Point
-from daemon.health.picture.courses import AMBER, GREEN, GREY, RED, Array, Course, Courses, Panel
+from daemon.apps.health_report.axes import number, ticks, times, value_range
+from daemon.apps.health_report.canvas import Canvas, Point
+from daemon.apps.health_report.panels import AMBER, GREEN, GREY, RED, Array, Course, Courses, Panel
 
 INK, GRID = "#1d2733", "#dde3e9"
 COLORS = {"healthy": GREEN, "warning": AMBER, "ill": RED, "unknown": GREY}

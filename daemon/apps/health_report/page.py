@@ -5,11 +5,11 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from daemon.calibrate.report.page import Card, figure, page, table
-from daemon.health.picture import layout
-from daemon.health.picture.canvas import Pixels, Svg
-from daemon.health.picture.courses import Courses
-from daemon.health.quantities import BY_NAME, shown
+from daemon.apps.health_report import layout
+from daemon.apps.health_report.canvas import Pixels, Svg
+from daemon.apps.health_report.panels import Courses
+from daemon.common.html_page import Card, figure, page, table
+from daemon.monitoring.health.quantities import BY_NAME, shown
 
 _LEVELS = {"healthy": "good", "warning": "warn", "ill": "bad"}
 _CARDS = (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.health.methods import MOST_SERIES
+from daemon.control.health_methods import MOST_SERIES
 
 Array = NDArray[np.float64]
 

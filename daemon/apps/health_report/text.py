@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from daemon.health.quantities import shown
+from daemon.monitoring.health.quantities import shown
 
 WIDTH = 80
 _EVENTS = 8

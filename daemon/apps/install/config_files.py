@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daemon.atomic import write_atomically
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.layout import CONFIG, CONFIG_FILES, RIG, STATE, Place
+from daemon.apps.install.target import Target
+from daemon.common.files import write_atomically
 from daemon.config import load_rig
-from daemon.config.source import read_yaml
-from daemon.install.errors import InstallError
-from daemon.install.layout import CONFIG, CONFIG_FILES, RIG, STATE, Place
-from daemon.install.target import Target
+from daemon.config.yaml_source import read_yaml
 
 _NAMED = "calibration", "pattern", "volume"
 

@@ -13,12 +13,12 @@ import sysconfig
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.install.errors import InstallError
-from daemon.install.files import SHARE, shipped
-from daemon.install.target import Target, reachable
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.files import SHARE, shipped
+from daemon.apps.install.target import Target, reachable
 
 OWN = "fringed", "pipeline", "drivers", "sim", "daemon"
-_CHECKOUT = Path(__file__).resolve().parents[2]
+_CHECKOUT = Path(__file__).resolve().parents[3]
 _TIMEOUT_S = 3600
 _MARK = "made-from"  # in an environment that is whole
 
@@ -123,7 +123,7 @@ def _install(fresh: Path, source: Source) -> None:
 
 def requirement(source: Source) -> str:
     """What pip is to install: the checkout that runs this, or the same version from where packages come from."""
-    from daemon.version import program_version
+    from daemon.common.version import program_version
 
     if source.wheelhouse is None and (_CHECKOUT / "pyproject.toml").is_file():
         return f"{_CHECKOUT}[rig]"

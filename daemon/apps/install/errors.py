@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 
 
 class InstallError(DaemonError):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from daemon.atomic import write_atomically
-from daemon.install.errors import InstallError
-from daemon.install.layout import COMMAND, DIRECTORIES, FILES, PREFIX, PROGRAMS, Place
-from daemon.install.target import Target
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.layout import COMMAND, DIRECTORIES, FILES, PREFIX, PROGRAMS, Place
+from daemon.apps.install.target import Target
+from daemon.common.files import write_atomically
 
 SHARE = Path("share/fringed")
 """Where an installed package has what is no Python, below the prefix of its environment."""
@@ -16,7 +16,7 @@ SHARE = Path("share/fringed")
 _WRAPPER = """\
 #!/bin/sh
 unset PYTHONPATH PYTHONHOME
-exec {prefix}/env/bin/python -P -c 'import sys; from daemon.entry import main; sys.argv[0] = "fringed"; main()' "$@"
+exec {prefix}/env/bin/python -P -c 'import sys; from daemon.cli.entry import main; sys.argv[0] = "fringed"; main()' "$@"
 """
 
 
@@ -26,7 +26,7 @@ def shipped(name: str) -> Path:
     Raises:
         InstallError: neither is there.
     """
-    places = [Path(__file__).resolve().parents[2] / name, Path(sys.prefix) / SHARE / name]
+    places = [Path(__file__).resolve().parents[3] / name, Path(sys.prefix) / SHARE / name]
     for place in places:
         if place.exists():
             return place

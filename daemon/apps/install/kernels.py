@@ -9,22 +9,22 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daemon.install.environment import OWN
-from daemon.install.errors import InstallError
-from daemon.install.layout import CACHE, KERNELS, STATE, USER
-from daemon.install.target import Target
+from daemon.apps.install.environment import OWN
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.layout import CACHE, KERNELS, STATE, USER
+from daemon.apps.install.target import Target
 
 if TYPE_CHECKING:
-    from sim.render import RenderedPair
-    from sim.rig import RigLayout
+    from sim.render.render_pair import RenderedPair
+    from sim.rig.layout import RigLayout
 
 ENCODINGS = "rgb8", "bayer_rggb8"
 _TIMEOUT_S = 3600
 _PROGRAM = """
 import sys
-from daemon.tuning import prepare
+from daemon.cli.allocator import prepare
 prepare()
-from daemon.install.kernels import compile_all
+from daemon.apps.install.kernels import compile_all
 compile_all(sys.argv[1:])
 """
 
@@ -63,7 +63,7 @@ def seed(target: Target) -> int:
 
     # numba below 0.62 has the name with an underscore.
     locator = getattr(caching, "UserProvidedCacheLocator", None) or caching._UserProvidedCacheLocator
-    here, count = Path(__file__).resolve().parents[2], 0
+    here, count = Path(__file__).resolve().parents[3], 0
     (own,) = target.path(target.prefix / "env").glob("lib/python3.*/site-packages")
     own = Path("/") / own.relative_to(target.root)
     for package in OWN:
@@ -89,16 +89,16 @@ def give_away(target: Target) -> None:
 
 def small_layout() -> RigLayout:
     """The rig on which kernels are compiled."""
-    from sim.rig import RigLayout
+    from sim.rig.layout import RigLayout
 
     return RigLayout().scaled(0.125)
 
 
 def small_pair(encoding: str) -> RenderedPair:
     """Pictures of that rig; compiles rendering."""
-    from sim.optics import Optics
-    from sim.render import render_pair
-    from sim.scenes import build
+    from sim.render.render_pair import render_pair
+    from sim.rig.optics import Optics
+    from sim.scene.named_scenes import build
 
     layout = small_layout()
     return render_pair(layout, build("moving"), layout.pattern(), Optics(), encoding=encoding)
@@ -110,9 +110,9 @@ def compile_all(modes: Sequence[str] = ()) -> None:
     Args:
         modes: as of :func:`compile_ahead`.
     """
-    from pipeline.drift.observe import rehearse
-    from pipeline.reconstruct import Reconstructor
-    from sim.optics import Optics
+    from pipeline.monitor.observe import rehearse
+    from pipeline.reconstruct.reconstructor import Reconstructor
+    from sim.rig.optics import Optics
 
     layout = small_layout()
     for encoding in ENCODINGS:
@@ -126,9 +126,9 @@ def compile_all(modes: Sequence[str] = ()) -> None:
 
 def compile_modes(wanted: Iterable[tuple[str, str]]) -> None:
     """Compile what measuring with sets of pictures needs, by mode and encoding."""
-    from pipeline.modes.reconstruct import SetReconstructor
-    from pipeline.modes.sequences import mode_sequence
-    from sim.optics import Optics
+    from pipeline.multi_frame.set_reconstructor import SetReconstructor
+    from pipeline.pattern.mode_sequences import mode_sequence
+    from sim.rig.optics import Optics
 
     layout = small_layout()
     calibration = layout.calibration_for(Optics())

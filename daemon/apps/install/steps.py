@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daemon.atomic import write_atomically
-from daemon.install import config_files, environment, files, kernels, manager
-from daemon.install.errors import InstallError
-from daemon.install.layout import CACHE, COMMAND, CONFIG, FILES, KERNELS, LOGS, PREFIX, RIG, STATE, UNITS, Place
-from daemon.install.target import MARK, Target, check_prefix
+from daemon.apps.install import config_files, environment, files, kernels, systemctl
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.layout import CACHE, COMMAND, CONFIG, FILES, KERNELS, LOGS, PREFIX, RIG, STATE, UNITS, Place
+from daemon.apps.install.target import MARK, Target, check_prefix
+from daemon.common.files import write_atomically
 
 Say = Callable[[str], object]
 
@@ -54,11 +54,11 @@ def install(target: Target, source: environment.Source, wishes: Wishes, say: Say
     for text in config_files.put(target, config):
         say(text)
     _compile(target, source, wishes, say)
-    manager.take_notice(target)
+    systemctl.take_notice(target)
     if wishes.start:
         projector = _needs_x(target)
-        manager.enable(target, projector=projector, view=wishes.view)
-        manager.start(target, projector=projector, view=wishes.view)
+        systemctl.enable(target, projector=projector, view=wishes.view)
+        systemctl.start(target, projector=projector, view=wishes.view)
     environment.remove_old(target)
     say(_next_step(target, wishes))
 
@@ -69,7 +69,7 @@ def uninstall(target: Target, say: Say, *, purge: bool = False) -> None:
     check_prefix(target)
     if not target.path(PREFIX / MARK).is_file():
         raise InstallError(f"nothing is installed in {target.prefix}; name the prefix with --prefix")
-    manager.stop(target)
+    systemctl.stop(target)
     for place in FILES.values():
         target.path(place.path).unlink(missing_ok=True)
     command = target.path(COMMAND)
@@ -79,8 +79,8 @@ def uninstall(target: Target, say: Say, *, purge: bool = False) -> None:
     for directory in (CACHE, CACHE.with_name("fringed-view"), *((CONFIG, STATE, LOGS, *drop_ins) if purge else ())):
         _remove(target.path(directory))
     _remove(target.path(PREFIX))
-    manager.take_notice(target)
-    for text in manager.remove_users(target) if purge else ():
+    systemctl.take_notice(target)
+    for text in systemctl.remove_users(target) if purge else ():
         say(text)
     kept = "" if purge else f"; {CONFIG}, {STATE} and {LOGS} stay (--purge takes them too)"
     say(f"fringed is taken away from {target.prefix}{kept}")
@@ -97,7 +97,7 @@ def _prepare(target: Target) -> None:
     """Users, directories, and the mark that makes the prefix ours before it fills."""
     if os.geteuid() == 0:
         files.put_users_file(target)
-        manager.make_users(target)
+        systemctl.make_users(target)
     target.path(PREFIX).mkdir(parents=True, exist_ok=True)
     mark = {"program": "fringed", "prefix": str(target.prefix)}
     write_atomically(target.path(PREFIX / MARK), json.dumps(mark).encode())
@@ -119,7 +119,7 @@ def _compile(target: Target, source: environment.Source, wishes: Wishes, say: Sa
 
 
 def _rig(target: Target) -> dict[str, Any]:
-    from daemon.config.source import read_yaml
+    from daemon.config.yaml_source import read_yaml
 
     data = read_yaml(target.path(RIG).read_text(encoding="utf-8")).data
     return data if isinstance(data, dict) else {}

@@ -6,9 +6,9 @@ import os
 import shutil
 import subprocess
 
-from daemon.install.errors import InstallError
-from daemon.install.layout import SERVICE, UNITS, VIEW, VIEW_USER, X
-from daemon.install.target import Target
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.layout import SERVICE, UNITS, VIEW, VIEW_USER, X
+from daemon.apps.install.target import Target
 
 _TIMEOUT_S = 120
 

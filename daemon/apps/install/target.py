@@ -7,8 +7,8 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.install.errors import InstallError
-from daemon.install.layout import PREFIX, Place, moved
+from daemon.apps.install.errors import InstallError
+from daemon.apps.install.layout import PREFIX, Place, moved
 
 MARK = "installed.json"
 _SYSTEM = "bin boot dev etc home lib lib32 lib64 media mnt opt proc root run sbin srv sys tmp usr var"

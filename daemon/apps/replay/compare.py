@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.replay.golden import Golden, GoldenError, Move, PairStatistics, Tolerances
+from daemon.apps.replay.golden import Golden, GoldenError, Move, PairStatistics, Tolerances
 
 
 def compare(golden: Golden, pairs: Sequence[PairStatistics]) -> list[Move]:

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 
 if TYPE_CHECKING:
-    from daemon.replay.runner import Result
+    from daemon.apps.replay.runner import Result
 
 
 class RerunLog:
@@ -29,16 +29,16 @@ class RerunLog:
 
     def __init__(self, file: Path | None) -> None:
         try:
-            from daemon.view import sinks
-            from daemon.view.log import Logger
+            from daemon.apps.viewer import rerun_targets
+            from daemon.apps.viewer.rerun_log import Logger
 
             self._file = file
             self._temporary = None if file is None else file.with_name(f".{file.name}.partial")
             if self._temporary is None:
-                self._recording = sinks.to_viewer()
+                self._recording = rerun_targets.to_viewer()
             else:
                 self._temporary.parent.mkdir(parents=True, exist_ok=True)
-                self._recording = sinks.to_file(self._temporary)
+                self._recording = rerun_targets.to_file(self._temporary)
             self._logger = Logger(self._recording, decimate=1)
         except ModuleNotFoundError as error:
             if error.name != "rerun":

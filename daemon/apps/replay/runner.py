@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daemon.calibration_file import CalibrationFile, read_calibration
-from daemon.recording.reader import TakePair, TakeReader
-from daemon.replay.shots import Sets, Shot, pairs_of
-from daemon.sequel import Sequel
-from pipeline.cloud import Cloud
-from pipeline.errors import PipelineError
-from pipeline.reconstruct import Reconstructor
-from pipeline.sequence import Sequence
-from pipeline.settings import Settings
+from daemon.apps.replay.take_items import Sets, Shot, pairs_of
+from daemon.live.processing.temporal_prior import Sequel
+from daemon.recording.read.take_reader import TakePair, TakeReader
+from daemon.rig.calibration_file import CalibrationFile, read_calibration
+from pipeline.common.errors import PipelineError
+from pipeline.common.settings import Settings
+from pipeline.pattern.sequence import Sequence
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.reconstructor import Reconstructor
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class Replay:
             single.warm_up(follow=self.follow)
             self._made = single
         else:
-            from pipeline.modes.reconstruct import SetReconstructor
+            from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
             self._made = SetReconstructor(calibration, sequence, volume, **options)
             self._made.warm_up()

@@ -9,9 +9,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from daemon.atomic import write_atomically
-from daemon.replay.runner import Replay, Run
-from pipeline.settings import Settings
+from daemon.apps.replay.runner import Replay, Run
+from daemon.common.files import write_atomically
+from pipeline.common.settings import Settings
 
 NAME = "summary.json"
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from daemon.recording.errors import TakeError
-from daemon.recording.reader import TakePair, TakeReader
-from daemon.sequencing.gather import Gatherer
-from pipeline.sequence import Sequence
+from daemon.live.acquisition.set_assembler import Gatherer
+from daemon.recording.format.errors import TakeError
+from daemon.recording.read.take_reader import TakePair, TakeReader
+from pipeline.pattern.sequence import Sequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from daemon.view.colors import Color
-from daemon.view.log import Logger
-from daemon.view.source import NewestMessages
+from daemon.apps.viewer.colors import Color
+from daemon.apps.viewer.rerun_log import Logger
+from daemon.apps.viewer.stream_source import NewestMessages
 from fringed import wire
 from fringed.errors import WireError
 

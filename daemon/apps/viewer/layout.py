@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from daemon.view.quiet import rerun
+from daemon.apps.viewer.rerun_import import rerun
 
 CLOUD = "world/cloud"
 PICTURES = {"left": "left", "right": "right", "overlay": "modulation"}

@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from daemon.atomic import write_atomically
+from daemon.common.files import write_atomically
 
 
 def rerun() -> Any:

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.view.colors import packed
-from daemon.view.layout import CLOUD, PICTURES, Extent, blueprint
-from daemon.view.quiet import rerun
+from daemon.apps.viewer.colors import packed
+from daemon.apps.viewer.layout import CLOUD, PICTURES, Extent, blueprint
+from daemon.apps.viewer.rerun_import import rerun
 
 _FILL = 0.9  # radius of a point as a part of the distance to its neighbour: closes the surface, hides no real hole
 _DEFAULT_RADIUS_MM = 0.5

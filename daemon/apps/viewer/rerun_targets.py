@@ -14,9 +14,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from daemon.errors import DaemonError
-from daemon.view.quiet import rerun
-from drivers.remote import spawn
+from daemon.apps.viewer.rerun_import import rerun
+from daemon.common.errors import DaemonError
+from drivers import child_process
 
 log = logging.getLogger("fringed.view")
 
@@ -97,14 +97,14 @@ def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
 @contextmanager
 def _page(page: int, data: int) -> Iterator[None]:
     """The page of the viewer, in a process of its own."""
-    process = spawn.start("daemon.view.page", [str(page), str(data), str(os.getpid())])
-    prints = spawn.Prints(process, log, "page-prints")
+    process = child_process.start("daemon.apps.viewer.web_page", [str(page), str(data), str(os.getpid())])
+    prints = child_process.Prints(process, log, "page-prints")
     try:
         _await(process, page)
         yield
     finally:
         process.terminate()
-        spawn.end(process, _FLUSH_S)
+        child_process.end(process, _FLUSH_S)
         prints.join(1.0)
 
 

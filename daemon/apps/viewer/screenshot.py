@@ -16,14 +16,14 @@ from urllib.parse import urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.atomic import write_atomically
-from daemon.errors import DaemonError
-from daemon.view.layout import CLOUD_HEIGHT, CLOUD_WIDTH
+from daemon.apps.viewer.layout import CLOUD_HEIGHT, CLOUD_WIDTH
+from daemon.common.errors import DaemonError
+from daemon.common.files import write_atomically
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WINDOW = {"width": 1400, "height": 900}
 
-_VIEW = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+_VIEW = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 _RATE_HZ = "2"  # a browser that draws without a graphics card keeps up with this
 _TIMEOUT_S = 120.0
 _POLL_S = 1.0

@@ -1,4 +1,4 @@
-"""The page of the web viewer, for this machine alone: ``python -m daemon.view.page PORT DATA_PORT PARENT``.
+"""The page of the web viewer, for this machine alone: ``python -m daemon.apps.viewer.web_page PORT DATA_PORT PARENT``.
 
 Rerun's library serves the page on every network interface and cannot be told otherwise; its program can. So this
 becomes that program, which ends with the one that asked for it.
@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import sys
 
-from daemon.view.sinks import viewer_program
-from drivers.remote.spawn import die_with_parent
+from daemon.apps.viewer.rerun_targets import viewer_program
+from drivers.child_process import die_with_parent
 
 HOST = "127.0.0.1"
 

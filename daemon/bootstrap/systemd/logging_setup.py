@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 
-from daemon.supervision.journal import JournalHandler, begun_by_systemd
+from daemon.bootstrap.systemd.journal import JournalHandler, begun_by_systemd
 
 _FORMAT = "%(asctime)s %(levelname).1s %(name)s: %(message)s"
 

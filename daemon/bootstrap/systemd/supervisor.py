@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from daemon.service import Service
-from daemon.supervision.life import Life
-from daemon.supervision.notify import Notifier
-from daemon.supervision.words import told
+from daemon.bootstrap.systemd.notifier import Notifier
+from daemon.bootstrap.systemd.status_line import told
+from daemon.bootstrap.systemd.watchdog import Life
+from daemon.live.service import Service
 
 log = logging.getLogger("fringed")
 

@@ -7,7 +7,7 @@ idle states: all threads turn, nothing waits.
 
 from __future__ import annotations
 
-from daemon.service import Service
+from daemon.live.service import Service
 from drivers.protocols import SIDES
 
 STUCK_S = 30.0

@@ -19,9 +19,9 @@ def main(
     paper: Annotated[str, typer.Option(help="a4 to a0, or such as 420x297 (mm).", show_default="what fits")] = "",
 ) -> None:
     """Print a calibration board: a PDF to scale, with what is on it and a ruler to check the scale."""
-    from daemon.atomic import write_atomically
-    from daemon.calibrate.board_pdf import board_sheet
-    from pipeline.targets.board import parse_board
+    from daemon.apps.calibration.board_print.board_sheet import board_sheet
+    from daemon.common.files import write_atomically
+    from pipeline.calibrate.targets.board.board import parse_board
 
     sheet = board_sheet(parse_board(board), paper)
     write_atomically(pdf, sheet.data)

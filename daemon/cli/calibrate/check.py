@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from daemon.commands.calibrate_board import BOARD_HELP
+from daemon.cli.calibrate.board import BOARD_HELP
 
 if TYPE_CHECKING:
-    from daemon.calibrate.check import Distances, Limits
-    from pipeline.calibration import Cameras
+    from pipeline.calibrate.length_check import Distances, Limits
+    from pipeline.rig.calibration import Cameras
 
 
 def main(
@@ -29,8 +29,8 @@ def main(
     import json
     from dataclasses import asdict
 
-    from daemon.calibrate.check import Limits
-    from daemon.calibration_file import read_cameras
+    from daemon.rig.calibration_file import read_cameras
+    from pipeline.calibrate.length_check import Limits
 
     if (board is None) == (length is None):
         raise typer.BadParameter("give --board or --length, one of them")
@@ -47,12 +47,12 @@ def main(
 
 
 def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -> list[tuple[str, Distances]]:
-    from daemon.calibrate.check import check_board
-    from daemon.calibrate.look import look, require
-    from daemon.calibrate.sources import PicturePairs
-    from daemon.commands.progress import rendering
-    from pipeline.errors import TargetError
-    from pipeline.targets.board import parse_board
+    from daemon.apps.calibration.views.detect_marks import look, require
+    from daemon.apps.calibration.views.open_source import PicturePairs
+    from daemon.cli.options.progress import rendering
+    from pipeline.calibrate.length_check import check_board
+    from pipeline.calibrate.targets.board.board import parse_board
+    from pipeline.common.errors import TargetError
 
     board = parse_board(text)
     with rendering("Finding marks") as progress:
@@ -67,11 +67,11 @@ def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -
 
 
 def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits) -> list[tuple[str, Distances]]:
-    from daemon.calibrate.bar import two_circles
-    from daemon.calibrate.check import check_length
-    from daemon.calibrate.pictures import unpacked
-    from daemon.calibrate.sources import PicturePairs
-    from daemon.commands.progress import rendering
+    from daemon.apps.calibration.images.image_files import unpacked
+    from daemon.apps.calibration.views.open_source import PicturePairs
+    from daemon.cli.options.progress import rendering
+    from pipeline.calibrate.length_check import check_length
+    from pipeline.calibrate.targets.scale_bar import two_circles
 
     found = []
     with rendering("Finding circles") as progress:
@@ -87,7 +87,7 @@ def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits)
 
 
 def _same_size(cameras: Cameras, sizes: dict[str, tuple[int, int]], left: str, right: str) -> None:
-    from daemon.errors import DaemonError
+    from daemon.common.errors import DaemonError
 
     for device, name, known in (("left", left, cameras.left.size), ("right", right, cameras.right.size)):
         if device in sizes and tuple(sizes[device]) != known:

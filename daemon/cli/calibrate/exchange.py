@@ -19,9 +19,9 @@ def bring(
     force: Annotated[bool, typer.Option("--force", help="Also over a calibration that is better.")] = False,
 ) -> None:
     """Make a calibration file of another program's files; a projector and colours are calibrated afterwards."""
-    from daemon.calibrate.archive import present, store
-    from daemon.calibrate.exchange import read_foreign
-    from daemon.calibrate.merge import with_old_colors
+    from daemon.apps.calibration.exchange import read_foreign
+    from daemon.apps.calibration.solve.archive import present, store
+    from daemon.apps.calibration.solve.keep_colors import with_old_colors
 
     found = read_foreign(files, form=form, size=_size(size), unit_mm=unit_mm)
     cameras, notes = with_old_colors(found.cameras, present(out) if out.exists() and not force else None)
@@ -41,10 +41,10 @@ def give(
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
 ) -> None:
     """Write a calibration as OpenCV, Kalibr or ROS reads it; what the format cannot hold is told."""
-    from daemon.atomic import write_atomically
-    from daemon.calibrate.exchange import write_foreign
-    from daemon.calibration_file import read_cameras
-    from daemon.errors import DaemonError
+    from daemon.apps.calibration.exchange import write_foreign
+    from daemon.common.errors import DaemonError
+    from daemon.common.files import write_atomically
+    from daemon.rig.calibration_file import read_cameras
 
     files, notes = write_foreign(read_cameras(calibration).cameras, form)
     there = [out / name for name in files if (out / name).exists()]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from daemon.commands import calibrate_board, calibrate_check, calibrate_exchange, calibrate_refine, calibrate_steps
-from daemon.security.modes import keep_from_others
+from daemon.cli.calibrate import board, check, exchange, refine, steps
+from daemon.common.modes import keep_from_others
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
@@ -16,12 +16,12 @@ def _root() -> None:
     keep_from_others()
 
 
-app.command("board")(calibrate_board.main)
-app.command("cameras")(calibrate_steps.cameras)
-app.command("projector")(calibrate_steps.projector)
-app.command("color")(calibrate_steps.color)
-app.command("all")(calibrate_steps.everything)
-app.command("check")(calibrate_check.main)
-app.command("refine")(calibrate_refine.main)
-app.command("import")(calibrate_exchange.bring)
-app.command("export")(calibrate_exchange.give)
+app.command("board")(board.main)
+app.command("cameras")(steps.cameras)
+app.command("projector")(steps.projector)
+app.command("color")(steps.color)
+app.command("all")(steps.everything)
+app.command("check")(check.main)
+app.command("refine")(refine.main)
+app.command("import")(exchange.bring)
+app.command("export")(exchange.give)

@@ -7,11 +7,11 @@ from typing import Any
 
 import typer
 
-from daemon.calibrate.live.guide import Outcome
-from daemon.calibrate.live.run import What, run_session
-from daemon.calibrate.live.viewer import Kind as ViewKind
-from daemon.errors import DaemonError
-from pipeline.targets.board import DEFAULT_BOARD, parse_board
+from daemon.apps.calibration.guided.capture_loop import Outcome
+from daemon.apps.calibration.guided.rerun_view import Kind as ViewKind
+from daemon.apps.calibration.guided.run_session import What, run_session
+from daemon.common.errors import DaemonError
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
 
 
 def run(
@@ -35,8 +35,8 @@ def run(
     Raises:
         typer.Exit: the session was stopped; what was captured is on the disk, and the command to go on is told.
     """
-    from daemon.commands.progress import rendering
-    from daemon.launch import StopFlag
+    from daemon.bootstrap.run import StopFlag
+    from daemon.cli.options.progress import rendering
 
     with StopFlag().on_signals() as flag, rendering() as progress:
         outcomes = run_session(
@@ -61,7 +61,7 @@ def run(
 
 def solve(step: What, folders: list[Path], board: str, options: dict[str, Any]) -> None:
     """The command on pictures, with the folders of a session."""
-    from daemon.commands import calibrate_steps as steps
+    from daemon.cli.calibrate import steps
 
     if not folders:
         raise DaemonError("nothing was captured: there is nothing to calibrate from")

@@ -18,12 +18,12 @@ def main(
     yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
 ) -> None:
     """Correct the turn of one device by the residuals of ordinary pictures; shows what it changes, then asks."""
-    from daemon.calibrate import archive
-    from daemon.calibrate.refine import refine, table
-    from daemon.calibrate.refine_source import of_rig, of_take
-    from daemon.calibration_file import read_calibration
-    from daemon.commands.progress import rendering
-    from pipeline.drift.explain import DEVICES
+    from daemon.apps.calibration.solve import archive
+    from daemon.apps.calibration.views.drift_pairs import of_rig, of_take
+    from daemon.cli.options.progress import rendering
+    from daemon.rig.calibration_file import read_calibration
+    from pipeline.calibrate.drift_correction import refine, table
+    from pipeline.monitor.explain import DEVICES
 
     if device is not None and device not in DEVICES:
         raise typer.BadParameter(f"--device is {device!r}, expected one of {', '.join(DEVICES)}")

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from daemon.commands.calibrate_board import BOARD_HELP
+from daemon.cli.calibrate.board import BOARD_HELP
 
 if TYPE_CHECKING:
-    from daemon.calibrate.archive import Stored
-    from daemon.calibrate.sources import Source
-    from daemon.calibrate.work import Calibrated
-    from daemon.calibration_file import CamerasFile
-    from pipeline.bundle import Options
+    from daemon.apps.calibration.solve.archive import Stored
+    from daemon.apps.calibration.solve.solve import Calibrated
+    from daemon.apps.calibration.views.open_source import Source
+    from daemon.rig.calibration_file import CamerasFile
+    from pipeline.calibrate.bundle import Options
 
 Rig = Annotated[Path | None, typer.Argument(help="Live: the rig.yaml. Without it pictures are named by the options.")]
 Left = Annotated[str | None, typer.Option(help="Pictures of the left camera, such as 'L/*.png', sorted by name.")]
@@ -100,8 +100,8 @@ def color(
     if rig is not None:
         options: dict[str, Any] = {"calibration": calibration, "out": out, "board": board, "force": force}
         return _live("color", rig, None, None, views, options | {"poses": poses, "view": view, "session": session})
-    from daemon.calibrate.color import colored
-    from daemon.commands.progress import rendering
+    from daemon.apps.calibration.solve.color import colored
+    from daemon.cli.options.progress import rendering
 
     sources = _sources(None, None, views)
     with rendering("Reading pictures") as progress:
@@ -149,10 +149,10 @@ def _step(
 def _geometry(
     step: str, sources: list[Source], text: str, out: Path, report: Path | None, force: bool, options: Options
 ) -> None:
-    from daemon.calibrate import work
-    from daemon.calibrate.color import is_color, with_colors
-    from daemon.commands.progress import rendering
-    from pipeline.targets.board import parse_board
+    from daemon.apps.calibration.solve import solve
+    from daemon.apps.calibration.solve.color import is_color, with_colors
+    from daemon.cli.options.progress import rendering
+    from pipeline.calibrate.targets.board.board import parse_board
 
     board = parse_board(text)
     before = _before(out, force)
@@ -162,21 +162,21 @@ def _geometry(
         lacking = "colours (sequence 'color')" if not colors else "the board (sequence 'projector')"
         raise typer.BadParameter(f"no --views for {lacking}; all needs both")
     with rendering("Finding marks") as progress:
-        result = work.solved(board, boards, progress, fringes=step != "cameras", options=options, before=before)
+        result = solve.solved(board, boards, progress, fringes=step != "cameras", options=options, before=before)
     if colors:
         with rendering("Reading colours") as progress:
             result = with_colors(result, colors, progress)
     title = {"cameras": "Calibration of the cameras", "projector": "Calibration of cameras and projector"}
     report = report or out.with_name(f"{out.stem}.report.html")
-    stored = work.finish(result, out, report, force=force, title=title.get(step, "Calibration of the rig"))
+    stored = solve.finish(result, out, report, force=force, title=title.get(step, "Calibration of the rig"))
     _summary(result)
     _tell(stored, [*result.notes, *result.advice])
     typer.echo(f"report: {report}")
 
 
 def _before(out: Path, force: bool) -> CamerasFile | None:
-    from daemon.calibrate.archive import present
-    from pipeline.errors import CalibrationError
+    from daemon.apps.calibration.solve.archive import present
+    from pipeline.common.errors import CalibrationError
 
     try:
         return present(out)
@@ -210,7 +210,7 @@ def _tell(stored: Stored, notes: list[str]) -> None:
 
 
 def _sources(left: str | None, right: str | None, views: list[Path] | None) -> list[Source]:
-    from daemon.calibrate.sources import PicturePairs, open_source
+    from daemon.apps.calibration.views.open_source import PicturePairs, open_source
 
     if (left is None) != (right is None):
         raise typer.BadParameter("--left and --right belong together")
@@ -225,7 +225,7 @@ def _sources(left: str | None, right: str | None, views: list[Path] | None) -> l
 def _options(skew: bool, k3: bool, refine_board: bool, distance: str | None) -> Options:
     import re
 
-    from pipeline.bundle import Options
+    from pipeline.calibrate.bundle import Options
 
     known = None
     if distance is not None:
@@ -243,4 +243,4 @@ def _live(
         raise typer.BadParameter("a rig.yaml calibrates live; --left, --right and --views are pictures: give one kind")
     import importlib
 
-    importlib.import_module("daemon.calibrate.live.command").run(step, rig, **options)
+    importlib.import_module("daemon.cli.calibrate.guided").run(step, rig, **options)

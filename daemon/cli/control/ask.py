@@ -27,8 +27,8 @@ def ask(
     **params: Any,
 ) -> Any:
     """The daemon's answer; ControlError in its own words."""
-    from daemon.commands.status import control_endpoint
-    from daemon.control.client import ControlClient
+    from daemon.cli.control.status import control_endpoint
+    from daemon.control.rpc.client import ControlClient
 
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout_s, keys=keys) as client:
         return client.call(method, **params)

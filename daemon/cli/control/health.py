@@ -28,10 +28,10 @@ def main(
 
     Exit status: 0 healthy, or with a warning; 1 ill; 3 no daemon; 4 nothing to judge by, it starts or is paused.
     """
-    from daemon.commands.status import control_endpoint
-    from daemon.control.client import ControlClient
-    from daemon.errors import ControlError
-    from daemon.health import words
+    from daemon.apps.health_report import text as words
+    from daemon.cli.control.status import control_endpoint
+    from daemon.common.errors import ControlError
+    from daemon.control.rpc.client import ControlClient
 
     seconds = span_s(last)
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout) as client:
@@ -50,10 +50,10 @@ def _write(call: object, seconds: float, html: Path | None, png: Path | None) ->
     """The pictures that are wanted."""
     if html is None and png is None:
         return
-    from daemon.atomic import write_atomically
-    from daemon.health.picture import courses, page
+    from daemon.apps.health_report import page, panels
+    from daemon.common.files import write_atomically
 
-    shown = courses.ask(call, seconds)  # type: ignore[arg-type]
+    shown = panels.ask(call, seconds)  # type: ignore[arg-type]
     for path, made in ((html, page.html), (png, page.png)):
         if path is not None:
             write_atomically(path, made(shown))

@@ -18,8 +18,8 @@ def main(
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
 ) -> None:
     """Tell or change the mode of a running daemon, until it ends; rig.yaml says with which it begins."""
-    from daemon.commands.status import control_endpoint
-    from daemon.control.client import ControlClient
+    from daemon.cli.control.status import control_endpoint
+    from daemon.control.rpc.client import ControlClient
 
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=_PATIENCE_S) as client:
         told = client.call("pattern.mode", **({} if name is None else {"name": name}))

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from daemon.commands.asking import SLOW_S, ask
-from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
+from daemon.cli.control.ask import SLOW_S, ask
+from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 
 _DIRECT = "direct"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) ?(ms|s|m|)")
@@ -88,10 +88,10 @@ def direct(
     """Record directly from a rig, without a daemon, until Ctrl-C (the default: `fringed record RIG`)."""
     import threading
 
-    from daemon.commands.progress import rendering
-    from daemon.launch import StopFlag, run_rig
-    from daemon.security.modes import keep_from_others
-    from daemon.supervision.log import log_events
+    from daemon.bootstrap.run import StopFlag, run_rig
+    from daemon.bootstrap.systemd.logging_setup import log_events
+    from daemon.cli.options.progress import rendering
+    from daemon.common.modes import keep_from_others
 
     keep_from_others()
     log_events()

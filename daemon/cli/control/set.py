@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from daemon.commands.asking import SLOW_S, Endpoint, RigFile, Timeout, ask
-from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
+from daemon.cli.control.ask import SLOW_S, Endpoint, RigFile, Timeout, ask
+from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 
 app = typer.Typer(add_completion=False)
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys, remote_rows
+from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys, remote_rows
 
 
 def main(
@@ -23,7 +23,7 @@ def main(
     """Show what a running daemon is doing: a live page on a terminal, Ctrl-C ends it."""
     from rich.console import Console
 
-    from daemon.control.client import ControlClient
+    from daemon.control.rpc.client import ControlClient
 
     console, keys = Console(), chosen_keys(key, server_key)
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout, keys=keys) as client:
@@ -33,7 +33,7 @@ def main(
         elif once or not console.is_terminal:
             typer.echo(table(status))
         else:
-            from daemon.commands.status_page import watch
+            from daemon.cli.control.status_page import watch
 
             watch(lambda: dict(client.call("status")), console)
 
@@ -46,7 +46,7 @@ def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
         from daemon.config import load_rig
 
         return load_rig(rig).control.endpoint
-    from daemon.runtime import found_control_endpoint as default
+    from daemon.common.ipc_endpoints import found_control_endpoint as default
 
     return default()
 

@@ -12,8 +12,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from daemon.commands.status import rows
-from daemon.errors import ControlError
+from daemon.cli.control.status import rows
+from daemon.common.errors import ControlError
 
 _COLORS = {"running": "green", "degraded": "yellow", "paused": "cyan", "starting": "blue", "stopping": "red"}
 _WIDE = 110

@@ -28,11 +28,11 @@ def main(
     """See it work: a simulated rig, measured live, in a viewer, until Ctrl-C."""
     import logging
 
-    from daemon.commands.demo_parts import Report, Viewer
-    from daemon.commands.progress import rendering
-    from daemon.launch import StopFlag, run_rig
-    from daemon.runtime import runtime_dir
-    from daemon.supervision.log import log_events
+    from daemon.bootstrap.run import StopFlag, run_rig
+    from daemon.bootstrap.systemd.logging_setup import log_events
+    from daemon.cli.measure.demo_processes import Report, Viewer
+    from daemon.cli.options.progress import rendering
+    from daemon.common.ipc_endpoints import runtime_dir
 
     log_events(logging.INFO if verbose else logging.WARNING)
     with ExitStack() as stack:

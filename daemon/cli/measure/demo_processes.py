@@ -10,9 +10,9 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from daemon.supervision.words import line
+from daemon.bootstrap.systemd.status_line import line
 
-_VIEW = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+_VIEW = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 
 
 class Viewer:

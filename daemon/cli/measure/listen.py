@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
+from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 from fringed.client import DEFAULT_ENDPOINT, ReceivedCloud, Subscription, subscribe
 from fringed.errors import SilenceError
 

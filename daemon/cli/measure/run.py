@@ -21,11 +21,11 @@ def main(
 ) -> None:
     """Measure: run the daemon of a rig until SIGTERM or Ctrl-C."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a wish to reload must not end a daemon that starts or stops
-    from daemon.commands.progress import rendering
-    from daemon.errors import ConfigError
-    from daemon.launch import StopFlag, run_rig
-    from daemon.security.modes import keep_from_others
-    from daemon.supervision.log import log_events
+    from daemon.bootstrap.run import StopFlag, run_rig
+    from daemon.bootstrap.systemd.logging_setup import log_events
+    from daemon.cli.options.progress import rendering
+    from daemon.common.errors import ConfigError
+    from daemon.common.modes import keep_from_others
 
     keep_from_others()
     log_events(logging.DEBUG if verbose else logging.INFO)

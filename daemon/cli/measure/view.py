@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
-from daemon.commands.keyed import KeyOption, ServerKeyOption, chosen_keys
-from daemon.errors import DaemonError
-from daemon.view.colors import COLORS
+from daemon.apps.viewer.colors import COLORS
+from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
+from daemon.common.errors import DaemonError
 from fringed.client import DEFAULT_ENDPOINT
 from fringed.keys import Keys
 
@@ -44,7 +44,7 @@ def main(
     if sum((web, save is not None, screenshot is not None)) > 1:
         raise typer.BadParameter("choose one of --web, --save and --screenshot")
     if screenshot is not None:
-        from daemon.view.screenshot import take
+        from daemon.apps.viewer.screenshot import take
 
         take(endpoint, screenshot, color=color, decimate=decimate)
         typer.echo(f"{screenshot} written")
@@ -63,23 +63,23 @@ def _watch(
     ports: tuple[int | None, int | None],
     keys: Keys | None,
 ) -> None:
-    from daemon.view import sinks
-    from daemon.view.bridge import Bridge, Options
-    from daemon.view.source import NewestMessages
+    from daemon.apps.viewer import rerun_targets
+    from daemon.apps.viewer.bridge import Bridge, Options
+    from daemon.apps.viewer.stream_source import NewestMessages
 
     with ExitStack() as stack:
         source = stack.enter_context(NewestMessages(endpoint, keys=keys))
         stopped: Callable[[], bool] = lambda: False  # noqa: E731
         if save is not None:
             stopped = _on_signals(stack)
-            recording = stack.enter_context(sinks.file_recording(save))
+            recording = stack.enter_context(rerun_targets.file_recording(save))
         elif web:
-            recording, address = stack.enter_context(sinks.web_recording(web_port=ports[0], grpc_port=ports[1]))
+            recording, address = stack.enter_context(rerun_targets.web_recording(web_port=ports[0], grpc_port=ports[1]))
             typer.echo(address)
         else:
-            recording, viewer = stack.enter_context(sinks.native_recording())
+            recording, viewer = stack.enter_context(rerun_targets.native_recording())
             stopped = lambda: viewer.poll() is not None  # noqa: E731
-            stack.callback(sinks.check_viewer, viewer)
+            stack.callback(rerun_targets.check_viewer, viewer)
         if save is None:
             # A viewer that hangs blocks the call that logs; Ctrl-C must work even then, and there is nothing to lose.
             _restore_signals(stack)

@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pipeline.settings import Settings
+    from pipeline.common.settings import Settings
 
 
 def parsed_settings(given: list[str]) -> Settings:
@@ -15,8 +15,8 @@ def parsed_settings(given: list[str]) -> Settings:
     Raises:
         DaemonError: a text that is not of this form; PipelineError: a key or a value that the pipeline does not take.
     """
-    from daemon.errors import DaemonError
-    from pipeline.settings import Settings
+    from daemon.common.errors import DaemonError
+    from pipeline.common.settings import Settings
 
     changes: dict[str, object] = {}
     for text in given:

@@ -28,8 +28,8 @@ def main(
 
 def check_file(path: Path) -> tuple[bool, list[str]]:
     """Whether a file is good, and what there is to say of it: its mistakes, or what it is."""
-    from daemon.errors import ConfigError, DaemonError
-    from pipeline.errors import PipelineError
+    from daemon.common.errors import ConfigError, DaemonError
+    from pipeline.common.errors import PipelineError
 
     try:
         return _checker(path)(path)
@@ -56,7 +56,7 @@ def _checker(path: Path) -> Callable[[Path], tuple[bool, list[str]]]:
 
 def _rig(path: Path) -> tuple[bool, list[str]]:
     from daemon.config import load_rig
-    from daemon.rig import OptionsError, check_options
+    from daemon.rig.open_rig import OptionsError, check_options
 
     config = load_rig(path)
     try:
@@ -73,8 +73,8 @@ def _rig(path: Path) -> tuple[bool, list[str]]:
 
 
 def _calibration(path: Path) -> tuple[bool, list[str]]:
-    from daemon.calibration_file import read_calibration
-    from pipeline.errors import CalibrationError
+    from daemon.rig.calibration_file import read_calibration
+    from pipeline.common.errors import CalibrationError
 
     try:
         file = read_calibration(path)
@@ -87,7 +87,7 @@ def _calibration(path: Path) -> tuple[bool, list[str]]:
 
 def _with_line(path: Path, message: str) -> str:
     """The message with the line of the key that it names, or of the nearest key around that."""
-    from daemon.config.source import read_yaml
+    from daemon.config.yaml_source import read_yaml
 
     text = message.removeprefix(f"{path}: ")
     key = _KEY.match(text)
@@ -98,7 +98,7 @@ def _with_line(path: Path, message: str) -> str:
 
 
 def _pattern(path: Path) -> tuple[bool, list[str]]:
-    from daemon.pattern_file import read_pattern
+    from daemon.rig.pattern_file import read_pattern
 
     pattern = read_pattern(path)
     return True, [
@@ -107,15 +107,15 @@ def _pattern(path: Path) -> tuple[bool, list[str]]:
 
 
 def _volume(path: Path) -> tuple[bool, list[str]]:
-    from daemon.pattern_file import read_volume
+    from daemon.rig.pattern_file import read_volume
 
     volume = read_volume(path)
     return True, [f"{path}: good: {volume.near_mm:g} to {volume.far_mm:g} mm"]
 
 
 def _take(path: Path) -> tuple[bool, list[str]]:
-    from daemon.recording.inspect import inspect
-    from daemon.recording.reader import TakeReader
+    from daemon.recording.read.inspect import inspect
+    from daemon.recording.read.take_reader import TakeReader
 
     with TakeReader(path) as take:
         report = inspect(take)

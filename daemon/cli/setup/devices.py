@@ -21,16 +21,16 @@ def main(
 
     import msgspec
 
-    from daemon.doctor import inventory
+    from daemon.apps.doctor import device_inventory
 
     for path in producer or ():
         if not path.is_file():
             raise FileNotFoundError(f"there is no GenTL producer {path}")
-    found = inventory.take(tuple(path.resolve() for path in producer or ()), display)
+    found = device_inventory.take(tuple(path.resolve() for path in producer or ()), display)
     if as_json:
         typer.echo(json.dumps(msgspec.to_builtins(found), indent=2))
         return
-    for text, heading in inventory.lines(found):
+    for text, heading in device_inventory.lines(found):
         typer.echo(typer.style(text, bold=heading))
     for problem in found.problems:
         typer.echo(f"note: {problem}", err=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from daemon.doctor.finding import Finding
+    from daemon.apps.doctor.finding import Finding
 
 
 def main(
@@ -22,15 +22,15 @@ def main(
     """
     import json
 
-    from daemon.doctor import examine, report
-    from daemon.doctor.areas import AREAS
-    from daemon.doctor.finding import exit_code
+    from daemon.apps.doctor import report, run_checks
+    from daemon.apps.doctor.check_table import AREAS
+    from daemon.apps.doctor.finding import exit_code
 
     unknown = sorted(set(only or ()) - {check.area for check in AREAS})
     if unknown:
         raise typer.BadParameter(f"no area {', '.join(unknown)}; there are: {', '.join(c.area for c in AREAS)}")
     checks = [check for check in AREAS if not only or check.area in only]
-    findings = examine.examine(rig, checks=checks, on_area=_quiet if as_json else _print)
+    findings = run_checks.examine(rig, checks=checks, on_area=_quiet if as_json else _print)
     if as_json:
         typer.echo(json.dumps(report.as_json(findings, rig), indent=2))
     else:
@@ -45,13 +45,13 @@ def _quiet(_: list[Finding]) -> None:
 
 
 def _print(findings: list[Finding]) -> None:
-    from daemon.doctor import report
+    from daemon.apps.doctor import report
 
     _show([finding for finding in findings if finding.name not in report.UNSEEN])
 
 
 def _show(findings: list[Finding]) -> None:
-    from daemon.doctor import report
+    from daemon.apps.doctor import report
 
     for line in report.lines(findings):
         area, mark, text = report.laid_out(line)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.install.layout import PREFIX
+from daemon.apps.install.layout import PREFIX
 
 
 def main(
@@ -26,9 +26,9 @@ def main(
     compile_kernels: Annotated[bool, typer.Option("--compile/--no-compile", help="Compile the kernels ahead.")] = True,
 ) -> None:
     """Install the daemon as a systemd service: /opt/fringed, /etc/fringed, /var/lib/fringed. Can be run again."""
-    from daemon.install.environment import Source, default_python
-    from daemon.install.target import Target
-    from daemon.install.work import Wishes, install
+    from daemon.apps.install.environment import Source, default_python
+    from daemon.apps.install.steps import Wishes, install
+    from daemon.apps.install.target import Target
 
     source = Source((python or default_python()).absolute(), wheelhouse and wheelhouse.absolute(), share_packages)
     wishes = Wishes(rig, start=start, view=view, compile=compile_kernels)

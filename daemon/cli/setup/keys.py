@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from daemon.security.store import KeyStore
+    from daemon.keys.key_store import KeyStore
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
@@ -32,8 +32,8 @@ def new(
     to: Annotated[Path, typer.Option("--to", help="Write the two files here.")] = Path(),
 ) -> None:
     """Make a key: NAME.key stays with its owner, NAME.pub goes to the rig."""
-    from daemon.errors import DaemonError
-    from daemon.security.store import write_key
+    from daemon.common.errors import DaemonError
+    from daemon.keys.key_store import write_key
     from fringed.keys import new_key
 
     key = new_key(name)
@@ -64,8 +64,8 @@ def allow(
     rig: RigOption = None,
 ) -> None:
     """Let a key connect; again with other roles to change them. It counts at once, no restart is needed."""
-    from daemon.errors import DaemonError
-    from daemon.security.allowed import Entry, role
+    from daemon.common.errors import DaemonError
+    from daemon.keys.authorized_keys import Entry, role
     from fringed.keys import read_key
 
     key, store = read_key(file), _store(directory, rig)
@@ -108,8 +108,8 @@ def revoke(
 
 
 def _store(directory: Path | None, rig: Path | None) -> KeyStore:
-    from daemon.errors import DaemonError
-    from daemon.security.store import KeyStore, default_dir
+    from daemon.common.errors import DaemonError
+    from daemon.keys.key_store import KeyStore, default_dir
 
     if directory is not None:
         return KeyStore(directory)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from daemon.flash import Latency
+    from daemon.live.projection.latency_measurement import Latency
 
 _KEY = ("projector", "options", "latency_ms")
 
@@ -24,10 +24,10 @@ def main(
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
     """Flash black and white, and tell how long after the flip the cameras see it."""
-    from daemon.clock import SystemClock
+    from daemon.common.clock import SystemClock
     from daemon.config import load_rig
-    from daemon.flash import measure_latency
-    from daemon.rig import OptionsError, open_devices
+    from daemon.live.projection.latency_measurement import measure_latency
+    from daemon.rig.open_rig import OptionsError, open_devices
 
     config = load_rig(rig, complete=False)
     try:
@@ -67,10 +67,10 @@ def told(found: Latency) -> str:
 
 def store(rig: Path, latency_ms: float) -> None:
     """Write it into the rig file, whose other bytes stay."""
-    from daemon.atomic import write_atomically
+    from daemon.common.errors import DaemonError
+    from daemon.common.files import write_atomically
     from daemon.config import parse_rig
-    from daemon.config.edit import with_value
-    from daemon.errors import DaemonError
+    from daemon.config.yaml_edit import with_value
 
     text = rig.read_text(encoding="utf-8")
     config = parse_rig(text, name=str(rig), base_dir=rig.parent, complete=False)

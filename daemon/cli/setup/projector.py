@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from daemon.commands import latency
+from daemon.cli.setup import latency
 
 if TYPE_CHECKING:
     import numpy as np
@@ -187,8 +187,8 @@ def read_png(path: Path) -> NDArray[np.uint8]:
     import cv2
     import numpy as np
 
-    from daemon.bounded import read_at_most
-    from daemon.errors import DaemonError
+    from daemon.common.bounded import read_at_most
+    from daemon.common.errors import DaemonError
 
     data = read_at_most(path, PNG_LIMIT, DaemonError)
     # Pictures that were compressed with losses are refused: their pixels are no longer those that were meant.
@@ -205,7 +205,7 @@ def _projector(
     output: str | None, display: str, rig: Path | None, any_mode: bool, reset_gamma: bool
 ) -> OutputProjector | ExternalProjector:
     """The projector of the command line, or of a rig file with the command line's changes."""
-    from daemon.errors import DaemonError
+    from daemon.common.errors import DaemonError
     from drivers.projector import open_external, open_projector
 
     driver, options = _section(rig) if rig is not None else ("", {})
@@ -225,9 +225,9 @@ def _projector(
 
 def _section(rig: Path) -> tuple[str, dict[str, Any]]:
     """Driver and options of the projector section; the rest of the file may be unfinished."""
-    from daemon.bounded import read_at_most
-    from daemon.config.source import read_yaml
-    from daemon.errors import ConfigError, DaemonError
+    from daemon.common.bounded import read_at_most
+    from daemon.common.errors import ConfigError, DaemonError
+    from daemon.config.yaml_source import read_yaml
 
     source = read_yaml(read_at_most(rig, RIG_LIMIT, DaemonError).decode("utf-8", errors="replace"))
     if source.problems:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.install.layout import PREFIX
+from daemon.apps.install.layout import PREFIX
 
 
 def main(
@@ -16,7 +16,7 @@ def main(
     purge: Annotated[bool, typer.Option("--purge", help="Takes, configuration, logs and users too.")] = False,
 ) -> None:
     """Take the service away. Configuration, takes and logs stay unless --purge is given."""
-    from daemon.install.target import Target
-    from daemon.install.work import uninstall
+    from daemon.apps.install.steps import uninstall
+    from daemon.apps.install.target import Target
 
     uninstall(Target(root.absolute(), prefix), typer.echo, purge=purge)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from daemon.export.sources import Clouds
+    from daemon.apps.export.sources import Clouds
 
 _VIDEOS = (".mp4", ".avi")
 
@@ -25,11 +25,11 @@ def main(
     set_: Annotated[list[str] | None, typer.Option("--set", help="Take: change a setting, key=value.")] = None,
 ) -> None:
     """Turn clouds into PLY or PCD files, or into a video of depth maps."""
-    from daemon.commands.progress import rendering
-    from daemon.commands.settings import parsed_settings
-    from daemon.errors import DaemonError
-    from daemon.export.cloud_files import KINDS
-    from daemon.export.sources import is_take, reconstructed_clouds, saved_clouds
+    from daemon.apps.export.cloud_files import KINDS
+    from daemon.apps.export.sources import is_take, reconstructed_clouds, saved_clouds
+    from daemon.cli.options.progress import rendering
+    from daemon.cli.options.set_option import parsed_settings
+    from daemon.common.errors import DaemonError
 
     if kind not in KINDS:
         raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
@@ -51,8 +51,8 @@ def main(
 
 
 def _files(clouds: Clouds, out: Path, kind: str) -> int:
-    from daemon.atomic import write_atomically
-    from daemon.export.cloud_files import cloud_bytes, cloud_name
+    from daemon.apps.export.cloud_files import cloud_bytes, cloud_name
+    from daemon.common.files import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
     count = 0
@@ -65,9 +65,9 @@ def _files(clouds: Clouds, out: Path, kind: str) -> int:
 def _video(
     clouds: Callable[[], Clouds], take: Path | None, out: Path, near: float | None, far: float | None, rate: float
 ) -> int:
-    from daemon.errors import DaemonError
-    from daemon.export.depth_video import depth_limits, depth_picture, write_video
-    from daemon.recording.reader import TakeReader
+    from daemon.apps.export.depth_video import depth_limits, depth_picture, write_video
+    from daemon.common.errors import DaemonError
+    from daemon.recording.read.take_reader import TakeReader
 
     if near is None or far is None:
         if take is None:

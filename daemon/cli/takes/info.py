@@ -18,9 +18,9 @@ def main(
     """Tell what a take holds and whether it is whole; exit status 1 when it is not."""
     import json
 
-    from daemon.commands.progress import rendering
-    from daemon.recording.inspect import inspect
-    from daemon.recording.reader import TakeReader
+    from daemon.cli.options.progress import rendering
+    from daemon.recording.read.inspect import inspect
+    from daemon.recording.read.take_reader import TakeReader
 
     with TakeReader(take) as reader, rendering(f"Reading {take.name}") as progress:
         long = reader.size > _LONG_BYTES

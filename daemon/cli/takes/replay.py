@@ -11,8 +11,8 @@ import typer
 from typer.core import TyperCommand
 
 if TYPE_CHECKING:
-    from daemon.replay.golden import Golden, Move, PairStatistics
-    from daemon.replay.runner import Replay, Result, Run
+    from daemon.apps.replay.golden import Golden, Move, PairStatistics
+    from daemon.apps.replay.runner import Replay, Result, Run
 
 _VIEWER = "viewer"
 
@@ -61,12 +61,12 @@ def main(
     The same take gives bit-identical clouds on the same machine, with any number of threads. A take that was cut off
     is replayed up to the cut. To measure how fast it goes: --no-output --repeat 100.
     """
-    from daemon.commands.settings import parsed_settings
-    from daemon.errors import DaemonError
-    from daemon.export.cloud_files import KINDS
-    from daemon.recording.reader import TakeReader
-    from daemon.replay import golden
-    from daemon.replay.runner import Replay
+    from daemon.apps.export.cloud_files import KINDS
+    from daemon.apps.replay import golden
+    from daemon.apps.replay.runner import Replay
+    from daemon.cli.options.set_option import parsed_settings
+    from daemon.common.errors import DaemonError
+    from daemon.recording.read.take_reader import TakeReader
 
     if kind not in KINDS:
         raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
@@ -89,7 +89,7 @@ def main(
 
 def _cell(expected: Golden | None, bless: Path | None) -> int:
     """Size of the golden grid's cells: as in the file that is compared or replaced."""
-    from daemon.replay import golden
+    from daemon.apps.replay import golden
 
     if expected is not None:
         return expected.cell
@@ -100,8 +100,8 @@ def _replay(
     replay: Replay, out: Path | None, kind: str, repeat: int, rerun: str | None, cell: int
 ) -> tuple[list[Run], list[PairStatistics]]:
     """Everything that is done with each cloud as it comes."""
-    from daemon.commands.progress import rendering
-    from daemon.replay.golden import statistics
+    from daemon.apps.replay.golden import statistics
+    from daemon.cli.options.progress import rendering
 
     runs: list[Run] = []
     figures: list[PairStatistics] = []
@@ -123,15 +123,15 @@ def _replay(
 
 
 def _write(out: Path, kind: str, result: Result) -> None:
-    from daemon.atomic import write_atomically
-    from daemon.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
+    from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
+    from daemon.common.files import write_atomically
 
     cloud = SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
     write_atomically(out / cloud_name(result.pair.sequence, kind), cloud_bytes(cloud, kind))
 
 
 def _viewer(rerun: str, stack: ExitStack) -> Callable[[Result], None]:
-    from daemon.replay.rerun_log import RerunLog
+    from daemon.apps.replay.rerun_log import RerunLog
 
     log = RerunLog(None if rerun == _VIEWER else Path(rerun))
 
@@ -147,8 +147,8 @@ def _viewer(rerun: str, stack: ExitStack) -> Callable[[Result], None]:
 
 def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
     """Write summary.json, say what happened, and fail when there is not one cloud."""
-    from daemon.errors import DaemonError
-    from daemon.replay.summary import summary_of, write_summary
+    from daemon.apps.replay.summary import summary_of, write_summary
+    from daemon.common.errors import DaemonError
 
     summary = summary_of(replay, runs)
     if out is not None:
@@ -173,7 +173,7 @@ def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
 
 
 def _bless(path: Path, figures: list[PairStatistics], replay: Replay) -> None:
-    from daemon.replay import golden
+    from daemon.apps.replay import golden
 
     about = {
         "take": replay.take.path.name,
@@ -186,7 +186,7 @@ def _bless(path: Path, figures: list[PairStatistics], replay: Replay) -> None:
 
 
 def _as_expected(expected: Golden, figures: list[PairStatistics]) -> bool:
-    from daemon.replay.compare import compare
+    from daemon.apps.replay.compare import compare
 
     moves = compare(expected, figures)
     if not moves:

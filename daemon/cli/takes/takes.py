@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from daemon.recording.catalog import Listing, TakeEntry
+    from daemon.recording.read.catalog import Listing, TakeEntry
 
 _LONG_BYTES = 100_000_000  # from here on reading takes long enough to tell how far it is
 
@@ -87,7 +87,7 @@ def check(
 @app.command()
 def repair(context: typer.Context, name: Name, directory: DirOption = None, rig: RigOption = None) -> None:
     """Give cut or damaged files of a take their end again; what was there stays beside, as *.broken."""
-    from daemon.commands.progress import rendering
+    from daemon.cli.options.progress import rendering
     from daemon.recording import repair as repairing
 
     where, listing = _scanned(context, directory, rig)
@@ -110,8 +110,8 @@ def rm(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
     """Remove a take with all its files, after asking."""
-    from daemon.recording.errors import TakeError
-    from daemon.recording.lock import being_written
+    from daemon.recording.format.errors import TakeError
+    from daemon.recording.format.file_lock import being_written
 
     where, listing = _scanned(context, directory, rig)
     take = listing.find(name)
@@ -125,8 +125,8 @@ def rm(
 
 
 def _scanned(context: typer.Context, directory: Path | None, rig: Path | None) -> tuple[Path, Listing]:
-    from daemon.recording.catalog import scan
-    from daemon.recording.errors import TakeError
+    from daemon.recording.format.errors import TakeError
+    from daemon.recording.read.catalog import scan
 
     outer: tuple[Path | None, Path | None] = context.obj or (None, None)
     where = _directory(directory or outer[0], rig or outer[1])
@@ -149,8 +149,8 @@ def _directory(directory: Path | None, rig: Path | None) -> Path:
 
 def _checked(where: Path, take: TakeEntry) -> bool:
     """Read a take and tell what is wrong with it."""
-    from daemon.recording.inspect import inspect
-    from daemon.recording.reader import TakeReader
+    from daemon.recording.read.inspect import inspect
+    from daemon.recording.read.take_reader import TakeReader
 
     if take.state == "writing":
         typer.echo(f"{take.name}: being written, not checked")

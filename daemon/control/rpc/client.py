@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import zmq
 
-from daemon.errors import ControlError
+from daemon.common.errors import ControlError
 from fringed.keys import Keys
 
 

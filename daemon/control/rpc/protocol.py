@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 from drivers.errors import DriverError
 
 log = logging.getLogger("fringed.control")

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import zmq
 
-from daemon.control.lane import Job, Lane
-from daemon.control.protocol import BUSY, FAILED, MAX_BYTES, Method, Received, Role, RpcError
-from daemon.errors import DaemonError
-from daemon.runtime import prepare_ipc, share_ipc
+from daemon.common.errors import DaemonError
+from daemon.common.ipc_endpoints import prepare_ipc, share_ipc
+from daemon.control.rpc.background_executor import Job, Lane
+from daemon.control.rpc.protocol import BUSY, FAILED, MAX_BYTES, Method, Received, Role, RpcError
 
 log = logging.getLogger("fringed.control")
 

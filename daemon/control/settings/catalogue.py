@@ -8,11 +8,11 @@ import inspect
 from dataclasses import asdict
 from typing import Any
 
-from daemon.config.models import RigConfig
-from daemon.settings.leaves import PIPELINE, leaves
-from daemon.settings.live import BY_FILE, is_live
-from pipeline import settings as pipeline_settings
-from pipeline.settings import LIMITS, Settings
+from daemon.config.rig_config import RigConfig
+from daemon.control.settings.flatten import PIPELINE, leaves
+from daemon.control.settings.live_settings import BY_FILE, is_live
+from pipeline.common import settings as pipeline_settings
+from pipeline.common.settings import LIMITS, Settings
 
 _BOUNDS = {
     "minimum": "min",

@@ -7,13 +7,13 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from daemon.config.models import RigConfig
-from daemon.errors import ConfigError, DaemonError
-from daemon.service import Service
-from daemon.settings.files import changed_files, check_fit, needs_restart, read_again
-from daemon.settings.leaves import differences, leaves, settings_of, with_value
-from daemon.settings.live import BY_FILE, FILES, is_live
-from daemon.sinks import Changeable
+from daemon.common.errors import ConfigError, DaemonError
+from daemon.config.rig_config import RigConfig
+from daemon.control.settings.changed_files import changed_files, check_fit, needs_restart, read_again
+from daemon.control.settings.flatten import differences, leaves, settings_of, with_value
+from daemon.control.settings.live_settings import BY_FILE, FILES, is_live
+from daemon.live.items import Changeable
+from daemon.live.service import Service
 
 
 class NeedsRestartError(DaemonError):

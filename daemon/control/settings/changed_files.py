@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.calibration_file import read_calibration
-from daemon.config.models import RigConfig
-from daemon.errors import DaemonError
-from daemon.pattern_file import read_pattern, read_volume
-from daemon.rig import Rig
-from daemon.settings.live import FILES
-from daemon.status import CameraStatus
-from daemon.suitability import size_problem
+from daemon.common.errors import DaemonError
+from daemon.config.rig_config import RigConfig
+from daemon.control.settings.live_settings import FILES
+from daemon.live.compatibility import size_problem
+from daemon.live.status import CameraStatus
+from daemon.rig.calibration_file import read_calibration
+from daemon.rig.open_rig import Rig
+from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Side
-from pipeline.calibration import Calibration
-from pipeline.cloud import Volume
-from pipeline.pattern import from_mapping as pattern_from_mapping
+from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration
 
 
 def read_again(rig: Rig, config: RigConfig, base_dir: Path, *, names: Collection[str] = FILES) -> Rig:

@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from daemon.config.load import check_rig
-from daemon.config.models import RigConfig
-from pipeline.settings import Settings
+from daemon.config.rig_config import RigConfig
+from pipeline.common.settings import Settings
 
 PIPELINE = "pipeline.settings"
 

@@ -21,7 +21,7 @@ LIVE: tuple[str, ...] = (
     "health.margin",
     "health.limits.*",
 )
-"""Paths, or sections with ``.*``. Who takes one over is a sink (:class:`daemon.sinks.Changeable`), or reads the
+"""Paths, or sections with ``.*``. Who takes one over is a sink (:class:`daemon.live.items.Changeable`), or reads the
 service's ``config`` anew each time."""
 
 FILES = ("calibration", "pattern", "volume")

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from daemon.common.errors import DaemonError
 from daemon.config import load_rig
-from daemon.errors import DaemonError
-from daemon.settings.change import Changer
+from daemon.control.settings.change import Changer
 
 log = logging.getLogger("fringed.reload")
 

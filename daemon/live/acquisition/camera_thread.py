@@ -7,9 +7,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
-from daemon.counters import Rate
-from daemon.status import CameraState, CameraStatus
-from daemon.supervision.pulse import Pulse
+from daemon.common.counters import Rate
+from daemon.common.heartbeat import Pulse
+from daemon.live.status import CameraState, CameraStatus
 from drivers.errors import DriverError
 from drivers.protocols import Camera, Clock, Frame, Side
 

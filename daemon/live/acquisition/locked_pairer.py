@@ -6,9 +6,9 @@ import logging
 import threading
 from collections.abc import Callable
 
-from daemon.config.models import Pairing
-from daemon.counters import Rate
-from daemon.pairing import RECORDED_ALONE, Event, Lost, Pair, Pairer, PairingSettings, Resynced
+from daemon.common.counters import Rate
+from daemon.config.rig_config import Pairing
+from daemon.live.acquisition.pairer import RECORDED_ALONE, Event, Lost, Pair, Pairer, PairingSettings, Resynced
 from drivers.protocols import Clock, Frame, Side
 
 log = logging.getLogger("fringed.pairing")

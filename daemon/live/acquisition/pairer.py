@@ -12,7 +12,7 @@ another time, or the same time under another number) is in no pair either. ``tol
 trigger interval.
 
 Whatever leaves carries the common number, pairs and lost frames alike; when both cameras begin to count anew, it goes
-on behind the numbers that were given (:mod:`daemon.numbering`).
+on behind the numbers that were given (:mod:`daemon.live.acquisition.trigger_count`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import islice
 
-from daemon.numbering import Numbering
+from daemon.live.acquisition.trigger_count import Numbering
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
 
 _HALF = TRIGGER_MODULUS // 2

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from daemon.config.models import Pipeline, RigConfig
-from daemon.errors import DaemonError
-from daemon.rig import Rig
-from daemon.sequencing.plan import Plan, SetMeasure
-from daemon.worker import ReconstructsSets
+from daemon.common.errors import DaemonError
+from daemon.config.rig_config import Pipeline, RigConfig
+from daemon.live.processing.worker import ReconstructsSets
+from daemon.live.projection.mode_plan import Plan, SetMeasure
+from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
+from pipeline.common.settings import Settings
+from pipeline.reconstruct.reconstructor import Reconstructor
 
 
 def make_reconstructor(

@@ -9,21 +9,21 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any, Protocol
 
-from daemon import threads
-from daemon.config.models import Pipeline
-from daemon.counters import Counters, Percentiles, Rate
-from daemon.errors import DaemonError
-from daemon.garbage import Garbage, Pauses
-from daemon.mailbox import Mailbox
-from daemon.overload import Overload
-from daemon.pairing import Pair
-from daemon.sequel import Sequel
-from daemon.sequencing.sets import SINGLE, PictureSet
-from daemon.sinks import CloudItem
-from daemon.supervision.pulse import Pulse
+from daemon.common import threads
+from daemon.common.counters import Counters, Percentiles, Rate
+from daemon.common.errors import DaemonError
+from daemon.common.heartbeat import Pulse
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.config.rig_config import Pipeline
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.items import CloudItem
+from daemon.live.processing.gc_control import Garbage, Pauses
+from daemon.live.processing.load_shedding import Overload
+from daemon.live.processing.temporal_prior import Sequel
+from daemon.live.sets import SINGLE, PictureSet
 from drivers.protocols import Clock
-from pipeline.cloud import Cloud
-from pipeline.errors import PipelineError
+from pipeline.common.errors import PipelineError
+from pipeline.reconstruct.cloud import Cloud
 
 log = logging.getLogger("fringed.pipeline")
 

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.errors import DaemonError
-from daemon.flash import SETTLED_NS
-from daemon.pairing import Pair
+from daemon.common.errors import DaemonError
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.projection.latency_measurement import SETTLED_NS
 from drivers.errors import DriverError
 from drivers.protocols import Clock, Projector
 

@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.config.models import RigConfig
-from daemon.counters import Counters
-from daemon.errors import DaemonError
-from daemon.mailbox import Mailbox
-from daemon.pairing import Pair
-from daemon.rig import Rig
-from daemon.sequencing.driver import HOLD_S, Driver
-from daemon.sequencing.gather import Gatherer
-from daemon.sequencing.plan import Plan, plan_of
-from daemon.sequencing.sets import SINGLE, PictureSet, Shown
-from daemon.shooting import Shooting, patience_s, settling_ns
-from daemon.sinks import PairItem
+from daemon.common.counters import Counters
+from daemon.common.errors import DaemonError
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.config.rig_config import RigConfig
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.acquisition.set_assembler import Gatherer
+from daemon.live.items import PairItem
+from daemon.live.projection.confirmed_capture import Shooting, patience_s, settling_ns
+from daemon.live.projection.mode_plan import Plan, plan_of
+from daemon.live.projection.sequence_player import HOLD_S, Driver
+from daemon.live.sets import SINGLE, PictureSet, Shown
+from daemon.rig.open_rig import Rig
 from drivers.errors import DriverError
 from drivers.protocols import Clock, ProjectorInfo
 

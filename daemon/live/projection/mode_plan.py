@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.config.sequencing import Sequencing
-from daemon.errors import DaemonError
-from daemon.sequencing.sets import SINGLE
-from pipeline.cloud import Cloud
-from pipeline.sequence import Sequence
+from daemon.common.errors import DaemonError
+from daemon.config.sequence import Sequencing
+from daemon.live.sets import SINGLE
+from pipeline.pattern.sequence import Sequence
+from pipeline.reconstruct.cloud import Cloud
 
 if TYPE_CHECKING:
-    from daemon.rig import Rig
-    from pipeline.modes.reconstruct import SetReconstructor
+    from daemon.rig.open_rig import Rig
+    from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,8 +33,8 @@ class Plan:
     pictures: list[NDArray[np.uint8]]
 
     def reconstructor(self, rig: Rig, **options: Any) -> SetMeasure:
-        """What measures the sets; options as of :class:`pipeline.modes.reconstruct.SetReconstructor`."""
-        from pipeline.modes.reconstruct import SetReconstructor
+        """What measures the sets; options as of :class:`pipeline.multi_frame.set_reconstructor.SetReconstructor`."""
+        from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
         return SetMeasure(self.mode, SetReconstructor(rig.calibration, self.sequence, rig.volume, **options))
 
@@ -62,7 +62,7 @@ def plan_of(mode: str, config: Sequencing, rig: Rig) -> Plan | None:
     """
     if mode == SINGLE:
         return None
-    from pipeline.modes.sequences import MODES, mode_sequence
+    from pipeline.pattern.mode_sequences import MODES, mode_sequence
 
     if mode not in MODES:
         raise DaemonError(f"there is no mode {mode!r:.60}; there are {SINGLE}, {', '.join(MODES)}")

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.errors import DaemonError
-from daemon.mailbox import Mailbox
-from daemon.pairing import Pair
-from daemon.sequencing.sets import PictureSet
-from daemon.shooting import CaptureCancelledError, Shooting
+from daemon.common.errors import DaemonError
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.live.acquisition.pairer import Pair
+from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting
+from daemon.live.sets import PictureSet
 from drivers.protocols import TRIGGER_MODULUS
 
 log = logging.getLogger("fringed.sequence")

@@ -11,8 +11,8 @@ from typing import Any
 
 import zmq
 
-from daemon.errors import DaemonError
-from daemon.runtime import prepare_ipc, share_ipc
+from daemon.common.errors import DaemonError
+from daemon.common.ipc_endpoints import prepare_ipc, share_ipc
 
 _MAX_IPC_BYTES = 107  # sun_path of Linux
 

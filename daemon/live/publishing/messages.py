@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.sinks import CloudItem
+from daemon.live.items import CloudItem
 from fringed import wire
 from fringed.errors import WireError
 

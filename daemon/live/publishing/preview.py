@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.sinks import CloudItem
-from daemon.stream.messages import Frames, Origin
+from daemon.live.items import CloudItem
+from daemon.live.publishing.messages import Frames, Origin
 from drivers.protocols import Frame
 from fringed import wire
 

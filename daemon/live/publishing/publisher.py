@@ -17,18 +17,18 @@ from typing import Any
 
 import zmq
 
-from daemon.clock import SystemClock
-from daemon.config.models import RigConfig
-from daemon.counters import Counters, Percentiles
-from daemon.rig import Rig
-from daemon.sinks import CloudItem, Item
-from daemon.stream import messages
-from daemon.stream.endpoints import bind_all, remove_files
-from daemon.stream.log import StreamHandler
-from daemon.stream.messages import Frames, Origin
-from daemon.supervision.pulse import Pulse
+from daemon.common.clock import SystemClock
+from daemon.common.counters import Counters, Percentiles
+from daemon.common.heartbeat import Pulse
+from daemon.config.rig_config import RigConfig
+from daemon.live.items import CloudItem, Item
+from daemon.live.publishing import messages
+from daemon.live.publishing.endpoints import bind_all, remove_files
+from daemon.live.publishing.log_handler import StreamHandler
+from daemon.live.publishing.messages import Frames, Origin
+from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
-from pipeline.calibration import Calibration
+from pipeline.rig.calibration import Calibration
 
 log = logging.getLogger("fringed.stream")
 
@@ -273,7 +273,7 @@ class Publisher:
         now_ns = self._clock.monotonic_ns()
         if self._preview_ns is not None and now_ns >= self._preview_due_ns and self.wants("preview"):
             self._preview_due_ns = now_ns + self._preview_ns
-            from daemon.stream.preview import preview
+            from daemon.live.publishing.preview import preview
 
             self._send_if_wanted("preview", lambda: preview(origin, item))
 
@@ -313,7 +313,7 @@ def _load_codecs() -> None:
     """Load what depth and preview need before the first of them is wanted: it takes half a second."""
     import blosc2
 
-    import daemon.stream.preview  # noqa: F401
+    import daemon.live.publishing.preview  # noqa: F401
 
     # One chunk is packed in a millisecond; more threads would only get in the way of the measuring.
     blosc2.set_nthreads(1)

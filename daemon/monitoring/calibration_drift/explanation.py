@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from daemon.selfcheck.watch import SURFACE, Found
-from pipeline.drift import OBSERVABLES
-from pipeline.drift.explain import Turn
+from daemon.monitoring.calibration_drift.verdicts import SURFACE, Found
+from pipeline.monitor import OBSERVABLES
+from pipeline.monitor.explain import Turn
 
 _GEOMETRY = ("column", "slope", "epipolar")
 _NAMES = {

@@ -15,22 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from daemon.clock import SystemClock
-from daemon.config.models import RigConfig
-from daemon.config.models import SelfCheck as Config
-from daemon.mailbox import Mailbox
-from daemon.rig import Rig
-from daemon.selfcheck import words
-from daemon.selfcheck.store import Store
-from daemon.selfcheck.watch import Found, Verdict, Watch, limits_of
-from daemon.sinks import CloudItem, Item
+from daemon.common.clock import SystemClock
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.config.rig_config import RigConfig
+from daemon.config.rig_config import SelfCheck as Config
+from daemon.live.items import CloudItem, Item
+from daemon.monitoring.calibration_drift import explanation
+from daemon.monitoring.calibration_drift.store import Store
+from daemon.monitoring.calibration_drift.verdicts import Found, Verdict, Watch, limits_of
+from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
-from pipeline.calibration import Calibration
-from pipeline.cloud import Volume
-from pipeline.drift.explain import GEOMETRY, clear, explain
-from pipeline.drift.observe import Observation, Observer, Reading, rehearse
-from pipeline.errors import PipelineError
-from pipeline.pattern import ColorFringe
+from pipeline.common.errors import PipelineError
+from pipeline.monitor.explain import GEOMETRY, clear, explain
+from pipeline.monitor.observe import Observation, Observer, Reading, rehearse
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration
 
 log = logging.getLogger("fringed.selfcheck")
 
@@ -192,7 +192,7 @@ class SelfCheck:
             self._kept = len(references)
             self._store.keep(references, item.t_ns)
         drifted = self._watch.drifted
-        self._problem = words.told(drifted, self._guess()) if drifted else ""
+        self._problem = explanation.told(drifted, self._guess()) if drifted else ""
         now = frozenset(drifted)
         now_ns = self._clock.monotonic_ns()
         if now - self._told and now_ns >= self._quiet_ns:
@@ -216,7 +216,7 @@ class SelfCheck:
         }
         if self._last is None or not len(self._last.shape) or len(changes) < len(GEOMETRY) or self._observer is None:
             return ""
-        return words.guess(clear(explain(self._calibration, self._last.shape, self._observer.first, changes)))
+        return explanation.guess(clear(explain(self._calibration, self._last.shape, self._observer.first, changes)))
 
     def _row(self, event: str, item: CloudItem | None = None) -> dict[str, Any]:
         row: dict[str, Any] = {"t_ns": self._clock.realtime_ns(), "event": event, "calibration": self._identity}

@@ -14,10 +14,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from daemon.atomic import write_atomically
-from daemon.bounded import read_at_most
-from daemon.errors import DaemonError
-from daemon.selfcheck.watch import Reference
+from daemon.common.bounded import read_at_most
+from daemon.common.errors import DaemonError
+from daemon.common.files import write_atomically
+from daemon.monitoring.calibration_drift.verdicts import Reference
 
 log = logging.getLogger("fringed.selfcheck")
 

@@ -24,9 +24,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from daemon.config.models import SelfCheckLimits
-from pipeline.drift import OBSERVABLES
-from pipeline.drift.observe import Reading
+from daemon.config.rig_config import SelfCheckLimits
+from pipeline.monitor import OBSERVABLES
+from pipeline.monitor.observe import Reading
 
 WINDOW = 10
 """Checked pairs that a verdict rests on."""

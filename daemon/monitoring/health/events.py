@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from daemon.config.health import Health as Config
-from daemon.health.hysteresis import Hysteresis
-from daemon.health.rules import RULES, Level, Rule
+from daemon.monitoring.health.hysteresis import Hysteresis
+from daemon.monitoring.health.rules import RULES, Level, Rule
 
 log = logging.getLogger("fringed.health")
 

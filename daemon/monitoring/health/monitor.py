@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from daemon.config.health import Health as Config
-from daemon.health.clock_sync import ClockSync
-from daemon.health.deltas import Deltas
-from daemon.health.events import Judge
-from daemon.health.frames import Frames
-from daemon.health.history import History
-from daemon.health.quantities import NAMES
-from daemon.health.rules import RULES, Level
+from daemon.monitoring.health.events import Judge
+from daemon.monitoring.health.history import History
+from daemon.monitoring.health.observe.clock_sync import ClockSync
+from daemon.monitoring.health.observe.counter_rates import Deltas
+from daemon.monitoring.health.observe.frame_statistics import Frames
+from daemon.monitoring.health.quantities import NAMES
+from daemon.monitoring.health.rules import RULES, Level
 
 _IDLE = ("starting", "paused", "stopping")
 _SECONDS_KNOWN = 5.0

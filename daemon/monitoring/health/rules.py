@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from daemon.config.health import HealthLimits
-from daemon.health.quantities import shown
+from daemon.monitoring.health.quantities import shown
 
 
 class Level(StrEnum):

@@ -11,20 +11,20 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from daemon.calibration_file import created_at, load_mapping
-from daemon.clock import SystemClock
-from daemon.config.models import RigConfig
-from daemon.health.clock_sync import ClockSync, clock_sync
-from daemon.health.endpoint import MetricsServer
-from daemon.health.events import Event
-from daemon.health.light import Light
-from daemon.health.metrics import exposition
-from daemon.health.monitor import Monitor, known
-from daemon.health.probe import Probe, free_gb, memory_mb
-from daemon.health.quantities import NAMES
-from daemon.mailbox import Mailbox
-from daemon.rig import Rig
-from daemon.sinks import CloudItem, Item, PairItem
+from daemon.common.clock import SystemClock
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.config.rig_config import RigConfig
+from daemon.live.items import CloudItem, Item, PairItem
+from daemon.monitoring.health.events import Event
+from daemon.monitoring.health.monitor import Monitor, known
+from daemon.monitoring.health.observe.clock_sync import ClockSync, clock_sync
+from daemon.monitoring.health.observe.host_probe import Probe, free_gb, memory_mb
+from daemon.monitoring.health.observe.illumination import Light
+from daemon.monitoring.health.prometheus.exposition import exposition
+from daemon.monitoring.health.prometheus.http_server import MetricsServer
+from daemon.monitoring.health.quantities import NAMES
+from daemon.rig.calibration_file import created_at, load_mapping
+from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 
 log = logging.getLogger("fringed.health")

@@ -6,8 +6,8 @@ import zlib
 from collections.abc import Iterator
 from typing import BinaryIO
 
-from daemon.recording.records import MAX_CHUNK, RECORD_HEAD, Cursor, DamageError, Message, Opcode, Place
-from daemon.recording.survey import Survey, read_record, split_records
+from daemon.recording.format.mcap_index import Survey, read_record, split_records
+from daemon.recording.format.mcap_records import MAX_CHUNK, RECORD_HEAD, Cursor, DamageError, Message, Opcode, Place
 
 
 def load(file: BinaryIO, place: Place) -> bytes | memoryview:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
-from daemon.recording.records import (
+from daemon.recording.format.mcap_records import (
     FOOTER_BYTES,
     MAGIC,
     MAX_CHUNK,

@@ -11,7 +11,7 @@ from typing import Any
 from mcap import records as mcap_records
 from mcap.data_stream import RecordBuilder
 
-from daemon.recording.records import MAGIC, Opcode
+from daemon.recording.format.mcap_records import MAGIC, Opcode
 
 
 @dataclass(slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from daemon.recording.errors import TakeError
+from daemon.recording.format.errors import TakeError
 
 CALIBRATION, PATTERN, VOLUME, RIG = "calibration.yaml", "pattern.json", "volume.json", "rig.yaml"
 PARTIAL = ".partial"

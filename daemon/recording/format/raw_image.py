@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.recording.errors import TakeError
+from daemon.recording.format.errors import TakeError
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 

@@ -14,11 +14,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daemon.atomic import write_atomically
-from daemon.recording.errors import TakeError
-from daemon.recording.lock import being_written
-from daemon.recording.part_reader import PartReader
-from daemon.recording.parts import PARTIAL
+from daemon.common.files import write_atomically
+from daemon.recording.format.errors import TakeError
+from daemon.recording.format.file_lock import being_written
+from daemon.recording.format.part_names import PARTIAL
+from daemon.recording.read.part_reader import PartReader
 
 CACHE = "takes.json"
 _MAX_CACHE_BYTES = 16 << 20

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from daemon.recording.part_reader import PartReader
-from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME
-from daemon.recording.reader import TakeReader
+from daemon.recording.format.part_names import CALIBRATION, PATTERN, RIG, VOLUME
+from daemon.recording.read.part_reader import PartReader
+from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
-from pipeline.errors import PipelineError
+from pipeline.common.errors import PipelineError
 
 _MAX_GAPS = 8
 

@@ -7,11 +7,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.recording import chunks
-from daemon.recording.errors import TakeError
-from daemon.recording.raw_image import ImageError, decode
-from daemon.recording.records import MAX_SMALL_RECORD, Attachment, DamageError, Message, Metadata, Opcode, Place
-from daemon.recording.survey import Survey, read_record, survey
+from daemon.recording.format import mcap_chunks
+from daemon.recording.format.errors import TakeError
+from daemon.recording.format.mcap_index import Survey, read_record, survey
+from daemon.recording.format.mcap_records import (
+    MAX_SMALL_RECORD,
+    Attachment,
+    DamageError,
+    Message,
+    Metadata,
+    Opcode,
+    Place,
+)
+from daemon.recording.format.raw_image import ImageError, decode
 from drivers.protocols import SIDES, Frame, Side
 
 VERSION = "1"
@@ -83,7 +91,7 @@ class PartReader:
             if records is None:
                 continue
             try:
-                for message, at in chunks.messages(records, self.survey):
+                for message, at in mcap_chunks.messages(records, self.survey):
                     frame = self._frame(message, place)
                     if frame is not None:
                         yield frame, Where(place, at)
@@ -93,14 +101,14 @@ class PartReader:
     def frame_at(self, where: Where) -> Frame | None:
         """One frame again, or None if it cannot be read any more."""
         records = self._load(where.place)
-        for message, at in chunks.messages(records, self.survey) if records is not None else ():
+        for message, at in mcap_chunks.messages(records, self.survey) if records is not None else ():
             if at == where.at:
                 return self._frame(message, where.place)
         return None
 
     def _load(self, place: Place) -> bytes | memoryview | None:
         try:
-            return chunks.load(self._file, place)
+            return mcap_chunks.load(self._file, place)
         except DamageError as error:
             self.complain(f"damaged at byte {place.offset}: {error}; its frames are left out")
             return None

@@ -9,17 +9,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from daemon.calibration_file import CalibrationFile, parse_calibration
-from daemon.pattern_file import parse_pattern, parse_sequence, parse_volume
-from daemon.recording import parts
-from daemon.recording.errors import TakeError
-from daemon.recording.part_reader import PartReader, Where
-from daemon.recording.parts import CALIBRATION, PATTERN, VOLUME
-from daemon.recording.raw_image import Pixels
+from daemon.recording.format import part_names as parts
+from daemon.recording.format.errors import TakeError
+from daemon.recording.format.part_names import CALIBRATION, PATTERN, VOLUME
+from daemon.recording.format.raw_image import Pixels
+from daemon.recording.read.part_reader import PartReader, Where
+from daemon.rig.calibration_file import CalibrationFile, parse_calibration
+from daemon.rig.pattern_file import parse_pattern, parse_sequence, parse_volume
 from drivers.protocols import TRIGGER_MODULUS, Frame, Side
-from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import Sequence
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import Sequence
+from pipeline.reconstruct.cloud import Volume
 
 WAITING_FRAMES = 16
 """Frames that are kept in memory while their partner has not come; older ones are read again when it does."""

@@ -6,7 +6,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Iterable
 
-from daemon.sinks import LoneItem, PairItem
+from daemon.live.items import LoneItem, PairItem
 
 Picture = PairItem | LoneItem
 

@@ -12,9 +12,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.recording.numbers import Numbers
-from daemon.recording.part_writer import PartWriter
-from daemon.recording.parts import part_path
+from daemon.recording.format.part_names import part_path
+from daemon.recording.write.part_writer import PartWriter
+from daemon.recording.write.trigger_ledger import Numbers
 from drivers.protocols import Frame
 
 log = logging.getLogger("fringed.recorder")

@@ -18,12 +18,12 @@ from typing import Any
 from mcap import records as mcap_records
 from mcap.data_stream import RecordBuilder
 
-from daemon.atomic import sync_directory
-from daemon.recording.lock import lock
-from daemon.recording.parts import PARTIAL
-from daemon.recording.raw_image import pieces
-from daemon.recording.records import MAGIC, RECORD_HEAD, Opcode
-from daemon.recording.summary import Contents
+from daemon.common.files import sync_directory
+from daemon.recording.format.file_lock import lock
+from daemon.recording.format.mcap_records import MAGIC, RECORD_HEAD, Opcode
+from daemon.recording.format.mcap_summary import Contents
+from daemon.recording.format.part_names import PARTIAL
+from daemon.recording.format.raw_image import pieces
 from drivers.protocols import SIDES, Frame, Side
 
 VERSION = "1"

@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from daemon.recording.inbox import Picture
-from daemon.sinks import PairItem
+from daemon.live.items import PairItem
+from daemon.recording.write.frame_queue import Picture
 
 MEGABYTE = 1_000_000
 

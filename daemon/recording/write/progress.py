@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from daemon.recording.syncer import Mark
+from daemon.recording.write.disk_sync import Mark
 from drivers.protocols import Frame
 
 

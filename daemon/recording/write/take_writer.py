@@ -18,17 +18,17 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from daemon.errors import DaemonError
-from daemon.recording.chain import Limits, PartChain
-from daemon.recording.disk import Disk
-from daemon.recording.errors import TakeError
-from daemon.recording.inbox import Inbox, Picture
-from daemon.recording.part_writer import PartWriter
-from daemon.recording.parts import CALIBRATION, PATTERN, RIG, VOLUME
-from daemon.recording.progress import Progress
-from daemon.recording.raw_image import ImageError
-from daemon.recording.syncer import Policy, Syncer
-from daemon.sinks import CloudItem, Item, PairItem
+from daemon.common.errors import DaemonError
+from daemon.live.items import CloudItem, Item, PairItem
+from daemon.recording.format.errors import TakeError
+from daemon.recording.format.part_names import CALIBRATION, PATTERN, RIG, VOLUME
+from daemon.recording.format.raw_image import ImageError
+from daemon.recording.write.disk_space import Disk
+from daemon.recording.write.disk_sync import Policy, Syncer
+from daemon.recording.write.frame_queue import Inbox, Picture
+from daemon.recording.write.part_chain import Limits, PartChain
+from daemon.recording.write.part_writer import PartWriter
+from daemon.recording.write.progress import Progress
 from drivers.protocols import Frame
 
 CLOSE_S = 30.0

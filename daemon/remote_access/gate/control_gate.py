@@ -11,10 +11,10 @@ from typing import Any
 
 import zmq
 
-from daemon.control.protocol import BUSY, FAILED, FORBIDDEN, INVALID_REQUEST, MAX_BYTES, PARSE_ERROR, RpcError
-from daemon.counters import Counters
-from daemon.security.allowed import Allowed, Role, Service
-from daemon.security.front import Front
+from daemon.common.counters import Counters
+from daemon.control.rpc.protocol import BUSY, FAILED, FORBIDDEN, INVALID_REQUEST, MAX_BYTES, PARSE_ERROR, RpcError
+from daemon.keys.authorized_keys import Allowed, Role, Service
+from daemon.remote_access.gate.curve_socket import Front
 from fringed.keys import Key
 
 _MOST_WAITING, _MOST_WAITING_EACH = 256, 16

@@ -9,9 +9,9 @@ from typing import Any
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from daemon.counters import Counters
-from daemon.errors import DaemonError
-from daemon.security.allowed import Service
+from daemon.common.counters import Counters
+from daemon.common.errors import DaemonError
+from daemon.keys.authorized_keys import Service
 from fringed.keys import Key
 
 _HANDSHAKE_MS = 5000  # who has not shown a key by then is cut off

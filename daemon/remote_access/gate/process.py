@@ -1,4 +1,4 @@
-"""The process between other machines and the daemon: ``python -m daemon.security.gate FD PARENT``.
+"""The process between other machines and the daemon: ``python -m daemon.remote_access.gate.process FD PARENT``.
 
 Bytes from outside are only read here. It encrypts, so that the measuring does not have to; when it is flooded, its own
 memory and descriptors are bounded; when it dies, the daemon goes on measuring and starts another.
@@ -18,16 +18,16 @@ from typing import Any
 import msgspec
 import zmq
 
-from daemon.counters import Counters
-from daemon.errors import DaemonError
-from daemon.security import limits
-from daemon.security.allowed import Allowed
-from daemon.security.control_gate import ControlGate
-from daemon.security.link import Link
-from daemon.security.order import Keyring, Order, Told
-from daemon.security.stream_gate import StreamGate
-from daemon.security.zap import Gatekeeper
-from drivers.remote.spawn import die_with_parent
+from daemon.common.counters import Counters
+from daemon.common.errors import DaemonError
+from daemon.keys.authorized_keys import Allowed
+from daemon.remote_access.gate import resource_limits
+from daemon.remote_access.gate.control_gate import ControlGate
+from daemon.remote_access.gate.stream_gate import StreamGate
+from daemon.remote_access.gate.zap_handler import Gatekeeper
+from daemon.remote_access.gate_messages import Keyring, Order, Told
+from daemon.remote_access.link import Link
+from drivers.child_process import die_with_parent
 
 log = logging.getLogger("fringed.gate")
 
@@ -50,9 +50,9 @@ class Gate:
         self._zap = self._context.socket(zmq.ROUTER)
         self._zap.bind("inproc://zeromq.zap.01")
         self._stream, self._control = self._open_stream(), self._open_control()
-        self._memory = limits.Memory()
-        self._own_descriptors = limits.open_descriptors()
-        limits.allow_descriptors(self._own_descriptors + order.connections)
+        self._memory = resource_limits.Memory()
+        self._own_descriptors = resource_limits.open_descriptors()
+        resource_limits.allow_descriptors(self._own_descriptors + order.connections)
 
     def allowed(self) -> Allowed:
         """The list as it is now."""
@@ -88,7 +88,7 @@ class Gate:
             control=control.front.endpoints if control else [],
             refused=self._refused.snapshot(),
             accepted=sum(part.front.accepted for part in self._parts()),
-            connections=max(0, limits.open_descriptors() - self._own_descriptors),
+            connections=max(0, resource_limits.open_descriptors() - self._own_descriptors),
             sent=stream.sent if stream else 0,
             skipped=stream.skipped if stream else 0,
             requests=control.passed if control else 0,
@@ -144,14 +144,14 @@ class Gate:
         most = self._order.memory_mb << 20
         if self._memory.bytes() <= most:
             return
-        limits.trim()
+        resource_limits.trim()
         if self._memory.bytes() > most:
             self._cut_off("memory", self._parts())
-            limits.trim()
+            resource_limits.trim()
 
     def _cut_off(self, reason: str, parts: list[StreamGate | ControlGate]) -> None:
         for part in parts:
-            with limits.spare_descriptors():
+            with resource_limits.spare_descriptors():
                 part.cut(self._server)
             self._cut.add(f"{part.service}_{reason}")
 
@@ -162,7 +162,7 @@ def main(arguments: list[str]) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):  # sent to the whole group; it ends with the daemon, not before
         signal.signal(number, signal.SIG_IGN)
     die_with_parent(parent)
-    limits.prepare()
+    resource_limits.prepare()
     link = Link(socket.socket(fileno=descriptor))
     words = link.next(), link.next()
     if None in words:

@@ -6,9 +6,9 @@ from typing import Any
 
 import zmq
 
-from daemon.counters import Counters
-from daemon.security.allowed import Service
-from daemon.security.front import Front
+from daemon.common.counters import Counters
+from daemon.keys.authorized_keys import Service
+from daemon.remote_access.gate.curve_socket import Front
 from fringed.keys import Key
 
 _MAX_PREFIX_BYTES = 64

@@ -7,8 +7,8 @@ from typing import Any, get_args
 
 from zmq.utils import z85
 
-from daemon.counters import Counters
-from daemon.security.allowed import Allowed, Service
+from daemon.common.counters import Counters
+from daemon.keys.authorized_keys import Allowed, Service
 
 _OK, _NOT_NOW, _BAD = (b"200", b"allowed"), (b"300", b"not allowed"), (b"400", b"not a request")
 # 300, not 400: after a 400 a client gives up for ever, after a 300 it tries again and gets in once it is allowed.

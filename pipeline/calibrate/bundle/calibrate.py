@@ -7,23 +7,23 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.adjust import Adjusted, adjust
-from pipeline.bundle.advice import missing, refuse_degenerate
-from pipeline.bundle.freedom import freedom, names_of
-from pipeline.bundle.joint import assemble
-from pipeline.bundle.mono import Mono, mono
-from pipeline.bundle.observations import Observations, gather
-from pipeline.bundle.options import Options
-from pipeline.bundle.placing import Placed, place
-from pipeline.bundle.solution import Rejection, Solution
-from pipeline.bundle.state import State
-from pipeline.bundle.summary import summarise
-from pipeline.bundle.trust import refuse_uncertain
-from pipeline.bundle.views import bad_views, few_marks
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView
+from pipeline.calibrate.bundle.adjust.adjustment import Adjusted, adjust
+from pipeline.calibrate.bundle.adjust.observations import Observations, gather
+from pipeline.calibrate.bundle.adjust.parameterisation import freedom, names_of
+from pipeline.calibrate.bundle.adjust.state import State
+from pipeline.calibrate.bundle.initialise.relative_pose_check import Placed, place
+from pipeline.calibrate.bundle.initialise.relative_poses import assemble
+from pipeline.calibrate.bundle.initialise.single_device import Mono, mono
+from pipeline.calibrate.bundle.options import Options
+from pipeline.calibrate.bundle.quality.observability import refuse_uncertain
+from pipeline.calibrate.bundle.quality.view_advice import missing, refuse_degenerate
+from pipeline.calibrate.bundle.solution import Rejection, Solution
+from pipeline.calibrate.bundle.summary import summarise
+from pipeline.calibrate.bundle.view_rejection import bad_views, few_marks
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from pipeline.errors import CalibrationError
+from pipeline.common.errors import CalibrationError
 
 Loss = Literal["huber", "cauchy", "squared"]
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Choices of :func:`pipeline.bundle.calibrate`.
+    """Choices of :func:`pipeline.calibrate.bundle.calibrate`.
 
     Args:
         skew: whether the skew of each device is found; else it stays at its start value (0 without one). Free by

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

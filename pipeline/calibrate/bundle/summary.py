@@ -1,4 +1,4 @@
-"""From the adjusted numbers to a :class:`pipeline.bundle.solution.Solution`."""
+"""From the adjusted numbers to a :class:`pipeline.calibrate.bundle.solution.Solution`."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle import centroid
-from pipeline.bundle.adjust import Adjusted, to_scale
-from pipeline.bundle.figures import epipolar_px, rms
-from pipeline.bundle.freedom import names_of
-from pipeline.bundle.options import Options
-from pipeline.bundle.solution import Rejection, Residuals, Solution
-from pipeline.bundle.solve import residuals
-from pipeline.bundle.state import PER_DEVICE, PER_VIEW
-from pipeline.bundle.uncertainty import derived
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView
+from pipeline.calibrate.bundle.adjust import circle_offsets
+from pipeline.calibrate.bundle.adjust.adjustment import Adjusted, to_scale
+from pipeline.calibrate.bundle.adjust.levenberg_marquardt import residuals
+from pipeline.calibrate.bundle.adjust.parameterisation import names_of
+from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW
+from pipeline.calibrate.bundle.adjust.uncertainty import derived
+from pipeline.calibrate.bundle.options import Options
+from pipeline.calibrate.bundle.quality.reprojection_error import epipolar_px, rms
+from pipeline.calibrate.bundle.solution import Rejection, Residuals, Solution
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView
+from pipeline.common.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def summarise(
 
 def _refuse_other_circles(board: Board, adjusted: Adjusted) -> None:
     """Circles of another size than told, relative to their pitch, belong to another board."""
-    measured = centroid.diameter_mm(adjusted.state, adjusted.data)
+    measured = circle_offsets.diameter_mm(adjusted.state, adjusted.data)
     told = board.diameter_mm if board.round else 0.0
     if told and measured and abs(measured / told - 1) > _OTHER_CIRCLES:
         raise CalibrationError(

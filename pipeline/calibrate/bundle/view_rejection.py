@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.adjust import Adjusted
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.options import Options
-from pipeline.bundle.solution import Rejection
-from pipeline.bundle.solve import residuals
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView
+from pipeline.calibrate.bundle.adjust.adjustment import Adjusted
+from pipeline.calibrate.bundle.adjust.levenberg_marquardt import residuals
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.options import Options
+from pipeline.calibrate.bundle.solution import Rejection
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView
 
 Array = NDArray[np.float64]
 

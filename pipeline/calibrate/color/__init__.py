@@ -4,8 +4,8 @@
 them on a fresh pattern.
 """
 
-from pipeline.color_calibration.check import PhaseError, check_sequence, phase_error
-from pipeline.color_calibration.frames import color_sequence
-from pipeline.color_calibration.solution import ColorSolution, calibrate_color
+from pipeline.calibrate.color.color_sequence import color_sequence
+from pipeline.calibrate.color.phase_error import PhaseError, check_sequence, phase_error
+from pipeline.calibrate.color.solution import ColorSolution, calibrate_color
 
 __all__ = ["ColorSolution", "PhaseError", "calibrate_color", "check_sequence", "color_sequence", "phase_error"]

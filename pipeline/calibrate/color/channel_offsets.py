@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Response
-from pipeline.color_calibration.crosstalk import fringe_phasors
-from pipeline.color_calibration.frames import Axis, Roles
-from pipeline.color_calibration.pictures import F32, Mask, Pictures, blocks
-from pipeline.errors import PictureError
+from pipeline.calibrate.color.color_planes import F32, Mask, Pictures, blocks
+from pipeline.calibrate.color.color_sequence import Axis, Roles
+from pipeline.calibrate.color.crosstalk import fringe_phasors
+from pipeline.common.errors import PictureError
+from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def measure_offsets(
     """Offsets of red and blue seen by one camera.
 
     Args:
-        area, black, full: as in :func:`pipeline.color_calibration.response.level_curve`.
+        area, black, full: as in :func:`pipeline.calibrate.color.tone_response.level_curve`.
         crosstalk: (3, 3) of this camera; response: of the projector, as just measured.
         shown: the response that the fringes were pre-distorted for; None = they were shown as they are.
     """

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.color_calibration.frames import Roles
-from pipeline.errors import PictureError
-from pipeline.raw import mosaic_of
+from pipeline.calibrate.color.color_sequence import Roles
+from pipeline.common.errors import PictureError
+from pipeline.decode.raw_image import mosaic_of
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -32,7 +32,7 @@ class Pictures:
     Args:
         side: name of the camera, for errors.
         raw: (H, W, 3) for rgb8, (H, W) for a mosaic; uint8.
-        encoding: see :mod:`pipeline.raw`.
+        encoding: see :mod:`pipeline.decode.raw_image`.
         names: what each frame shows, for errors.
     """
 

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.errors import PatternError
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import CHANNELS, WHITE_LEVEL, Frame, Fringe, GrayBit, Sequence, Uniform
+from pipeline.common.errors import PatternError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import CHANNELS, WHITE_LEVEL, Frame, Fringe, GrayBit, Sequence, Uniform
 
 Axis = Literal["x", "y"]
 

@@ -15,9 +15,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.color_calibration.frames import FringeSet, Roles
-from pipeline.color_calibration.pictures import F32, Mask, Pictures, blocks
-from pipeline.errors import PictureError
+from pipeline.calibrate.color.color_planes import F32, Mask, Pictures, blocks
+from pipeline.calibrate.color.color_sequence import FringeSet, Roles
+from pipeline.common.errors import PictureError
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.color_calibration.offsets import Offsets
-from pipeline.lateral import ColorDisplacement, ColorOffset, Lateral, Registration
+from pipeline.calibrate.color.channel_offsets import Offsets
+from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Lateral, Registration
 
 Array = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import ColorModel
-from pipeline.color_calibration.crosstalk import fringe_phasors
-from pipeline.color_calibration.frames import FringeSet, check_frames
-from pipeline.color_calibration.pictures import Mask, Pictures, eroded
-from pipeline.errors import PatternError, PictureError
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import Fringe
-from pipeline.sequence import Sequence as Frames
+from pipeline.calibrate.color.color_planes import Mask, Pictures, eroded
+from pipeline.calibrate.color.color_sequence import FringeSet, check_frames
+from pipeline.calibrate.color.crosstalk import fringe_phasors
+from pipeline.common.errors import PatternError, PictureError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import Fringe
+from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.rig.calibration import ColorModel
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def phase_error(
         pictures: raw, in the order of the sequence.
         color: what the calibration knows of the camera; None = nothing but that it has three channels.
         area: (H, W) white pixels; None = where the fringes are strong.
-        angles: (3, H, W), :func:`pipeline.lateral_tables.channel_angles` of this camera's pixels; None = 0.
+        angles: (3, H, W), :func:`pipeline.decode.chromatic_phase.channel_angles` of this camera's pixels; None = 0.
     """
     frames = sequence.frames
     shots = [f for f in frames if isinstance(f, ColorFringe)]

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Response
-from pipeline.color_calibration.frames import Roles
-from pipeline.color_calibration.pictures import View
-from pipeline.color_calibration.response import LevelCurve
-from pipeline.sequence import CHANNELS
+from pipeline.calibrate.color.color_planes import View
+from pipeline.calibrate.color.color_sequence import Roles
+from pipeline.calibrate.color.tone_response import LevelCurve
+from pipeline.pattern.sequence import CHANNELS
+from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
 

@@ -9,26 +9,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration, ColorModel, Response
-from pipeline.color_calibration.check import error_of
-from pipeline.color_calibration.crosstalk import (
+from pipeline.calibrate.color.channel_offsets import Offsets, measure_offsets
+from pipeline.calibrate.color.color_planes import Pictures, View, view_of
+from pipeline.calibrate.color.color_sequence import Roles, roles_of
+from pipeline.calibrate.color.crosstalk import (
     MixSamples,
     balance_of,
     black_level,
     crosstalk_of,
     mix_samples,
 )
-from pipeline.color_calibration.frames import Roles, roles_of
-from pipeline.color_calibration.judgement import additivity_of, advice_of, disagreement_of, peak_of, projector_quality
-from pipeline.color_calibration.lateral_fit import LateralSolution, fit_lateral
-from pipeline.color_calibration.offsets import Offsets, measure_offsets
-from pipeline.color_calibration.pictures import Pictures, View, view_of
-from pipeline.color_calibration.response import LevelCurve, level_curve, response_of
-from pipeline.errors import PictureError
-from pipeline.lateral import Registration
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import Frame, Fringe, GrayBit, Uniform
-from pipeline.sequence import Sequence as Frames
+from pipeline.calibrate.color.lateral_chromatic_fit import LateralSolution, fit_lateral
+from pipeline.calibrate.color.phase_error import error_of
+from pipeline.calibrate.color.session_quality import (
+    additivity_of,
+    advice_of,
+    disagreement_of,
+    peak_of,
+    projector_quality,
+)
+from pipeline.calibrate.color.tone_response import LevelCurve, level_curve, response_of
+from pipeline.common.errors import PictureError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import Frame, Fringe, GrayBit, Uniform
+from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.rig.calibration import Calibration, ColorModel, Response
+from pipeline.rig.lateral_chromatic import Registration
 
 Array = NDArray[np.float64]
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -79,7 +85,7 @@ def calibrate_color(
     Args:
         frames: (left, right) of every frame of the sequence, in its order; several passes one after the other are
             averaged, and the board may be moved between them.
-        sequence: what was shown, see :func:`pipeline.color_calibration.frames.color_sequence`.
+        sequence: what was shown, see :func:`pipeline.calibrate.color.color_sequence.color_sequence`.
         calibration: the rig's geometry, for lateral colour, and the black levels known so far; None = no lateral
             colour.
         dark: pictures with the lenses covered, for the black level; without them it is told from dark marks on the

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Response
-from pipeline.color_calibration.frames import Roles
-from pipeline.color_calibration.pictures import F32, Mask, Pictures
-from pipeline.errors import PictureError
+from pipeline.calibrate.color.color_planes import F32, Mask, Pictures
+from pipeline.calibrate.color.color_sequence import Roles
+from pipeline.common.errors import PictureError
+from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
 

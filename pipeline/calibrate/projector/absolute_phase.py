@@ -1,8 +1,8 @@
 """Absolute phase of a scene at rest from the pictures of a sequence, in any encoding.
 
-Every pixel is solved by itself (see :mod:`pipeline.n_step`): a Bayer mosaic needs no demosaicing where fringes are
-grey. In a three-chip picture the channels are added up first: what crosstalk takes from one channel it gives to
-another, and grey stays grey.
+Every pixel is solved by itself (see :mod:`pipeline.multi_frame.n_step`): a Bayer mosaic needs no demosaicing where
+fringes are grey. In a three-chip picture the channels are added up first: what crosstalk takes from one channel it
+gives to another, and grey stays grey.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import PatternError, PictureError
-from pipeline.n_step import F64, Bools, WrappedPhase, absolute_phase, noise_of, solution_of, wrapped_phase
-from pipeline.noise import NoiseModel
-from pipeline.raw import BAYER
-from pipeline.sequence import CHANNELS, Axis, Fringe, Sequence
+from pipeline.common.errors import PatternError, PictureError
+from pipeline.decode.noise_model import NoiseModel
+from pipeline.decode.raw_image import BAYER
+from pipeline.multi_frame.n_step import F64, Bools, WrappedPhase, absolute_phase, noise_of, solution_of, wrapped_phase
+from pipeline.pattern.sequence import CHANNELS, Axis, Fringe, Sequence
 
 _SATURATION = 254.0
 _TURN = 2 * np.pi

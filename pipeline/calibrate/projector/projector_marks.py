@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import TargetError
-from pipeline.multi_shot import Coordinate
-from pipeline.smooth_map import SmoothMap, homography, mapped
-from pipeline.targets.board import Board
-from pipeline.targets.marks import Marks
+from pipeline.calibrate.projector.absolute_phase import Coordinate
+from pipeline.calibrate.projector.plane_map import SmoothMap, homography, mapped
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import Marks
+from pipeline.common.errors import TargetError
 
 F64: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]

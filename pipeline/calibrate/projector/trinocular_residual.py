@@ -16,9 +16,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
 
 F64: TypeAlias = NDArray[np.float64]
 

@@ -12,18 +12,18 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.cloud import Cloud, Volume
-from pipeline.errors import CalibrationError
-from pipeline.multi_shot import Coordinate
-from pipeline.pattern import ColorFringe
-from pipeline.phase import PhaseMap
-from pipeline.raw import checked, mosaic_of
-from pipeline.reconstruct import Reconstructor
-from pipeline.settings import Settings
-from pipeline.triangulate import triangulate
-from pipeline.trinocular import Samples
-from pipeline.view import View
+from pipeline.calibrate.projector.absolute_phase import Coordinate
+from pipeline.calibrate.projector.trinocular_residual import Samples
+from pipeline.common.errors import CalibrationError
+from pipeline.common.settings import Settings
+from pipeline.decode.decoder import PhaseMap
+from pipeline.decode.raw_image import checked, mosaic_of
+from pipeline.geometry.triangulate import triangulate
+from pipeline.geometry.view_tables import View
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
 
 F64: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -85,7 +85,7 @@ class PairSampler:
         self._every = every
 
     def __call__(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Samples:
-        """Samples of a pair of raw pictures, as :meth:`pipeline.reconstruct.Reconstructor.reconstruct` takes them."""
+        """Samples of a pair of raw images, as :class:`pipeline.reconstruct.reconstructor.Reconstructor` takes them."""
         cloud = self._made.reconstruct(left, right)
         picture = checked(left, "left", self._made.encoding, self._made.calibration.left.size)
         return samples_of_cloud(cloud, self._view.decode(picture), self._made.pattern, every=self._every)

@@ -6,12 +6,12 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pipeline.targets.board import Board
-from pipeline.targets.circles import find_circles
-from pipeline.targets.found import Found
-from pipeline.targets.grey import to_grey
-from pipeline.targets.markers import find_charuco
-from pipeline.targets.squares import find_chessboard
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.detect.charuco import find_charuco
+from pipeline.calibrate.targets.detect.chessboard import find_chessboard
+from pipeline.calibrate.targets.detect.circle_grid import find_circles
+from pipeline.calibrate.targets.detect.detection import Found
+from pipeline.calibrate.targets.localise.gray_image import to_grey
 
 __all__ = ["Found", "find_marks"]
 
@@ -30,7 +30,7 @@ def find_marks(picture: NDArray[Any], board: Board, *, refine: bool = True, chan
     Returns:
         Marks numbered as the board numbers them, sorted by number. Some marks may be missing where the others tell
         the numbering for certain. Boards that look the same after a rotation are numbered by the rule of
-        :mod:`pipeline.targets.match`.
+        :mod:`pipeline.calibrate.targets.detect.grid_numbering`.
 
     Raises:
         TargetError: nothing of the board, only some marks, another size, two boards, too blurred, saturated, mirrored;

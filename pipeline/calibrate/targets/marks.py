@@ -15,7 +15,7 @@ class Marks:
     """Marks found in one picture, in any order; for a projector, where its own picture meets the marks.
 
     Args:
-        ids: (n,) numbers of the marks, see :class:`pipeline.targets.board.Board`; none twice.
+        ids: (n,) numbers of the marks, see :class:`pipeline.calibrate.targets.board.board.Board`; none twice.
         pixels: (n, 2) u, v. For circles this is the centroid of the circle's image, not the image of its centre.
         sigma_px: (n,) expected standard deviation of each coordinate from the picture's noise.
         areas_px: (n,) areas of the circles' images where ``pixels`` are their centroids, so that whoever fits a model

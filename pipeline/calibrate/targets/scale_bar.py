@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.calibrate.pictures import Picture
-from pipeline.errors import TargetError
-from pipeline.targets.candidates import find_discs
-from pipeline.targets.ellipse_fit import fit_ellipses
-from pipeline.targets.grey import to_grey
+from daemon.apps.calibration.images.image_files import Picture
+from pipeline.calibrate.targets.detect.disc_candidates import find_discs
+from pipeline.calibrate.targets.localise.ellipse_fit import fit_ellipses
+from pipeline.calibrate.targets.localise.gray_image import to_grey
+from pipeline.common.errors import TargetError
 
 _LEAST_RADIUS_PX = 3.0
 _SAME_SIZE = 0.5

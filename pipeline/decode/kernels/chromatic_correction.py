@@ -1,4 +1,4 @@
-"""Row kernels that undo the channels' angles of :mod:`pipeline.lateral_tables`; not called where there are none."""
+"""Row kernels that undo the channels' angles of :mod:`pipeline.decode.chromatic_phase`, where there are any."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
 
 DESIGN_ROWS = 8
 """Rows of a mosaic that share one design; the angles change by less than a thousandth of a radian over them."""

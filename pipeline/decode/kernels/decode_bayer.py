@@ -1,4 +1,4 @@
-"""Decoding of a mosaic in one pass over bands of rows; see :mod:`pipeline.decode_rgb` for three chips."""
+"""Decoding of a mosaic in one pass over bands of rows; three chips: :mod:`pipeline.decode.kernels.decode_rgb`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.box_mean import advance, means_of_row, mirrored, shared_row
-from pipeline.equalize import balance_of_row, equalized_row
-from pipeline.kernels import parallel, prange, serial
-from pipeline.mosaic_fit import (
+from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.tile_math import TILE
+from pipeline.decode.kernels.chromatic_correction import DESIGN_ROWS, straighten_phasors, turned_design, units_of_row
+from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
+from pipeline.decode.kernels.local_normalisation import balance_of_row, equalized_row
+from pipeline.decode.kernels.mosaic_fit import (
     EIGHTHS,
     MOSAIC_SLOTS,
     add_window_row,
@@ -19,13 +21,11 @@ from pipeline.mosaic_fit import (
     samples_of_row,
     start_tile,
 )
-from pipeline.normal_equations import IM, MEAN, RE, VARIANCE, solve
-from pipeline.packed import PHASOR_SCALE
-from pipeline.row_results import angles_of_row, counts_of_row, describe_row, row_stride
-from pipeline.straighten import DESIGN_ROWS, straighten_phasors, turned_design, units_of_row
-from pipeline.three_step import levels_of_row
-from pipeline.tiles import TILE
-from pipeline.traits import complete_row, equal_row
+from pipeline.decode.kernels.normal_equations import IM, MEAN, RE, VARIANCE, solve
+from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
+from pipeline.decode.kernels.three_step import levels_of_row
+from pipeline.decode.packed_phasor import PHASOR_SCALE
+from pipeline.decode.pixel_descriptor import complete_row, equal_row
 
 BANDS = 12
 
@@ -77,9 +77,9 @@ def decode_bayer(
     scale: float, turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any,
     modulation: Any, valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
-    """Fill the planes of a :class:`pipeline.phase.PhaseMap`; picture (H, W) uint8, mosaic (2, 2) channel numbers.
+    """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`; image (H, W) uint8, mosaic (2, 2) channels.
 
-    Everything else as in :func:`pipeline.decode_rgb.decode_rgb`.
+    Everything else as in :func:`pipeline.decode.kernels.decode_rgb.decode_rgb`.
     """
     height, width = mean.shape
     ring, edge = 2 * radius + 1, radius + 1

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.box_mean import advance, means_of_row, mirrored, shared_row
-from pipeline.clipped import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_mean
-from pipeline.equalize import balance_of_row, equalized_row
-from pipeline.kernels import parallel, prange, serial
-from pipeline.packed import PHASOR_SCALE
-from pipeline.row_results import angles_of_row, counts_of_row, describe_row, row_stride
-from pipeline.straighten import straighten_means, straighten_phasors, units_of_row
-from pipeline.three_step import levels_of_row, pointwise_row
-from pipeline.tiles import TILE
-from pipeline.traits import complete_row, equal_row
-from pipeline.window_fit import fold, fold_far
+from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.tile_math import TILE
+from pipeline.decode.kernels.chromatic_correction import straighten_means, straighten_phasors, units_of_row
+from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
+from pipeline.decode.kernels.local_normalisation import balance_of_row, equalized_row
+from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
+from pipeline.decode.kernels.saturated_fit import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_mean
+from pipeline.decode.kernels.three_step import levels_of_row, pointwise_row
+from pipeline.decode.kernels.window_fit import fold, fold_far
+from pipeline.decode.packed_phasor import PHASOR_SCALE
+from pipeline.decode.pixel_descriptor import complete_row, equal_row
 
 BANDS = 12
 
@@ -45,7 +45,7 @@ def decode_rgb(
     turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any, modulation: Any,
     valid: Any, clipped: Any,
 ) -> None:  # fmt: skip
-    """Fill the planes of a :class:`pipeline.phase.PhaseMap`.
+    """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`.
 
     Args:
         picture: (H, 3 W) uint8; black: (3,) counts.
@@ -53,9 +53,9 @@ def decode_rgb(
             of the design without crosstalk; all float32.
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
         clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
-        along, over, drops, scale: of :class:`pipeline.box_mean.BoxMean`.
-        turns, turn_rows: table and step of :class:`pipeline.lateral_tables.ColorTurns`.
-        phasor: (H, W) int32, packed; traits: (H, W) int32, see :mod:`pipeline.traits`;
+        along, over, drops, scale: of :class:`pipeline.decode.kernels.local_mean.BoxMean`.
+        turns, turn_rows: table and step of :class:`pipeline.decode.chromatic_phase.ColorTurns`.
+        phasor: (H, W) int32, packed; traits: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`;
         variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
         valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
     """

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
 
 _ACROSS = 5  # extent of the box across the direction of growth, pixels
 _FULL = 60_000  # largest sum; below 2^16 with room for rounding

@@ -3,7 +3,7 @@
 A coloured surface answers the three fringes unequally, which bends the pointwise phase (half a radian on a coloured
 head). Dividing each channel by its mean over one period takes that away; it serves the choice of the fringe order,
 where a bias costs, not the sub-pixel match, where it is the same in both cameras and cancels. The means are those of
-:mod:`pipeline.box_mean`.
+:mod:`pipeline.decode.kernels.local_mean`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
 
 
 @serial

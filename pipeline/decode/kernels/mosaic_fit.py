@@ -1,7 +1,8 @@
 """Mosaics: a first guess of all three colours, and the window fit on the raw samples, no demosaicing.
 
-Every sample of the window obeys the equation of :mod:`pipeline.normal_equations` with the design of its own colour.
-Clipped samples are left out, and samples whose first guess does not continue the phase's plane (another surface).
+Every sample of the window obeys the equation of :mod:`pipeline.decode.kernels.normal_equations` with the design of its
+own colour. Clipped samples are left out, and samples whose first guess does not continue the phase's plane (another
+surface).
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
-from pipeline.normal_equations import SLOTS, accumulate, clear
-from pipeline.tiles import TILE
-from pipeline.window_fit import step_of
+from pipeline.common.jit import serial
+from pipeline.common.tile_math import TILE
+from pipeline.decode.kernels.normal_equations import SLOTS, accumulate, clear
+from pipeline.decode.kernels.window_fit import step_of
 
 CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
 AGREEING = 0.2  # cosine of the largest difference of the steps to both sides; the first guess errs pixel by pixel

@@ -4,7 +4,7 @@ A sample of a channel with design (a, p, q) whose phase is D ahead of the pixel'
 ``I = a A + C (p cos D + q sin D) + S (q cos D - p sin D)``: three unknowns, 3 x 3 normal equations, closed form.
 
 ``tile`` is a one-dimensional float32 array of :data:`SLOTS` quantities for TILE pixels each; loops over constant
-numbers of its elements become vector instructions (see :mod:`pipeline.tiles`).
+numbers of its elements become vector instructions (see :mod:`pipeline.common.tile_math`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline, serial
-from pipeline.tiles import TILE
+from pipeline.common.jit import inline, serial
+from pipeline.common.tile_math import TILE
 
 _N, _Q, _RHS = 0, 6, 12  # sums: normal matrix and its covariance (00 01 02 11 12 22), right side
 _SUMS = 15

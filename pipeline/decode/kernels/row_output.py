@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
-from pipeline.packed import pack
-from pipeline.tiles import angle
+from pipeline.common.jit import serial
+from pipeline.common.tile_math import angle
+from pipeline.decode.packed_phasor import pack
 
 _LINE = 16  # float32 in a cache line
 _ZERO, _MOST = np.float32(0.0), np.float32(255.0)

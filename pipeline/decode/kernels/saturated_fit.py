@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import inline, serial
-from pipeline.normal_equations import IM, MEAN, RE, SLOTS, VARIANCE, accumulate, clear, solve
-from pipeline.tiles import TILE
-from pipeline.window_fit import AGREEING, step_of
+from pipeline.common.jit import inline, serial
+from pipeline.common.tile_math import TILE
+from pipeline.decode.kernels.normal_equations import IM, MEAN, RE, SLOTS, VARIANCE, accumulate, clear, solve
+from pipeline.decode.kernels.window_fit import AGREEING, step_of
 
 _UNITS = SLOTS  # unit phasors of the pixel and its neighbours left, right, above, below: 5 x (re, im)
 _STEP_X, _STEP_Y = _UNITS + 10, _UNITS + 12  # phasors of the phase's steps

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
 
 
 @serial

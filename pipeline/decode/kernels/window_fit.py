@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels import inline, serial
+from pipeline.common.jit import inline, serial
 
 F32 = NDArray[np.float32]
 

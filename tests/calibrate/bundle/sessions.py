@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.camera_model import CameraModel
-from pipeline.targets.board import DEFAULT_BOARD, Board
-from pipeline.targets.marks import BoardView, Marks
-from sim.rig import RigLayout
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.rig.camera_model import CameraModel
+from sim.rig.layout import RigLayout
 
 
 def rotation(x: float, y: float, z: float) -> np.ndarray:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pipeline.bundle import Options, calibrate
-from pipeline.bundle.advice import missing
-from pipeline.bundle.looks import looks
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import DEFAULT_BOARD, Board
-from sim.rig import RigLayout
+from pipeline.calibrate.bundle import Options, calibrate
+from pipeline.calibrate.bundle.quality.view_advice import missing
+from pipeline.calibrate.bundle.quality.view_coverage import looks
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
+from pipeline.common.errors import CalibrationError
+from sim.rig.layout import RigLayout
 from tests.calibrate.bundle.sessions import poses, rotation, session
 
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from pipeline.bundle import Options, calibrate
-from pipeline.bundle.state import intrinsics_of
-from pipeline.errors import CalibrationError
-from pipeline.targets import disc
-from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
-from pipeline.targets.marks import BoardView, Marks
-from sim.rig import RigLayout
+from pipeline.calibrate.bundle import Options, calibrate
+from pipeline.calibrate.bundle.adjust.state import intrinsics_of
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board, parse_board
+from pipeline.calibrate.targets.localise import circle_projection
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.common.errors import CalibrationError
+from sim.rig.layout import RigLayout
 from tests.calibrate.bundle.sessions import poses, session
 
 
@@ -89,7 +89,12 @@ def test_centroids_of_circles_are_not_taken_for_their_centres(told):
         for name, found in view.marks.items():
             model = truth[name]
             pose = (model.rotation @ r, model.rotation @ t + model.translation, DEFAULT_BOARD.points[found.ids], 10.0)
-            marks[name] = Marks(found.ids, disc.centroids(model, *pose), found.sigma_px, disc.areas(model, *pose))
+            marks[name] = Marks(
+                found.ids,
+                circle_projection.centroids(model, *pose),
+                found.sigma_px,
+                circle_projection.areas(model, *pose),
+            )
         round_views.append(BoardView(view.name, marks))
     board = Board("circles", 11, 9, 32.0, told)
     solution = calibrate(board, round_views, sizes)

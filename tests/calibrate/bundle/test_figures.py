@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.bundle import calibrate
-from pipeline.bundle.figures import difference_px, epipolar_distances, rms
-from pipeline.bundle.state import rotation_matrices
-from pipeline.targets.board import DEFAULT_BOARD
-from sim.rig import RigLayout
+from pipeline.calibrate.bundle import calibrate
+from pipeline.calibrate.bundle.adjust.state import rotation_matrices
+from pipeline.calibrate.bundle.quality.reprojection_error import difference_px, epipolar_distances, rms
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from sim.rig.layout import RigLayout
 from tests.calibrate.bundle.sessions import session
 
 RIG = RigLayout().calibration()

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.bundle.layout import merit_of, order_check
-from pipeline.cloud import Volume
-from pipeline.errors import CalibrationError
-from sim.rig import RigLayout
+from pipeline.calibrate.bundle.quality.order_check import merit_of, order_check
+from pipeline.common.errors import CalibrationError
+from pipeline.reconstruct.cloud import Volume
+from sim.rig.layout import RigLayout
 
 
 def judged(fraction: float, **layout):

@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.bundle import Solution, calibrate
-from pipeline.bundle.symmetry import symmetries
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import DEFAULT_BOARD, Board, parse_board
-from pipeline.targets.marks import BoardView, Marks
+from pipeline.calibrate.bundle import Solution, calibrate
+from pipeline.calibrate.bundle.initialise.board_symmetry import symmetries
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board, parse_board
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.common.errors import CalibrationError
 from tests.calibrate.bundle.sessions import session
 
 SQUARE = Board("circles", 9, 9, 34.0)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pipeline.bundle import Options, calibrate
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import DEFAULT_BOARD
-from pipeline.targets.marks import BoardView, Marks
+from pipeline.calibrate.bundle import Options, calibrate
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.common.errors import CalibrationError
 from tests.calibrate.bundle.sessions import session
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline.bundle.projection import project, project_with_slopes
-from pipeline.bundle.state import PER_DEVICE, PER_VIEW, State, intrinsics_of, rotation_matrices
-from pipeline.bundle.uncertainty import rotation_vector, turn_to_vector
-from pipeline.camera_model import CameraModel
-from pipeline.targets.board import Board
+from pipeline.calibrate.bundle.adjust.projection import project, project_with_slopes
+from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW, State, intrinsics_of, rotation_matrices
+from pipeline.calibrate.bundle.adjust.uncertainty import rotation_vector, turn_to_vector
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.rig.camera_model import CameraModel
 
 BOARD = Board("circles", 5, 4, 40.0)
 

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.bundle import Options, calibrate
-from pipeline.bundle.figures import epipolar_distances
-from pipeline.camera_model import CameraModel
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView, Marks
+from pipeline.calibrate.bundle import Options, calibrate
+from pipeline.calibrate.bundle.quality.reprojection_error import epipolar_distances
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.rig.camera_model import CameraModel
 
 pytestmark = pytest.mark.shared
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pipeline.bundle import calibrate
-from pipeline.bundle.uncertainty import noise_floor
-from pipeline.targets.board import DEFAULT_BOARD
-from pipeline.targets.marks import BoardView, Marks
+from pipeline.calibrate.bundle import calibrate
+from pipeline.calibrate.bundle.adjust.uncertainty import noise_floor
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from pipeline.calibrate.targets.marks import BoardView, Marks
 from tests.calibrate.bundle.sessions import session
 
 

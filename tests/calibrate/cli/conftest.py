@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.calibration_file import write_calibration
-from pipeline.calibration import Cameras
-from pipeline.sequence import projector_sequence
-from pipeline.targets.board import Board, parse_board
+from daemon.rig.calibration_file import write_calibration
+from pipeline.calibrate.targets.board.board import Board, parse_board
+from pipeline.pattern.sequence import projector_sequence
+from pipeline.rig.calibration import Cameras
 from tests.calibrate.cli import drawn
 
 BOARD = "circles:9x7:24:14"

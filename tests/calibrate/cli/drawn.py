@@ -12,11 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
-from pipeline.sequence import Sequence, Uniform
-from pipeline.targets.board import Board
-from pipeline.targets.printed import raster
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.board.board_drawing import raster
+from pipeline.pattern.sequence import Sequence, Uniform
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 
 SIZE = (400, 320)
 PROJECTOR = (480, 384)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from pipeline.calibration import Calibration, Cameras, ColorModel, Response
-from pipeline.camera_model import CameraModel
+from pipeline.rig.calibration import Calibration, Cameras, ColorModel, Response
+from pipeline.rig.camera_model import CameraModel
 
 
 def cameras(seed: int = 0, *, skew: bool = False, k3: bool = True, vertical: bool = False) -> Cameras:

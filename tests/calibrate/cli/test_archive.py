@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from daemon.calibrate.archive import store
-from daemon.calibrate.errors import KeptError
-from daemon.calibrate.merge import with_old_colors
-from daemon.calibration_file import read_calibration, read_cameras, write_calibration
-from pipeline.errors import CalibrationError
+from daemon.apps.calibration.errors import KeptError
+from daemon.apps.calibration.solve.archive import store
+from daemon.apps.calibration.solve.keep_colors import with_old_colors
+from daemon.rig.calibration_file import read_calibration, read_cameras, write_calibration
+from pipeline.common.errors import CalibrationError
 from tests.calibrate.cli.rigs import cameras, complete
 
 GOOD = {"rms_stereo_px": 0.05, "epipolar_px": 0.04, "coverage_left": 0.8, "coverage_right": 0.8}
@@ -114,7 +114,7 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkey
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("daemon.calibrate.archive.write_atomically", full)
+    monkeypatch.setattr("daemon.apps.calibration.solve.archive.write_atomically", full)
     with pytest.raises(OSError, match="No space left"):
         store(path, cameras(1), quality=GOOD, created=LATER)
     assert path.read_bytes() == before

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.entry import run
+from daemon.cli.entry import run
 from tests.calibrate.cli import drawn
 from tests.calibrate.cli.conftest import BOARD
 

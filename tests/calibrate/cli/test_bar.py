@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.calibrate.bar import two_circles
-from daemon.cli import invoke
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
-from pipeline.errors import TargetError
+from daemon.cli.command_table import invoke
+from pipeline.calibrate.targets.scale_bar import two_circles
+from pipeline.common.errors import TargetError
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 from tests.calibrate.cli import drawn
 
 LENGTH = 150.0

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.calibrate.board_pdf import PAPERS, board_sheet
-from daemon.calibrate.errors import SourceError
-from daemon.cli import invoke
-from pipeline.targets.board import parse_board
-from pipeline.targets.printed import shapes
+from daemon.apps.calibration.board_print.board_sheet import PAPERS, board_sheet
+from daemon.apps.calibration.errors import SourceError
+from daemon.cli.command_table import invoke
+from pipeline.calibrate.targets.board.board import parse_board
+from pipeline.calibrate.targets.board.board_drawing import shapes
 from tests.calibrate.cli.reading_pdf import read_pdf
 
 TEXTS = ["circles:11x9:32:20", "acircles:4x11:36:15", "chessboard:9x6:25", "charuco:11x8:24:17:DICT_4X4_100"]

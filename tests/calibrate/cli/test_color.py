@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import yaml
 
-from daemon.calibration_file import read_calibration
-from daemon.cli import invoke
-from daemon.entry import run
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
-from pipeline.color_calibration import color_sequence
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import Sequence
+from daemon.cli.command_table import invoke
+from daemon.cli.entry import run
+from daemon.rig.calibration_file import read_calibration
+from pipeline.calibrate.color import color_sequence
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import Sequence
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 from tests.calibrate.cli import drawn
 from tests.calibrate.cli.conftest import BOARD
 
@@ -85,7 +85,7 @@ def test_colours_are_put_into_a_calibration(
 def test_colours_need_a_calibrated_projector(
     tmp_path: Path, color_folder: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from daemon.calibrate.archive import store
+    from daemon.apps.calibration.solve.archive import store
 
     path = tmp_path / "calibration.yaml"
     store(path, Cameras(true_rig.left, true_rig.right), quality={})

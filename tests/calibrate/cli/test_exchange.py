@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.exchange import FORMATS, read_foreign, write_foreign
-from daemon.calibration_file import write_calibration
-from daemon.cli import invoke
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.exchange import FORMATS, read_foreign, write_foreign
+from daemon.cli.command_table import invoke
+from daemon.rig.calibration_file import write_calibration
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 from tests.calibrate.cli.rigs import cameras, complete
 
 SEEDS = range(6)
@@ -159,6 +159,6 @@ def test_the_commands_export_and_import(tmp_path: Path, capsys: pytest.CaptureFi
     back = tmp_path / "back.yaml"
     assert invoke(["calibrate", "import", f"{out}/left.yaml", f"{out}/right.yaml", "--out", str(back)]) == 0
     assert f"baseline {rig.baseline_mm:.2f} mm" in capsys.readouterr().out
-    from daemon.calibration_file import read_cameras
+    from daemon.rig.calibration_file import read_cameras
 
     assert read_cameras(back).cameras.projector is None

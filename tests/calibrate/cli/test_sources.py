@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.picture_size import picture_size
-from daemon.calibrate.pictures import read_picture, unpacked
-from daemon.calibrate.sources import CaptureFolder, View, open_source, white_frame
-from daemon.calibrate.take_source import TakeSource
-from daemon.recording.part_writer import PartWriter
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.images.image_files import read_picture, unpacked
+from daemon.apps.calibration.images.image_size import picture_size
+from daemon.apps.calibration.views.open_source import CaptureFolder, View, open_source, white_frame
+from daemon.apps.calibration.views.take_source import TakeSource
+from daemon.recording.write.part_writer import PartWriter
 from drivers.protocols import SIDES, Frame
-from pipeline.raw import BAYER
-from pipeline.sequence import Uniform, projector_sequence
+from pipeline.decode.raw_image import BAYER
+from pipeline.pattern.sequence import Uniform, projector_sequence
 from tests.calibrate.cli import drawn
 
 RNG = np.random.default_rng(0)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import yaml
 
-from daemon.calibration_file import read_calibration, read_cameras
-from daemon.cli import invoke
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
+from daemon.cli.command_table import invoke
+from daemon.rig.calibration_file import read_calibration, read_cameras
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 from tests.calibrate.cli.conftest import BOARD
 
 NAMES = ("rms_left_px", "rms_right_px", "rms_stereo_px", "epipolar_px", "views_used", "views_rejected")
@@ -115,7 +115,7 @@ def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
 ) -> None:
     out = tmp_path / "calibration.yaml"
     command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
-    monkeypatch.setattr("daemon.calibrate.report.build.MOST_PICTURES", 4)
+    monkeypatch.setattr("daemon.apps.calibration.report.report.MOST_PICTURES", 4)
     assert invoke(command) == 0
     page = (tmp_path / "calibration.report.html").read_text()
     assert page.count("<image") == 4

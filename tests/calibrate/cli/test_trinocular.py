@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daemon.calibrate.look import Phases
-from daemon.calibrate.trinocular import WORTH_PX, last_look
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.multi_shot import Coordinate
-from pipeline.trinocular import moved
-from sim.rig import RigLayout
+from daemon.apps.calibration.solve.projector_check import WORTH_PX, last_look
+from daemon.apps.calibration.views.detect_marks import Phases
+from pipeline.calibrate.projector.absolute_phase import Coordinate
+from pipeline.calibrate.projector.trinocular_residual import moved
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
+from sim.rig.layout import RigLayout
 
 NOISE_PX = 0.02
 

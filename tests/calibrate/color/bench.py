@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.calibration import Calibration, Response
-from pipeline.camera_model import CameraModel
-from pipeline.lateral import Lateral, Registration
-from pipeline.raw import BAYER
-from pipeline.sequence import Uniform
+from pipeline.decode.raw_image import BAYER
+from pipeline.pattern.sequence import Uniform
+from pipeline.rig.calibration import Calibration, Response
+from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.lateral_chromatic import Lateral, Registration
 
 CAMERA, PROJECTOR = (208, 160), (256, 200)
 MIX = np.eye(3) + 0.12 * np.array(

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pipeline.color_calibration.frames import color_sequence, roles_of
-from pipeline.errors import PatternError
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import Sequence, Uniform, from_mapping
+from pipeline.calibrate.color.color_sequence import color_sequence, roles_of
+from pipeline.common.errors import PatternError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import Sequence, Uniform, from_mapping
 
 SIZE = (256, 200)
 

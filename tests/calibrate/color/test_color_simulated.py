@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline.color_calibration import calibrate_color, check_sequence, color_sequence, phase_error
-from sim.optics import Optics
-from sim.render import render_pictures
-from sim.rig import RigLayout
-from sim.scenes import build
+from pipeline.calibrate.color import calibrate_color, check_sequence, color_sequence, phase_error
+from sim.render.render_pair import render_pictures
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
 
 LAYOUT = RigLayout().scaled(0.1875)
 OPTICS = Optics(gamma=2.2, crosstalk=0.12, precorrected=False)

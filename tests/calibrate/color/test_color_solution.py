@@ -5,12 +5,12 @@ import functools
 import numpy as np
 import pytest
 
-from pipeline.calibration import Calibration, from_mapping, to_mapping
-from pipeline.color_calibration import calibrate_color, check_sequence, color_sequence, phase_error
-from pipeline.color_calibration.crosstalk import black_from_marks
-from pipeline.errors import PatternError, PictureError
-from pipeline.lateral import ColorDisplacement, ColorOffset, Lateral, Registration
-from pipeline.pattern import ColorFringe
+from pipeline.calibrate.color import calibrate_color, check_sequence, color_sequence, phase_error
+from pipeline.calibrate.color.crosstalk import black_from_marks
+from pipeline.common.errors import PatternError, PictureError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Calibration, from_mapping, to_mapping
+from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Lateral, Registration
 from tests.calibrate.color.bench import CAMERA, MIX, PROJECTOR, Bench, projected, rig
 
 PATTERN = ColorFringe(PROJECTOR, 20)

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from pipeline.color_calibration.response import LevelCurve, isotonic, monotone_cubic, response_of
-from pipeline.errors import PictureError
+from pipeline.calibrate.color.tone_response import LevelCurve, isotonic, monotone_cubic, response_of
+from pipeline.common.errors import PictureError
 
 values = arrays.arrays(np.float64, st.integers(2, 30), elements=st.floats(-10, 10))
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from daemon.mailbox import Mailbox
-from daemon.pairing import Pair, PairingSettings
-from daemon.pairing_desk import PairingDesk
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.live.acquisition.locked_pairer import PairingDesk
+from daemon.live.acquisition.pairer import Pair, PairingSettings
 from drivers.protocols import SIDES, Frame, ProjectorInfo, Side
 
 NOW_NS = 1_700_000_000_000_000_000

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import TargetError
-from pipeline.targets.board import DEFAULT_BOARD, Board
-from sim.devices import RigDevices
-from sim.world import SimWorld
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
+from pipeline.common.errors import TargetError
+from sim.devices.open_rig import RigDevices
+from sim.devices.trigger_world import SimWorld
 from tests.calibrate.bundle.sessions import session as made_session
 from tests.calibrate.live.lit_rig import FreeProjector, devices
 from tests.calibrate.live.test_session import Seen

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from daemon.service import Service
+from daemon.live.service import Service
 from drivers.errors import DriverError
 from drivers.protocols import ProjectorInfo
-from pipeline.cloud import Cloud
-from sim.devices import RigDevices, open_rig
-from sim.world import SimWorld
+from pipeline.reconstruct.cloud import Cloud
+from sim.devices.open_rig import RigDevices, open_rig
+from sim.devices.trigger_world import SimWorld
 from tests.daemon.rigs import SMALL, open_rig_size
 
 

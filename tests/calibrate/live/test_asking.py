@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.calibrate.live.asking import DaemonShooter
-from daemon.errors import ControlError, DaemonError
-from daemon.recording.writer import TakeWriter
-from daemon.shooting import CaptureCancelledError
-from daemon.sinks import PairItem
+from daemon.apps.calibration.guided.capture_from_daemon import DaemonShooter
+from daemon.common.errors import ControlError, DaemonError
+from daemon.live.items import PairItem
+from daemon.live.projection.confirmed_capture import CaptureCancelledError
+from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame, Side
-from pipeline.sequence import camera_sequence
+from pipeline.pattern.sequence import camera_sequence
 
 SEQUENCE = camera_sequence((64, 48))
 IDLE = {"state": "idle", "job": 0, "done": 0, "of": 0, "outcome": "", "file": None, "problem": None}

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon import capture as capture_module
-from daemon.capture import Capture
-from daemon.control.calibrate import CalibrateMethods
+from daemon.bootstrap.sinks import open_capture
+from daemon.control import sequence_capture as capture_module
+from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.methods import Methods
-from daemon.control.protocol import RpcError
-from daemon.outputs import open_capture
-from daemon.recorder import Recorder
-from daemon.recording.reader import TakeReader
-from daemon.service import Service
-from daemon.status import State
+from daemon.control.rpc.protocol import RpcError
+from daemon.control.sequence_capture import Capture
+from daemon.live.service import Service
+from daemon.live.status import State
+from daemon.recording.read.take_reader import TakeReader
+from daemon.recording.recorder import Recorder
 from tests.calibrate.live.lit_rig import FreeProjector, UnmeasuringService, devices
 from tests.daemon.rigs import Collector, config, rig_of, wait_until
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daemon.calibrate.live.exposure import exposure_problem, full_light
-from daemon.calibrate.live.shots import Shots
+from daemon.apps.calibration.guided.capture import Shots
+from daemon.apps.calibration.guided.exposure_check import exposure_problem, full_light
 
 SIZE = (64, 48)
 

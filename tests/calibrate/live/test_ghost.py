@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.calibrate.live.ghost import USUAL_FOCAL, outline, within
-from pipeline.bundle.advice import Pose, missing
-from pipeline.bundle.looks import looks
-from pipeline.targets.board import DEFAULT_BOARD
-from pipeline.targets.marks import BoardView, Marks
+from daemon.apps.calibration.guided.pose_overlay import USUAL_FOCAL, outline, within
+from pipeline.calibrate.bundle.quality.view_advice import Pose, missing
+from pipeline.calibrate.bundle.quality.view_coverage import looks
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from pipeline.calibrate.targets.marks import BoardView, Marks
 
 SIZE = (1024, 820)
 BOARD = DEFAULT_BOARD

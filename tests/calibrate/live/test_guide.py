@@ -14,27 +14,27 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.calibrate.live import devices as devices_module
-from daemon.calibrate.live.asking import DaemonShooter
-from daemon.calibrate.live.devices import DeviceShooter
-from daemon.calibrate.live.folder import SessionFolder, png
-from daemon.calibrate.live.guide import Outcome, Scene, guide
-from daemon.calibrate.live.session import Limits, State
-from daemon.calibrate.live.shots import Shooter, unheard
-from daemon.calibrate.live.terminal import Bars, Lines
-from daemon.calibrate.sources import CaptureFolder
-from daemon.capture import Capture
-from daemon.clock import SystemClock
-from daemon.control.calibrate import CalibrateMethods
-from daemon.control.client import ControlClient
+from daemon.apps.calibration.guided import capture_from_devices as devices_module
+from daemon.apps.calibration.guided.capture import Shooter, unheard
+from daemon.apps.calibration.guided.capture_from_daemon import DaemonShooter
+from daemon.apps.calibration.guided.capture_from_devices import DeviceShooter
+from daemon.apps.calibration.guided.capture_loop import Outcome, Scene, guide
+from daemon.apps.calibration.guided.session_folder import SessionFolder, png
+from daemon.apps.calibration.guided.session_state import Limits, State
+from daemon.apps.calibration.guided.terminal_view import Bars, Lines
+from daemon.apps.calibration.views.open_source import CaptureFolder
+from daemon.bootstrap.sinks import open_capture
+from daemon.common.clock import SystemClock
+from daemon.common.errors import DaemonError
+from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.methods import Methods
-from daemon.control.server import ControlServer
-from daemon.errors import DaemonError
-from daemon.outputs import open_capture
-from daemon.recorder import Recorder
-from daemon.service import Service
+from daemon.control.rpc.client import ControlClient
+from daemon.control.rpc.server import ControlServer
+from daemon.control.sequence_capture import Capture
+from daemon.live.service import Service
+from daemon.recording.recorder import Recorder
 from drivers.errors import DriverError
-from pipeline.sequence import Fringe, Sequence, Uniform, camera_sequence
+from pipeline.pattern.sequence import Fringe, Sequence, Uniform, camera_sequence
 from tests.calibrate.live.hand_rig import BOARD, HandDevices, find, hand_devices
 from tests.calibrate.live.lit_rig import UnmeasuringService
 from tests.daemon.rigs import Collector, config, rig_of, wait_until

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from daemon.calibrate.live import run as run_module
-from daemon.calibrate.live.command import run as run_command
-from daemon.calibrate.live.run import Phase, What, open_shooter, phases, run_session
-from daemon.calibrate.live.session import Limits
-from daemon.calibrate.live.shots import unheard
-from daemon.calibrate.sources import CaptureFolder
-from daemon.config import load_rig, registry
-from daemon.control.protocol import Method
-from daemon.control.server import ControlServer
-from daemon.errors import DaemonError
-from pipeline.sequence import camera_sequence
+from daemon.apps.calibration.guided import run_session as run_module
+from daemon.apps.calibration.guided.capture import unheard
+from daemon.apps.calibration.guided.run_session import Phase, What, open_shooter, phases, run_session
+from daemon.apps.calibration.guided.session_state import Limits
+from daemon.apps.calibration.views.open_source import CaptureFolder
+from daemon.cli.calibrate.guided import run as run_command
+from daemon.common.errors import DaemonError
+from daemon.config import driver_table, load_rig
+from daemon.control.rpc.protocol import Method
+from daemon.control.rpc.server import ControlServer
+from pipeline.pattern.sequence import camera_sequence
 from tests.calibrate.live.hand_rig import BOARD, find
 from tests.daemon.rigs import wait_until
 
@@ -32,7 +32,7 @@ control: {{endpoint: "ipc://{tmp}/c"}}
 
 @pytest.fixture
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setitem(registry.RIGS, "hand", "tests.calibrate.live.hand_rig:open_rig")
+    monkeypatch.setitem(driver_table.RIGS, "hand", "tests.calibrate.live.hand_rig:open_rig")
     path = tmp_path / "rig.yaml"
     path.write_text(RIG.format(tmp=tmp_path))
     return path
@@ -95,14 +95,15 @@ def test_each_step_captures_its_own_sequence(what: What) -> None:
 _PROGRAM = """
 import sys
 from pathlib import Path
-from daemon.config import registry
-from daemon.calibrate.live import command, run
+from daemon.config import driver_table
+from daemon.cli.calibrate import guided
+from daemon.apps.calibration.guided import run_session
 from tests.calibrate.live import hand_rig
-registry.RIGS["hand"] = "tests.calibrate.live.hand_rig:open_rig"
-run.run_session.__kwdefaults__["find"] = hand_rig.find
+driver_table.RIGS["hand"] = "tests.calibrate.live.hand_rig:open_rig"
+run_session.run_session.__kwdefaults__["find"] = hand_rig.find
 from typer import Exit
 try:
-    command.run("projector", Path(sys.argv[1]), session=Path(sys.argv[2]), poses=9)
+    guided.run("projector", Path(sys.argv[1]), session=Path(sys.argv[2]), poses=9)
 except Exit as stop:
     sys.exit(stop.exit_code)
 """
@@ -123,6 +124,6 @@ def test_ctrl_c_keeps_what_was_captured_and_tells_how_to_go_on(rig: Path) -> Non
 
 
 def test_nothing_captured_is_nothing_to_calibrate_from(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daemon.calibrate.live.command.run_session", lambda *_, **__: {})
+    monkeypatch.setattr("daemon.cli.calibrate.guided.run_session", lambda *_, **__: {})
     with pytest.raises(DaemonError, match="nothing was captured"):
         run_command("cameras", rig)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.calibrate.live.session import Limits, Session, Sight, State, Told, moved_px
-from pipeline.targets.board import DEFAULT_BOARD
-from pipeline.targets.marks import BoardView, Marks
+from daemon.apps.calibration.guided.session_state import Limits, Session, Sight, State, Told, moved_px
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from pipeline.calibrate.targets.marks import BoardView, Marks
 from tests.calibrate.bundle.sessions import session as made_session
 
 VIEWS, SIZES, _ = made_session(n=16, devices=("left", "right"), seed=3)

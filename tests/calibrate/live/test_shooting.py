@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.shooting import CaptureCancelledError, Shooting, settling_ns
+from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting, settling_ns
 from drivers.errors import DriverError
 from tests.calibrate.live.bench import MS, Bench, level, picture
 

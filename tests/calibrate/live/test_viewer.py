@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.calibrate.live import viewer as viewer_module
-from daemon.calibrate.live.guide import Scene
-from daemon.calibrate.live.session import Session, Sight
-from daemon.calibrate.live.viewer import Shown, advice_text, shrunk, viewer
-from daemon.errors import DaemonError
-from daemon.view.sinks import file_recording
+from daemon.apps.calibration.guided import rerun_view as viewer_module
+from daemon.apps.calibration.guided.capture_loop import Scene
+from daemon.apps.calibration.guided.rerun_view import Shown, advice_text, shrunk, viewer
+from daemon.apps.calibration.guided.session_state import Session, Sight
+from daemon.apps.viewer.rerun_targets import file_recording
+from daemon.common.errors import DaemonError
 from tests.calibrate.live.hand_rig import BOARD, SIZES, VIEWS
 from tests.calibrate.live.test_session import LIMITS, Clock, held, sight
 from tests.view import logged
@@ -100,7 +100,7 @@ def test_without_a_viewer_the_session_goes_on(monkeypatch: pytest.MonkeyPatch) -
     def broken() -> Any:
         raise DaemonError("it needs a screen")
 
-    monkeypatch.setattr("daemon.view.sinks.native_recording", broken)
+    monkeypatch.setattr("daemon.apps.viewer.rerun_targets.native_recording", broken)
     with viewer("native", said.append) as shown:
         assert shown is None
     assert said == ["no live view: it needs a screen"]

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 import yaml
 
-from daemon.calibration_file import read_calibration, read_cameras
-from daemon.control.client import ControlClient
-from sim.rig import RigLayout
+from daemon.control.rpc.client import ControlClient
+from daemon.rig.calibration_file import read_calibration, read_cameras
+from sim.rig.layout import RigLayout
 from tests.daemon.rigs import wait_until
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "calibrate-sim.yaml"
 
 
-PROGRAM = "from daemon.entry import main; main()"
+PROGRAM = "from daemon.cli.entry import main; main()"
 DAEMON = """
 import sys
 from pathlib import Path
-from daemon.launch import StopFlag, run_rig
-from daemon.service import Service
+from daemon.bootstrap.run import StopFlag, run_rig
+from daemon.live.service import Service
 from tests.calibrate.live.lit_rig import FlatReconstructor
 Service._warm = lambda self: FlatReconstructor()
 with StopFlag().on_signals() as flag:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.errors import PatternError, PictureError
-from pipeline.multi_shot import coordinate, evenly_lit, gray, levels
-from pipeline.n_step import absolute_phase, noise_of, unwrapped, wrapped_phase
-from pipeline.noise import NoiseModel
-from pipeline.raw import BAYER, mosaic_of
-from pipeline.sequence import Fringe, Sequence, Uniform, projector_sequence
+from pipeline.calibrate.projector.absolute_phase import coordinate, evenly_lit, gray, levels
+from pipeline.common.errors import PatternError, PictureError
+from pipeline.decode.noise_model import NoiseModel
+from pipeline.decode.raw_image import BAYER, mosaic_of
+from pipeline.multi_frame.n_step import absolute_phase, noise_of, unwrapped, wrapped_phase
+from pipeline.pattern.sequence import Fringe, Sequence, Uniform, projector_sequence
 
 SIZE = (640, 96)
 SEQUENCE = projector_sequence(SIZE)

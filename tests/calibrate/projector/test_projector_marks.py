@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.errors import TargetError
-from pipeline.multi_shot import Coordinate
-from pipeline.projector_marks import Seen, marks_by_camera, projector_marks
-from pipeline.targets.board import Board
-from sim.boards import BoardPose, true_marks
-from sim.rig import RigLayout
+from pipeline.calibrate.projector.absolute_phase import Coordinate
+from pipeline.calibrate.projector.projector_marks import Seen, marks_by_camera, projector_marks
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.common.errors import TargetError
+from sim.boards.board_scene import BoardPose, true_marks
+from sim.rig.layout import RigLayout
 from tests.calibrate.projector.views import seen
 
 LAYOUT = RigLayout().scaled(0.5)

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration import Calibration
-from pipeline.multi_shot import Coordinate, coordinates
-from pipeline.projector_marks import Seen, projector_marks
-from pipeline.sequence import projector_sequence
-from pipeline.targets.board import Board
-from pipeline.targets.marks import Marks
-from pipeline.trinocular import moved, refine_projector, spread
-from pipeline.trinocular_samples import samples_of_phases
-from sim.boards import BoardPose, RenderedViews, render_views, true_centroids, true_marks
-from sim.optics import Optics
-from sim.rig import RigLayout
+from pipeline.calibrate.projector.absolute_phase import Coordinate, coordinates
+from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
+from pipeline.calibrate.projector.trinocular_residual import moved, refine_projector, spread
+from pipeline.calibrate.projector.trinocular_samples import samples_of_phases
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import Marks
+from pipeline.pattern.sequence import projector_sequence
+from pipeline.rig.calibration import Calibration
+from sim.boards.board_scene import BoardPose, RenderedViews, render_views, true_centroids, true_marks
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
 from tests.calibrate.projector.views import seen
 
 pytestmark = pytest.mark.timeout(300)  # the renderer's kernels may have to be compiled

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.calibration import Response
-from pipeline.errors import PatternError
-from pipeline.pattern import ColorFringe
-from pipeline.sequence import (
+from pipeline.common.errors import PatternError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import (
     Fringe,
     Sequence,
     Uniform,
@@ -20,6 +19,7 @@ from pipeline.sequence import (
     from_mapping,
     projector_sequence,
 )
+from pipeline.rig.calibration import Response
 
 SIZE = (64, 48)
 

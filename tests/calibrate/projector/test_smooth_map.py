@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.smooth_map import SmoothMap, homography, mapped
-from pipeline.targets.board import DEFAULT_BOARD
-from sim.boards import BoardPose, true_centroids
-from sim.rig import RigLayout
+from pipeline.calibrate.projector.plane_map import SmoothMap, homography, mapped
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from sim.boards.board_scene import BoardPose, true_centroids
+from sim.rig.layout import RigLayout
 
 MATRIX = np.array([[2.1, 0.1, 300.0], [-0.2, 1.9, 250.0], [4e-4, -3e-4, 1.0]])
 

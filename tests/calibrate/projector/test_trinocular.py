@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
-from pipeline.trinocular import (
+from pipeline.calibrate.projector.trinocular_residual import (
     DEFAULT_PRIOR,
     LENS_PRIOR,
     Samples,
@@ -19,7 +16,10 @@ from pipeline.trinocular import (
     rotation_of,
     spread,
 )
-from sim.rig import RigLayout
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
+from sim.rig.layout import RigLayout
 
 RIG = RigLayout().calibration()
 KNOCK = {"cx": 0.5, "rotation_y": np.deg2rad(0.01), "rotation_x": -np.deg2rad(0.01), "focal": 1e-4}

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
-from pipeline.multi_shot import Coordinate
-from pipeline.projector_marks import Seen
-from pipeline.targets import printed
-from pipeline.targets.board import Board
-from pipeline.targets.marks import Marks
-from sim.boards import BoardPose, true_centroids
-from sim.rig import RigLayout
+from pipeline.calibrate.projector.absolute_phase import Coordinate
+from pipeline.calibrate.projector.projector_marks import Seen
+from pipeline.calibrate.targets.board import board_drawing
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import Marks
+from pipeline.rig.camera_model import CameraModel
+from sim.boards.board_scene import BoardPose, true_centroids
+from sim.rig.layout import RigLayout
 
 F64 = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def on_board(device: CameraModel, rotation: F64, place: F64) -> F64:
 
 def whiteness(board: Board, places: F64) -> F64:
     """1 on paper, 0.05 on ink, 0.3 beyond the sheet; edges as sharp as the drawing."""
-    sheet = printed.shapes(board)
+    sheet = board_drawing.shapes(board)
     x, y = places[..., 0], places[..., 1]
     ink = np.zeros(x.shape, np.bool_)
     for cx, cy, r in sheet.discs:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from daemon.config import RigConfig
-from daemon.selfcheck.sink import SelfCheck
-from daemon.selfcheck.watch import limits_of
+from daemon.monitoring.calibration_drift.sink import SelfCheck
+from daemon.monitoring.calibration_drift.verdicts import limits_of
 from tests.calibrate.selfcheck.test_daemon import running
 from tests.daemon.rigs import config, wait_until
 

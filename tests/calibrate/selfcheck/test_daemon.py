@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.config.models import SelfCheck as Config
-from daemon.outputs import open_selfcheck
-from daemon.selfcheck.sink import SelfCheck
-from daemon.service import Service
-from daemon.sinks import CloudItem
+from daemon.bootstrap.sinks import open_selfcheck
+from daemon.config.rig_config import SelfCheck as Config
+from daemon.live.items import CloudItem
+from daemon.live.service import Service
+from daemon.monitoring.calibration_drift.sink import SelfCheck
 from drivers.protocols import Frame
-from pipeline.cloud import Cloud, Volume
-from sim.devices import open_rig
-from sim.rig import RigLayout
+from pipeline.reconstruct.cloud import Cloud, Volume
+from sim.devices.open_rig import open_rig
+from sim.rig.layout import RigLayout
 from tests.daemon.rigs import SteppedClock, config, rig_of, step, wait_until
 
 STEP_S = 0.05  # of the stepped clock, a trigger

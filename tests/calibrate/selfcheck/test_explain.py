@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.drift.explain import DEVICES, GEOMETRY, Turn, clear, explain, signature, turned
-from pipeline.drift.observe import Reading
-from pipeline.drift.patches import SHAPE
-from sim.rig import RigLayout
+from pipeline.monitor.explain import DEVICES, GEOMETRY, Turn, clear, explain, signature, turned
+from pipeline.monitor.observe import Reading
+from pipeline.monitor.patches import SHAPE
+from sim.rig.layout import RigLayout
 
 RIG = RigLayout().calibration()
 

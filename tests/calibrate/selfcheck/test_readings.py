@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.selfcheck import Rig
-from pipeline.cloud import Cloud
-from pipeline.drift.observe import Observation, Observer, Reading, rehearse
-from pipeline.errors import PictureError
-from sim.knock import Disturbance
+from pipeline.common.errors import PictureError
+from pipeline.monitor.observe import Observation, Observer, Reading, rehearse
+from pipeline.reconstruct.cloud import Cloud
+from sim.rig.disturbance import Disturbance
 
 pytestmark = pytest.mark.timeout(400)
 SCALE = 0.375

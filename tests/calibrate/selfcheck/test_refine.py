@@ -12,13 +12,13 @@ import yaml
 from typer.testing import CliRunner
 
 from benchmarks.selfcheck import Rig
-from daemon.calibrate import refine_source
-from daemon.calibrate.refine import Pair, RefineError, refine, table
-from daemon.calibrate.refine_source import of_take
-from daemon.calibration_file import calibration_bytes, parse_calibration, read_calibration
-from daemon.commands import calibrate_refine
-from pipeline.drift.explain import turned
-from sim.knock import Disturbance
+from daemon.apps.calibration.views import drift_pairs
+from daemon.apps.calibration.views.drift_pairs import of_take
+from daemon.cli.calibrate import refine as calibrate_refine
+from daemon.rig.calibration_file import calibration_bytes, parse_calibration, read_calibration
+from pipeline.calibrate.drift_correction import Pair, RefineError, refine, table
+from pipeline.monitor.explain import turned
+from sim.rig.disturbance import Disturbance
 from tests.golden.make import TAKE
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
@@ -99,5 +99,5 @@ def test_pairs_of_a_take_are_spread_over_it(monkeypatch: pytest.MonkeyPatch) -> 
     told: list[tuple[int, int]] = []
     every = of_take(TAKE, lambda done, of: told.append((done, of)))
     assert every.pairs and every.pairs[0][0].dtype == np.uint8 and every.encoding in ("rgb8", "bayer_rggb8") and told
-    monkeypatch.setattr(refine_source, "MOST_PAIRS", 1)
+    monkeypatch.setattr(drift_pairs, "MOST_PAIRS", 1)
     assert len(of_take(TAKE, lambda *_: None).pairs) <= 2

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.selfcheck import store as store_module
-from daemon.selfcheck.store import Store
-from daemon.selfcheck.watch import Reference
+from daemon.monitoring.calibration_drift import store as store_module
+from daemon.monitoring.calibration_drift.store import Store
+from daemon.monitoring.calibration_drift.verdicts import Reference
 
 SOME = {"column_px": Reference(0.012, 0.003), "epipolar_px": Reference(-0.2, 0.01)}
 

@@ -8,11 +8,20 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from daemon.config.models import SelfCheckLimits
-from daemon.selfcheck.watch import LEARN, SURFACE, WINDOW, Limit, Reference, Verdict, Watch, limits_of
-from daemon.selfcheck.words import told
-from pipeline.drift import OBSERVABLES
-from pipeline.drift.observe import Reading
+from daemon.config.rig_config import SelfCheckLimits
+from daemon.monitoring.calibration_drift.explanation import told
+from daemon.monitoring.calibration_drift.verdicts import (
+    LEARN,
+    SURFACE,
+    WINDOW,
+    Limit,
+    Reference,
+    Verdict,
+    Watch,
+    limits_of,
+)
+from pipeline.monitor import OBSERVABLES
+from pipeline.monitor.observe import Reading
 
 LIMITS = {"column_px": Limit(0.04, 0.6), "epipolar_px": Limit(0.1, 0.6), SURFACE: Limit(1.0)}
 KNOWN = {"column_px": Reference(0.01, 0.001)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.rig import RigLayout
+from sim.rig.layout import RigLayout
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import render, scenes
-from sim.score import aligned, best_motion, score
-from sim.shapes import rotation_about
+from sim.evaluate.score import aligned, best_motion, score
+from sim.render import render_pair
+from sim.scene import named_scenes
+from sim.scene.shapes import rotation_about
 
 TURN = rotation_about((0.3, -1.0, 0.2), np.radians(0.4))
 SHIFT = np.array([1.5, -0.8, 3.0])
@@ -15,7 +16,7 @@ SHIFT = np.array([1.5, -0.8, 3.0])
 
 @pytest.fixture(scope="module")
 def truth(quarter):
-    return render.truths(quarter, scenes.build("spheres"))[0]
+    return render_pair.truths(quarter, named_scenes.build("spheres"))[0]
 
 
 def moved(xyz):

@@ -8,17 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.sequence import Fringe, Uniform
-from pipeline.sequence import Sequence as Frames
-from pipeline.targets.aruco import charuco
-from pipeline.targets.board import DEFAULT_BOARD, parse_board
-from sim import boards, render
-from sim.ink import Ink
-from sim.optics import Optics
-from sim.poses import BoardPose, middle, session_poses
-from sim.rig import RigLayout
-from sim.scenes import Scene
-from sim.shapes import rectangle, sphere
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
+from pipeline.calibrate.targets.board.charuco_board import charuco
+from pipeline.pattern.sequence import Fringe, Uniform
+from pipeline.pattern.sequence import Sequence as Frames
+from sim.boards import board_scene
+from sim.boards.board_poses import BoardPose, middle, session_poses
+from sim.render import render_pair
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import Scene
+from sim.scene.printed_marks import Ink
+from sim.scene.shapes import rectangle, sphere
 
 # Even light from everywhere: the picture is albedo and nothing else.
 EVEN = Optics.ideal(psf_px=0.5, ambient=1.0)
@@ -31,8 +32,8 @@ def dark_picture(layout):
 
 def albedo_seen(layout, board, pose, optics=EVEN):
     """Both pictures as a share of the paper's brightness."""
-    rendered = boards.render_views(layout, board, [pose], optics, [dark_picture(layout)])
-    paper = 255 * boards.PAPER_ALBEDO
+    rendered = board_scene.render_views(layout, board, [pose], optics, [dark_picture(layout)])
+    paper = 255 * board_scene.PAPER_ALBEDO
     gains = [optics.gain(camera) for camera in (0, 1)]
     return [counts.mean(axis=-1) / (paper * gain) for counts, gain in zip(rendered.counts[0][0], gains, strict=True)]
 
@@ -53,9 +54,9 @@ def test_rendered_circles_have_the_centroids_and_areas_of_exact_projection(pose,
     rig = quarter.calibration()
     angle = np.linspace(0, 2 * np.pi, 60)
     around = 13.5 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    share = boards.INK_ALBEDO / boards.PAPER_ALBEDO
+    share = board_scene.INK_ALBEDO / board_scene.PAPER_ALBEDO
     for device, seen in zip((rig.left, rig.right), albedo_seen(quarter, DEFAULT_BOARD, pose), strict=True):
-        expected, areas = boards.true_centroids(device, DEFAULT_BOARD, rotation, place)
+        expected, areas = board_scene.true_centroids(device, DEFAULT_BOARD, rotation, place)
         outlines = device.project((DEFAULT_BOARD.points[:, None] + around) @ rotation.T + place)
         found = [moments((1 - seen) / (1 - share), outline) for outline in outlines]
         away = np.array([centroid for centroid, _ in found]) - expected
@@ -66,12 +67,12 @@ def test_rendered_circles_have_the_centroids_and_areas_of_exact_projection(pose,
 def test_the_centroid_of_a_tilted_circle_is_not_the_image_of_its_centre(quarter):
     board, rig = DEFAULT_BOARD, quarter.calibration()
     rotation, place = TILTED.in_world(board, quarter)
-    centroids, areas = boards.true_centroids(rig.left, board, rotation, place)
-    away = np.linalg.norm(centroids - boards.true_marks(quarter, board, TILTED)["left"], axis=1)
+    centroids, areas = board_scene.true_centroids(rig.left, board, rotation, place)
+    away = np.linalg.norm(centroids - board_scene.true_marks(quarter, board, TILTED)["left"], axis=1)
     assert 0.01 < away.mean() < 0.1
     pinhole = replace(rig.left, distortion=np.zeros(5))
     # A conic's own algebra (Heikkila and Silven, 1997) agrees where there is no distortion.
-    exact, exact_areas = boards.true_centroids(pinhole, board, rotation, place)
+    exact, exact_areas = board_scene.true_centroids(pinhole, board, rotation, place)
     for k in (0, 49, 98):
         to_picture = pinhole.matrix @ np.stack([rotation[:, 0], rotation[:, 1], rotation @ board.points[k] + place], 1)
         conic = np.linalg.inv(to_picture).T @ np.diag([1, 1, -(10.0**2)]) @ np.linalg.inv(to_picture)
@@ -90,14 +91,14 @@ def test_pictures_of_boards_do_not_depend_on_the_number_of_rays(text):
     # Corners are sharp: where two of them meet, some thousandths remain.
     assert np.abs(few - many)[inner].max() < 0.02
     assert np.sqrt(np.mean((few - many)[inner] ** 2)) < 0.002
-    assert few[inner].min() == pytest.approx(boards.INK_ALBEDO / boards.PAPER_ALBEDO, abs=0.03)
+    assert few[inner].min() == pytest.approx(board_scene.INK_ALBEDO / board_scene.PAPER_ALBEDO, abs=0.03)
     assert few[inner].max() == pytest.approx(1, abs=0.01)
 
 
 def test_inner_corners_of_a_chessboard_are_where_the_truth_says(quarter):
     board = parse_board("chessboard:9x6:34")
     rig = quarter.calibration()
-    truth = boards.true_marks(quarter, board, TILTED)
+    truth = board_scene.true_marks(quarter, board, TILTED)
     for device, seen in zip((rig.left, rig.right), albedo_seen(quarter, board, TILTED), strict=True):
         start = truth[device.name].astype(np.float32)[:, None]
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
@@ -119,7 +120,7 @@ def test_markers_are_read_as_what_they_are_and_not_mirrored(quarter):
     assert len(markers) > 25
     assert len(ids) > 40
     found = (corners.reshape(-1, 2) + 0.5) / 3 - 0.5
-    assert np.abs(found - boards.true_marks(quarter, board, facing)["left"][ids.ravel()]).max() < 0.5
+    assert np.abs(found - board_scene.true_marks(quarter, board, facing)["left"][ids.ravel()]).max() < 0.5
 
 
 def test_the_back_of_a_board_is_white(quarter):
@@ -128,16 +129,16 @@ def test_the_back_of_a_board_is_white(quarter):
 
 
 def test_the_stage_and_the_renderer_show_the_same_board(quarter):
-    optics = boards.fine(Optics())
+    optics = board_scene.fine(Optics())
     picture = quarter.pattern().picture()
-    rendered = boards.render_views(quarter, DEFAULT_BOARD, [TILTED], optics, [picture])
-    expected = render.render_counts(quarter, boards.board_scene(DEFAULT_BOARD, TILTED), picture, optics)
+    rendered = board_scene.render_views(quarter, DEFAULT_BOARD, [TILTED], optics, [picture])
+    expected = render_pair.render_counts(quarter, board_scene.board_scene(DEFAULT_BOARD, TILTED), picture, optics)
     for ours, theirs in zip(rendered.counts[0][0], expected, strict=True):
         assert np.abs(ours - theirs).max() < 0.05
 
 
 def test_a_seed_is_a_noise_of_its_own(quarter):
-    views = boards.render_views(quarter, DEFAULT_BOARD, [BoardPose(), TILTED])
+    views = board_scene.render_views(quarter, DEFAULT_BOARD, [BoardPose(), TILTED])
     first, again, other = (views.pictures(seed, 1)[0][0] for seed in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -148,11 +149,11 @@ def test_a_seed_is_a_noise_of_its_own(quarter):
 
 def test_a_sequence_is_shown_frame_by_frame_and_other_things_may_stand_beside(quarter):
     sequence = Frames("any", (Uniform(quarter.projector_size, (0, 0, 0)), Fringe(quarter.projector_size, 12.0)))
-    views = boards.render_views(quarter, DEFAULT_BOARD, [TILTED], frames=sequence)
+    views = board_scene.render_views(quarter, DEFAULT_BOARD, [TILTED], frames=sequence)
     ((black, fringe),) = views.counts
     assert black[0].max() < 20 < fringe[0].max()
     hand = sphere(30).placed((0, 0, -60))
-    hidden = boards.render_views(quarter, DEFAULT_BOARD, [TILTED], frames=sequence, beside=[hand]).counts[0][1]
+    hidden = board_scene.render_views(quarter, DEFAULT_BOARD, [TILTED], frames=sequence, beside=[hand]).counts[0][1]
     changed = np.abs(hidden[0] - fringe[0]).max(axis=-1) > 3
     assert 0.005 < changed.mean() < 0.2
 
@@ -168,7 +169,7 @@ def test_paper_without_ink_is_plain_paper(quarter):
     marks = Ink(np.zeros((0, 3)), np.array([[300.0, 300.0, 310.0, 310.0]]), 0.1)
     optics = Optics.ideal(ambient=0.1)
     plain, printed = (
-        render.render_counts(quarter, Scene("paper", (sheet.placed((5, 0, 0), turn=(0.2, 0.1, 0)),)),
+        render_pair.render_counts(quarter, Scene("paper", (sheet.placed((5, 0, 0), turn=(0.2, 0.1, 0)),)),
                              quarter.pattern(), optics)[0]
         for sheet in (rectangle(200, 150), rectangle(200, 150, ink=marks))
     )  # fmt: skip
@@ -196,7 +197,7 @@ def test_every_mark_of_a_session_is_in_every_picture(text, quarter):
     board, rig = parse_board(text), quarter.calibration()
     covered = np.zeros((4, 4), bool)
     for pose in session_poses(12, 1, quarter, board):
-        truth = boards.true_marks(quarter, board, pose)
+        truth = board_scene.true_marks(quarter, board, pose)
         for device in (rig.left, rig.right, rig.projector):
             pixels = truth[device.name]
             assert (pixels > 2).all()

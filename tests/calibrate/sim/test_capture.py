@@ -8,17 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline import calibration, sequence
-from pipeline.targets.board import parse_board
-from sim import boards, capture
-from sim.rig import RigLayout
+from pipeline.calibrate.targets.board.board import parse_board
+from pipeline.pattern import sequence
+from pipeline.rig import calibration
+from sim.boards import board_scene, session
+from sim.rig.layout import RigLayout
 
 SMALL = ["--scale", "0.125", "--views", "2", "--board", "circles:5x4:60:36"]
 
 
 def test_a_session_for_the_projector_is_a_capture_folder_with_its_truth(tmp_path):
     folder = tmp_path / "session"
-    assert capture.main([str(folder), *SMALL, "--projector", "--seed", "3", "noise=0.5"]) == 0
+    assert session.main([str(folder), *SMALL, "--projector", "--seed", "3", "noise=0.5"]) == 0
     told = json.loads((folder / "capture.json").read_text())
     frames = sequence.from_mapping(told["sequence"])
     assert told["encoding"] == "rgb8"
@@ -33,15 +34,18 @@ def test_a_session_for_the_projector_is_a_capture_folder_with_its_truth(tmp_path
     true = calibration.from_mapping(json.loads((folder / "truth_calibration.json").read_text()))
     assert true.right.translation == pytest.approx(layout.calibration().right.translation)
     views = json.loads((folder / "truth.json").read_text())["views"]
-    board, pose = parse_board("circles:5x4:60:36"), boards.session_poses(2, 3, layout, parse_board("circles:5x4:60:36"))
-    marks = boards.true_marks(layout, board, pose[1])
+    board, pose = (
+        parse_board("circles:5x4:60:36"),
+        board_scene.session_poses(2, 3, layout, parse_board("circles:5x4:60:36")),
+    )
+    marks = board_scene.true_marks(layout, board, pose[1])
     for name, pixels in views[1]["points"].items():
         assert np.array(pixels) == pytest.approx(marks[name])
     assert np.abs(np.array(views[1]["centroids"]["left"]) - marks["left"]).max() < 0.5
 
 
 def test_plain_pictures_are_paired_by_their_numbers(tmp_path):
-    assert capture.main([str(tmp_path), *SMALL, "--plain", "--encoding", "mono16"]) == 0
+    assert session.main([str(tmp_path), *SMALL, "--plain", "--encoding", "mono16"]) == 0
     assert sorted(path.name for path in tmp_path.glob("*.png")) == [
         "left_00.png", "left_01.png", "right_00.png", "right_01.png",
     ]  # fmt: skip
@@ -51,7 +55,7 @@ def test_plain_pictures_are_paired_by_their_numbers(tmp_path):
 
 
 def test_a_session_for_the_colours_is_one_view_of_a_white_board(tmp_path):
-    assert capture.main([str(tmp_path), "--scale", "0.0625", "--color"]) == 0
+    assert session.main([str(tmp_path), "--scale", "0.0625", "--color"]) == 0
     frames = sequence.from_mapping(json.loads((tmp_path / "capture.json").read_text())["sequence"])
     assert frames.name == "color"
     assert [path.name for path in tmp_path.glob("view_*")] == ["view_00"]
@@ -62,7 +66,7 @@ def test_a_session_for_the_colours_is_one_view_of_a_white_board(tmp_path):
 
 
 def test_white_pictures_are_as_bright_as_they_may_be(tmp_path):
-    assert capture.main([str(tmp_path), *SMALL, "gamma=1.0"]) == 0
+    assert session.main([str(tmp_path), *SMALL, "gamma=1.0"]) == 0
     picture = cv2.imread(str(tmp_path / "view_00" / "left_00.png"))
     assert 120 < picture.max() < 255
 
@@ -78,6 +82,6 @@ def test_white_pictures_are_as_bright_as_they_may_be(tmp_path):
 )
 def test_wrong_arguments_are_told_in_a_line(arguments, message, tmp_path, capsys):
     folder = tmp_path / "nothing"
-    assert capture.main([str(folder), *arguments]) == 2
+    assert session.main([str(folder), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not folder.exists()

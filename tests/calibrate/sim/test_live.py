@@ -9,14 +9,14 @@ import pytest
 
 from drivers.errors import DriverError, SettingRefused
 from drivers.protocols import Camera, Projector
-from pipeline import calibration
-from pipeline.pattern import ColorFringe
-from sim import render
-from sim.clock import SteppedClock
-from sim.devices import open_rig
-from sim.knock import Disturbance, TrueRig
-from sim.options import OptionError, from_mapping
-from sim.staging import optics_of, scene_of
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig import calibration
+from sim.devices.clock import SteppedClock
+from sim.devices.open_rig import open_rig
+from sim.devices.options import OptionError, from_mapping
+from sim.devices.scene_options import optics_of, scene_of
+from sim.render import render_pair
+from sim.rig.disturbance import Disturbance, TrueRig
 
 OPTIONS = {"scene": "spheres", "live": True, "layout": {"scale": 0.125}, "rate_hz": 0, "optics": {"noise": 0.0}}
 BOARD = {**OPTIONS, "scene": "board", "board": "circles:5x4:60:36", "poses": 3}
@@ -65,7 +65,9 @@ def test_cameras_see_what_the_projector_shows(encoding, opened):
     )
     options = rig.options
     for picture in pictures_of(rig):
-        expected = render.render_pictures(options.layout, scene_of(options), picture, options.optics, encoding=encoding)
+        expected = render_pair.render_pictures(
+            options.layout, scene_of(options), picture, options.optics, encoding=encoding
+        )
         step = 257 if encoding == "mono16" else 1
         for ours, theirs in zip(shot(rig, picture), expected, strict=True):
             assert ours.dtype == theirs.dtype
@@ -93,7 +95,7 @@ def test_a_projector_that_nobody_opened_shows_the_pattern():
         camera.open()
         camera.start()
     pattern = rig.options.layout.pattern().picture()
-    expected = render.render_pictures(rig.options.layout, scene_of(rig.options), pattern, rig.options.optics)
+    expected = render_pair.render_pictures(rig.options.layout, scene_of(rig.options), pattern, rig.options.optics)
     assert np.abs(shot(rig)[0].astype(int) - expected[0]).max() <= 1
     rig.close()
 
@@ -102,8 +104,8 @@ def test_every_trigger_has_a_noise_of_its_own_and_the_right_one(opened):
     rig = opened({**OPTIONS, "scene": "plane", "optics": {}, "seed": 5})
     grey = pictures_of(rig)[0]
     first, second = (np.stack(shot(rig, grey)).astype(float) for _ in range(2))
-    counts = render.render_counts(rig.options.layout, scene_of(rig.options), grey, rig.options.optics)
-    from sim.sensor import noise_variance
+    counts = render_pair.render_counts(rig.options.layout, scene_of(rig.options), grey, rig.options.optics)
+    from sim.render.sensor import noise_variance
 
     variance = np.stack([noise_variance(part, rig.options.optics) for part in counts])
     difference = second - first
@@ -122,7 +124,9 @@ def test_a_moving_scene_goes_round(opened):
     assert np.array_equal(frames[0], frames[3])
     assert np.abs(frames[0].astype(int) - frames[1]).max() > 30
     scene = scene_of(rig.options)
-    expected = render.render_pictures(rig.options.layout, scene, white, rig.options.optics, t_s=2 * scene.period_s / 3)
+    expected = render_pair.render_pictures(
+        rig.options.layout, scene, white, rig.options.optics, t_s=2 * scene.period_s / 3
+    )
     assert np.abs(frames[2].astype(int) - expected[0]).max() <= 2
 
 
@@ -134,7 +138,9 @@ def test_the_board_stays_until_it_is_moved_on_and_stays_at_the_last_pose(opened)
         assert rig.trigger.pose == expected_pose
         pair, again = shot(rig, white), shot(rig)
         assert np.array_equal(pair[0], again[0])
-        expected = render.render_pictures(options.layout, scene_of(options, expected_pose), white, optics_of(options))
+        expected = render_pair.render_pictures(
+            options.layout, scene_of(options, expected_pose), white, optics_of(options)
+        )
         assert np.abs(pair[1].astype(int) - expected[1]).max() <= 1
         seen.append(pair[0])
         assert rig.trigger.next_pose() == min(expected_pose + 1, 2)
@@ -185,8 +191,8 @@ def test_a_disturbance_changes_what_it_says_and_nothing_else(side, change, opene
     after = shot(rig)
     options = rig.options
     true = TrueRig.of(options.layout, options.optics).after(Disturbance(side, **change))
-    expected = render.with_noise(
-        render.render_counts(options.layout, scene_of(options), picture, options.optics, rig=true),
+    expected = render_pair.with_noise(
+        render_pair.render_counts(options.layout, scene_of(options), picture, options.optics, rig=true),
         options.optics, 0, "rgb8",
     )  # fmt: skip
     for camera, name in enumerate(("left", "right")):
@@ -237,7 +243,7 @@ def test_scripted_disturbances_come_at_their_triggers_live_and_in_a_loop(opened,
 
 
 def test_the_loop_before_a_disturbance_is_the_undisturbed_one(tmp_path):
-    from sim import loop as loops
+    from sim.devices import rendered_loop as loops
 
     plain = from_mapping({**OPTIONS, "live": False, "frames": 2, "cache_dir": str(tmp_path)})
     loops.load_or_render(plain)

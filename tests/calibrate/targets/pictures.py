@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipeline.camera_model import CameraModel
-from pipeline.targets import disc
-from pipeline.targets.board import Board
-from pipeline.targets.printed import raster
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.board.board_drawing import raster
+from pipeline.calibrate.targets.localise import circle_projection
+from pipeline.rig.camera_model import CameraModel
 
 LENS = (-0.12, 0.2, 0.0008, -0.0006, -0.3)
 
@@ -75,10 +75,10 @@ def truth(board, device, pose):
     """Where the marks are: centroids of circles' images, images of corners."""
     rotation, translation = pose.of(board)
     radius = board.printed_diameter_mm / 2 if board.round else 0.0
-    return disc.centroids(device, rotation, translation, board.points, radius)
+    return circle_projection.centroids(device, rotation, translation, board.points, radius)
 
 
 def centres(board, device, pose):
     """Images of the marks' own places, without what a circle's size does."""
     rotation, translation = pose.of(board)
-    return disc.centroids(device, rotation, translation, board.points, 0.0)
+    return circle_projection.centroids(device, rotation, translation, board.points, 0.0)

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.targets.board import DEFAULT_BOARD, parse_board
-from pipeline.targets.find import find_marks
-from pipeline.targets.match import symmetries
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
+from pipeline.calibrate.targets.detect.grid_numbering import symmetries
+from pipeline.calibrate.targets.find_marks import find_marks
 
 from .pictures import Pose, camera, centres, clean, noisy, truth
 
@@ -79,12 +79,12 @@ def test_the_bias_of_the_circles_centres_is_what_the_centroid_corrects():
 
 
 def test_areas_give_the_diameter(tilted):
-    from pipeline.targets import disc
+    from pipeline.calibrate.targets.localise import circle_projection
 
     marks = find_marks(noisy(tilted), parse_board("circles:11x9:32")).marks
     rotation, translation = TILTED.of(DEFAULT_BOARD)
     ids = marks.ids if errors_without_turn(marks) else 98 - marks.ids
-    diameter = disc.diameter_mm(marks.areas_px, DEVICE, rotation, translation, DEFAULT_BOARD.points[ids])
+    diameter = circle_projection.diameter_mm(marks.areas_px, DEVICE, rotation, translation, DEFAULT_BOARD.points[ids])
     assert diameter == pytest.approx(20, abs=0.02)
 
 

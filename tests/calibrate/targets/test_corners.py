@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pipeline.targets.board import parse_board
-from pipeline.targets.find import find_marks
-from pipeline.targets.match import symmetries
+from pipeline.calibrate.targets.board.board import parse_board
+from pipeline.calibrate.targets.detect.grid_numbering import symmetries
+from pipeline.calibrate.targets.find_marks import find_marks
 
 from .pictures import Pose, camera, clean, noisy, truth
 
@@ -97,7 +97,7 @@ def test_corners_whose_markers_cannot_be_read_are_found_all_the_same():
 def test_the_drawing_of_older_opencv_versions_is_read():
     import cv2
 
-    from pipeline.targets.aruco import charuco
+    from pipeline.calibrate.targets.board.charuco_board import charuco
 
     board = parse_board("charuco:7x6:30:20:DICT_5X5_50")
     image = charuco(board, legacy=True).generateImage((7 * 40, 6 * 40))

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.camera_model import CameraModel
-from pipeline.targets import disc
-from pipeline.targets.board import DEFAULT_BOARD
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from pipeline.calibrate.targets.localise import circle_projection
+from pipeline.rig.camera_model import CameraModel
 
 
 def camera(distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
@@ -37,8 +37,8 @@ def polygon(device, rotation, translation, centre, radius, corners=4000):
 def test_centroids_and_areas_agree_with_a_fine_polygon(distortion, tilt):
     device, (rotation, translation) = camera(distortion), pose(*tilt)
     points = DEFAULT_BOARD.points[::7]
-    centroids = disc.centroids(device, rotation, translation, points, 10.0)
-    areas = disc.areas(device, rotation, translation, points, 10.0)
+    centroids = circle_projection.centroids(device, rotation, translation, points, 10.0)
+    areas = circle_projection.areas(device, rotation, translation, points, 10.0)
     for point, centroid, area in zip(points, centroids, areas, strict=True):
         expected, expected_area = polygon(device, rotation, translation, point, 10.0)
         assert centroid == pytest.approx(expected, abs=2e-5)
@@ -48,7 +48,9 @@ def test_centroids_and_areas_agree_with_a_fine_polygon(distortion, tilt):
 def test_without_distortion_the_centroid_is_the_centre_of_the_projected_conic():
     device, (rotation, translation) = camera(), pose(40, -25)
     for point, centroid in zip(
-        DEFAULT_BOARD.points, disc.centroids(device, rotation, translation, DEFAULT_BOARD.points, 10.0), strict=True
+        DEFAULT_BOARD.points,
+        circle_projection.centroids(device, rotation, translation, DEFAULT_BOARD.points, 10.0),
+        strict=True,
     ):
         plane = np.column_stack([rotation[:, 0], rotation[:, 1], rotation @ point + translation])
         dual = device.matrix @ plane @ np.diag([100.0, 100.0, -1.0]) @ plane.T @ device.matrix.T
@@ -57,26 +59,32 @@ def test_without_distortion_the_centroid_is_the_centre_of_the_projected_conic():
 
 def test_a_circle_seen_from_the_front_and_a_circle_without_size_have_no_offset():
     device, (rotation, translation) = camera(), pose(0, 0)
-    assert np.abs(disc.offsets(device, rotation, translation, DEFAULT_BOARD.points, 10.0)).max() < 1e-9
+    assert np.abs(circle_projection.offsets(device, rotation, translation, DEFAULT_BOARD.points, 10.0)).max() < 1e-9
     device, (rotation, translation) = camera((-0.3, 0.4, 0.003, -0.002, -0.5)), pose(30, 40)
-    assert np.abs(disc.offsets(device, rotation, translation, DEFAULT_BOARD.points, 0.0)).max() < 1e-9
+    assert np.abs(circle_projection.offsets(device, rotation, translation, DEFAULT_BOARD.points, 0.0)).max() < 1e-9
 
 
 def test_the_offset_grows_with_the_square_of_the_radius():
     device, (rotation, translation) = camera((-0.1, 0.1, 0, 0, 0)), pose(30, 40)
-    small, large = (disc.offsets(device, rotation, translation, DEFAULT_BOARD.points, r) for r in (5.0, 10.0))
+    small, large = (
+        circle_projection.offsets(device, rotation, translation, DEFAULT_BOARD.points, r) for r in (5.0, 10.0)
+    )
     assert np.abs(large - 4 * small).max() < 0.001 * np.abs(large).max()
     assert 0.03 < np.linalg.norm(large, axis=1).max() < 0.2
 
 
 def test_the_diameter_comes_back_from_the_areas():
     device, (rotation, translation) = camera((-0.3, 0.4, 0.003, -0.002, -0.5)), pose(50, -20)
-    areas = disc.areas(device, rotation, translation, DEFAULT_BOARD.points, 9.5)
+    areas = circle_projection.areas(device, rotation, translation, DEFAULT_BOARD.points, 9.5)
     areas[:5] = np.nan
-    assert disc.diameter_mm(areas, device, rotation, translation, DEFAULT_BOARD.points) == pytest.approx(19, rel=1e-9)
-    assert np.isnan(disc.diameter_mm(np.full(99, np.nan), device, rotation, translation, DEFAULT_BOARD.points))
+    assert circle_projection.diameter_mm(areas, device, rotation, translation, DEFAULT_BOARD.points) == pytest.approx(
+        19, rel=1e-9
+    )
+    assert np.isnan(
+        circle_projection.diameter_mm(np.full(99, np.nan), device, rotation, translation, DEFAULT_BOARD.points)
+    )
 
 
 def test_behind_the_device_is_nan():
     device, (rotation, translation) = camera(), pose(0, 0, -500)
-    assert np.isnan(disc.centroids(device, rotation, translation, DEFAULT_BOARD.points, 10.0)).all()
+    assert np.isnan(circle_projection.centroids(device, rotation, translation, DEFAULT_BOARD.points, 10.0)).all()

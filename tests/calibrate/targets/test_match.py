@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.targets.board import parse_board
-from pipeline.targets.match import board_places, clear, extent, match, oriented, symmetries
+from pipeline.calibrate.targets.board.board import parse_board
+from pipeline.calibrate.targets.detect.grid_numbering import board_places, clear, extent, match, oriented, symmetries
 
 BOARDS = [
     "circles:11x9:1",

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.errors import TargetError
-from pipeline.targets.aruco import charuco
-from pipeline.targets.board import DEFAULT_BOARD, parse_board
-from pipeline.targets.printed import raster, shapes
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
+from pipeline.calibrate.targets.board.board_drawing import raster, shapes
+from pipeline.calibrate.targets.board.charuco_board import charuco
+from pipeline.common.errors import TargetError
 
 BOARDS = [
     "circles:11x9:32:20",

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.targets.board import Board, parse_board
-from pipeline.targets.find import find_marks
-from pipeline.targets.match import symmetries
+from pipeline.calibrate.targets.board.board import Board, parse_board
+from pipeline.calibrate.targets.detect.grid_numbering import symmetries
+from pipeline.calibrate.targets.find_marks import find_marks
 
 pytestmark = pytest.mark.shared
 

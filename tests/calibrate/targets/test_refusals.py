@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.errors import TargetError
-from pipeline.targets.board import DEFAULT_BOARD, parse_board
-from pipeline.targets.find import find_marks
+from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
+from pipeline.calibrate.targets.find_marks import find_marks
+from pipeline.common.errors import TargetError
 
 from .pictures import Pose, camera, clean, noisy
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from sim.box.xserver import XServer
 from sim.gentl.cable import Cable
-from sim.xserver import XServer
 from tests.drivers.genicam import producers
 from tests.drivers.projector import x
 

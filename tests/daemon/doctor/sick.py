@@ -9,9 +9,9 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.doctor.areas import Check
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.check_table import Check
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
 
 area = Area("sick")
 

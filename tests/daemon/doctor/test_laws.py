@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.doctor import report
-from daemon.doctor.areas import AREAS
-from daemon.doctor.examine import examine
-from daemon.doctor.finding import LEVELS, Finding, Level, counts, exit_code
+from daemon.apps.doctor import report
+from daemon.apps.doctor.check_table import AREAS
+from daemon.apps.doctor.finding import LEVELS, Finding, Level, counts, exit_code
+from daemon.apps.doctor.run_checks import examine
 from tests.daemon.doctor import sick
 from tests.daemon.rigs import wait_until
 
@@ -82,8 +82,8 @@ def test_long_texts_are_wrapped_and_commands_stay_whole() -> None:
 
 def test_the_measuring_daemon_never_imports_the_doctor() -> None:
     code = (
-        "import sys, daemon.launch, daemon.commands.run\n"
-        "print([name for name in sys.modules if name.startswith('daemon.doctor')])"
+        "import sys, daemon.bootstrap.run, daemon.cli.measure.run\n"
+        "print([name for name in sys.modules if name.startswith('daemon.apps.doctor')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.strip() == "[]", done.stderr

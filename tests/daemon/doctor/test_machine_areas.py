@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.doctor import clock, disk, memory, network, processors, rights, sockets, usb
-from daemon.doctor.machine import Machine, Program
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.cameras import device_permissions, network, usb
+from daemon.apps.doctor.host import clock, disk, memory, processors, sockets
+from daemon.apps.doctor.machine import Machine, Program
+from daemon.apps.doctor.subject import Subject
 from tests.daemon.doctor import trees
 from tests.daemon.doctor.trees import by_name, levels
 
@@ -79,19 +80,19 @@ def test_interfaces_that_are_no_hardware_or_down_are_left_out(tmp_path: Path) ->
 
 def test_device_files_that_may_not_be_used_name_the_group_to_join(tmp_path: Path) -> None:
     trees.machine(tmp_path, {"/dev/video0": "", "/dev/video1": "", "/dev/dri/renderD128": "", "/etc/group": ""})
-    found = list(rights.check(Subject(Refusing(tmp_path, {}))))
+    found = list(device_permissions.check(Subject(Refusing(tmp_path, {}))))
     wrong = [finding for finding in found if finding.level == "warning"]
     assert len(wrong) == 2 and all("usermod -aG" in finding.remedy for finding in wrong)
     assert "/dev/video0, /dev/video1, which belong to group" in wrong[0].text
-    assert levels(rights.check(Subject(Machine(tmp_path, {})))) == ["ok"]
+    assert levels(device_permissions.check(Subject(Machine(tmp_path, {})))) == ["ok"]
 
 
 def test_a_usb3_camera_without_a_rule_gets_the_rule_to_write(tmp_path: Path) -> None:
     trees.machine(tmp_path, CAMERA)
-    (found,) = by_name(rights.check(Subject(Refusing(tmp_path, {}))), "udev")
+    (found,) = by_name(device_permissions.check(Subject(Refusing(tmp_path, {}))), "udev")
     assert 'ATTRS{idVendor}=="2676"' in found.remedy and "no rule of udev" in found.text
     trees.machine(tmp_path, {"/etc/udev/rules.d/69-cam.rules": 'ATTRS{idVendor}=="2676", GROUP="plugdev"'})
-    (found,) = by_name(rights.check(Subject(Refusing(tmp_path, {}))), "udev")
+    (found,) = by_name(device_permissions.check(Subject(Refusing(tmp_path, {}))), "udev")
     assert "a rule of udev" in found.text and "udevadm" in found.remedy
 
 

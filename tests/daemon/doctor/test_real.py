@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from daemon.doctor import genicam_cameras, genicam_library, inventory, producers
-from daemon.doctor.areas import AREAS
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor import device_inventory
+from daemon.apps.doctor.cameras import genicam_cameras, genicam_library, genicam_producers
+from daemon.apps.doctor.check_table import AREAS
+from daemon.apps.doctor.subject import Subject
+from sim.box.xserver import XServer
 from sim.gentl.cable import Cable
-from sim.xserver import XServer
 from tests.daemon.doctor import trees
 
 Fringed = Callable[..., subprocess.CompletedProcess[str]]
@@ -108,7 +109,7 @@ def test_the_environments_producer_is_found_and_loads(
 ) -> None:
     assert len(cables) == 2
     subject = trees.subject(tmp_path, environ={"GENICAM_GENTL64_PATH": str(producer.parent)})
-    assert [finding.level for finding in producers.check(subject)] == ["ok"]
+    assert [finding.level for finding in genicam_producers.check(subject)] == ["ok"]
     assert [finding.level for finding in genicam_cameras.check(subject)] == ["ok", "ok"]
 
 
@@ -121,7 +122,7 @@ def test_the_genicam_library_of_this_machine(tmp_path: Path, producer: Path) -> 
 
 
 def test_an_x_server_that_is_not_there_is_a_problem_of_rigs_that_need_it(tmp_path: Path) -> None:
-    from daemon.doctor import display
+    from daemon.apps.doctor.rig import display
 
     trees.known(tmp_path)
     rig = trees.genicam().replace(
@@ -135,7 +136,7 @@ def test_an_x_server_that_is_not_there_is_a_problem_of_rigs_that_need_it(tmp_pat
 def test_programs_that_meddle_with_the_picture_are_named(
     tmp_path: Path, server: XServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from daemon.doctor import display
+    from daemon.apps.doctor.rig import display
 
     monkeypatch.setenv("DISPLAY", server.display)
     machine = trees.machine(tmp_path, {"/proc/12/comm": "redshift"}, {"XDG_SESSION_TYPE": "wayland"})
@@ -162,13 +163,13 @@ def test_devices_lists_what_rig_yaml_needs(
 def test_devices_without_any_tells_why_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
     monkeypatch.delenv("DISPLAY", raising=False)
-    found = inventory.take()
+    found = device_inventory.take()
     assert found.genicam == [] and found.outputs == [] and len(found.problems) == 2
-    assert [text for text, heading in inventory.lines(found) if not heading].count("   none") >= 2
+    assert [text for text, heading in device_inventory.lines(found) if not heading].count("   none") >= 2
 
 
 def test_serial_numbers_of_digits_are_printed_as_texts() -> None:
-    assert [inventory._quoted(text) for text in ("A1", "40012345", "my cam", "0x1F")] == [
+    assert [device_inventory._quoted(text) for text in ("A1", "40012345", "my cam", "0x1F")] == [
         "A1",
         '"40012345"',
         '"my cam"',

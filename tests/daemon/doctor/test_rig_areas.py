@@ -11,26 +11,16 @@ from typing import Any
 import pytest
 import yaml
 
-from daemon.ask import Answer
-from daemon.calibration_file import read_calibration, write_calibration
-from daemon.doctor import (
-    calibration,
-    display,
-    elf,
-    genicam_cameras,
-    genicam_library,
-    producers,
-    rig_file,
-    timing,
-    transport,
-    v4l2_cameras,
-)
+from daemon.apps.doctor.cameras import data_rate, elf, genicam_cameras, genicam_library, genicam_producers, v4l2_cameras
+from daemon.apps.doctor.rig import calibration, display, exposure_timing, rig_file
+from daemon.common.run_program import Answer
+from daemon.rig.calibration_file import read_calibration, write_calibration
 from drivers.genicam import CameraFound
 from drivers.projector.found import OutputFound
 from drivers.projector.options import ProjectorOptions, read
 from drivers.v4l2 import CameraFound as VideoFound
 from drivers.v4l2.device import PixelFormatFound
-from sim.rig import RigLayout
+from sim.rig.layout import RigLayout
 from tests.daemon.doctor import trees
 from tests.daemon.doctor.trees import by_name, levels
 
@@ -95,7 +85,7 @@ def test_files_that_are_no_libraries_are_refused(tmp_path: Path) -> None:
     for name in ("cut", "text", "short"):
         with pytest.raises(elf.ElfError):
             elf.read(tmp_path / name)
-        assert producers.producer(tmp_path / name, certain=True).level == "problem"
+        assert genicam_producers.producer(tmp_path / name, certain=True).level == "problem"
 
 
 def test_a_producer_for_another_processor_and_one_that_does_not_load(tmp_path: Path) -> None:
@@ -105,15 +95,15 @@ def test_a_producer_for_another_processor_and_one_that_does_not_load(tmp_path: P
     other = 62 if data[18] != 62 else 183
     data[18] = other
     (tmp_path / "other.cti").write_bytes(data)
-    assert elf.MACHINES[other] in producers.producer(tmp_path / "other.cti", certain=True).text
+    assert elf.MACHINES[other] in genicam_producers.producer(tmp_path / "other.cti", certain=True).text
     # A library all right, but no producer: the GenTL functions are missing.
-    found = producers.producer(Path(compiled.__file__), certain=True)
+    found = genicam_producers.producer(Path(compiled.__file__), certain=True)
     assert found.level == "problem" and "GCInitLib" in found.text and "ldd" in found.remedy
 
 
 def test_directories_of_the_environment_that_are_not_there(tmp_path: Path) -> None:
     environ = {"GENICAM_GENTL64_PATH": f"{tmp_path}/none:{tmp_path}"}
-    found = list(producers.check(trees.subject(tmp_path, environ=environ)))
+    found = list(genicam_producers.check(trees.subject(tmp_path, environ=environ)))
     assert levels(found) == ["warning", "warning", "note"]
 
 
@@ -207,16 +197,16 @@ def test_the_age_of_a_calibration(tmp_path: Path) -> None:
 
 
 def test_exposures_are_whole_numbers_of_periods() -> None:
-    assert levels(timing.judged(60.0, {"left": 16666.7, "right": 16666.7})) == ["ok"]
-    wrong = list(timing.judged(60.0, {"left": 10000.0, "right": 10000.0}))
+    assert levels(exposure_timing.judged(60.0, {"left": 16666.7, "right": 16666.7})) == ["ok"]
+    wrong = list(exposure_timing.judged(60.0, {"left": 10000.0, "right": 10000.0}))
     assert levels(wrong) == ["warning", "warning"] and "16667 us" in wrong[0].remedy
-    assert levels(timing.judged(0.0, {"left": 1.0, "right": 2.0})) == ["warning", "note"]
+    assert levels(exposure_timing.judged(0.0, {"left": 1.0, "right": 2.0})) == ["warning", "note"]
 
 
 def test_an_exposure_that_is_not_set_is_a_warning(tmp_path: Path) -> None:
     trees.known(tmp_path)
     subject = trees.subject(tmp_path, rig=trees.genicam("{serial: A1}", "{serial: A2, exposure_us: 16666.7}"))
-    found = list(timing.check(subject))
+    found = list(exposure_timing.check(subject))
     assert levels(found) == ["warning", "ok"] and "cameras.left.exposure_us" in found[0].remedy
 
 
@@ -225,7 +215,7 @@ def test_the_bytes_of_a_picture(tmp_path: Path, name: str, size: float) -> None:
     trees.known(tmp_path)
     side = f"{{serial: A, pixel_format: {name}, roi: {{width: 100, height: 10}}}}"
     subject = trees.subject(tmp_path, rig=trees.genicam(side, side))
-    assert transport.frame_bytes(subject) == [1000 * size, 1000 * size] and transport.rate_hz(subject) == 0.0
+    assert data_rate.frame_bytes(subject) == [1000 * size, 1000 * size] and data_rate.rate_hz(subject) == 0.0
 
 
 def test_an_output_in_the_wrong_mode_or_with_a_bent_gamma_table() -> None:

@@ -9,10 +9,10 @@ from typing import Any
 
 import yaml
 
+from daemon.apps.doctor.finding import Finding
+from daemon.apps.doctor.machine import Machine
+from daemon.apps.doctor.subject import Subject
 from daemon.config import parse_rig
-from daemon.doctor.finding import Finding
-from daemon.doctor.machine import Machine
-from daemon.doctor.subject import Subject
 from tests.daemon.rigs import devices
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from sim.xserver import Head, XServer, XServerError
+from sim.box.xserver import Head, XServer, XServerError
 
 HEADS = Head(320, 240), Head(160, 128)
 

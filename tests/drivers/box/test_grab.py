@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.box.grab import DisplayLost, Grabber, Rectangle
-from sim.xserver import XServer
+from sim.box.output_grabber import DisplayLost, Grabber, Rectangle
+from sim.box.xserver import XServer
 from tests.drivers.box.painter import Painter
 
 

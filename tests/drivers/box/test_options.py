@@ -9,13 +9,13 @@ import pytest
 import yaml
 
 from daemon.config import load_rig
-from daemon.pattern_file import read_pattern, read_volume
+from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES
 from sim.box.options import BoxOptions, fitted, read
-from sim.box.rig import RigPlaces, write_rig
-from sim.optics import Optics
-from sim.options import OptionError
-from sim.rig import RigLayout
+from sim.box.rig_files import RigPlaces, write_rig
+from sim.devices.options import OptionError
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
 
 MISTAKES = {
     "exposure: 3": "box.exposure is not an option; did you mean 'exposure_us'?",

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from drivers.protocols import SIDES
-from sim.box.grab import DisplayLost
-from sim.box.ledger import Ledger, Shown, digest
+from sim.box.exposure_ledger import Ledger, Shown, digest
+from sim.box.output_grabber import DisplayLost
 from sim.box.world import NotSettled, World
-from sim.faults import Fault, FaultKind, FaultPlan
+from sim.devices.faults import Fault, FaultKind, FaultPlan
 
 SIZE = 16, 8
 

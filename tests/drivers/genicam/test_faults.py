@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.pairing import Pair, Pairer, PairingSettings
+from daemon.live.acquisition.pairer import Pair, Pairer, PairingSettings
 from drivers.errors import DeviceLost
 from drivers.protocols import Camera, Frame
 from sim.gentl.cable import Cable

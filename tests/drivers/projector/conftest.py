@@ -10,7 +10,7 @@ import pytest
 
 from drivers.projector import OutputProjector
 from drivers.projector.options import ProjectorOptions, read
-from sim.xserver import XServer
+from sim.box.xserver import XServer
 from tests.drivers.projector import x
 
 

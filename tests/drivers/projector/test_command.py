@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from drivers.projector import pictures
-from sim.xserver import XServer
+from sim.box.xserver import XServer
 from tests.drivers.projector import x
 
-FRINGED = "import sys; from daemon.entry import main; sys.argv[0] = 'fringed'; main()"
+FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from drivers.errors import DriverError, SettingRefused
 from drivers.projector import OutputProjector, pictures
-from sim.xserver import Head, XServer
+from sim.box.xserver import Head, XServer
 from tests.drivers.projector import x
 
 Make = Callable[..., OutputProjector]

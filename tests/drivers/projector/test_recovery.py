@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.projector import OutputProjector
-from sim.xserver import XServer
+from sim.box.xserver import XServer
 from tests.drivers.projector import x
 
 Make = Callable[..., OutputProjector]

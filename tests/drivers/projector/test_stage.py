@@ -15,7 +15,7 @@ from Xlib import X
 
 from drivers.errors import DriverError, SettingRefused
 from drivers.projector import OutputProjector
-from sim.xserver import XServer
+from sim.box.xserver import XServer
 from tests.drivers.projector import x
 
 Make = Callable[..., OutputProjector]

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.errors import DriverError
 from drivers.projector import outputs
-from sim.xserver import Head, XServer, XServerError
+from sim.box.xserver import Head, XServer, XServerError
 from tests.drivers.projector import x
 
 

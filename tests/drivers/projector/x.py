@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from Xlib import X
 from Xlib.display import Display
 
-from sim.xserver import Head, XServer, XServerError
+from sim.box.xserver import Head, XServer, XServerError
 
 DESKTOP, PROJECTOR = Head(640, 480), Head(320, 256, 59.94)
 DEADLINE_S = 30.0

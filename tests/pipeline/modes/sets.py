@@ -5,15 +5,15 @@ from math import pi
 
 import numpy as np
 
-from pipeline.modes.reconstruct import SetReconstructor
-from pipeline.modes.sequences import mode_sequence
-from pipeline.settings import Settings
-from sim.box.light import Stage
-from sim.optics import Optics
-from sim.render import truths
-from sim.rig import RigLayout
-from sim.scenes import Scene, build
-from sim.shapes import Motion, plane
+from pipeline.common.settings import Settings
+from pipeline.multi_frame.set_reconstructor import SetReconstructor
+from pipeline.pattern.mode_sequences import mode_sequence
+from sim.render.projection_transport import Stage
+from sim.render.render_pair import truths
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import Scene, build
+from sim.scene.shapes import Motion, plane
 
 LAYOUT, OPTICS = RigLayout().scaled(0.25), Optics()
 SETTINGS = Settings(min_component=20)

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.calibration import Response
-from pipeline.errors import PatternError
-from pipeline.modes.plan import plan_of
-from pipeline.modes.sequences import MODES, heterodyne_periods, mode_sequence
-from pipeline.sequence import Fringe, GrayBit, Sequence, Uniform, frame_from_mapping, from_mapping
+from pipeline.common.errors import PatternError
+from pipeline.multi_frame.image_roles import plan_of
+from pipeline.pattern.mode_sequences import MODES, heterodyne_periods, mode_sequence
+from pipeline.pattern.sequence import Fringe, GrayBit, Sequence, Uniform, frame_from_mapping, from_mapping
+from pipeline.rig.calibration import Response
 
 SIZE = (1280, 1024)
 

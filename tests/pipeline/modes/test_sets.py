@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pipeline.errors import CalibrationError, PatternError, PictureError
-from pipeline.modes.reconstruct import SetReconstructor
-from pipeline.modes.sequences import MODES, mode_sequence
-from pipeline.settings import Settings
-from sim.optics import Optics
-from sim.score import score
+from pipeline.common.errors import CalibrationError, PatternError, PictureError
+from pipeline.common.settings import Settings
+from pipeline.multi_frame.set_reconstructor import SetReconstructor
+from pipeline.pattern.mode_sequences import MODES, mode_sequence
+from sim.evaluate.score import score
+from sim.rig.optics import Optics
 from tests.pipeline.modes.sets import LAYOUT, OPTICS, SETTINGS, in_motion, made, sequence, taken, truth
 
 KINDS = [
@@ -130,7 +130,7 @@ def test_what_cannot_be_measured_with_is_refused():
     with pytest.raises(PictureError, match="no three colours"):
         SetReconstructor(calibration, sequence("two_color"), volume, encoding="mono8")
     with pytest.raises(PatternError, match="one fringe"):
-        from pipeline.sequence import Sequence
+        from pipeline.pattern.sequence import Sequence
 
         SetReconstructor(calibration, Sequence("x", sequence("gray").frames[:4]), volume, settings=SETTINGS)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.pdf import Page
-from pipeline.targets.board import Board
-from pipeline.targets.printed import shapes
+from daemon.apps.calibration.board_print.pdf_page import Page
+from daemon.apps.calibration.errors import SourceError
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.board.board_drawing import shapes
 
 PAPERS = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "a2": (594.0, 420.0), "a1": (841.0, 594.0), "a0": (1189.0, 841.0)}
 EDGE_MM = 5.0

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from daemon.bounded import read_at_most
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.exchange import kalibr, opencv, ros
-from daemon.calibrate.exchange.parts import Imported, Named
-from pipeline.calibration import Cameras
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.exchange import kalibr, opencv, ros
+from daemon.apps.calibration.exchange.common import Imported, Named
+from daemon.common.bounded import read_at_most
+from pipeline.rig.calibration import Cameras
 
 LIMIT = 4 << 20
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibration_file import load_mapping
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
+from daemon.apps.calibration.errors import SourceError
+from daemon.rig.calibration_file import load_mapping
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 _GRID = 41

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.exchange.parts import (
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.exchange.common import (
     Imported,
     Named,
     fewer_terms,
@@ -20,8 +20,8 @@ from daemon.calibrate.exchange.parts import (
     orthonormal,
     yaml_mapping,
 )
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 
 
 def read(files: Sequence[Named]) -> Imported:

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.exchange.parts import Imported, Named, fewer_terms, five, lost, named, orthonormal
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.exchange.common import Imported, Named, fewer_terms, five, lost, named, orthonormal
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.exchange.parts import (
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.exchange.common import (
     Imported,
     Named,
     fewer_terms,
@@ -26,8 +26,8 @@ from daemon.calibrate.exchange.parts import (
     orthonormal,
     yaml_mapping,
 )
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

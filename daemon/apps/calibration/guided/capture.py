@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from daemon.recording.raw_image import Pixels
-from pipeline.sequence import Sequence
+from daemon.recording.format.raw_image import Pixels
+from pipeline.pattern.sequence import Sequence
 
 Progress = Callable[[int, int], None]
 

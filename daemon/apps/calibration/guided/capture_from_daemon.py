@@ -8,12 +8,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from daemon.calibrate.live.shots import Progress, Shots, unheard
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError, DaemonError
-from daemon.recording.reader import TakeReader
-from daemon.shooting import CaptureCancelledError
-from pipeline.sequence import Sequence
+from daemon.apps.calibration.guided.capture import Progress, Shots, unheard
+from daemon.common.errors import ControlError, DaemonError
+from daemon.control.rpc.client import ControlClient
+from daemon.live.projection.confirmed_capture import CaptureCancelledError
+from daemon.recording.read.take_reader import TakeReader
+from pipeline.pattern.sequence import Sequence
 
 HOLD_S = 20.0
 """So long the daemon keeps the last picture between two captures; longer pauses only cost the time to begin again."""
@@ -54,7 +54,7 @@ class DaemonShooter:
         return self._size
 
     def shoot(self, sequence: Sequence, *, progress: Progress = unheard) -> Shots:
-        """A pair for each frame, see :class:`daemon.calibrate.live.shots.Shooter`."""
+        """A pair for each frame, see :class:`daemon.apps.calibration.guided.capture.Shooter`."""
         frames = [frame.as_mapping() for frame in sequence.frames]
         job = self._client.call("calibrate.capture", frames=frames, name=sequence.name, hold_s=HOLD_S)["job"]
         told = self._wait(job, progress)

@@ -7,20 +7,20 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
-from daemon.acquisition import CameraThread
-from daemon.calibrate.live.shots import Progress, Shots, unheard
-from daemon.clock import SystemClock
-from daemon.config.models import RigConfig
-from daemon.errors import DaemonError
-from daemon.mailbox import Mailbox
-from daemon.pairing import Pair, PairingSettings
-from daemon.pairing_desk import PairingDesk
-from daemon.rig import next_pose
-from daemon.shooting import Shooting, patience_s, settling_ns
+from daemon.apps.calibration.guided.capture import Progress, Shots, unheard
+from daemon.common.clock import SystemClock
+from daemon.common.errors import DaemonError
+from daemon.common.latest_wins_queue import Mailbox
+from daemon.config.rig_config import RigConfig
+from daemon.live.acquisition.camera_thread import CameraThread
+from daemon.live.acquisition.locked_pairer import PairingDesk
+from daemon.live.acquisition.pairer import Pair, PairingSettings
+from daemon.live.projection.confirmed_capture import Shooting, patience_s, settling_ns
+from daemon.rig.open_rig import next_pose
 from drivers.errors import DriverError
 from drivers.protocols import SIDES, Clock, Frame, Side
-from pipeline.calibration import Response
-from pipeline.sequence import Sequence
+from pipeline.pattern.sequence import Sequence
+from pipeline.rig.calibration import Response
 
 _START_S, _TICK_S = 15.0, 0.05
 
@@ -29,7 +29,8 @@ class DeviceShooter:
     """Owns the devices of a rig from its making to :meth:`close`.
 
     Args:
-        devices: cameras and projector as :func:`daemon.rig.open_devices` gives them, closed; closed again at the end.
+        devices: cameras and projector as :func:`daemon.rig.open_rig.open_devices` gives them, closed; closed again at
+            the end.
         config: of the rig, for its pairing. response: of the projector, for pictures that are given as light.
 
     Raises:
@@ -87,7 +88,7 @@ class DeviceShooter:
         return self._size
 
     def shoot(self, sequence: Sequence, *, progress: Progress = unheard) -> Shots:
-        """A pair for each frame, see :class:`daemon.calibrate.live.shots.Shooter`."""
+        """A pair for each frame, see :class:`daemon.apps.calibration.guided.capture.Shooter`."""
         pairs: list[Pair] = []
         try:
             for pair in self._shooting.each(frame.picture(self._response) for frame in sequence.frames):

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from daemon.calibrate.live.folder import SessionFolder
-from daemon.calibrate.live.session import Found, Limits, Session, Sight, State, Told
-from daemon.calibrate.live.shots import Progress, Shooter, Shots
-from daemon.calibrate.pictures import Picture, unpacked
-from daemon.calibrate.sources import white_frame
-from daemon.errors import DaemonError
-from daemon.shooting import CaptureCancelledError
+from daemon.apps.calibration.guided.capture import Progress, Shooter, Shots
+from daemon.apps.calibration.guided.session_folder import SessionFolder
+from daemon.apps.calibration.guided.session_state import Found, Limits, Session, Sight, State, Told
+from daemon.apps.calibration.images.image_files import Picture, unpacked
+from daemon.apps.calibration.views.open_source import white_frame
+from daemon.common.errors import DaemonError
+from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from drivers.errors import DriverError
 from drivers.protocols import SIDES, Clock
-from pipeline.errors import TargetError
-from pipeline.sequence import Sequence
-from pipeline.targets.board import Board
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.common.errors import TargetError
+from pipeline.pattern.sequence import Sequence
 
 Probe = tuple[Sequence, Callable[[Shots], str]]
 Find = Callable[[Picture, Board], Found]

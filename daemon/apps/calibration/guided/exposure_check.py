@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from daemon.calibrate.live.shots import Shots
-from pipeline.color_calibration.pictures import CLIPPED, LEAST_PEAK, MOST_CLIPPED, WHITE_SHARE, planes_of
-from pipeline.sequence import CHANNELS, Sequence, Uniform
+from daemon.apps.calibration.guided.capture import Shots
+from pipeline.calibrate.color.color_planes import CLIPPED, LEAST_PEAK, MOST_CLIPPED, WHITE_SHARE, planes_of
+from pipeline.pattern.sequence import CHANNELS, Sequence, Uniform
 
 
 def full_light(size: tuple[int, int]) -> Sequence:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.advice import Pose
-from pipeline.targets.board import Board
+from pipeline.calibrate.bundle.quality.view_advice import Pose
+from pipeline.calibrate.targets.board.board import Board
 
 Array = NDArray[np.float64]
 
 USUAL_FOCAL = 3.0
-"""Focal length in picture widths, the one that :mod:`pipeline.bundle.looks` assumes for a single view."""
+"""Focal length in image widths; :mod:`pipeline.calibrate.bundle.quality.view_coverage` assumes it for a single view."""
 _MARGIN = 0.03
 _USUAL_SHARE = 0.6
 """Part of the picture's width that the board fills where nothing is known yet."""
@@ -22,7 +22,8 @@ def outline(board: Board, pose: Pose, size: tuple[int, int], *, distance_mm: flo
 
     Args:
         pose: wished for. size: (width, height) of the picture.
-        distance_mm: usual distance so far, as :mod:`pipeline.bundle.looks` tells it; None = nothing was seen yet.
+        distance_mm: usual distance so far, as :mod:`pipeline.calibrate.bundle.quality.view_coverage` tells it; None =
+            nothing was seen yet.
     """
     focal = USUAL_FOCAL * size[0]
     low, high = board.points.min(axis=0)[:2], board.points.max(axis=0)[:2]

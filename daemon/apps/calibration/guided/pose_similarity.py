@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.bundle.looks import Look
+from pipeline.calibrate.bundle.quality.view_coverage import Look
 
 PLACE, SIZE, TURN, TILT_DEG = 0.05, 0.03, 0.05, 6.0
 """Poses that differ by less in all of these are alike: place as a share of the picture, size (relative), foreshortening

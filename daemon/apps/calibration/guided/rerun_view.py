@@ -22,10 +22,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.calibrate.live.ghost import outline, within
-from daemon.calibrate.live.guide import Scene
-from daemon.errors import DaemonError
-from daemon.mailbox import Mailbox
+from daemon.apps.calibration.guided.capture_loop import Scene
+from daemon.apps.calibration.guided.pose_overlay import outline, within
+from daemon.common.errors import DaemonError
+from daemon.common.latest_wins_queue import Mailbox
 
 log = logging.getLogger("fringed.calibrate")
 
@@ -43,7 +43,7 @@ class Shown:
     """
 
     def __init__(self, recording: Any) -> None:
-        from daemon.view.quiet import rerun
+        from daemon.apps.viewer.rerun_import import rerun
 
         self._rr, self._recording = rerun(), recording
         self._box: Mailbox[Scene] = Mailbox(1)
@@ -164,13 +164,13 @@ def viewer(kind: Kind, say: Callable[[str], None]) -> Iterator[Shown | None]:
 
 def _opened(kind: Kind, stack: ExitStack, say: Callable[[str], None]) -> Shown | None:
     try:
-        from daemon.view import sinks
+        from daemon.apps.viewer import rerun_targets
 
         if kind == "web":
-            recording, address = stack.enter_context(sinks.web_recording(web_port=None, grpc_port=None))
+            recording, address = stack.enter_context(rerun_targets.web_recording(web_port=None, grpc_port=None))
             say(f"live view: {address}")
         else:
-            recording, _ = stack.enter_context(sinks.native_recording())
+            recording, _ = stack.enter_context(rerun_targets.native_recording())
         shown = Shown(recording)
     except (DaemonError, ImportError, OSError, RuntimeError) as error:
         say(f"no live view: {error}")

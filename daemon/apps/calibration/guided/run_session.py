@@ -10,23 +10,23 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from daemon.calibrate.live.asking import DaemonShooter
-from daemon.calibrate.live.devices import DeviceShooter
-from daemon.calibrate.live.exposure import exposure_problem, full_light
-from daemon.calibrate.live.guide import Find, Outcome, Probe, Watcher, guide
-from daemon.calibrate.live.session import Limits
-from daemon.calibrate.live.shots import Shooter
-from daemon.calibrate.live.terminal import Bars, Lines, Several, terminal
-from daemon.calibrate.live.viewer import Kind as ViewKind
-from daemon.calibrate.live.viewer import viewer
-from daemon.clock import SystemClock
+from daemon.apps.calibration.guided.capture import Shooter
+from daemon.apps.calibration.guided.capture_from_daemon import DaemonShooter
+from daemon.apps.calibration.guided.capture_from_devices import DeviceShooter
+from daemon.apps.calibration.guided.capture_loop import Find, Outcome, Probe, Watcher, guide
+from daemon.apps.calibration.guided.exposure_check import exposure_problem, full_light
+from daemon.apps.calibration.guided.rerun_view import Kind as ViewKind
+from daemon.apps.calibration.guided.rerun_view import viewer
+from daemon.apps.calibration.guided.session_state import Limits
+from daemon.apps.calibration.guided.terminal_view import Bars, Lines, Several, terminal
+from daemon.common.clock import SystemClock
+from daemon.common.errors import ControlError, DaemonError
 from daemon.config import load_rig
-from daemon.config.models import RigConfig
-from daemon.control.client import ControlClient
-from daemon.errors import ControlError, DaemonError
-from daemon.rig import OptionsError, open_devices
-from pipeline.sequence import Sequence, camera_sequence, projector_sequence
-from pipeline.targets.board import Board
+from daemon.config.rig_config import RigConfig
+from daemon.control.rpc.client import ControlClient
+from daemon.rig.open_rig import OptionsError, open_devices
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.pattern.sequence import Sequence, camera_sequence, projector_sequence
 
 What = Literal["cameras", "projector", "color", "all"]
 _ASK_S = 1.0
@@ -45,7 +45,8 @@ class Phase:
 
     Args:
         name: ``board`` (poses of the board) or ``color`` (the board at one place); of its folder, too.
-        sequence: captured at every pose. probe: taken before it, see :func:`daemon.calibrate.live.guide.guide`.
+        sequence: captured at every pose. probe: taken before it, see
+            :func:`daemon.apps.calibration.guided.capture_loop.guide`.
     """
 
     name: str
@@ -69,7 +70,7 @@ def phases(what: What, size: tuple[int, int], *, views: int) -> list[Phase]:
         return [Phase("board", camera_sequence(size), poses)]
     if what == "projector":
         return [Phase("board", projector_sequence(size), still)]
-    from pipeline.color_calibration import color_sequence
+    from pipeline.calibrate.color import color_sequence
 
     color = Phase("color", color_sequence(size), once, (full_light(size), exposure_problem))
     # Colours first: at the beginning the board faces the rig, and fills the pictures best.
@@ -96,7 +97,8 @@ def run_session(
 
     Args:
         rig: rig.yaml. folder: of the session; None = a new one under ``calibration-sessions`` beside rig.yaml.
-        view: a live view in Rerun. find: finds the marks; None = :func:`pipeline.targets.find.find_marks`.
+        view: a live view in Rerun. find: finds the marks; None =
+            :func:`pipeline.calibrate.targets.find_marks.find_marks`.
         watcher: shows how it goes; None = the terminal. say: told single sentences.
         progress: told (done, of) while a simulated rig is rendered.
         stopped: asked again and again whether to end; what was captured so far stays.
@@ -109,7 +111,7 @@ def run_session(
     """
     config, base_dir = load_rig(rig, complete=False), rig.resolve().parent
     if find is None:
-        from pipeline.targets.find import find_marks
+        from pipeline.calibrate.targets.find_marks import find_marks
 
         # Whoever solves looks again, and better.
         find = partial(find_marks, refine=False)

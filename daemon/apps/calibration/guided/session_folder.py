@@ -8,11 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from daemon.atomic import write_atomically
-from daemon.calibrate.live.shots import Shots
-from daemon.errors import DaemonError
-from daemon.recording.raw_image import Pixels
-from pipeline.sequence import Sequence
+from daemon.apps.calibration.guided.capture import Shots
+from daemon.common.errors import DaemonError
+from daemon.common.files import write_atomically
+from daemon.recording.format.raw_image import Pixels
+from pipeline.pattern.sequence import Sequence
 
 CAPTURE = "capture.json"
 

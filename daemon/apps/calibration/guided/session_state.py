@@ -18,11 +18,11 @@ from typing import Protocol
 
 import numpy as np
 
-from daemon.calibrate.live.likeness import alike
-from pipeline.bundle.advice import Advice, missing
-from pipeline.bundle.looks import Look, looks, pooled
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView, Marks
+from daemon.apps.calibration.guided.pose_similarity import alike
+from pipeline.calibrate.bundle.quality.view_advice import Advice, missing
+from pipeline.calibrate.bundle.quality.view_coverage import Look, looks, pooled
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView, Marks
 
 _LEAST_MARKS = 12
 _NUMBERED_PX = 2.0
@@ -39,7 +39,7 @@ class State(StrEnum):
 
 
 class Found(Protocol):
-    """What a search for marks gives, see :func:`pipeline.targets.find.find_marks`."""
+    """What a search for marks gives, see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
 
     @property
     def marks(self) -> Marks:
@@ -139,7 +139,7 @@ class Session:
 
     @property
     def usual_distance_mm(self) -> float | None:
-        """Median distance of the views so far, as :mod:`pipeline.bundle.looks` estimates it."""
+        """Median distance of the views so far (:mod:`pipeline.calibrate.bundle.quality.view_coverage`)."""
         return float(np.median([look.distance_mm for look in self._looks])) if self._looks else None
 
     def look(self, sight: Sight) -> Told:

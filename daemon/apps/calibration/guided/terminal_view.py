@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from typing import Any, Self, TextIO
 
-from daemon.calibrate.live.guide import Scene, Watcher
-from daemon.calibrate.live.session import State
+from daemon.apps.calibration.guided.capture_loop import Scene, Watcher
+from daemon.apps.calibration.guided.session_state import State
 
 
 class Lines:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.bounded import read_at_most
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.picture_size import picture_size
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.images.image_size import picture_size
+from daemon.common.bounded import read_at_most
 
 Picture = NDArray[Any]
 

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.looks import CELLS
+from pipeline.calibrate.bundle.quality.view_coverage import CELLS
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from html import escape
 
 import numpy as np
 
-from daemon.calibrate.figures import INTRINSICS, POSE, values_of, view_figures
-from daemon.calibrate.look import Seen
-from daemon.calibrate.report.charts import COLORS, coverage_map, histogram, vector_scale, view_bars, view_picture
-from daemon.calibrate.report.page import Card, figure, items, page, table
-from pipeline.bundle import Solution
-from pipeline.calibration import Cameras
+from daemon.apps.calibration.report.charts import COLORS, coverage_map, histogram, vector_scale, view_bars, view_picture
+from daemon.apps.calibration.views.detect_marks import Seen
+from daemon.common.html_page import Card, figure, items, page, table
+from pipeline.calibrate.bundle import Solution
+from pipeline.calibrate.bundle.quality.solution_figures import INTRINSICS, POSE, values_of, view_figures
+from pipeline.rig.calibration import Cameras
 
 _EMPTY = np.empty((0, 2))
 MOST_PICTURES = 60

@@ -9,12 +9,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from daemon.atomic import write_atomically
-from daemon.bounded import read_at_most
-from daemon.calibrate.errors import KeptError
-from daemon.calibration_file import SIZE_LIMIT, CamerasFile, calibration_bytes, parse_cameras
-from pipeline.calibration import Calibration, Cameras
-from pipeline.errors import CalibrationError
+from daemon.apps.calibration.errors import KeptError
+from daemon.common.bounded import read_at_most
+from daemon.common.files import write_atomically
+from daemon.rig.calibration_file import SIZE_LIMIT, CamerasFile, calibration_bytes, parse_cameras
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.calibration import Calibration, Cameras
 
 WORSE_BY = 1.1
 """An error that grew by less than a tenth is chance: another set of views gives as much."""

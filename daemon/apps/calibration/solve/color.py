@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from daemon.calibrate.archive import Stored, store
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.sources import Progress, Source
-from daemon.calibrate.work import Calibrated
-from daemon.calibrate.work import with_colors as _with_colors
-from daemon.calibration_file import CalibrationFile, read_calibration
-from pipeline.calibration import Calibration, Cameras
-from pipeline.color_calibration import ColorSolution, calibrate_color
-from pipeline.errors import PatternError, PictureError
-from pipeline.sequence import Sequence as Frames
-from pipeline.sequence import Uniform
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.solve.archive import Stored, store
+from daemon.apps.calibration.solve.solve import Calibrated
+from daemon.apps.calibration.solve.solve import with_colors as _with_colors
+from daemon.apps.calibration.views.open_source import Progress, Source
+from daemon.rig.calibration_file import CalibrationFile, read_calibration
+from pipeline.calibrate.color import ColorSolution, calibrate_color
+from pipeline.common.errors import PatternError, PictureError
+from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.pattern.sequence import Uniform
+from pipeline.rig.calibration import Calibration, Cameras
 
 MOST_PASSES = 4
 """Views that are averaged; each takes some hundred megabytes while it is worked on."""

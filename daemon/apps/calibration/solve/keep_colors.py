@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from daemon.calibration_file import CamerasFile
-from pipeline.calibration import Cameras, ColorModel
+from daemon.rig.calibration_file import CamerasFile
+from pipeline.rig.calibration import Cameras, ColorModel
 
 
 def with_old_colors(new: Cameras, old: CamerasFile | None) -> tuple[Cameras, list[str]]:

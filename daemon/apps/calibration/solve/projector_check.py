@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daemon.calibrate.look import Phases
-from pipeline.calibration import Calibration
-from pipeline.errors import CalibrationError
-from pipeline.trinocular import joined, refine_projector
-from pipeline.trinocular_samples import samples_of_phases
+from daemon.apps.calibration.views.detect_marks import Phases
+from pipeline.calibrate.projector.trinocular_residual import joined, refine_projector
+from pipeline.calibrate.projector.trinocular_samples import samples_of_phases
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.calibration import Calibration
 
 WORTH_PX = 0.02
 """Systematic residual from which on the projector is refined."""

@@ -10,22 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from daemon.atomic import write_atomically
-from daemon.calibrate.archive import Stored, better_reasons, keep_dated, refuse_worse, store
-from daemon.calibrate.figures import quality_of
-from daemon.calibrate.layout import layout_advice
-from daemon.calibrate.look import Looked, look, require
-from daemon.calibrate.look_projector import look_with_projector
-from daemon.calibrate.merge import with_old_colors
-from daemon.calibrate.report.build import Report, report_html
-from daemon.calibrate.sources import Progress, Source
-from daemon.calibrate.trinocular import last_look
-from daemon.calibration_file import CamerasFile
-from pipeline.bundle import Options, Solution, calibrate
-from pipeline.bundle.advice import missing
-from pipeline.calibration import Cameras
-from pipeline.errors import CalibrationError, TargetError
-from pipeline.targets.board import Board
+from daemon.apps.calibration.report.report import Report, report_html
+from daemon.apps.calibration.solve.archive import Stored, better_reasons, keep_dated, refuse_worse, store
+from daemon.apps.calibration.solve.keep_colors import with_old_colors
+from daemon.apps.calibration.solve.projector_check import last_look
+from daemon.apps.calibration.views.detect_marks import Looked, look, require
+from daemon.apps.calibration.views.detect_projector_marks import look_with_projector
+from daemon.apps.calibration.views.open_source import Progress, Source
+from daemon.common.files import write_atomically
+from daemon.rig.calibration_file import CamerasFile
+from pipeline.calibrate.bundle import Options, Solution, calibrate
+from pipeline.calibrate.bundle.quality.layout import layout_advice
+from pipeline.calibrate.bundle.quality.solution_figures import quality_of
+from pipeline.calibrate.bundle.quality.view_advice import missing
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.common.errors import CalibrationError, TargetError
+from pipeline.rig.calibration import Cameras
 
 __all__ = ["Calibrated", "Report", "Stored", "better_reasons", "calibrated", "finish", "solved"]
 

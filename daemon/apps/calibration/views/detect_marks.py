@@ -10,16 +10,16 @@ from typing import Any, TypeAlias
 import cv2
 import numpy as np
 
-from daemon.calibrate.pictures import Picture, unpacked
-from daemon.calibrate.sources import Source, View, white_frame
-from pipeline.errors import TargetError
-from pipeline.multi_shot import Coordinate, evenly_lit
-from pipeline.sequence import Sequence
-from pipeline.targets.board import Board
-from pipeline.targets.find import Found, find_marks
-from pipeline.targets.found import edge_sigma_px, too_blurred
-from pipeline.targets.grey import to_grey
-from pipeline.targets.marks import BoardView, Marks
+from daemon.apps.calibration.images.image_files import Picture, unpacked
+from daemon.apps.calibration.views.open_source import Source, View, white_frame
+from pipeline.calibrate.projector.absolute_phase import Coordinate, evenly_lit
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.detect.detection import edge_sigma_px, too_blurred
+from pipeline.calibrate.targets.find_marks import Found, find_marks
+from pipeline.calibrate.targets.localise.gray_image import to_grey
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.common.errors import TargetError
+from pipeline.pattern.sequence import Sequence
 
 Progress = Callable[[int, int], None]
 THUMBNAIL_PX = 520

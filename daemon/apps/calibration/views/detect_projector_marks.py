@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.look import Looked
-from daemon.calibrate.sources import Progress, Source, View, white_frame
-from pipeline import sequence as sequences
-from pipeline.errors import PictureError, TargetError
-from pipeline.multi_shot import coordinates, levels
-from pipeline.projector_marks import Seen, projector_marks
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView, Marks
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.views.detect_marks import Looked
+from daemon.apps.calibration.views.open_source import Progress, Source, View, white_frame
+from pipeline.calibrate.projector.absolute_phase import coordinates, levels
+from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.common.errors import PictureError, TargetError
+from pipeline.pattern import sequence as sequences
 
 MOST_DENSE = 4
 """Views whose phases of all pixels are kept for the trinocular residual; 130 MB each at 1024 x 820 pixels."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.refine import MOST_PAIRS, Pair, encoding_of
-from daemon.sinks import Item, PairItem
-from pipeline.cloud import Volume
-from pipeline.pattern import ColorFringe
+from daemon.apps.calibration.errors import SourceError
+from daemon.live.items import Item, PairItem
+from pipeline.calibrate.drift_correction import MOST_PAIRS, Pair, encoding_of
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Volume
 
 _TIMEOUT_S = 180.0
 _EVERY = 3  # of a live rig's pairs: scenes that differ tell more
@@ -34,7 +34,7 @@ def of_take(path: Path, progress: Callable[[int, int], None]) -> Scene:
     Raises:
         TakeError: no take, or nothing attached; SourceError: pairs of several encodings, or none.
     """
-    from daemon.recording.reader import TakeReader
+    from daemon.recording.read.take_reader import TakeReader
 
     with TakeReader(path) as take:
         pattern, volume = take.pattern(), take.volume()
@@ -83,8 +83,8 @@ def of_rig(path: Path, progress: Callable[[int, int], None], *, timeout_s: float
         ConfigError: a rig file with a mistake; SourceError: too few pairs within the time.
     """
     from daemon.config import load_rig
-    from daemon.rig import open_rig
-    from daemon.service import Service
+    from daemon.live.service import Service
+    from daemon.rig.open_rig import open_rig
 
     config = load_rig(path)
     rig = open_rig(config, path.resolve().parent)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from daemon.bounded import read_at_most
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.pictures import MOST_PICTURES, Picture, as_raw, matching, read_picture
-from pipeline import sequence as sequences
-from pipeline.errors import PatternError
-from pipeline.sequence import Sequence, Uniform
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.images.image_files import MOST_PICTURES, Picture, as_raw, matching, read_picture
+from daemon.common.bounded import read_at_most
+from pipeline.common.errors import PatternError
+from pipeline.pattern import sequence as sequences
+from pipeline.pattern.sequence import Sequence, Uniform
 
 Progress = Callable[[int, int], None]
 
@@ -151,7 +151,7 @@ def open_source(path: Path) -> Source:
         return CaptureFolder(path)
     if path.is_dir() and not any(path.glob("*.mcap*")):
         raise SourceError(f"{path}: holds neither {CAPTURE} with views nor a take; plain pictures are named by --left")
-    from daemon.calibrate.take_source import TakeSource
+    from daemon.apps.calibration.views.take_source import TakeSource
 
     return TakeSource(path)
 

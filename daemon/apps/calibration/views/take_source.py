@@ -6,10 +6,10 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.calibrate.errors import SourceError
-from daemon.calibrate.pictures import MOST_PICTURES
-from daemon.calibrate.sources import Progress, View, described_sequence
-from daemon.recording.reader import TakePair, TakeReader
+from daemon.apps.calibration.errors import SourceError
+from daemon.apps.calibration.images.image_files import MOST_PICTURES
+from daemon.apps.calibration.views.open_source import Progress, View, described_sequence
+from daemon.recording.read.take_reader import TakePair, TakeReader
 
 _NUMBERS = 1 << 32
 PATTERN = "pattern.json"

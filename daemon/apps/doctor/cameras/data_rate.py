@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from daemon.doctor.subject import Size, Subject
+from daemon.apps.doctor.subject import Size, Subject
 from drivers.protocols import SIDES, Side
-from pipeline.errors import PipelineError
+from pipeline.common.errors import PipelineError
 
 _BYTES = {"rgb": 3.0, "bgr": 3.0, "yuyv": 2.0, "uyvy": 2.0, "y16": 2.0, "mjpg": 3.0}
 

@@ -8,9 +8,9 @@ import pwd
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.doctor import usb
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.cameras import usb
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
 
 area = Area("rights")
 

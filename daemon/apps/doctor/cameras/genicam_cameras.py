@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
 from drivers.genicam import CameraFound
 from drivers.protocols import Side
 

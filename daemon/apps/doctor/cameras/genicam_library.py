@@ -8,10 +8,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.ask import Answer, ask
-from daemon.doctor import elf
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.cameras import elf
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.common.run_program import Answer, ask
 
 area = Area("library")
 

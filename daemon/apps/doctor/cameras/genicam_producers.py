@@ -7,10 +7,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.ask import ask
-from daemon.doctor import elf
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.cameras import elf
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.common.run_program import ask
 from drivers.genicam.options import PRODUCER_PATH
 from drivers.genicam.options import producers as producers_of
 

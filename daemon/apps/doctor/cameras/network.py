@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.doctor import transport
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.cameras import data_rate
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
 
 area = Area("network")
 
@@ -19,7 +19,7 @@ _ETHERNET = 1
 
 def check(subject: Subject) -> Iterator[Finding]:
     """Interfaces that are up, and the receive buffer."""
-    used = transport.wanted(subject, "GEV")
+    used = data_rate.wanted(subject, "GEV")
     if used is False:
         yield area.note("cameras", "no GigE Vision camera is seen")
         return

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.doctor import transport
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.cameras import data_rate
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
 
 area = Area("usb")
 
@@ -19,7 +19,7 @@ _SUPER_SPEED = 5000
 def check(subject: Subject) -> Iterator[Finding]:
     """Memory, then every USB3 Vision camera on the bus."""
     found = devices(subject)
-    used = transport.wanted(subject, "U3V")
+    used = data_rate.wanted(subject, "U3V")
     if not found and used is False:
         yield area.note("cameras", "no USB3 Vision camera is seen")
         return
@@ -49,7 +49,7 @@ def memory(subject: Subject, *, certain: bool) -> Finding:
     limit = subject.machine.number(MEMORY)
     if limit is None:
         return area.note("memory", "the kernel tells no limit on memory for USB transfers (no USB here?)")
-    frames, buffers = transport.frame_bytes(subject), [camera.buffers for camera in subject.cameras.values()]
+    frames, buffers = data_rate.frame_bytes(subject), [camera.buffers for camera in subject.cameras.values()]
     need = sum(size * count for size, count in zip(frames, buffers, strict=False)) / 1e6
     if limit == 0 or limit >= max(need, 1 if need else _RECOMMENDED_MB):
         return area.ok("memory", f"usbfs_memory_mb is {limit or 'without limit'}")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from daemon.ask import ask, there
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
-from daemon.health import clock_sync
-from daemon.health.clock_sync import ClockSync
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.common.run_program import ask, there
+from daemon.monitoring.health.observe import clock_sync
+from daemon.monitoring.health.observe.clock_sync import ClockSync
 
 area = Area("clock")
 

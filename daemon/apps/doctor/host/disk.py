@@ -8,10 +8,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.doctor import transport
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
-from daemon.places import existing
+from daemon.apps.doctor.cameras import data_rate
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.common.places import existing
 
 area = Area("disk")
 
@@ -34,7 +34,7 @@ def check(subject: Subject) -> Iterator[Finding]:
     stats = os.statvfs(above)
     free_mb = stats.f_bavail * stats.f_frsize / 1e6
     keep_mb = float(config.recording.min_free_mb) if config is not None else 0.0
-    pair_mb, rate = sum(transport.frame_bytes(subject)) / 1e6, transport.rate_hz(subject)
+    pair_mb, rate = sum(data_rate.frame_bytes(subject)) / 1e6, data_rate.rate_hz(subject)
     yield room(directory, free_mb, keep_mb, pair_mb * rate)
     if free_mb < 64:
         return

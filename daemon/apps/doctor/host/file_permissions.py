@@ -6,10 +6,10 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
-from daemon.errors import DaemonError
-from daemon.security.store import KeyStore
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.common.errors import DaemonError
+from daemon.keys.key_store import KeyStore
 
 area = Area("files")
 

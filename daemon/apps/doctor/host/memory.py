@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from daemon.doctor import transport
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.cameras import data_rate
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
 
 area = Area("memory")
 
@@ -42,9 +42,9 @@ def check(subject: Subject) -> Iterator[Finding]:
 def need_mb(subject: Subject) -> float:
     """A rough need: the program itself, the pipeline's arrays, the frames that wait."""
     config = subject.config
-    size = transport.picture_size(subject, "left") or (1024, 820)
+    size = data_rate.picture_size(subject, "left") or (1024, 820)
     waiting = 8 + (config.recording.queue + config.pipeline.queue if config is not None else 61)
-    frames = (sum(transport.frame_bytes(subject)) or 2 * size[0] * size[1]) * waiting
+    frames = (sum(data_rate.frame_bytes(subject)) or 2 * size[0] * size[1]) * waiting
     base = BASE_MB + (DEVICES_MB if subject.uses("genicam") or subject.uses("x11") else 0.0)
     before = config.recording.before_mb if config is not None and config.recording.before_s > 0 else 0
     return base + before + (size[0] * size[1] * ARRAYS_PER_PIXEL + frames) / 1e6

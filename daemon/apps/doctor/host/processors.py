@@ -6,9 +6,9 @@ import importlib
 import os
 from collections.abc import Iterator
 
-from daemon import threads
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.common import threads
 
 area = Area("processors")
 

@@ -6,11 +6,11 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.ask import ask, there
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.machine import Machine
-from daemon.doctor.subject import Subject
-from daemon.install.layout import CONFIG_FILES, DIRECTORIES, PREFIX, SERVICE, USER
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.machine import Machine
+from daemon.apps.doctor.subject import Subject
+from daemon.apps.install.layout import CONFIG_FILES, DIRECTORIES, PREFIX, SERVICE, USER
+from daemon.common.run_program import ask, there
 
 area = Area("service")
 

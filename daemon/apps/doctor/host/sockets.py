@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from daemon import runtime
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.machine import Machine, Program
-from daemon.doctor.subject import Subject
-from daemon.places import existing
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.machine import Machine, Program
+from daemon.apps.doctor.subject import Subject
+from daemon.common import ipc_endpoints
+from daemon.common.places import existing
 
 area = Area("sockets")
 
@@ -25,8 +25,10 @@ _LISTEN = "0A"
 def check(subject: Subject) -> Iterator[Finding]:
     """Every endpoint, then the directories of those on this machine."""
     config = subject.config
-    stream = config.stream.endpoints if config is not None else [runtime.stream_endpoint(), runtime.TCP_STREAM]
-    control = config.control.endpoint if config is not None else runtime.control_endpoint()
+    stream = (
+        config.stream.endpoints if config is not None else [ipc_endpoints.stream_endpoint(), ipc_endpoints.TCP_STREAM]
+    )
+    control = config.control.endpoint if config is not None else ipc_endpoints.control_endpoint()
     remote = [("control", each) for each in config.control.remote] if config is not None else []
     directories: dict[Path, None] = {}
     for what, endpoint in [*(("stream", each) for each in stream), ("control", control), *remote]:

@@ -8,23 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from daemon.calibration_file import CalibrationFile, created_at
-from daemon.config.models import RigConfig
-from daemon.doctor import transport
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
-from daemon.errors import DaemonError
-from daemon.pattern_file import read_pattern, read_volume
-from daemon.suitability import projector_problem, size_problem
+from daemon.apps.doctor.cameras import data_rate
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.common.errors import DaemonError
+from daemon.config.rig_config import RigConfig
+from daemon.live.compatibility import projector_problem, size_problem
+from daemon.rig.calibration_file import CalibrationFile, created_at
+from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.errors import DriverError
 from drivers.projector.found import find
 from drivers.protocols import SIDES, ProjectorInfo
-from pipeline.bundle.layout import order_check
-from pipeline.calibration import Calibration
-from pipeline.cloud import Volume
-from pipeline.errors import PipelineError
-from pipeline.pattern import ColorFringe
-from pipeline.pattern import from_mapping as pattern_from_mapping
+from pipeline.calibrate.bundle.quality.order_check import order_check
+from pipeline.common.errors import PipelineError
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration
 
 area = Area("calibration")
 
@@ -80,7 +80,7 @@ def age(file: CalibrationFile, now_s: float | None = None) -> Finding:
 def cameras(subject: Subject, file: CalibrationFile) -> Iterator[Finding]:
     """Sizes, and serial numbers where the file has them, against rig.yaml and the cameras that are seen."""
     for side in SIDES:
-        size = transport.picture_size(subject, side)
+        size = data_rate.picture_size(subject, side)
         problem = size_problem(side, size, file.calibration) if size is not None else ""
         if problem:
             yield area.problem(f"camera {side}", *_split(problem))

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import msgspec
 
-from daemon.ask import ask
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.screen import Screen
-from daemon.doctor.subject import Subject
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.rig.display_process import Screen
+from daemon.apps.doctor.subject import Subject
+from daemon.common.run_program import ask
 from drivers.errors import DriverError
 from drivers.projector.found import OutputFound, absent, bent, find, unfit
 from drivers.projector.options import named_display
@@ -115,7 +115,7 @@ def surroundings(subject: Subject, name: str) -> Iterator[Finding]:
 
 def look(name: str) -> Screen:
     """The display's settings, read by another process."""
-    answer = ask([sys.executable, "-m", "daemon.doctor.screen", name], 15.0)
+    answer = ask([sys.executable, "-m", "daemon.apps.doctor.rig.display_process", name], 15.0)
     try:
         return msgspec.json.decode(answer.out, type=Screen)
     except msgspec.MsgspecError:

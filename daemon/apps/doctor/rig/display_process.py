@@ -1,4 +1,6 @@
-"""What surrounds the picture on an X display: ``python -m daemon.doctor.screen DISPLAY`` writes it as JSON.
+"""Programs beside the image on an X display.
+
+``python -m daemon.apps.doctor.rig.display_process DISPLAY`` writes them as JSON.
 
 A process of its own, as Xlib ends the process on errors that it cannot tell.
 """

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject
-from daemon.status import CameraState, CameraStatus
-from daemon.suitability import timing_warnings
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject
+from daemon.live.compatibility import timing_warnings
+from daemon.live.status import CameraState, CameraStatus
 
 area = Area("timing")
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from daemon.apps.doctor.finding import Area, Finding
+from daemon.apps.doctor.subject import Subject, options_parser
+from daemon.common.errors import ConfigError
 from daemon.config.load import load_rig
-from daemon.config.models import RigConfig
-from daemon.config.source import read_yaml
-from daemon.doctor.finding import Area, Finding
-from daemon.doctor.subject import Subject, options_parser
-from daemon.errors import ConfigError
-from daemon.rig import OptionsError
+from daemon.config.rig_config import RigConfig
+from daemon.config.yaml_source import read_yaml
+from daemon.rig.open_rig import OptionsError
 from drivers.protocols import SIDES
 
 area = Area("rig")
@@ -75,7 +75,7 @@ def option_problems(subject: Subject) -> Iterator[str]:
             except ValueError as error:
                 yield str(error)
     if config.cameras.driver == "sim":
-        from sim.options import from_mapping
+        from sim.devices.options import from_mapping
 
         try:
             from_mapping(dict(config.simulation), subject.base_dir)

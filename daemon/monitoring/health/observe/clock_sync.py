@@ -9,7 +9,7 @@ import ctypes
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.ask import ask, there
+from daemon.common.run_program import ask, there
 
 _TIMESYNCD = Path("/run/systemd/timesync/synchronized")
 _ANSWER_S = 5.0

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.sinks import CloudItem, PairItem
+from daemon.live.items import CloudItem, PairItem
 from drivers.protocols import TRIGGER_MODULUS
 
 KEPT = 8192

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from daemon.places import existing
+from daemon.common.places import existing
 from drivers.protocols import Clock
 
 log = logging.getLogger("fringed.health")

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from daemon.health.quantities import CHANNELS
-from daemon.sinks import CloudItem
+from daemon.live.items import CloudItem
+from daemon.monitoring.health.quantities import CHANNELS
 from drivers.protocols import SIDES
-from pipeline.calibration import Calibration
-from pipeline.lighting import LINES, Lighting, fringe_period_px, lighting
-from pipeline.pattern import ColorFringe
+from pipeline.monitor.illumination import LINES, Lighting, fringe_period_px, lighting
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Calibration
 
 _LIT = 5
 

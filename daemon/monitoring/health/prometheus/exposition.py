@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from daemon.health.quantities import BY_NAME
+from daemon.monitoring.health.quantities import BY_NAME
 
 VERDICTS = ("healthy", "warning", "ill", "unknown")
 _QUANTILES = {"p50": "0.5", "p95": "0.95", "p99": "0.99"}

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from daemon.errors import DaemonError
+from daemon.common.errors import DaemonError
 
 log = logging.getLogger("fringed.health")
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle import centroid
-from pipeline.bundle.freedom import Freedom
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.options import Options
-from pipeline.bundle.solve import MOST_STEPS, Fit, fit, residuals
-from pipeline.bundle.state import State
-from pipeline.bundle.uncertainty import full_covariance, noise_of
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import Board
+from pipeline.calibrate.bundle.adjust import circle_offsets
+from pipeline.calibrate.bundle.adjust.levenberg_marquardt import MOST_STEPS, Fit, fit, residuals
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.adjust.parameterisation import Freedom
+from pipeline.calibrate.bundle.adjust.state import State
+from pipeline.calibrate.bundle.adjust.uncertainty import full_covariance, noise_of
+from pipeline.calibrate.bundle.options import Options
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.common.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Adjusted:
         offsets: (n, 2) circle offsets, px.
         diameter_mm: of the circles; 0 = points.
         covariance: of all unknowns.
-        noise: by device (floor_px, factor), see :func:`pipeline.bundle.uncertainty.noise_floor`.
+        noise: by device (floor_px, factor), see :func:`pipeline.calibrate.bundle.adjust.uncertainty.noise_floor`.
     """
 
     fit: Fit
@@ -116,16 +116,16 @@ def adjust(
     """
     kept, promise = np.ones(len(data), dtype=bool), data.sigma
     told = board.diameter_mm if board.round else 0.0
-    diameter = told or diameter_mm or centroid.diameter_mm(state, data)
-    shift = centroid.offsets(state, data, diameter)
+    diameter = told or diameter_mm or circle_offsets.diameter_mm(state, data)
+    shift = circle_offsets.offsets(state, data, diameter)
     sigma = first_sigma(state, data, shift)
     for turn in range(_ROUNDS):
         used = data.with_sigma(sigma).some(kept)
         loss = "cauchy" if turn == 0 and options.loss != "squared" else options.loss
         found = fit(state, used, shift[kept], free, loss=loss, scale=options.loss_scale)
         state = found.state
-        diameter = told or centroid.diameter_mm(state, data.some(kept))
-        new = centroid.offsets(state, data, diameter)
+        diameter = told or circle_offsets.diameter_mm(state, data.some(kept))
+        new = circle_offsets.offsets(state, data, diameter)
         moved = float(np.abs(new - shift).max(initial=0.0))
         shift = new
         if turn == 0:

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.state import State
-from pipeline.camera_model import CameraModel
-from pipeline.targets import disc
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.adjust.state import State
+from pipeline.calibrate.targets.localise import circle_projection
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ def offsets(state: State, data: Observations, diameter_mm: float) -> Array:
         return result
     for where, model, rotation, translation in _pictures(state, data):
         points = state.points[data.mark[where]]
-        result[where] = disc.offsets(model, rotation, translation, points, diameter_mm / 2)
+        result[where] = circle_projection.offsets(model, rotation, translation, points, diameter_mm / 2)
     result[~np.isfinite(data.area)] = 0.0
     return result
 
@@ -30,7 +30,7 @@ def offsets(state: State, data: Observations, diameter_mm: float) -> Array:
 def diameter_mm(state: State, data: Observations) -> float:
     """The diameter that explains the measured areas best (median over the pictures); 0 without areas."""
     found = [
-        disc.diameter_mm(data.area[where], model, rotation, translation, state.points[data.mark[where]])
+        circle_projection.diameter_mm(data.area[where], model, rotation, translation, state.points[data.mark[where]])
         for where, model, rotation, translation in _pictures(state, data)
     ]
     return float(np.median(found)) if found else 0.0

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.freedom import GAUGE_WEIGHT, LOOSE, Freedom
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.projection import project, project_with_slopes
-from pipeline.bundle.state import PER_DEVICE, PER_VIEW, State
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.adjust.parameterisation import GAUGE_WEIGHT, LOOSE, Freedom
+from pipeline.calibrate.bundle.adjust.projection import project, project_with_slopes
+from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW, State
 
 Array = NDArray[np.float64]
 

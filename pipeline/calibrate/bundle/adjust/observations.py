@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView
+from pipeline.common.errors import CalibrationError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

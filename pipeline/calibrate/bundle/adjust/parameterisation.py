@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.options import Options
-from pipeline.bundle.state import INTRINSICS, POSE
-from pipeline.errors import CalibrationError
+from pipeline.calibrate.bundle.adjust.state import INTRINSICS, POSE
+from pipeline.calibrate.bundle.options import Options
+from pipeline.common.errors import CalibrationError
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """The projection of marks with all its derivatives, for many marks at once.
 
-Exactly :class:`pipeline.camera_model.CameraModel`; the derivatives are checked against differences in the tests.
+Exactly :class:`pipeline.rig.camera_model.CameraModel`; the derivatives are checked against differences in the tests.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.state import State
+from pipeline.calibrate.bundle.adjust.state import State
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -21,7 +21,7 @@ class Projected(NamedTuple):
 
     Attributes:
         pixels: (n, 2); NaN behind the device.
-        of_device: (n, 2, 16), by the device's unknowns in the order of :mod:`pipeline.bundle.state`.
+        of_device: (n, 2, 16), by the device's unknowns in the order of :mod:`pipeline.calibrate.bundle.adjust.state`.
         of_view: (n, 2, 6), by the view's unknowns.
         of_point: (n, 2, 3), by the place on the board.
     """

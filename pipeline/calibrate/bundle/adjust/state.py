@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.freedom import Freedom, names_of
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.solve import normal_equations, residuals
-from pipeline.bundle.state import PER_DEVICE, PER_VIEW, State, cross_matrices
-from pipeline.errors import CalibrationError
+from pipeline.calibrate.bundle.adjust.levenberg_marquardt import normal_equations, residuals
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.adjust.parameterisation import Freedom, names_of
+from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW, State, cross_matrices
+from pipeline.common.errors import CalibrationError
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.board import Board
+from pipeline.calibrate.targets.board.board import Board
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.joint import Pose, Vote, vote
-from pipeline.bundle.mono import Mono
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.options import Options
-from pipeline.bundle.solution import Rejection
-from pipeline.bundle.symmetry import Symmetry, symmetries
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.initialise.board_symmetry import Symmetry, symmetries
+from pipeline.calibrate.bundle.initialise.relative_poses import Pose, Vote, vote
+from pipeline.calibrate.bundle.initialise.single_device import Mono
+from pipeline.calibrate.bundle.options import Options
+from pipeline.calibrate.bundle.solution import Rejection
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView
+from pipeline.common.errors import CalibrationError
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.mono import Mono
-from pipeline.bundle.state import State
-from pipeline.bundle.symmetry import Symmetry
+from pipeline.calibrate.bundle.adjust.state import State
+from pipeline.calibrate.bundle.initialise.board_symmetry import Symmetry
+from pipeline.calibrate.bundle.initialise.single_device import Mono
 
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]

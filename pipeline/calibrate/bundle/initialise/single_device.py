@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.freedom import freedom
-from pipeline.bundle.homography import focal_length, homography, pose, seen_from_front
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.options import Options
-from pipeline.bundle.solve import Fit, fit, residuals
-from pipeline.bundle.state import INTRINSICS, State, intrinsics_of
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
+from pipeline.calibrate.bundle.adjust.levenberg_marquardt import Fit, fit, residuals
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.adjust.parameterisation import freedom
+from pipeline.calibrate.bundle.adjust.state import INTRINSICS, State, intrinsics_of
+from pipeline.calibrate.bundle.initialise.homography import focal_length, homography, pose, seen_from_front
+from pipeline.calibrate.bundle.options import Options
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.bundle import Solution
-from pipeline.bundle.layout import GOLDEN, order_check
-from pipeline.calibration import Cameras
-from pipeline.cloud import Volume
-from pipeline.errors import CalibrationError
+from pipeline.calibrate.bundle.quality.order_check import GOLDEN, order_check
+from pipeline.calibrate.bundle.solution import Solution
+from pipeline.common.errors import CalibrationError
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Cameras
 
 
 def layout_advice(cameras: Cameras, solution: Solution) -> tuple[list[str], dict[str, Any]]:

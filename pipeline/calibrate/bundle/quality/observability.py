@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pipeline.bundle.advice import Advice, what_to_add
-from pipeline.bundle.options import Options
-from pipeline.bundle.solution import Solution
-from pipeline.errors import CalibrationError
+from pipeline.calibrate.bundle.options import Options
+from pipeline.calibrate.bundle.quality.view_advice import Advice, what_to_add
+from pipeline.calibrate.bundle.solution import Solution
+from pipeline.common.errors import CalibrationError
 
 _LEAST_NOISE_PX = 0.02
 """Views that only just determine everything are refused also when their marks agree better than this by chance."""

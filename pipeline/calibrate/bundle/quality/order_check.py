@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibration import Calibration
-from pipeline.camera_model import CameraModel
-from pipeline.cloud import Volume
-from pipeline.errors import CalibrationError
+from pipeline.common.errors import CalibrationError
+from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.observations import Observations
-from pipeline.bundle.projection import image_with_slopes
-from pipeline.bundle.state import cross_matrices, intrinsics_of
-from pipeline.camera_model import CameraModel
+from pipeline.calibrate.bundle.adjust.observations import Observations
+from pipeline.calibrate.bundle.adjust.projection import image_with_slopes
+from pipeline.calibrate.bundle.adjust.state import cross_matrices, intrinsics_of
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle import Solution
-from pipeline.bundle.figures import epipolar_distances
-from pipeline.calibration import Cameras
-from pipeline.camera_model import CameraModel
+from pipeline.calibrate.bundle.quality.reprojection_error import epipolar_distances
+from pipeline.calibrate.bundle.solution import Solution
+from pipeline.rig.calibration import Cameras
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def _epipolar(solution: Solution, name: str, pose: tuple[Array, Array]) -> float
 
 
 def values_of(cameras: Cameras) -> dict[str, float]:
-    """Parameters by the names of :attr:`pipeline.bundle.Solution.values`."""
+    """Parameters by the names of :attr:`pipeline.calibrate.bundle.Solution.values`."""
     out: dict[str, float] = {"baseline_mm": cameras.baseline_mm}
     for name, device in (("left", cameras.left), ("right", cameras.right), ("projector", cameras.projector)):
         if device is not None:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.looks import CELLS, Look, looks, pooled
-from pipeline.camera_model import CameraModel
-from pipeline.errors import CalibrationError
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView
+from pipeline.calibrate.bundle.quality.view_coverage import CELLS, Look, looks, pooled
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView
+from pipeline.common.errors import CalibrationError
+from pipeline.rig.camera_model import CameraModel
 
 if TYPE_CHECKING:
-    from pipeline.bundle.solution import Solution
+    from pipeline.calibrate.bundle.solution import Solution
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bundle.homography import focal_length, homography, pose
-from pipeline.camera_model import CameraModel
-from pipeline.targets.board import Board
-from pipeline.targets.marks import BoardView, Marks
+from pipeline.calibrate.bundle.initialise.homography import focal_length, homography, pose
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 

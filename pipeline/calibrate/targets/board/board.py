@@ -13,7 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import TargetError
+from pipeline.common.errors import TargetError
 
 Array = NDArray[np.float64]
 Kind = Literal["circles", "acircles", "chessboard", "charuco"]

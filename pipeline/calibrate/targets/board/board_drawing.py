@@ -1,7 +1,7 @@
 """The drawing of a board: black shapes on white paper, as a list and as a picture.
 
-Both are in the board's frame (mm, origin at mark 0, see :mod:`pipeline.targets.board`), so that the printer, the
-simulator and the finder speak of the same places.
+Both are in the board's frame (mm, origin at mark 0, see :mod:`pipeline.calibrate.targets.board.board`), so that the
+printer, the simulator and the finder speak of the same places.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import TargetError
-from pipeline.targets.aruco import charuco
-from pipeline.targets.board import Board
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.board.charuco_board import charuco
+from pipeline.common.errors import TargetError
 
 Array = NDArray[np.float64]
 

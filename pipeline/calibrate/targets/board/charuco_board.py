@@ -7,8 +7,8 @@ from typing import Any
 
 import cv2
 
-from pipeline.errors import TargetError
-from pipeline.targets.board import Board
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.common.errors import TargetError
 
 
 def dictionary(name: str) -> Any:

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import TargetError
-from pipeline.targets import found as answers
-from pipeline.targets.aruco import charuco
-from pipeline.targets.board import Board
-from pipeline.targets.corner_fit import fit_crossings
-from pipeline.targets.found import Found
-from pipeline.targets.grey import GreyPicture
-from pipeline.targets.squares import Eight, answer, eight_bit, usable
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.board.charuco_board import charuco
+from pipeline.calibrate.targets.detect import detection as answers
+from pipeline.calibrate.targets.detect.chessboard import Eight, answer, eight_bit, usable
+from pipeline.calibrate.targets.detect.detection import Found
+from pipeline.calibrate.targets.localise.corner_fit import fit_crossings
+from pipeline.calibrate.targets.localise.gray_image import GreyPicture
+from pipeline.common.errors import TargetError
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ _NEAREST = 16
 
 
 def find_charuco(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
-    """The corners of a ChArUco board; see :func:`pipeline.targets.find.find_marks`."""
+    """The corners of a ChArUco board; see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
     image = eight_bit(picture)
     places, numbers = _markers(image, board)
     if refine and len(numbers) < _FEW_SHARE * len(charuco(board).getIds()) and image.size < _SMALL:

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets import found as answers
-from pipeline.targets.board import Board
-from pipeline.targets.corner_fit import CornerFits, fit_crossings
-from pipeline.targets.found import Found
-from pipeline.targets.grey import GreyPicture
-from pipeline.targets.marks import Marks
-from pipeline.targets.match import oriented, symmetries
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.detect import detection as answers
+from pipeline.calibrate.targets.detect.detection import Found
+from pipeline.calibrate.targets.detect.grid_numbering import oriented, symmetries
+from pipeline.calibrate.targets.localise.corner_fit import CornerFits, fit_crossings
+from pipeline.calibrate.targets.localise.gray_image import GreyPicture
+from pipeline.calibrate.targets.marks import Marks
 
 Array = NDArray[np.float64]
 Eight = NDArray[np.uint8]
@@ -29,7 +29,7 @@ _THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_C
 
 
 def find_chessboard(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
-    """The inner corners of a chessboard; see :func:`pipeline.targets.find.find_marks`."""
+    """The inner corners of a chessboard; see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
     image = eight_bit(picture)
     corners = _corners(image, board.grid, quick=not refine)
     if corners is None:

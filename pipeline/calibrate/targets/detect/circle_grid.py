@@ -7,17 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import TargetError
-from pipeline.targets import found as answers
-from pipeline.targets.board import Board
-from pipeline.targets.candidates import Discs, find_discs, merged
-from pipeline.targets.disc_grid import Grid, among_neighbours, completed, reach_px, room_px
-from pipeline.targets.ellipse_fit import Fits, fit_ellipses
-from pipeline.targets.found import Found
-from pipeline.targets.grey import Grey, GreyPicture
-from pipeline.targets.lattice import Lattice, lattices
-from pipeline.targets.marks import Marks
-from pipeline.targets.match import clear, extent, match, oriented
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.detect import detection as answers
+from pipeline.calibrate.targets.detect.detection import Found
+from pipeline.calibrate.targets.detect.disc_candidates import Discs, find_discs, merged
+from pipeline.calibrate.targets.detect.grid_completion import Grid, among_neighbours, completed, reach_px, room_px
+from pipeline.calibrate.targets.detect.grid_numbering import clear, extent, match, oriented
+from pipeline.calibrate.targets.detect.grid_topology import Lattice, lattices
+from pipeline.calibrate.targets.localise.ellipse_fit import Fits, fit_ellipses
+from pipeline.calibrate.targets.localise.gray_image import Grey, GreyPicture
+from pipeline.calibrate.targets.marks import Marks
+from pipeline.common.errors import TargetError
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ _SIGMA_UNREFINED_PX = 0.2
 
 
 def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
-    """The marks of a board of circles; see :func:`pipeline.targets.find.find_marks`."""
+    """The marks of a board of circles; see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
     grid = _grid(picture, board)
     if not refine:
         return _unrefined(picture, grid)

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import TargetError
-from pipeline.targets.board import Board
-from pipeline.targets.grey import GreyPicture
-from pipeline.targets.marks import Marks
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.localise.gray_image import GreyPicture
+from pipeline.calibrate.targets.marks import Marks
+from pipeline.common.errors import TargetError
 
 _STRONG_EDGES = 0.003
 BLURRED_PX = 4.0
@@ -24,7 +24,7 @@ class Found:
     """The marks of one board in one picture.
 
     Args:
-        marks: see :class:`pipeline.targets.marks.Marks`.
+        marks: see :class:`pipeline.calibrate.targets.marks.Marks`.
         sharpness_px: sigma of the Gaussian that blurs the marks' edges, pixels; the pixels' own aperture is part of it,
             so that about 0.5 is the sharpest there is.
         contrast: light minus dark over light, 0 to 1, median of the marks.

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.grey import Grey, picture_noise
+from pipeline.calibrate.targets.localise.gray_image import Grey, picture_noise
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.board import Board
-from pipeline.targets.candidates import Discs
-from pipeline.targets.printed import MARGIN
+from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.board.board_drawing import MARGIN
+from pipeline.calibrate.targets.detect.disc_candidates import Discs
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.board import Board
+from pipeline.calibrate.targets.board.board import Board
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.candidates import Discs
+from pipeline.calibrate.targets.detect.disc_candidates import Discs
 
 Array = NDArray[np.float64]
 Place = tuple[int, int]

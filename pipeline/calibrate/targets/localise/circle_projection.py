@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_model import CameraModel, distortion_slopes
+from pipeline.rig.camera_model import CameraModel, distortion_slopes
 
 Array = NDArray[np.float64]
 
@@ -104,6 +104,6 @@ def _images(
 
 
 def _distortion_determinant(ideal: Array, coefficients: Array) -> Array:
-    """Determinant of the derivative of :func:`pipeline.camera_model.distort` at ideal points (..., 2)."""
+    """Determinant of the derivative of :func:`pipeline.rig.camera_model.distort` at ideal points (..., 2)."""
     xx, xy, yy = distortion_slopes(ideal, coefficients)
     return np.asarray(xx * yy - xy * xy)

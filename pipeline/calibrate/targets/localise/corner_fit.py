@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.corner_kernel import PARAMETERS, fit_corners
-from pipeline.targets.ellipse_fit import LEAST_SIGMA_PX
-from pipeline.targets.fit_noise import noise_line, together
-from pipeline.targets.grey import GreyPicture, picture_noise
+from pipeline.calibrate.targets.localise.corner_kernel import PARAMETERS, fit_corners
+from pipeline.calibrate.targets.localise.ellipse_fit import LEAST_SIGMA_PX
+from pipeline.calibrate.targets.localise.fit_noise import noise_line, together
+from pipeline.calibrate.targets.localise.gray_image import GreyPicture, picture_noise
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
-from pipeline.targets.normal_step import add_row, decompose, solve
+from pipeline.calibrate.targets.localise.gauss_newton_step import add_row, decompose, solve
+from pipeline.common.jit import serial
 
 PARAMETERS = 11
 _N = 11
@@ -43,10 +43,11 @@ def fit_corners(
         picture: (H, W) float32.
         starts: (n, 2) where to begin.
         windows: (n,) radius of the pixels that are used.
-        noise, blur, clip, steps: as :func:`pipeline.targets.ellipse_kernel.fit_all`.
+        noise, blur, clip, steps: as :func:`pipeline.calibrate.targets.localise.ellipse_kernel.fit_all`.
         parameters: (n, 11) in and out; on entry the directions and sigma must be set; where both levels (5 and 8) are 0
             they are measured first.
-        results: (n, 10) out: as :func:`pipeline.targets.ellipse_kernel.fit_all`, with dark for inside.
+        results: (n, 10) out: as :func:`pipeline.calibrate.targets.localise.ellipse_kernel.fit_all`, with dark for
+            inside.
     """
     for i in range(len(starts)):
         _fit(picture, starts[i], windows[i], noise, blur, clip, steps, parameters[i], results[i])

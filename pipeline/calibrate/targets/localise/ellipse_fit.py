@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.ellipse_kernel import PARAMETERS, fit_all
-from pipeline.targets.fit_noise import noise_line, together
-from pipeline.targets.grey import Grey, picture_noise
+from pipeline.calibrate.targets.localise.ellipse_kernel import PARAMETERS, fit_all
+from pipeline.calibrate.targets.localise.fit_noise import noise_line, together
+from pipeline.calibrate.targets.localise.gray_image import Grey, picture_noise
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
-from pipeline.targets.normal_step import add_row, decompose, solve
+from pipeline.calibrate.targets.localise.gauss_newton_step import add_row, decompose, solve
+from pipeline.common.jit import serial
 
 PARAMETERS = 12
 _N = 12

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.targets.grey import Grey
+from pipeline.calibrate.targets.localise.gray_image import Grey
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kernels import serial
+from pipeline.common.jit import serial
 
 
 @serial

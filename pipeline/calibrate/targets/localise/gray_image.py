@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import TargetError
+from pipeline.common.errors import TargetError
 
 Grey = NDArray[np.float32]
 
