@@ -45,11 +45,11 @@ $(PEERS)/.complete: benchmarks/peers.txt
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement benchmarks/peers.txt
 	@touch $@
 
-bench-calibration: $(STAMP)  ## calibrated from rendered pictures alone, against the truth; a quarter of an hour
+bench-calibration: $(STAMP)  ## calibrated from rendered images alone, against the truth; a quarter of an hour
 	$(BIN)/python -m benchmarks.calibration
 	$(BIN)/python -m benchmarks.calibrated --scale 0.5
 
-bench-modes: $(STAMP)  ## sets of pictures against the single shot and the truth, at rest and in motion; ten minutes
+bench-modes: $(STAMP)  ## sets of images against the single shot and the truth, at rest and in motion; ten minutes
 	$(BIN)/python -m benchmarks.modes
 
 soak: $(STAMP)  ## half an hour at 30 pairs a second: losses, memory, latencies; exit code 1 if one is lost
@@ -77,9 +77,9 @@ bench-service: $(STAMP)  ## the service under a real systemd, in a container: st
 golden: $(STAMP)  ## make the golden take of tests/golden anew (only when its contents must change)
 	$(BIN)/python -m tests.golden.make
 
-screenshot: $(STAMP)  ## the picture in this README, of a running `make demo`
+screenshot: $(STAMP)  ## the image in this README, of a running `make demo`
 	tools/system-packages browser
-	$(BIN)/fringed view --screenshot docs/pictures/demo.png
+	$(BIN)/fringed view --screenshot docs/images/demo.png
 
 rig-in-a-box: $(STAMP)  ## the real drivers on emulated hardware: projector window, light, cameras, daemon; Ctrl-C ends
 	tools/system-packages x11 compiler

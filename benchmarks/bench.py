@@ -1,4 +1,4 @@
-"""``make bench``: speed, memory, scale and accuracy, and other people's programs on the same pictures, in one run.
+"""``make bench``: speed, memory, scale and accuracy, and other people's programs on the same images, in one run.
 
 Everything is timed one after the other, each of our jobs in a process of its own; medians, other programs on the
 machine show in the spread. Results go to ``out/bench/results.json``, figures beside them; ``--markdown`` writes tables
@@ -25,7 +25,7 @@ from benchmarks.tables import Table, as_json, with_block, write_whole
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENT = ROOT / "docs" / "performance.md"
-PICTURES = ROOT / "docs" / "pictures"
+IMAGES = ROOT / "docs" / "images"
 QUICK_CASES = 3
 
 Found = tuple[list[Table], Any, list[tuple[str, bool]]]
@@ -99,7 +99,7 @@ def main() -> int:
     results = OUT / "results.json"
     write_whole(results, as_json(tables, about, figures))
     console.print(f"{results}")
-    plot(results, PICTURES if options.markdown else OUT)
+    plot(results, IMAGES if options.markdown else OUT)
     if options.markdown:
         write_document(DOCUMENT, tables)
     return 0 if all(kept for _, kept in promises) else 1

@@ -25,7 +25,7 @@ from fringed import SilenceError, subscribe
 from sim.box.box import GENTL_DIR, Box
 from sim.box.exposure_ledger import Shown
 from sim.box.options import from_mapping
-from sim.box.world import Counts, Lit, Picture
+from sim.box.world import Counts, Image, Lit
 
 STAGES = {
     "frame": "both frames in the cameras' processes",
@@ -71,17 +71,17 @@ class Prepared:
 
     def __init__(self, stage: Lit) -> None:
         self._stage = stage
-        self._made: dict[tuple[int, int], tuple[Picture, Picture]] = {}
+        self._made: dict[tuple[int, int], tuple[Image, Image]] = {}
 
-    def counts(self, picture: NDArray[np.uint8], instant: int = 0) -> Counts:
+    def counts(self, image: NDArray[np.uint8], instant: int = 0) -> Counts:
         """Both cameras' counts without noise."""
-        return self._stage.counts(picture, instant)
+        return self._stage.counts(image, instant)
 
-    def pictures(self, counts: Counts, seed: int) -> tuple[Picture, Picture]:
-        """Both cameras' pictures with the noise of one of the seeds."""
+    def images(self, counts: Counts, seed: int) -> tuple[Image, Image]:
+        """Both cameras' images with the noise of one of the seeds."""
         if not self._made.get((id(counts), 0)):
             for k in range(_EXPOSURES):
-                self._made[id(counts), k] = self._stage.pictures(counts, k)
+                self._made[id(counts), k] = self._stage.images(counts, k)
         return self._made[id(counts), seed % _EXPOSURES]
 
 
@@ -156,7 +156,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.box_latency", description=__doc__)
     parser.add_argument("--count", type=int, default=1500, help="triggers")
     parser.add_argument("--rate", type=float, default=20.0, help="triggers a second")
-    parser.add_argument("--scale", type=float, default=0.25, help="size of the pictures, 1 = 1024 x 820")
+    parser.add_argument("--scale", type=float, default=0.25, help="size of the images, 1 = 1024 x 820")
     parser.add_argument("--exposure-us", type=float, default=2000.0)
     parser.add_argument("--readout-us", type=float, default=1000.0)
     return parser.parse_args(given)

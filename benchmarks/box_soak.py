@@ -203,7 +203,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.box_soak", description=__doc__)
     parser.add_argument("--triggers", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--scale", type=float, default=0.0625, help="size of the pictures, 1 = 1024 x 820")
+    parser.add_argument("--scale", type=float, default=0.0625, help="size of the images, 1 = 1024 x 820")
     parser.add_argument("--gone", type=float, default=5e-5, help="share of triggers at which a camera is unplugged")
     parser.add_argument("--measured", type=int, default=50, help="one pair in so many goes to the pipeline")
     parser.add_argument("--verbose", action="store_true", help="tell how far it is")

@@ -1,6 +1,6 @@
 """Measuring with a rig's own calibration: ``python -m benchmarks.calibrated``, from scratch to clouds, in simulation.
 
-Colours, cameras and projector of a rendered rig (12 % crosstalk, gamma 2.2, noise) are calibrated from its pictures
+Colours, cameras and projector of a rendered rig (12 % crosstalk, gamma 2.2, noise) are calibrated from its images
 alone; then scenes are measured with that calibration and with the true one. A calibration has its own left camera as
 its world, so clouds are laid onto the truth by the best rigid motion (no scale) before their error is told. The exit
 code is 1 when a promise is broken.
@@ -32,7 +32,7 @@ from pipeline.rig.camera_model import CameraModel
 from sim.boards.board_scene import board_scene, fine, session_poses
 from sim.evaluate.score import AlignedScore, aligned
 from sim.render.projection_transport import Stage
-from sim.render.render_pair import render_pictures, truths
+from sim.render.render_pair import render_images, truths
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
@@ -44,17 +44,17 @@ Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """The rendered rig; a person who calibrates it knows its pictures only."""
+    """The rendered rig; a person who calibrates it knows its images only."""
 
     layout: RigLayout
     optics: Optics
     seed: int = 0
 
     def shots(self, stage: Stage, sequence: Sequence, calibration: ColorSolution | None, seed: int) -> list[Pair]:
-        """Both cameras' pictures of every frame, shown through the inverse of the response that is known."""
+        """Both cameras' images of every frame, shown through the inverse of the response that is known."""
         response = None if calibration is None else calibration.response
         return [
-            stage.pictures(stage.counts(np.ascontiguousarray(frame.picture(response))), 1_000 * (self.seed + seed) + k)
+            stage.images(stage.counts(np.ascontiguousarray(frame.image(response))), 1_000 * (self.seed + seed) + k)
             for k, frame in enumerate(sequence.frames)
         ]  # type: ignore[misc]
 
@@ -67,14 +67,14 @@ def colors(rig: Rig, geometry: Calibration | None = None) -> ColorSolution:
 
 
 def view_of(rig: Rig, board: Board, pose: object, sequence: Sequence, color: ColorSolution, number: int) -> BoardView:
-    """One place of the board: marks in both cameras, and where the projector's picture meets them."""
+    """One place of the board: marks in both cameras, and where the projector's image meets them."""
     stage = Stage(rig.layout, board_scene(board, pose), fine(rig.optics))  # type: ignore[arg-type]
     shots = rig.shots(stage, sequence, color, 100 + number)
     seen = {}
     for k, side in enumerate(SIDES):
-        pictures = [pair[k] for pair in shots]
-        x, y = (coordinate(pictures, sequence, axis) for axis in ("x", "y"))  # type: ignore[arg-type]
-        seen[side] = Seen(marks_of(pictures[0], board), x, y)
+        images = [pair[k] for pair in shots]
+        x, y = (coordinate(images, sequence, axis) for axis in ("x", "y"))  # type: ignore[arg-type]
+        seen[side] = Seen(marks_of(images[0], board), x, y)
     marks = {side: one.marks for side, one in seen.items()}
     return BoardView(f"view {number}", marks | {"projector": projector_marks(board, seen).marks})
 
@@ -96,9 +96,9 @@ def geometry(rig: Rig, board: Board, views: int, color: ColorSolution) -> tuple[
 
 def measured(rig: Rig, calibration: Calibration, pattern: ColorFringe, scene: str) -> AlignedScore:
     """A scene under the pattern as this calibration has it sent, and how far its cloud is from the truth."""
-    picture = pattern.picture(calibration.response)
+    image = pattern.image(calibration.response)
     what = build(scene)
-    left, right = render_pictures(rig.layout, what, picture, rig.optics, 0.0, 77 + rig.seed)
+    left, right = render_images(rig.layout, what, image, rig.optics, 0.0, 77 + rig.seed)
     truth, _ = truths(rig.layout, what, pattern)
     cloud = Reconstructor(calibration, pattern, rig.layout.volume()).reconstruct(left, right)
     return aligned(cloud.xyz, truth)
@@ -126,7 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--views", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
-    # What is sent is up to the calibration here: the renderer sends pictures as they are.
+    # What is sent is up to the calibration here: the renderer sends images as they are.
     optics = Optics(crosstalk=0.12, gamma=2.2, precorrected=False)
     rig = Rig(RigLayout().scaled(chosen.scale), optics, chosen.seed)
     began = time.monotonic()

@@ -1,7 +1,7 @@
 """How true a calibration is: ``python -m benchmarks.calibration``, on sessions of the simulated rig.
 
 A session of board views is rendered once and read out with another noise for every seed. Every seed is calibrated from
-its pictures alone; the errors are those against the rig that was rendered, and their scatter over the seeds is what the
+its images alone; the errors are those against the rig that was rendered, and their scatter over the seeds is what the
 reported standard deviations must agree with. The exit code is 1 when a promise is broken.
 """
 
@@ -59,16 +59,16 @@ class Sessions:
         }
 
 
-def marks_of(picture: NDArray[np.uint8], board: Board) -> Marks:
-    """The marks of a board in one picture, ordered by their numbers."""
-    marks = find_marks(picture, board).marks
+def marks_of(image: NDArray[np.uint8], board: Board) -> Marks:
+    """The marks of a board in one image, ordered by their numbers."""
+    marks = find_marks(image, board).marks
     order = np.argsort(marks.ids)
     areas = None if marks.areas_px is None else marks.areas_px[order]
     return Marks(marks.ids[order], marks.pixels[order], marks.sigma_px[order], areas)
 
 
 def lens_error_px(found: CameraModel, true: CameraModel) -> float:
-    """Largest difference of the distortions within the picture, px.
+    """Largest difference of the distortions within the image, px.
 
     What a small turn of the device does to all rays is no error of its lens: the best turn and focal length are taken
     off first, as the pose of the device takes them up.
@@ -98,8 +98,8 @@ def run(rendered: RenderedViews, seeds: range) -> Sessions:
     for seed in seeds:
         views = []
         for k, pose in enumerate(rendered.poses):
-            (pair,) = rendered.pictures(seed, k)
-            found = {side: marks_of(picture, board) for side, picture in zip(SIDES, pair, strict=True)}
+            (pair,) = rendered.images(seed, k)
+            found = {side: marks_of(image, board) for side, image in zip(SIDES, pair, strict=True)}
             views.append(BoardView(f"view {k}", found))
             _compare_marks(out, layout, board, pose, k, found)
         _compare(out, calibrate(board, views, dict.fromkeys(SIDES, layout.camera_size)), true.left, true.right)
@@ -132,7 +132,7 @@ def _compare(out: Sessions, solution: Solution, *cameras: CameraModel) -> None:
                 out.note("focal length", error / true.matrix[row, column])
             else:
                 out.note("principal point", error)
-        out.note("lens within the picture", lens_error_px(found, true))
+        out.note("lens within the image", lens_error_px(found, true))
     baseline = float(np.linalg.norm(cameras[1].centre - cameras[0].centre))
     out.errors.setdefault("baseline_mm", []).append(solution.baseline_mm - baseline)
     out.sigmas.setdefault("baseline_mm", []).append(solution.sigma["baseline_mm"])
@@ -147,8 +147,8 @@ def report(out: Sessions, seeds: int, views: int) -> bool:
         ("focal length", f"{100 * out.worst['focal length']:.4f} %", "0.03 %", out.worst["focal length"] < FOCAL_LIMIT),
         ("principal point", f"{out.worst['principal point']:.3f} px", "0.3 px",
          out.worst["principal point"] < CENTRE_LIMIT_PX),
-        ("lens within the picture", f"{out.worst['lens within the picture']:.4f} px", "0.03 px",
-         out.worst["lens within the picture"] < LENS_LIMIT_PX),
+        ("lens within the image", f"{out.worst['lens within the image']:.4f} px", "0.03 px",
+         out.worst["lens within the image"] < LENS_LIMIT_PX),
         ("baseline", f"{100 * out.worst['baseline']:.4f} %", "0.02 %", out.worst["baseline"] < BASELINE_LIMIT),
         ("rms / noise floor", f"{rms:.4f} / {floor:.4f} px = {rms / floor:.3f}", f"{FLOOR_LIMIT}",
          rms < FLOOR_LIMIT * floor),

@@ -35,7 +35,7 @@ class Case:
     promise: tuple[float, float, float] | None = None
 
     def render(self, seed: int = 0) -> RenderedPair:
-        """The pictures of this case with their truth."""
+        """The images of this case with their truth."""
         return render_pair(
             self.layout, build(self.scene, seed=seed), self.pattern, self.optics, 0.0, seed, self.encoding
         )

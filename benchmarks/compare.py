@@ -1,4 +1,4 @@
-"""The same pair of pictures through other people's programs: time beside time, error beside error."""
+"""The same pair of images through other people's programs: time beside time, error beside error."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sim.render.ground_truth import Truth, phases
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = ROOT / ".bench-venv" / "bin" / "python"
 RATIO = 25.0
-"""Promised: `fringes`, decoding and unwrapping both pictures, takes at least this many times our whole pair."""
+"""Promised: `fringes`, decoding and unwrapping both images, takes at least this many times our whole pair."""
 
 Array = NDArray[Any]
 
@@ -61,7 +61,7 @@ def phase_error(absolute: Array, truth: Truth, case: Case) -> PhaseError:
 
 
 def written(shot: Shot, case: Case, file: Path) -> None:
-    """What the peers read: pictures, cameras and volume as plain arrays."""
+    """What the peers read: images, cameras and volume as plain arrays."""
     rig = case.layout.calibration_for(case.optics)
     volume = case.layout.volume()
     np.savez(
@@ -83,7 +83,7 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
     own = statistics.median(before.total_ms + after.total_ms)
     table = Table(
         "peers",
-        f"The same pictures ({case.name}, {shot.left.shape[1]} x {shot.left.shape[0]}), {threads} threads",
+        f"The same images ({case.name}, {shot.left.shape[1]} x {shot.left.shape[0]}), {threads} threads",
         [
             "what", "called", "gives", "ms", "times ours", "within 1 mm %", "wrong %", "rms um", "phase rms rad",
             "period right %",
@@ -109,12 +109,12 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
     ratio = statistics.median(chain["ms"]) / own
     unwrapping = statistics.median(chain["unwrapping_ms"])
     decoding = statistics.median(chain["ms"]) - unwrapping
-    promise = f"fringes (decode, unwrap both pictures) against our whole pair: {ratio:.1f} : 1, promised {RATIO:.0f}"
+    promise = f"fringes (decode, unwrap both images) against our whole pair: {ratio:.1f} : 1, promised {RATIO:.0f}"
     table.notes += [
         f"{promise}. That is with its default unwrapping, by scikit-image: {decoding:.0f} ms decoding and "
         f"{unwrapping:.0f} ms unwrapping; its decoding alone takes {decoding / own:.1f} times our whole pair.",
-        "Both pictures each; medians, compiled beforehand, pictures and rectification maps in memory. Phase: left "
-        "picture, where lit and seen by both, without crosstalk correction but for ours; one constant is removed, as "
+        "Both images each; medians, compiled beforehand, images and rectification maps in memory. Phase: left "
+        "image, where lit and seen by both, without crosstalk correction but for ours; one constant is removed, as "
         "these phases have no absolute order. Period right: share of these pixels whose unwrapped phase is off by less "
         "than half a period once the most frequent whole number of periods is removed; unknown pixels are not right.",
     ]
@@ -140,7 +140,7 @@ def peers(
 
 
 def our_phase(case: Case, shot: Shot) -> Array:
-    """Absolute phase of the left picture as our pipeline has it, NaN where unknown."""
+    """Absolute phase of the left image as our pipeline has it, NaN where unknown."""
     reconstructor = case.reconstructor()
     cloud = reconstructor.reconstruct(shot.left, shot.right)
     # The decoded phase is no part of a cloud; a benchmark may look inside.

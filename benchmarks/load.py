@@ -1,6 +1,6 @@
 """The measurement under load against the same without: ``make load``.
 
-A daemon measures a simulated rig whose pictures are played; rounds without anybody and rounds with all take turns, so
+A daemon measures a simulated rig whose images are played; rounds without anybody and rounds with all take turns, so
 that a machine that changes its mind touches both. All: 4 subscribers of whole clouds, 4 of light ones, 20 that ask for
 the status once a second, one that is stopped (SIGSTOP), one that never reads. They run at idle priority on the same
 processors, as on a rig PC they would run elsewhere. The exit code is 1 when the rate or the P99 latency (start of
@@ -116,7 +116,7 @@ def verdict(result: dict[str, Any]) -> list[str]:
 def arguments(given: list[str]) -> argparse.Namespace:
     """Options of the command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
-    parser.add_argument("--scale", type=float, default=0.5, help="size of the pictures, 1 = 1024 x 820")
+    parser.add_argument("--scale", type=float, default=0.5, help="size of the images, 1 = 1024 x 820")
     parser.add_argument("--rate", type=float, default=10.0, help="triggers a second")
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--seconds", type=float, default=15.0, help="of a round")

@@ -1,7 +1,7 @@
-"""The single shot against sets of pictures and against the truth: ``python -m benchmarks.modes``, in simulation.
+"""The single shot against sets of images and against the truth: ``python -m benchmarks.modes``, in simulation.
 
 Scenes at rest are measured in every mode, by every kind of camera. Then a plane moves, towards the rig or sideways;
-every picture of a set is taken at its own time. What a mode gives then must be right or unknown: the exit code is 1
+every image of a set is taken at its own time. What a mode gives then must be right or unknown: the exit code is 1
 when more than a hundredth of a set's points err by more than a millimetre.
 """
 
@@ -38,7 +38,7 @@ SCENES = "plane", "spheres", "steps", "mixed"
 SPEEDS_M_S = 0.0, 0.01, 0.1, 0.3, 1.0
 RATE_HZ = 100.0
 ERROR_LIMIT_MM, SHARE_LIMIT = 1.0, 0.01
-Pictures: TypeAlias = list[NDArray[Any]]
+Images: TypeAlias = list[NDArray[Any]]
 Made: TypeAlias = Reconstructor | SetReconstructor
 
 
@@ -55,11 +55,11 @@ class Rig:
         return (SINGLE, *MODES) if not self.encoding.startswith("mono") else MODES[1:]
 
     def shown(self, mode: str) -> list[NDArray[np.uint8]]:
-        """The projector's pictures of a mode."""
+        """The projector's images of a mode."""
         if mode == SINGLE:
-            return [self.layout.pattern().picture()]
+            return [self.layout.pattern().image()]
         sequence = mode_sequence(mode, self.layout.projector_size, periods=self.layout.periods)
-        return [np.ascontiguousarray(frame.picture()) for frame in sequence.frames]
+        return [np.ascontiguousarray(frame.image()) for frame in sequence.frames]
 
     def made(self, mode: str) -> Made:
         """What measures in a mode."""
@@ -81,7 +81,7 @@ def measured(made: Made, pairs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> 
 
 def at_rest(rig: Rig, scenes: Sequence[str]) -> Table:
     """Every mode on scenes that do not move."""
-    headings = ["scene", "mode", "pictures", "within 1 mm %", "wrong %", "rms um", "5x5 rms um", "sigma um", "moved %"]
+    headings = ["scene", "mode", "images", "within 1 mm %", "wrong %", "rms um", "5x5 rms um", "sigma um", "moved %"]
     table = Table("at_rest", f"Scenes at rest, {rig.encoding}", headings, words=("mode",))
     made = {mode: rig.made(mode) for mode in rig.modes()}
     for name in scenes:
@@ -89,7 +89,7 @@ def at_rest(rig: Rig, scenes: Sequence[str]) -> Table:
         stage, truth = Stage(rig.layout, scene, rig.optics, encoding=rig.encoding), truths(rig.layout, scene)[0]
         for mode in rig.modes():
             shown = rig.shown(mode)
-            pairs = [stage.pictures(stage.counts(picture), 100 + k) for k, picture in enumerate(shown)]
+            pairs = [stage.images(stage.counts(image), 100 + k) for k, image in enumerate(shown)]
             cloud = measured(made[mode], pairs)
             found = score(cloud.xyz, truth)
             table.add(
@@ -102,9 +102,9 @@ def at_rest(rig: Rig, scenes: Sequence[str]) -> Table:
 
 
 def in_motion(rig: Rig, direction: str) -> tuple[Table, list[tuple[str, bool]]]:
-    """A plane at several speeds; every picture of a set at its own time."""
+    """A plane at several speeds; every image of a set at its own time."""
     headings = ["m/s", "mode", "points %", "moved %", "median um", "95 % um", f"over {ERROR_LIMIT_MM:g} mm %"]
-    table = Table("in_motion", f"A plane moves {direction}, {RATE_HZ:g} pictures a second", headings, words=("mode",))
+    table = Table("in_motion", f"A plane moves {direction}, {RATE_HZ:g} images a second", headings, words=("mode",))
     made = {mode: rig.made(mode) for mode in rig.modes()}
     promises = []
     for speed in SPEEDS_M_S:
@@ -138,16 +138,16 @@ def moving_plane(direction: str, speed: float) -> Scene:
 
 
 def _taken(rig: Rig, scene: Scene) -> dict[str, list[tuple[NDArray[Any], NDArray[Any]]]]:
-    """The pairs of every mode; picture k of each is taken k periods of the triggers after the first."""
+    """The pairs of every mode; image k of each is taken k periods of the triggers after the first."""
     shown = {mode: rig.shown(mode) for mode in rig.modes()}
     pairs: dict[str, Any] = {mode: [] for mode in shown}
     stage = None
-    for k in range(max(len(pictures) for pictures in shown.values())):
+    for k in range(max(len(images) for images in shown.values())):
         if stage is None or scene.moves:
             stage = Stage(rig.layout, scene, rig.optics, encoding=rig.encoding, instants_s=(k / RATE_HZ,))
-        for mode, pictures in shown.items():
-            if k < len(pictures):
-                pairs[mode].append(stage.pictures(stage.counts(pictures[k]), 100 + k))
+        for mode, images in shown.items():
+            if k < len(images):
+                pairs[mode].append(stage.images(stage.counts(images[k]), 100 + k))
     return pairs
 
 
@@ -170,7 +170,7 @@ def _moved(cloud: Cloud) -> float:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; 1 when a promise is broken."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.modes", description=__doc__)
-    parser.add_argument("--scale", type=float, default=0.5, help="of all pictures; default: %(default)s")
+    parser.add_argument("--scale", type=float, default=0.5, help="of all images; default: %(default)s")
     parser.add_argument("--only", choices=("rest", "motion"), help="one half of it")
     parser.add_argument("--markdown", action="store_true", help="tables as Markdown")
     chosen = parser.parse_args(arguments)

@@ -1,6 +1,6 @@
-"""What others offer, on the same pair of pictures; runs in the peers' own environment, imports nothing of ours.
+"""What others offer, on the same pair of images; runs in the peers' own environment, imports nothing of ours.
 
-``python benchmarks/peers.py PAIR.npz RESULT.npz REPEATS THREADS [quick]``: reads pictures and rig, writes what each
+``python benchmarks/peers.py PAIR.npz RESULT.npz REPEATS THREADS [quick]``: reads images and rig, writes what each
 peer found and a JSON text of what was called and how long it took. See :mod:`benchmarks.compare` for the judgement.
 """
 
@@ -23,7 +23,7 @@ _SECONDS = 12.0
 
 
 class Pair:
-    """Both pictures and the rig, as arrays; see :func:`benchmarks.compare.written`."""
+    """Both images and the rig, as arrays; see :func:`benchmarks.compare.written`."""
 
     def __init__(self, file: str) -> None:
         with np.load(file) as arrays:
@@ -48,14 +48,14 @@ def timed(call: Callable[[], Any], repeats: int, *, warm: bool = True) -> tuple[
 
 
 def fringes(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
-    """Wavelength-division multiplexing: three shifts in one colour picture; one frequency, so unwrapped spatially."""
+    """Wavelength-division multiplexing: three shifts in one colour image; one frequency, so unwrapped spatially."""
     logging.disable(logging.ERROR)  # it says at every call, rightly, that the phase is only relative
     import fringes.fringes as module
 
     width, height = pair.projector
     f = module.Fringes(X=width, Y=height, axes=1, K=1, N=3, v=pair.periods, WDM=True, reverse=True)
     if f.T != 1 or f.uwr != "spatial":
-        raise RuntimeError(f"fringes took other options: {f.T} pictures, unwrapping {f.uwr}")
+        raise RuntimeError(f"fringes took other options: {f.T} images, unwrapping {f.uwr}")
     spent_ms = [0.0]
     plain = module.spu
 
@@ -67,13 +67,13 @@ def fringes(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
 
     module.spu = unwrap
     rows = []
-    # Its other unwrapping takes a quarter of a minute on such pictures: once is enough.
+    # Its other unwrapping takes a quarter of a minute on such images: once is enough.
     for name, option, runs in (("scikit-image", "ski", repeats), ("OpenCV", "cv2", 1))[: 1 if quick else 2]:
         unwrapping: list[float] = []
 
         def both(option: str = option, unwrapping: list[float] = unwrapping) -> list[Any]:
             spent_ms[0] = 0.0
-            found = [f.decode(picture, spu_func=option) for picture in (pair.left, pair.right)]
+            found = [f.decode(image, spu_func=option) for image in (pair.left, pair.right)]
             unwrapping.append(spent_ms[0])
             return found
 
@@ -81,7 +81,7 @@ def fringes(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": f"fringes {version('fringes')}, {name}",
-                "called": f"Fringes(K=1, N=3, WDM=True).decode(picture, spu_func='{option}')",
+                "called": f"Fringes(K=1, N=3, WDM=True).decode(image, spu_func='{option}')",
                 "key": f"fringes_{option}",
                 "gives": "relative phase",
                 "ms": ms,
@@ -93,10 +93,10 @@ def fringes(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
 
 
 def opencv_phase(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
-    """``structured_light.SinusoidalPattern`` with the three channels as its three pictures.
+    """``structured_light.SinusoidalPattern`` with the three channels as its three images.
 
     Its Fourier step pads to a size that suits it but masks and shifts the unpadded one, reading past the end of the
-    mask (and PSP then fails an assertion): so the pictures are padded here, beforehand.
+    mask (and PSP then fails an assertion): so the images are padded here, beforehand.
     """
     height, width = pair.left.shape[:2]
     down, across = (cv2.getOptimalDFTSize(n) - n for n in (height, width))
@@ -116,8 +116,8 @@ def opencv_phase(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any
 
         def both(pattern: Any = pattern) -> list[Array]:
             unwrapped = []
-            for pictures in channels:
-                wrapped, mask = pattern.computePhaseMap(pictures)
+            for images in channels:
+                wrapped, mask = pattern.computePhaseMap(images)
                 unwrapped.append(pattern.unwrapPhaseMap(wrapped, size, None, mask))
             return unwrapped
 
@@ -136,10 +136,10 @@ def opencv_phase(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any
 
 
 def stereo(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
-    """Semi-global block matching of the rectified colour pictures: what one would take without knowing of fringes."""
+    """Semi-global block matching of the rectified colour images: what one would take without knowing of fringes."""
     v = pair.values
     left, right = (v["left_matrix"], v["left_distortion"]), (v["right_matrix"], v["right_distortion"])
-    # flags=0: the axes converge, so a common principal point would shift both pictures out of view.
+    # flags=0: the axes converge, so a common principal point would shift both images out of view.
     r1, r2, p1, p2, q, *_ = cv2.stereoRectify(
         *left, *right, pair.size, v["rotation"], v["translation"].reshape(3, 1), flags=0, alpha=-1
     )
@@ -160,8 +160,8 @@ def stereo(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
 
         def both(matcher: Any = matcher) -> tuple[Array, Array]:
             rectified = [
-                cv2.remap(picture, *each, cv2.INTER_LINEAR)
-                for picture, each in zip((pair.left, pair.right), maps, strict=True)
+                cv2.remap(image, *each, cv2.INTER_LINEAR)
+                for image, each in zip((pair.left, pair.right), maps, strict=True)
             ]
             disparity = matcher.compute(*rectified).astype(np.float32) / 16
             return disparity, cv2.reprojectImageTo3D(disparity, q)
@@ -190,7 +190,7 @@ def disparities(pair: Pair, r1: Array, p1: Array, p2: Array) -> tuple[int, int]:
 
 
 def corner_rays(pair: Pair) -> Array:
-    """Rays (4, 3) of the left picture's corners, z = 1."""
+    """Rays (4, 3) of the left image's corners, z = 1."""
     width, height = pair.size
     corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], np.float64)[:, None]
     v = pair.values

@@ -36,7 +36,7 @@ def stages(figures: dict[str, Any], folder: Path) -> None:
     axes.axvline(_REAL_TIME_MS, color="black", linewidth=1, linestyle="--")
     axes.annotate(" 30 pairs/s", (_REAL_TIME_MS, 1), xycoords=("data", "axes fraction"), va="bottom", fontsize=8)
     axes.invert_yaxis()
-    axes.set_xlabel("median time per pair of pictures (ms)")
+    axes.set_xlabel("median time per pair of images (ms)")
     figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     _save(figure, folder / "bench-stages.svg")
 
@@ -52,7 +52,7 @@ def peers(figures: dict[str, Any], folder: Path) -> None:
     axes.set_xscale("log")
     axes.set_xlim(min(values) / 2, max(values) * 3)
     axes.invert_yaxis()
-    axes.set_xlabel("median time per pair of pictures (ms, logarithmic)")
+    axes.set_xlabel("median time per pair of images (ms, logarithmic)")
     _save(figure, folder / "bench-peers.svg")
 
 

@@ -1,6 +1,6 @@
-"""Rendered pictures on disk: a benchmark is run many times, its pictures change only with the simulator.
+"""Rendered images on disk: a benchmark is run many times, its images change only with the simulator.
 
-They stand in ``out/bench/pictures``, in a folder named by a digest of the simulator's own source; folders of other
+They stand in ``out/bench/images``, in a folder named by a digest of the simulator's own source; folders of other
 digests are removed.
 """
 
@@ -30,7 +30,7 @@ _SHARED = ("rig/calibration.py", "rig/camera_model.py", "pattern/color_fringe.py
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A pair of pictures with the left camera's truth, and the file that they stand in."""
+    """A pair of images with the left camera's truth, and the file that they stand in."""
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
@@ -39,7 +39,7 @@ class Shot:
 
 
 def shot(case: Case, seed: int = 0, t_s: float = 0.0, noise: int | None = None, folder: Path | None = None) -> Shot:
-    """The pictures of a case, from disk if they are there; textures of ``seed``, and its noise unless one is given."""
+    """The images of a case, from disk if they are there; textures of ``seed``, and its noise unless one is given."""
     folder = folder or _folder()
     noise = seed if noise is None else noise
     file = folder / f"{_key(case, seed, t_s, noise)}.npz"
@@ -64,14 +64,14 @@ def _keep(file: Path, arrays: dict[str, Any]) -> None:
 
 
 def _key(case: Case, seed: int, t_s: float, noise: int) -> str:
-    # The depth of the volume is the reconstruction's affair: the same pictures serve every depth.
+    # The depth of the volume is the reconstruction's affair: the same images serve every depth.
     layout = astuple(replace(case.layout, depth_mm=1.0))
     parts = (case.scene, layout, astuple(case.optics), case.encoding, case.modulated, case.periods, seed, t_s, noise)
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
 
 
 def _folder() -> Path:
-    folder = OUT / "pictures" / source_digest()
+    folder = OUT / "images" / source_digest()
     for other in folder.parent.glob("*"):
         if other != folder:
             shutil.rmtree(other, ignore_errors=True)
@@ -79,7 +79,7 @@ def _folder() -> Path:
 
 
 def source_digest() -> str:
-    """Digest of every source file that the pictures depend on."""
+    """Digest of every source file that the images depend on."""
     files = sorted(Path(sim.__file__).parent.rglob("*.py"))
     files += [Path(pipeline.__file__).parent / name for name in _SHARED]
     digest = hashlib.sha256()
@@ -89,6 +89,6 @@ def source_digest() -> str:
 
 
 def moving(frames: int, rate_hz: float) -> tuple[Case, list[Shot]]:
-    """Successive pictures of the moving scene, as cameras at this rate take them."""
+    """Successive images of the moving scene, as cameras at this rate take them."""
     case = Case("moving", "moving")
     return case, [shot(case, t_s=0.4 + i / rate_hz, noise=i) for i in range(frames)]

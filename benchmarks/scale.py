@@ -14,7 +14,7 @@ from sim.rig.layout import RigLayout
 
 STANDARD = RigLayout()
 SIZES = ((512, 410), (768, 615), (1024, 820), (1536, 1230), (2048, 1640), (2448, 2048))
-"""Camera pictures; the last are those of 5-megapixel sensors."""
+"""Camera images; the last are those of 5-megapixel sensors."""
 PERIODS = (48.0, 64.0, 80.0, 96.0, 112.0, 128.0)
 DEPTHS_MM = (230.0, 345.0, 460.0, 690.0, 920.0)
 
@@ -37,7 +37,7 @@ def every_series(*, quick: bool) -> Iterator[Series]:
     sizes, periods, depths = (SIZES[:3:2], PERIODS[1:4:2], DEPTHS_MM[:3:2]) if quick else (SIZES, PERIODS, DEPTHS_MM)
     yield Series(
         "pixels",
-        "megapixels per picture",
+        "megapixels per image",
         tuple((f"{w} x {h}", w * h / 1e6, Case("size", "mixed", layout=with_pixels(w, h))) for w, h in sizes),
     )
     yield Series("periods", "fringe periods", tuple((f"{n:.0f}", n, Case("N", "mixed", periods=n)) for n in periods))
@@ -78,7 +78,7 @@ def by_series(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any]]:
             )  # fmt: skip
             figures[series.name]["points"].append({"value": value, **found})
     table.notes.append(
-        f"Three-chip, the standard case but for what differs. ns a pixel (of one picture), memory: {THREADS[-1]} "
+        f"Three-chip, the standard case but for what differs. ns a pixel (of one image), memory: {THREADS[-1]} "
         f"threads. Speed-up: {THREADS[-1]} threads against {THREADS[0]}."
     )
     return table, figures

@@ -22,7 +22,7 @@ from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.devices.live_world import LiveScene
 from sim.devices.options import SimOptions
 from sim.devices.projector import LiveProjector
-from sim.render.render_pair import picture_sent
+from sim.render.render_pair import image_sent
 from sim.rig.disturbance import Disturbance
 from sim.rig.layout import RigLayout
 
@@ -69,7 +69,7 @@ class Rig:
 
     def scene(self, *knocks: Disturbance) -> LiveScene:
         """The scene as the rig sees it after these disturbances."""
-        shown = picture_sent(self.pattern, self.options.optics, self.pattern.size)
+        shown = image_sent(self.pattern, self.options.optics, self.pattern.size)
         made = LiveScene(self.options, LiveProjector(shown))
         for knock in knocks:
             made.disturb(knock)
@@ -78,10 +78,10 @@ class Rig:
     def look(self, scene: LiveScene, first: int = 0) -> Iterator[Observation]:
         """One pair after the other, the scene moving on, each with fresh noise."""
         for index in range(first, 1 << 30):
-            pictures = scene.pair(index)
-            cloud = self.reconstructor.reconstruct(*pictures)
+            images = scene.pair(index)
+            cloud = self.reconstructor.reconstruct(*images)
             began = time.perf_counter()
-            seen = self.observer.observe(*pictures, cloud)
+            seen = self.observer.observe(*images, cloud)
             self.ms.append(1e3 * (time.perf_counter() - began))
             yield seen
 

@@ -1,6 +1,6 @@
 """How fast the installed service is there, and there again: ``make bench-service``, as root.
 
-In a container with a real systemd, with a simulated rig at 10 pairs a second (256 x 204 pixels) whose pictures and
+In a container with a real systemd, with a simulated rig at 10 pairs a second (256 x 204 pixels) whose images and
 kernels are on disk already, as they are on a rig that was started before:
 
 - start: from ``systemctl start`` until the service is ready, which it is with its first cloud;

@@ -1,6 +1,6 @@
 """A long run as a user would have it: ``make soak``.
 
-The daemon measures a moving scene of simulated cameras, whose pictures are rendered before and only played; a take is
+The daemon measures a moving scene of simulated cameras, whose images are rendered before and only played; a take is
 recorded, one subscriber takes whole clouds and one the light ones. At the end: losses by reason, memory, latencies.
 The exit code is 1 when a pair was lost or memory grew. Finished parts of the take are removed as they come.
 """
@@ -82,7 +82,7 @@ class Soak:
                 if client.call("status")["state"] in ("running", "degraded"):
                     return
             except ControlError:
-                pass  # it renders its pictures
+                pass  # it renders its images
             time.sleep(0.2)
         raise SystemExit("the daemon ended while starting:\n" + (self.directory / "log").read_text())
 
@@ -156,8 +156,8 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=30.0, help="triggers a second")
     parser.add_argument("--settle", type=float, default=5.0, help="seconds before counting begins")
     parser.add_argument("--scene", default="moving")
-    parser.add_argument("--frames", type=int, default=24, help="pictures in the loop that is played")
-    parser.add_argument("--scale", type=float, default=1.0, help="of the pictures, 1 = 1024 x 820")
+    parser.add_argument("--frames", type=int, default=24, help="images in the loop that is played")
+    parser.add_argument("--scale", type=float, default=1.0, help="of the images, 1 = 1024 x 820")
     parser.add_argument("--no-record", action="store_true", help="without the recorder")
     parser.add_argument("--no-prior", action="store_true", help="without the temporal prior")
     parser.add_argument("--set", type=_setting, action="append", default=[], metavar="KEY=VALUE")

@@ -22,7 +22,7 @@ from sim.evaluate.score import Score, score
 from sim.render.ground_truth import Truth
 
 ALONE_PER_S = 30.0
-"""Promised pairs a second by themselves, two threads, three-chip pictures of 1024 x 820."""
+"""Promised pairs a second by themselves, two threads, three-chip images of 1024 x 820."""
 BUDGET_MS = {"decode": 10.0, "orders": 12.0, "propagation": 2.0, "refinement": 10.0}
 """What each stage may take of the 33.3 ms of such a pair; upper limits that add up to a little more than the whole."""
 THREADS = tuple(n for n in (1, 2) if n <= (os.cpu_count() or 1))
@@ -116,7 +116,7 @@ def live(repeats: int, frames: int) -> tuple[Table, Table, dict[str, Timing]]:
         f"{THREADS[-1]} threads; accuracy is the mean of {frames} pairs. At half resolution the shares are of the "
         "pixels that are measured, every second of both axes."
     )
-    title = f"Moving scene at {RATE_HZ:.0f} pictures a second, {frames} pairs forth and back: median / worst ms"
+    title = f"Moving scene at {RATE_HZ:.0f} images a second, {frames} pairs forth and back: median / worst ms"
     return stage_table("live", title, timings), accuracy, timings
 
 
@@ -153,12 +153,12 @@ def _budget(stage: str) -> str:
 
 def memory_table(timings: dict[str, Timing]) -> Table:
     """Peak memory and time until ready of each timing."""
-    headings = ["pictures", "peak memory MiB", "of it pictures MiB", "ready after s"]
+    headings = ["images", "peak memory MiB", "of it images MiB", "ready after s"]
     table = Table("memory", "A process that only reconstructs", headings)
     for name, timing in timings.items():
         kind, threads = name.split("/")
         what = f"{kind}, {threads} thread{'s' * (threads != '1')}"
-        table.add(what, f"{timing.peak_mib:.0f}", f"{timing.pictures_mib:.0f}", f"{timing.ready_s:.1f}")
+        table.add(what, f"{timing.peak_mib:.0f}", f"{timing.images_mib:.0f}", f"{timing.ready_s:.1f}")
     table.notes.append(
         "Largest resident memory with Python, numba and OpenCV, one pair at a time, kernels compiled before and loaded "
         "from numba's cache. Ready: tables built, kernels loaded and run once; the very first start compiles as well."

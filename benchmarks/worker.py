@@ -60,14 +60,14 @@ class Timing:
     Args:
         total_ms: of each pair; stage_ms: by stage, of each pair.
         ready_s: to build the tables and load (or compile) the kernels.
-        peak_mib: largest resident memory; pictures_mib: the share of it that the job's own pictures take.
+        peak_mib: largest resident memory; images_mib: the share of it that the job's own images take.
     """
 
     total_ms: list[float]
     stage_ms: dict[str, list[float]]
     ready_s: float
     peak_mib: float
-    pictures_mib: float
+    images_mib: float
 
 
 def run(job: Job) -> Timing:
@@ -127,13 +127,13 @@ def work(job: Job) -> Timing:
         for name, ms in cloud.ms.items():
             stage_ms.setdefault(name, []).append(ms)
     peak = peak_memory_mib()
-    pictures = sum(left.nbytes + right.nbytes for left, right in pairs) / 2**20
+    images = sum(left.nbytes + right.nbytes for left, right in pairs) / 2**20
     if job.clouds is not None:
         for _ in range(max(1, 2 * len(pairs) - 2)):
-            # In the same order as before, so that the prior stays that of the neighbouring picture.
+            # In the same order as before, so that the prior stays that of the neighbouring image.
             i = next(shown)
             np.save(job.clouds / f"{i}.npy", reconstructor.reconstruct(*pairs[i], **options).xyz)
-    return Timing(total_ms, stage_ms, ready_s, peak, pictures)
+    return Timing(total_ms, stage_ms, ready_s, peak, images)
 
 
 def peak_memory_mib() -> float:
@@ -148,7 +148,7 @@ def peak_memory_mib() -> float:
 
 
 def there_and_back(count: int) -> Iterator[int]:
-    """0, 1 .. count - 1 .. 1, 0, 1 ..: no jump from the last picture to the first."""
+    """0, 1 .. count - 1 .. 1, 0, 1 ..: no jump from the last image to the first."""
     return itertools.cycle([*range(count), *range(count - 2, 0, -1)])
 
 

@@ -25,7 +25,7 @@ TRIGGER_MODULUS = 1 << 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture as the sensor gave it.
+    """One image as the sensor gave it.
 
     Args:
         side: which camera.
@@ -114,16 +114,16 @@ class ProjectorInfo:
 
 @runtime_checkable
 class Projector(Protocol):
-    """A projector that shows pictures pixel by pixel; it recovers by itself and then shows the last picture again."""
+    """A projector that shows images pixel by pixel; it recovers by itself and then shows the last image again."""
 
     def open(self) -> ProjectorInfo:
         """Connect; raises DriverError when the output is not there or its mode does not fit."""
 
-    def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show an (H, W, 3) uint8 picture of the projector's size until the next call."""
+    def show(self, image: NDArray[np.uint8]) -> None:
+        """Show an (H, W, 3) uint8 image of the projector's size until the next call."""
 
     def problem(self) -> str:
-        """Why the last picture may not be shown at this moment, empty when all is well; returns at once."""
+        """Why the last image may not be shown at this moment, empty when all is well; returns at once."""
 
     def close(self) -> None:
         """Go dark and let go; never raises."""

@@ -1,6 +1,6 @@
 """Read a recorded take in Python: `python examples/03_read_a_take.py TAKE.mcap`.
 
-Prints what the take carries, then the brightness of both pictures of every pair, and how many points it gives.
+Prints what the take carries, then the brightness of both images of every pair, and how many points it gives.
 A take that was cut off or damaged is read as far as it is sound; what is wrong with it is told at the end.
 """
 

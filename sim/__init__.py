@@ -1,1 +1,1 @@
-"""A rig made of light and arithmetic: the drivers' protocols on rendered pictures, with the truth beside them."""
+"""A rig made of light and arithmetic: the drivers' protocols on rendered images, with the truth beside them."""

@@ -1,7 +1,7 @@
 """Compiles all kernels into the cache on disk, so that the tests' time-outs are those of running them.
 
 Compiling takes minutes on a slow machine, and several processes that tests start would each wait for it or do it again.
-A second process compiles at the same time what shares the least with the single shot of three-chip pictures, with which
+A second process compiles at the same time what shares the least with the single shot of three-chip images, with which
 the first one begins; what it has done by then, the first one finds.
 """
 

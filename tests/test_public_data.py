@@ -1,4 +1,4 @@
-"""Real pictures that others took: the same commands a user would type, and the phase formulas."""
+"""Real images that others took: the same commands a user would type, and the phase formulas."""
 
 import json
 
@@ -31,7 +31,7 @@ def test_the_bust_is_measured_with_the_settings_of_the_simulated_scenes(shared_d
         ("zebra", "png", 1, 32.1, -1),
     ],
 )
-def test_three_real_pictures_shifted_by_120_degrees_give_the_known_fringes(
+def test_three_real_images_shifted_by_120_degrees_give_the_known_fringes(
     shared_data, name, suffix, axis, period, grows
 ):
     """Each set's README tells period, direction and share of valid pixels; here by the pipeline's own solution."""
@@ -39,10 +39,10 @@ def test_three_real_pictures_shifted_by_120_degrees_give_the_known_fringes(
     from pipeline.pattern.color_fringe import ColorFringe
     from pipeline.rig.calibration import ColorModel
 
-    pictures = [
+    images = [
         cv2.imread(str(shared_data("threephase", name, f"phase{k}.{suffix}")), cv2.IMREAD_GRAYSCALE) for k in (1, 2, 3)
     ]
-    counts = np.stack(pictures, axis=-1).astype(np.float64)
+    counts = np.stack(images, axis=-1).astype(np.float64)
     mean, c, s = np.moveaxis(counts @ np.linalg.inv(design(ColorModel(), ColorFringe().shifts)).T, -1, 0)
     modulation = np.hypot(c, s)
     red, green, blue = np.moveaxis(counts, -1, 0)

@@ -102,7 +102,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
     parser.add_argument("--faults", type=int, default=504, help="how many")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--scale", type=float, default=0.125, help="size of the pictures, 1 = 1024 x 820")
+    parser.add_argument("--scale", type=float, default=0.125, help="size of the images, 1 = 1024 x 820")
     parser.add_argument("--rate", type=float, default=10.0, help="triggers a second")
     parser.add_argument("--only", help="faults whose names have this word")
     parser.add_argument("--verbose", action="store_true", help="tell each fault")

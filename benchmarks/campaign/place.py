@@ -69,7 +69,7 @@ class Place:
     """Everything at hand for a fault; for ``with``.
 
     Args:
-        directory: an empty one; scale: of the pictures, 1 = 1024 x 820; rate_hz: of the triggers.
+        directory: an empty one; scale: of the images, 1 = 1024 x 820; rate_hz: of the triggers.
     """
 
     def __init__(self, directory: Path, *, scale: float, rate_hz: float, disk_mb: int = 400) -> None:

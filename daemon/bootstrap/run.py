@@ -98,7 +98,7 @@ def run_rig(
     def watched(done: int, of: int) -> None:
         if flag.asked:
             raise StopAskedError("stopped while starting")
-        supervisor.preparing(f"rendering the simulated rig, {done} of {of} pictures")
+        supervisor.preparing(f"rendering the simulated rig, {done} of {of} images")
         if progress is not None:
             progress(done, of)
 

@@ -15,22 +15,22 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "listen": ("daemon.cli.measure.listen", "Print rate, points, latency and losses of a stream."),
     "status": ("daemon.cli.control.status", "Show what a running daemon is doing."),
     "health": ("daemon.cli.control.health", "Tell how a running daemon fares; charts of the last hours."),
-    "mode": ("daemon.cli.control.mode", "Tell or change how many pictures make a cloud."),
+    "mode": ("daemon.cli.control.mode", "Tell or change how many images make a cloud."),
     "get": ("daemon.cli.control.get", "List the settings of a running daemon, or show one."),
     "set": ("daemon.cli.control.set", "Change a setting while the daemon measures."),
     "reload": ("daemon.cli.control.switches:reload", "Let a running daemon read its rig.yaml and files again."),
     "start": ("daemon.cli.control.switches:start", "Let a paused daemon measure again."),
     "stop": ("daemon.cli.control.switches:stop", "Let a daemon pause; everything stays connected."),
     "snapshot": ("daemon.cli.control.switches:snapshot", "Write the newest cloud of a running daemon to a file."),
-    "pattern": ("daemon.cli.control.switches:pattern", "Show the fringe or a plain picture on the projector."),
-    "record": ("daemon.cli.control.record", "Record raw pictures: start, stop, or directly from the rig."),
+    "pattern": ("daemon.cli.control.switches:pattern", "Show the fringe or a plain image on the projector."),
+    "record": ("daemon.cli.control.record", "Record raw images: start, stop, or directly from the rig."),
     "takes": ("daemon.cli.takes.takes", "List, show, check, repair and remove takes."),
     "replay": ("daemon.cli.takes.replay", "Reconstruct a recorded take."),
     "info": ("daemon.cli.takes.info", "Tell what a take holds and whether it is whole."),
     "check": ("daemon.cli.setup.check", "Check a rig.yaml, a calibration or a take."),
     "doctor": ("daemon.cli.setup.doctor", "Find what is wrong with the machine or a rig, and how to mend it."),
     "devices": ("daemon.cli.setup.devices", "List cameras and projector outputs, with what rig.yaml calls them by."),
-    "projector": ("daemon.cli.setup.projector", "Find the projector's output and show test pictures on it."),
+    "projector": ("daemon.cli.setup.projector", "Find the projector's output and show test images on it."),
     "calibrate": ("daemon.cli.calibrate.group", "Calibrate cameras, projector and colours, and check them."),
     "keys": ("daemon.cli.setup.keys", "Say who may connect from other machines: make, allow, list and revoke keys."),
     "install": ("daemon.cli.setup.install", "Put the daemon onto this machine as a systemd service."),
@@ -82,7 +82,7 @@ app = typer.Typer(cls=LazyGroup, add_completion=False, no_args_is_help=True, ric
 def _root(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
-    """Live 3D measurement: two colour cameras, one projected picture, a metric cloud per frame."""
+    """Live 3D measurement: two colour cameras, one projected image, a metric cloud per frame."""
 
 
 def invoke(arguments: list[str]) -> int:

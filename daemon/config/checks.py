@@ -189,7 +189,7 @@ def _recording(data: dict[str, Any]) -> Found:
 
 
 def _mode(data: dict[str, Any]) -> Found:
-    """A multi-frame mode needs a projector that shows more than one picture."""
+    """A multi-frame mode needs a projector that shows more than one image."""
     mode, projector = data.get("mode", "single"), _section(data, "projector").get("driver")
     if mode == "single" or not isinstance(mode, str):
         return
@@ -198,15 +198,15 @@ def _mode(data: dict[str, Any]) -> Found:
         if _section(data, "simulation").get("live") is False:
             yield (
                 ("simulation", "live"),
-                f"simulation.live is false: a rendered loop has one picture, mode {mode} several",
+                f"simulation.live is false: a rendered loop has one image, mode {mode} several",
             )
     elif projector == "external" and not stored:
         yield (
             ("mode",),
             (
-                f"mode {mode}: projector.driver external cannot be told to show a picture; let it hold them and set "
+                f"mode {mode}: projector.driver external cannot be told to show an image; let it hold them and set "
                 "sequence.display: stored, or use projector.driver: x11"
             ),
         )
     elif projector == "x11" and stored:
-        yield ("sequence", "display"), "sequence.display: projector.driver x11 holds no pictures; set driven"
+        yield ("sequence", "display"), "sequence.display: projector.driver x11 holds no images; set driven"

@@ -86,7 +86,7 @@ class Stream(Section):
     allow_remote: Annotated[
         bool, Field(description="Allow addresses that other machines can reach, with keys only.")
     ] = False
-    preview_hz: Annotated[float, Field(ge=0, le=10, description="Pictures a second; 0 = none.")] = 2.0
+    preview_hz: Annotated[float, Field(ge=0, le=10, description="Images a second; 0 = none.")] = 2.0
 
 
 class Control(Section):
@@ -140,11 +140,11 @@ class SelfCheckLimits(Section):
         float, Field(gt=0, le=10, description="Trinocular residual: observed minus expected projector column, pixels.")
     ] = 0.04
     column_slope_px: Annotated[
-        float, Field(gt=0, le=10, description="The same, from the middle of the picture to its edge.")
+        float, Field(gt=0, le=10, description="The same, from the middle of the image to its edge.")
     ] = 0.012
-    epipolar_px: Annotated[
-        float, Field(gt=0, le=10, description="Right picture across the epipolar lines, pixels.")
-    ] = 0.1
+    epipolar_px: Annotated[float, Field(gt=0, le=10, description="Right image across the epipolar lines, pixels.")] = (
+        0.1
+    )
     color_rad: Annotated[
         float, Field(gt=0, le=1, description="Phase of a colour channel against the others, radians.")
     ] = 0.006

@@ -1,4 +1,4 @@
-"""The methods ``calibrate.*``: show pictures and capture what the cameras see of them, while the daemon runs.
+"""The methods ``calibrate.*``: show images and capture what the cameras see of them, while the daemon runs.
 
 ``calibrate.capture`` starts a job and answers at once; ``calibrate.status`` tells how far it is and, at the end, the
 file: a take whose ``pattern.json`` is the sequence. Solving is not the daemon's work.
@@ -43,7 +43,7 @@ class CalibrateMethods:
         """Begin to capture.
 
         Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs``, how often they are gone
-        through (1); ``hold_s``, how long the last picture stays for the next capture (0); ``name`` of the sequence;
+        through (1); ``hold_s``, how long the last image stays for the next capture (0); ``name`` of the sequence;
         ``response`` of the projector, levels and red, green, blue as in a calibration file, for fringes (none: as they
         are).
         """
@@ -56,7 +56,7 @@ class CalibrateMethods:
         return self._capture.start(order)
 
     def status(self, _: dict[str, Any]) -> dict[str, Any]:
-        """How far the newest capture is, the size of the projector's pictures, and whether a hand is simulated."""
+        """How far the newest capture is, the size of the projector's images, and whether a hand is simulated."""
         projector, hand = self._service.projector, self._service.rig.next_pose is not None
         size = None if projector is None else list(projector.size)
         return self._capture.status() | {"projector": size, "hand": hand}
@@ -76,7 +76,7 @@ class CalibrateMethods:
     def refuse_while_capturing(self) -> None:
         """RpcError while the projector belongs to a capture."""
         if self._capture.active:
-            raise RpcError(FAILED, "the projector is showing pictures for a capture; end it with calibrate.cancel")
+            raise RpcError(FAILED, "the projector is showing images for a capture; end it with calibrate.cancel")
 
     def _sequence(self, params: dict[str, Any]) -> Sequence:
         data = {"kind": "sequence", "name": params.get("name", "capture"), "frames": params.get("frames")}

@@ -177,7 +177,7 @@ class Methods:
             raise RpcError(FAILED, str(error)) from error
 
     def pattern_show(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Show the measuring ``fringe`` or a plain picture; no cloud can be expected under a plain one."""
+        """Show the measuring ``fringe`` or a plain image; no cloud can be expected under a plain one."""
         name = _text(params, "name", "fringe")
         if self._calibrate is not None:
             self._calibrate.refuse_while_capturing()
@@ -187,7 +187,7 @@ class Methods:
         elif name in _PLAIN:
             sequencing.show_plain(np.full((*size[::-1], 3), _PLAIN[name], np.uint8))
         else:
-            raise RpcError(INVALID_PARAMS, f"there is no picture {name!r:.60}; there are fringe, {', '.join(_PLAIN)}")
+            raise RpcError(INVALID_PARAMS, f"there is no image {name!r:.60}; there are fringe, {', '.join(_PLAIN)}")
         return {"shown": name}
 
     def pattern_mode(self, params: dict[str, Any]) -> dict[str, Any]:

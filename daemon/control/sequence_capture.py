@@ -1,4 +1,4 @@
-"""Captured sequences: the daemon shows pictures instead of its fringe and writes what the cameras saw as a take.
+"""Captured sequences: the daemon shows images instead of its fringe and writes what the cameras saw as a take.
 
     idle --start--> capturing --> holding --start--> capturing ...
       ^                              |
@@ -51,8 +51,8 @@ class Order:
     """What is to be captured.
 
     Args:
-        sequence: what is shown; response: of the projector, for pictures that are given as light.
-        pairs: how often it is gone through; hold_s: how long the last picture stays afterwards, for the next order.
+        sequence: what is shown; response: of the projector, for images that are given as light.
+        pairs: how often it is gone through; hold_s: how long the last image stays afterwards, for the next order.
     """
 
     sequence: Sequence
@@ -274,14 +274,14 @@ class Capture:
     def _write(self, order: Order, shooting: Shooting, sink: Sink) -> None:
         """The pairs in the order of their numbers: frame i of the k-th pass is ``k * frames + i``, a pass is a view."""
         frames = order.sequence.frames
-        pictures = (frame.picture(order.response) for _ in range(order.pairs) for frame in frames)
-        for number, pair in enumerate(shooting.each(pictures)):
+        images = (frame.image(order.response) for _ in range(order.pairs) for frame in frames)
+        for number, pair in enumerate(shooting.each(images)):
             item = PairItem(replace(pair.left, trigger=number), replace(pair.right, trigger=number))
             end_ns = self._now_ns() + round(1e9 * _DISK_S)
             while not sink.offer(item):
                 problem = sink.status().get("problem")
                 if problem or self._give_up() or self._now_ns() > end_ns:
-                    raise DaemonError(str(problem or "the disk does not take the pictures"))
+                    raise DaemonError(str(problem or "the disk does not take the images"))
                 with self._changed:
                     self._changed.wait(_TICK_S)
             with self._changed:
@@ -298,7 +298,7 @@ class Capture:
             if shooting is not None and not self._service.stopping:
                 self._going_back = True
                 shooting.forget()
-                shooting.show(rig.pattern.picture(rig.calibration.response))
+                shooting.show(rig.pattern.image(rig.calibration.response))
                 shooting.pair()
         except Exception as error:  # a camera that is gone, say: the status tells it
             log.warning("capture: the fringe is not seen again yet: %s", error)

@@ -14,7 +14,7 @@ _WHOLE = 0.01
 
 
 def size_problem(camera: Side, size: tuple[int, int], calibration: Calibration) -> str:
-    """Why the pictures of a camera cannot be measured with a calibration, or nothing."""
+    """Why the images of a camera cannot be measured with a calibration, or nothing."""
     known = (calibration.left if camera == "left" else calibration.right).size
     if not any(size) or tuple(size) == tuple(known):
         return ""

@@ -34,12 +34,12 @@ class CloudItem:
     """A reconstructed pair, or set of pairs in a multi-frame mode.
 
     Args:
-        seq: number of the trigger; t_ns: start of exposure, CLOCK_REALTIME; both of a set's first picture.
+        seq: number of the trigger; t_ns: start of exposure, CLOCK_REALTIME; both of a set's first image.
         left, right: the raw frames, the last ones of a set.
         latency_ms: from the start of exposure to the finished cloud.
         dropped: pairs that were dropped so far because the pipeline was busy or not ready.
         every: spacing of the measured pixels of the left camera, 2 under overload.
-        mode: name; frames: pictures of a set; span_ms: between the starts of its first and its last exposure.
+        mode: name; frames: images of a set; span_ms: between the starts of its first and its last exposure.
     """
 
     seq: int

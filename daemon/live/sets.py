@@ -1,4 +1,4 @@
-"""A set: one pair of pictures for each picture of a sequence, in its order."""
+"""A set: one pair of images for each image of a sequence, in its order."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from daemon.live.acquisition.pairer import Pair
 from drivers.protocols import Frame
 
 SINGLE = "single"
-"""The mode in which a single picture makes a cloud."""
+"""The mode in which a single image makes a cloud."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureSet:
+class ImageSet:
     """What the pipeline measures at once in a multi-frame mode.
 
     Args:
-        pairs: one a picture, in the order of the sequence; mode: name of the mode whose pictures they show.
+        pairs: one an image, in the order of the sequence; mode: name of the mode whose images they show.
     """
 
     pairs: tuple[Pair, ...]
@@ -26,7 +26,7 @@ class PictureSet:
 
     @property
     def seq(self) -> int:
-        """Number of the first picture's trigger."""
+        """Number of the first image's trigger."""
         return self.pairs[0].seq
 
     @property
@@ -51,12 +51,12 @@ class PictureSet:
 
     @property
     def lefts(self) -> list[Any]:
-        """The left pictures."""
+        """The left images."""
         return [pair.left.image for pair in self.pairs]
 
     @property
     def rights(self) -> list[Any]:
-        """The right pictures."""
+        """The right images."""
         return [pair.right.image for pair in self.pairs]
 
 

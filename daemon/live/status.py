@@ -71,7 +71,7 @@ class Status:
         selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
             nobody looks.
         health: the verdict and what is beyond its limits; only ``enabled: false`` when nobody judges.
-        mode: single, or the name of a multi-frame mode; sequence: its pictures and sets.
+        mode: single, or the name of a multi-frame mode; sequence: its images and sets.
         garbage: collections of Python's garbage since the start, and how long they held everything up.
     """
 

@@ -13,7 +13,7 @@ from daemon.config.rig_config import RigConfig
 from daemon.live.items import CloudItem, Item, Sink
 from daemon.live.service import Service
 from daemon.recording.read.catalog import scan
-from daemon.recording.write.frame_queue import Picture
+from daemon.recording.write.frame_queue import Image
 from daemon.recording.write.pretrigger_buffer import MEGABYTE, Before
 from daemon.rig.open_rig import Rig
 
@@ -25,7 +25,7 @@ MOST_TAKES, MOST_GARBAGE = 1000, 100
 class Take(Sink, Protocol):
     """A take that is being written."""
 
-    def take_over(self, items: Iterable[Picture]) -> None:
+    def take_over(self, items: Iterable[Image]) -> None:
         """Write these first."""
 
 
@@ -136,7 +136,7 @@ class Recorder:
             return self._take is None or self._take.offer(item)
 
     def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:  # noqa: ARG002 - the protocol's
-        """With another mode begin other pictures: those that were kept show a pattern that no take will have."""
+        """With another mode begin other images: those that were kept show a pattern that no take will have."""
         before = self._service.config.mode
 
         def commit() -> None:

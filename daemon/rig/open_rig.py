@@ -163,7 +163,7 @@ def _section(config: RigConfig) -> str:
 
 def _options(config: RigConfig) -> dict[str, Any]:
     if config.cameras.driver == "sim":
-        # A loop that was rendered beforehand shows one picture; the pictures of a set are rendered as they are shown.
+        # A loop that was rendered beforehand shows one image; the images of a set are rendered as they are shown.
         return ({} if config.mode == "single" else {"live": True}) | dict(config.simulation)
     projector = config.projector.model_dump() if config.projector else {}
     return {"cameras": config.cameras.model_dump(), "projector": projector}

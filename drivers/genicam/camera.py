@@ -46,7 +46,7 @@ class GenicamCamera:
             twice a millisecond instead, for processes that have other things to do.
 
     Attributes:
-        allocate: gives the memory of a picture; a process that shares its pictures puts its own here.
+        allocate: gives the memory of an image; a process that shares its images puts its own here.
     """
 
     def __init__(self, side: Side, options: Options, producer_paths: list[Path], *, wait_ms: int = 0) -> None:
@@ -148,14 +148,14 @@ class GenicamCamera:
         return self._open
 
     def _frame(self, now: _Open, buffer: Any, clocks: Clocks) -> Frame | None:
-        """The frame in a buffer, copied out of it; None for what is no picture as agreed."""
+        """The frame in a buffer, copied out of it; None for what is no image as agreed."""
         setup, camera = now.setup, now.connection.camera
         width, height = setup.size
         asked = _Asked(buffer)
         code, size = asked.number("pixel_format"), (asked.number("width"), asked.number("height"))
         pixels = formats.BY_CODE.get(code, setup.pixels) if code is not None else setup.pixels
         if pixels.encoding != setup.pixels.encoding or size not in (setup.size, (None, None)):
-            self._refuse(f"a picture of {size} {pixels.name} came instead of {setup.size} {setup.pixels.name}")
+            self._refuse(f"an image of {size} {pixels.name} came instead of {setup.size} {setup.pixels.name}")
             return None
         start = asked.number("image_offset") or 0
         filled = asked.number("size_filled")
@@ -221,7 +221,7 @@ class GenicamCamera:
 
     def _refuse(self, why: str) -> None:
         if self._counters["wrong_format"] == 0:
-            log.warning("%s; such pictures are dropped", why)
+            log.warning("%s; such images are dropped", why)
         self._counters["wrong_format"] += 1
 
     def _keep_up(self, now: _Open) -> None:
@@ -271,7 +271,7 @@ class _Asked:
 
 
 def _exposure_us(camera: Features, asked: _Asked) -> float | None:
-    """What the picture itself says."""
+    """What the image itself says."""
     if not asked.number("num_chunks"):
         return None
     found = camera.read("ChunkExposureTime")

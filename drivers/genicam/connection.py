@@ -1,9 +1,9 @@
 """One open camera through harvesters, with the ways around what harvesters and producers do unexpectedly.
 
 * Waiting in ``fetch`` holds Python's lock (harvesters issue 508) and its time-outs restart with each incomplete
-  picture, so :meth:`Connection.fetch` asks once and returns.
+  image, so :meth:`Connection.fetch` asks once and returns.
 * ``start(run_as_thread=True)`` ignores time-outs; it is never used.
-* An incomplete picture is queued again silently; only a callback tells of it.
+* An incomplete image is queued again silently; only a callback tells of it.
 * Finalizers that refer to what they are to finalize keep every camera ever opened in memory (about 0.4 MB each).
 * After a camera vanished ``destroy`` raises half-way and leaves the device open; the second call finishes.
 * Creating an acquirer replaces the SIGINT handler; it is put back.
@@ -83,11 +83,11 @@ class Connection:
 
     @property
     def incomplete(self) -> int:
-        """Pictures that arrived in part and were thrown away."""
+        """Images that arrived in part and were thrown away."""
         return self._incomplete.count
 
     def underruns(self) -> int:
-        """Pictures that the transport had no buffer for, as its producer counts them; 0 if it does not."""
+        """Images that the transport had no buffer for, as its producer counts them; 0 if it does not."""
         with suppress(*GENICAM_ERRORS):
             return int(self._acquirer.data_streams[0].num_underrun)
         return 0
@@ -98,7 +98,7 @@ class Connection:
             self._acquirer.start()
 
     def fetch(self) -> Any:
-        """The next complete picture (a GenTL buffer that must be given to :meth:`requeue`), None if none is there.
+        """The next complete image (a GenTL buffer that must be given to :meth:`requeue`), None if none is there.
 
         Raises:
             DeviceLost: the producer says so; most only fall silent (see :meth:`probe`).
@@ -106,7 +106,7 @@ class Connection:
         try:
             found = self._acquirer.try_fetch(timeout=_ONE_POLL_S, is_raw=True)
         except gentl.GenericException as error:
-            raise DeviceLost(f"the camera is gone (waiting for a picture): {error}") from error
+            raise DeviceLost(f"the camera is gone (waiting for an image): {error}") from error
         if isinstance(found, list):
             first, *others = found
             for other in others:
@@ -133,7 +133,7 @@ class Connection:
             raise DeviceLost(f"the camera is gone (asking whether it is there): {error}") from error
 
     def stop(self) -> None:
-        """Stop accepting triggers; pictures not fetched are dropped."""
+        """Stop accepting triggers; images not fetched are dropped."""
         with losses("stopping"):
             self._acquirer.stop()
 

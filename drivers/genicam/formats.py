@@ -101,17 +101,17 @@ def convert(raw: Bytes, pixels: PixelFormat, width: int, height: int, out: NDArr
     """Turn a camera's bytes into a frame's image.
 
     Args:
-        raw: (N,) uint8 of the picture alone. padding: bytes after each line.
+        raw: (N,) uint8 of the image alone. padding: bytes after each line.
         out: array of ``pixels.frame_shape`` and ``pixels.dtype`` to fill.
 
     Raises:
-        ValueError: there are fewer bytes than the picture takes.
+        ValueError: there are fewer bytes than the image takes.
     """
     line = pixels.line_bytes(width)
     whole = (width * height * pixels.bits + 7) // 8
     needed = (line + padding) * (height - 1) + line if padding else whole
     if raw.size < needed:
-        raise ValueError(f"a {pixels.name} picture of {width} x {height} has {needed} bytes; {raw.size} came")
+        raise ValueError(f"a {pixels.name} image of {width} x {height} has {needed} bytes; {raw.size} came")
     if padding:
         lines = np.lib.stride_tricks.as_strided(raw, (height, line), (line + padding, 1), writeable=False)
         raw = np.ascontiguousarray(lines).reshape(-1)
@@ -132,11 +132,11 @@ def convert(raw: Bytes, pixels: PixelFormat, width: int, height: int, out: NDArr
 
 
 def _bytes(raw: Bytes, pixels: PixelFormat, out: Bytes) -> None:
-    picture = raw.reshape(out.shape)
+    image = raw.reshape(out.shape)
     if pixels.name == "BGR8":
-        cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=out)
+        cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=out)
     else:
-        out[...] = picture
+        out[...] = image
 
 
 def _values(raw: Bytes, pixels: PixelFormat, count: int) -> Words:

@@ -55,7 +55,7 @@ class Options(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         serial, model, user_name: what tells this camera from the others; together they must fit exactly one.
         exposure_us: fixed exposure time; gain: in the camera's unit; each as the camera has it if None.
         pixel_format: its PFNC name. roi: the whole sensor if None.
-        buffers: pictures that the transport may fill while the driver is busy.
+        buffers: images that the transport may fill while the driver is busy.
         features: further features by name, set last.
         timestamp_offset_us: added to the camera's time stamp to get the start of the exposure, for cameras that stamp
             another moment.

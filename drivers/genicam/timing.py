@@ -61,7 +61,7 @@ class Timing:
         return True
 
     def exposure(self, buffer: Any, t_host_ns: int, exposure_us: float) -> Exposure:
-        """When the exposure of a picture that has come at ``t_host_ns``, CLOCK_MONOTONIC, began."""
+        """When the exposure of an image that has come at ``t_host_ns``, CLOCK_MONOTONIC, began."""
         stamp = self._stamp(buffer)
         if stamp is None:
             self.without_stamp += 1
@@ -79,7 +79,7 @@ class Timing:
         return Exposure(device_ns, min(t_ns, t_host_ns))
 
     def _distrust(self) -> None:
-        """Some cameras stamp pictures by another clock than the one that they show when asked."""
+        """Some cameras stamp images by another clock than the one that they show when asked."""
         self._strange += 1
         if self._strange >= _DISTRUST_AFTER:
             self._can_latch, self.clock = False, DeviceClock()
@@ -98,7 +98,7 @@ class Timing:
             self.clock.latch(before, _nanoseconds(int(value), self._hz), after)
 
     def _stamp(self, buffer: Any) -> int | None:
-        """The picture's time stamp in nanoseconds, None if there is none, or a zero in place of one."""
+        """The image's time stamp in nanoseconds, None if there is none, or a zero in place of one."""
         found = _ask(buffer, "timestamp_ns")
         if not found:
             ticks = _ask(buffer, "timestamp") or self._camera.read("ChunkTimestamp")

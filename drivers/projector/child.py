@@ -26,7 +26,7 @@ from drivers.projector.messages import (
     Show,
     receive_in_window,
     send,
-    unpack_pictures,
+    unpack_images,
 )
 from drivers.projector.present import VBlankClock
 from drivers.projector.stage import Stage
@@ -92,7 +92,7 @@ class Child:
         try:
             self._clock = VBlankClock(display, self._window.ids[1])
         except DriverError as error:
-            self._clock_notes = (f"{error}: the times at which pictures are out are not verified",)
+            self._clock_notes = (f"{error}: the times at which images are out are not verified",)
         self._screen = Screen(self._window, self._clock)
         self._window.take_events()
         self._screen.black()
@@ -136,7 +136,7 @@ class Child:
             return False
         message, memfd = received
         if isinstance(message, Show) and memfd is not None:
-            shown = self._screen.show(unpack_pictures(memfd, message), message)
+            shown = self._screen.show(unpack_images(memfd, message), message)
             send(self._sock, shown)
             return True
         if memfd is not None:

@@ -19,12 +19,12 @@ from drivers.protocols import ProjectorInfo
 
 @dataclass(frozen=True, slots=True)
 class Flip:
-    """When a picture was out, that is, when the graphics card began to send it.
+    """When an image was out, that is, when the graphics card began to send it.
 
     Args:
         t_monotonic_ns, t_realtime_ns: the same instant on both clocks.
         msc: number of the vertical blank, 0 if unknown.
-        source: ``present`` = the server told of this very picture; ``vblank`` = first vertical blank after it was
+        source: ``present`` = the server told of this very image; ``vblank`` = first vertical blank after it was
             drawn; ``unverified`` = the server tells no time, this is when drawing ended.
     """
 
@@ -35,7 +35,7 @@ class Flip:
 
 
 class OutputProjector:
-    """Shows pictures on a RandR output, in a window whose process is watched and started again when it dies.
+    """Shows images on a RandR output, in a window whose process is watched and started again when it dies.
 
     Args:
         options: see :class:`drivers.projector.options.ProjectorOptions`; directory: where hooks run.
@@ -73,44 +73,42 @@ class OutputProjector:
         self._info = ProjectorInfo(opened.output.name, opened.output.size, opened.output.refresh_hz)
         return self._info
 
-    def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show an (H, W, 3) uint8 picture until the next call; returns when it is out, or ``problem`` tells why not."""
-        self.show_sequence([picture])
+    def show(self, image: NDArray[np.uint8]) -> None:
+        """Show an (H, W, 3) uint8 image until the next call; returns when it is out, or ``problem`` tells why not."""
+        self.show_sequence([image])
 
-    def show_sequence(self, pictures: list[NDArray[np.uint8]], *, hold_frames: int = 1, loop: bool = False) -> None:
-        """Show pictures one after the other; returns when the first is out.
+    def show_sequence(self, images: list[NDArray[np.uint8]], *, hold_frames: int = 1, loop: bool = False) -> None:
+        """Show images one after the other; returns when the first is out.
 
         Args:
-            pictures: at most 64 of (H, W, 3) uint8.
+            images: at most 64 of (H, W, 3) uint8.
             hold_frames: vertical blanks that each stays; loop: whether to begin again after the last, which stays.
 
         Raises:
-            SettingRefused: pictures of another size, or too many. DriverError: the projector is closed.
+            SettingRefused: images of another size, or too many. DriverError: the projector is closed.
         """
         if self._supervisor is None or self._info is None:
             raise DriverError("projector: show() while closed; open() comes first")
-        if not 1 <= len(pictures) <= SEQUENCE_LIMIT or hold_frames < 1:
+        if not 1 <= len(images) <= SEQUENCE_LIMIT or hold_frames < 1:
             raise SettingRefused(
-                f"projector: {len(pictures)} pictures, {hold_frames} frames; expected 1 to {SEQUENCE_LIMIT}, at least 1"
+                f"projector: {len(images)} images, {hold_frames} frames; expected 1 to {SEQUENCE_LIMIT}, at least 1"
             )
         width, height = self._info.size
-        for picture in pictures:
-            if picture.shape != (height, width, 3) or picture.dtype != np.uint8:
+        for image in images:
+            if image.shape != (height, width, 3) or image.dtype != np.uint8:
                 raise SettingRefused(
-                    f"projector: picture {picture.shape} {picture.dtype} does not fit output {self._info.output}, "
+                    f"projector: image {image.shape} {image.dtype} does not fit output {self._info.output}, "
                     f"expected {(height, width, 3)} uint8"
                 )
-        if sum(picture.nbytes for picture in pictures) > BYTES_LIMIT:
-            raise SettingRefused(
-                f"projector: the pictures are larger than {BYTES_LIMIT >> 20} MiB together; show fewer"
-            )
+        if sum(image.nbytes for image in images) > BYTES_LIMIT:
+            raise SettingRefused(f"projector: the images are larger than {BYTES_LIMIT >> 20} MiB together; show fewer")
         hook = self.options.hook
         patience_s = self.options.show_timeout_s + len(hook.show) * hook.timeout_s
-        shown = self._supervisor.show(pictures, hold_frames=hold_frames, loop=loop, timeout_s=patience_s)
+        shown = self._supervisor.show(images, hold_frames=hold_frames, loop=loop, timeout_s=patience_s)
         self._note_flip(shown)
 
     def problem(self) -> str:
-        """Why the last picture may not be shown at this moment, empty when all is well."""
+        """Why the last image may not be shown at this moment, empty when all is well."""
         if self._supervisor is None:
             return "the projector is closed"
         found = self._supervisor.problem()
@@ -129,7 +127,7 @@ class OutputProjector:
 
     @property
     def counted(self) -> dict[str, int]:
-        """``restarts`` of the window and ``late`` pictures of sequences since it was opened."""
+        """``restarts`` of the window and ``late`` images of sequences since it was opened."""
         return self._supervisor.counted() if self._supervisor is not None else {"restarts": 0, "late": 0}
 
     @property

@@ -1,4 +1,4 @@
-"""A projector that shows its picture by itself: from its flash memory, or driven by another program."""
+"""A projector that shows its image by itself: from its flash memory, or driven by another program."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from drivers.protocols import ProjectorInfo
 
 
 class ExternalProjector:
-    """Shows nothing itself; it checks sizes, runs hooks, and trusts that the picture is there.
+    """Shows nothing itself; it checks sizes, runs hooks, and trusts that the image is there.
 
     Args:
         options: see :class:`drivers.projector.options.ExternalOptions`; directory: where hooks run.
     """
 
-    fixed_picture = True
+    fixed_image = True
     """What is given to :meth:`show` never reaches the projector."""
 
     def __init__(self, options: ExternalOptions, directory: Path) -> None:
         self.options = options
-        self.notes: tuple[str, ...] = ("nothing tells whether an external projector really shows its picture",)
+        self.notes: tuple[str, ...] = ("nothing tells whether an external projector really shows its image",)
         self._directory = directory
         self._open = False
         self._problem = ""
@@ -37,14 +37,14 @@ class ExternalProjector:
             self._open, self._problem = True, ""
         return ProjectorInfo(self.options.name, self.options.size, self.options.refresh_hz)
 
-    def show(self, picture: NDArray[np.uint8]) -> None:
+    def show(self, image: NDArray[np.uint8]) -> None:
         """Run the ``show`` hooks; a hook that fails is told by :meth:`problem`."""
         if not self._open:
             raise DriverError(f"projector {self.options.name}: show() while closed; open() comes first")
         width, height = self.options.size
-        if picture.shape != (height, width, 3) or picture.dtype != np.uint8:
+        if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise SettingRefused(
-                f"projector {self.options.name}: picture {picture.shape} {picture.dtype} does not fit, "
+                f"projector {self.options.name}: image {image.shape} {image.dtype} does not fit, "
                 f"expected {(height, width, 3)} uint8 (projector.size)"
             )
         try:

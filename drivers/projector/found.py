@@ -19,7 +19,7 @@ class OutputFound(msgspec.Struct, frozen=True, kw_only=True):
         edid_name: name in the EDID, empty if none.
         gamma_identity: whether the gamma table is linear; None if the output has none.
         rotation: ``normal``, ``left``, ``inverted``, ``right``, with ``, reflected`` where mirrored.
-        scaled: whether the graphics card scales or transforms the picture.
+        scaled: whether the graphics card scales or transforms the image.
         notes: settings of the output that may change pixel values, each in a sentence.
     """
 
@@ -69,7 +69,7 @@ def unfit(
     size: tuple[int, int] | None,
     refresh_hz: float | None,
 ) -> str:
-    """Why pictures would not come out pixel by pixel; empty if they do.
+    """Why images would not come out pixel by pixel; empty if they do.
 
     Args:
         output: switched on.

@@ -1,4 +1,4 @@
-"""What the driver and its window's process say to each other: JSON in packets of bounded size, pictures by memfd."""
+"""What the driver and its window's process say to each other: JSON in packets of bounded size, images by memfd."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Setup(msgspec.Struct, tag="setup", frozen=True, kw_only=True):
 
 
 class Show(msgspec.Struct, tag="show", frozen=True, kw_only=True):
-    """Show the pictures in the memfd that comes with this packet.
+    """Show the images in the memfd that comes with this packet.
 
     Args:
         serial: number that comes back in :class:`Shown`.
-        count: pictures of (height, width, 3) bytes, one after the other.
+        count: images of (height, width, 3) bytes, one after the other.
         hold_frames: vertical blanks that each stays; loop: whether to begin again after the last.
     """
 
@@ -67,7 +67,7 @@ class Failed(msgspec.Struct, tag="failed", frozen=True, kw_only=True):
 
 
 class Shown(msgspec.Struct, tag="shown", frozen=True, kw_only=True):
-    """The picture is out since ``t_monotonic_ns``, vertical blank number ``msc``."""
+    """The image is out since ``t_monotonic_ns``, vertical blank number ``msc``."""
 
     serial: int
     t_monotonic_ns: int
@@ -76,7 +76,7 @@ class Shown(msgspec.Struct, tag="shown", frozen=True, kw_only=True):
 
 
 class Beat(msgspec.Struct, tag="beat", frozen=True, kw_only=True):
-    """Alive; ``late``: pictures of sequences that came out later than planned."""
+    """Alive; ``late``: images of sequences that came out later than planned."""
 
     problem: str = ""
     late: int = 0
@@ -118,12 +118,12 @@ def receive_from_window(sock: socket.socket) -> FromWindow | None:
     return _from_window.decode(packet) if packet else None
 
 
-def pack_pictures(pictures: list[NDArray[np.uint8]]) -> int:
-    """Pictures of one size, (H, W, 3), in a sealed memfd that the caller closes."""
-    memfd = os.memfd_create("fringed-pictures", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+def pack_images(images: list[NDArray[np.uint8]]) -> int:
+    """Images of one size, (H, W, 3), in a sealed memfd that the caller closes."""
+    memfd = os.memfd_create("fringed-images", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
-        for picture in pictures:
-            view = memoryview(np.ascontiguousarray(picture).data).cast("B")
+        for image in images:
+            view = memoryview(np.ascontiguousarray(image).data).cast("B")
             while view:
                 view = view[os.write(memfd, view) :]
         fcntl.fcntl(memfd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_WRITE | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
@@ -133,13 +133,13 @@ def pack_pictures(pictures: list[NDArray[np.uint8]]) -> int:
     return memfd
 
 
-def unpack_pictures(memfd: int, show: Show) -> NDArray[np.uint8]:
-    """The pictures of a message, (count, height, width, 3); closes the memfd. ValueError if they are not right."""
+def unpack_images(memfd: int, show: Show) -> NDArray[np.uint8]:
+    """The images of a message, (count, height, width, 3); closes the memfd. ValueError if they are not right."""
     try:
         size = show.count * show.width * show.height * 3
         right = 1 <= show.count <= SEQUENCE_LIMIT and 1 <= show.width <= SIZE_LIMIT and 1 <= show.height <= SIZE_LIMIT
         if not right or size > BYTES_LIMIT or os.fstat(memfd).st_size != size:
-            raise ValueError(f"{show.count} pictures of {show.width}x{show.height} are not in the {size} bytes sent")
+            raise ValueError(f"{show.count} images of {show.width}x{show.height} are not in the {size} bytes sent")
         mapped = mmap.mmap(memfd, size, prot=mmap.PROT_READ)
     finally:
         os.close(memfd)

@@ -19,7 +19,7 @@ class HookOptions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     """Commands for projectors that other programs set up.
 
     Args:
-        open: run before the output is looked at; show: after a picture is out, the last one shown again included;
+        open: run before the output is looked at; show: after an image is out, the last one shown again included;
             close: after the window has gone. Each command is a list: program and arguments, never a shell line.
         timeout_s: longest time for each command.
     """
@@ -53,7 +53,7 @@ class ProjectorOptions(LatencyOptions, forbid_unknown_fields=True, frozen=True, 
         size: (width, height) that the output must have, pixels; None = whatever passes ``mode``.
         refresh_hz: refresh rate that the output must have, to 0.03 Hz: 59.94 and 60 are told apart.
         gamma: ``check`` refuses an output whose gamma table is not linear; ``reset`` makes it linear until close.
-        show_timeout_s: longest wait for a picture to be out before ``problem`` says so.
+        show_timeout_s: longest wait for an image to be out before ``problem`` says so.
     """
 
     output: str
@@ -71,10 +71,10 @@ class ProjectorOptions(LatencyOptions, forbid_unknown_fields=True, frozen=True, 
 
 
 class ExternalOptions(LatencyOptions, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A projector that shows its picture by itself: from its flash memory, or driven by another program.
+    """A projector that shows its image by itself: from its flash memory, or driven by another program.
 
     Args:
-        size: (width, height) of its pictures, pixels; refresh_hz: its frame rate, 0 if unknown.
+        size: (width, height) of its images, pixels; refresh_hz: its frame rate, 0 if unknown.
         name: what to call it.
     """
 

@@ -342,7 +342,7 @@ class Randr:
 
 
 def refresh_hz(mode: ModeInfo) -> float:
-    """Pictures a second, exactly as the timings give them; 0 where they give none."""
+    """Images a second, exactly as the timings give them; 0 where they give none."""
     lines = mode.v_total * (2 if mode.flags & DOUBLE_SCAN else 1) / (2 if mode.flags & INTERLACE else 1)
     return float(mode.dot_clock / (mode.h_total * lines)) if mode.h_total and lines else 0.0
 

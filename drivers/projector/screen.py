@@ -1,4 +1,4 @@
-"""Pictures on the window and the times at which they were out; sequences that go on by themselves."""
+"""Images on the window and the times at which they were out; sequences that go on by themselves."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class _Sequence:
 
 
 class Screen:
-    """Shows pictures in a window and tells when they were out.
+    """Shows images in a window and tells when they were out.
 
     Args:
         window: on the screen; clock: its vertical blanks, None where the server tells none.
@@ -42,15 +42,15 @@ class Screen:
         self.late = 0
         self.wrong_pixels = ""
 
-    def show(self, pictures: NDArray[np.uint8], show: Show) -> Shown:
-        """Show the first of these pictures, and the others after it by :meth:`take_events`."""
+    def show(self, images: NDArray[np.uint8], show: Show) -> Shown:
+        """Show the first of these images, and the others after it by :meth:`take_events`."""
         self._sequence, self._number = None, None
-        self.wrong_pixels = self._window.load(pictures)
+        self.wrong_pixels = self._window.load(images)
         self._number = 0
         out = self._flip()
         if show.count > 1 and self._clock is not None and out is not None:
             due = out.msc + show.hold_frames
-            # A picture drawn after vertical blank number n is out at n + 1.
+            # An image drawn after vertical blank number n is out at n + 1.
             asked = self._clock.ask(due - 1)
             self._sequence = _Sequence(show.count, show.hold_frames, show.loop, 0, due, asked)
         elif show.count > 1:
@@ -99,7 +99,7 @@ class Screen:
         sequence.asked = self._clock.ask(sequence.due_msc - 1)
 
     def _flip(self) -> VBlank | None:
-        """Flip, and wait for the vertical blank in which the picture goes out; None if the server tells none."""
+        """Flip, and wait for the vertical blank in which the image goes out; None if the server tells none."""
         if self._clock is None:
             self._window.flip()
             return None

@@ -19,7 +19,7 @@ GAMMA_BYTES_LIMIT = 3 * 2 * 4096
 
 
 class Stage:
-    """One output, made fit for pictures that must come out pixel by pixel.
+    """One output, made fit for images that must come out pixel by pixel.
 
     Args:
         connection: to the X server; options: what the output must be.
@@ -48,7 +48,7 @@ class Stage:
         self._destroyed = False
 
     def notes(self) -> tuple[str, ...]:
-        """What may change the picture and cannot be told for sure."""
+        """What may change the image and cannot be told for sure."""
         notes = [f"output {self.output.name}: {note}" for note in self.output.notes]
         if self._options.mode == "native" and self.output.preferred_size is None:
             notes.append(f"output {self.output.name} tells no native resolution, so its mode was not checked")
@@ -57,7 +57,7 @@ class Stage:
         if self.gamma_before:
             notes.append(f"output {self.output.name} had a gamma table that was not linear; it is, until close")
         if self._x.lib.XGetSelectionOwner(self._x.handle, self._x.atom("_NET_WM_CM_S0")):
-            notes.append("a compositor runs on this display; it can delay pictures by a frame")
+            notes.append("a compositor runs on this display; it can delay images by a frame")
         return tuple(notes)
 
     def keep_awake(self) -> None:
@@ -93,7 +93,7 @@ class Stage:
         return bool(events)
 
     def problem(self) -> str:
-        """Look at everything again, mend what can be mended; why the picture is not right now, empty if it is.
+        """Look at everything again, mend what can be mended; why the image is not right now, empty if it is.
 
         Raises:
             DriverError: the window is gone.
@@ -167,7 +167,7 @@ class Stage:
             self._x.sync()
             self.take_events()
             if self._visibility:
-                return f"another window covers the picture on output {self.output.name}"
+                return f"another window covers the image on output {self.output.name}"
         return ""
 
     def _place(self) -> None:
@@ -184,17 +184,17 @@ class Stage:
         """Rectangle of the inner window on the X screen, as the server knows it."""
         assert self._windows is not None  # noqa: S101 - for the type checker
         lib, handle, (outer, inner) = self._x.lib, self._x.handle, self._windows
-        frame, picture = xlib.XWindowAttributes(), xlib.XWindowAttributes()
+        frame, image = xlib.XWindowAttributes(), xlib.XWindowAttributes()
         read = lib.XGetWindowAttributes(handle, outer, byref(frame))
-        if self._destroyed or not read or not lib.XGetWindowAttributes(handle, inner, byref(picture)):
+        if self._destroyed or not read or not lib.XGetWindowAttributes(handle, inner, byref(image)):
             raise DriverError("the projector's window was destroyed by another program")
-        if frame.map_state != xlib.IS_VIEWABLE or picture.map_state != xlib.IS_VIEWABLE:
+        if frame.map_state != xlib.IS_VIEWABLE or image.map_state != xlib.IS_VIEWABLE:
             raise DriverError("the projector's window was taken off the screen by another program")
         x, y, child = c_int(), c_int(), xlib.XID()
         lib.XTranslateCoordinates(handle, inner, self._x.root, 0, 0, byref(x), byref(y), byref(child))
-        if (picture.width, picture.height) != (frame.width, frame.height):
+        if (image.width, image.height) != (frame.width, frame.height):
             return x.value, y.value, frame.width, frame.height
-        return x.value, y.value, picture.width, picture.height
+        return x.value, y.value, image.width, image.height
 
     def _awake(self) -> str:
         if not self._has_dpms():

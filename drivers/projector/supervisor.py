@@ -1,4 +1,4 @@
-"""Keeps a projector's window alive: starts its process, hands it the wanted picture, starts it again when it dies.
+"""Keeps a projector's window alive: starts its process, hands it the wanted image, starts it again when it dies.
 
 The thread of the supervisor reconciles two things, what is wanted and what the window was told::
 
@@ -30,7 +30,7 @@ from drivers.projector.messages import (
     Setup,
     Show,
     Shown,
-    pack_pictures,
+    pack_images,
     receive_from_window,
     send,
 )
@@ -67,7 +67,7 @@ class Supervisor:
 
     Args:
         setup: what to open.
-        after_show: called in the supervisor's thread each time that a picture is out; DriverError becomes a problem.
+        after_show: called in the supervisor's thread each time that an image is out; DriverError becomes a problem.
         hung_s: silence after which the window's process is taken for hung; it speaks once a second.
     """
 
@@ -92,16 +92,14 @@ class Supervisor:
             raise (SettingRefused if reason.refused else DriverError)(f"projector: {reason.reason}")
         return opened
 
-    def show(
-        self, pictures: list[NDArray[np.uint8]], *, hold_frames: int, loop: bool, timeout_s: float
-    ) -> Shown | None:
-        """Want these pictures from now on; when the first one was out, or None if that took too long."""
-        height, width = pictures[0].shape[:2]
-        memfd = pack_pictures(pictures)
+    def show(self, images: list[NDArray[np.uint8]], *, hold_frames: int, loop: bool, timeout_s: float) -> Shown | None:
+        """Want these images from now on; when the first one was out, or None if that took too long."""
+        height, width = images[0].shape[:2]
+        memfd = pack_images(images)
         with self._changed:
             old, last = self._state.memfd, self._state.wanted
             serial = last.serial + 1 if last is not None else 1
-            sizes = {"count": len(pictures), "width": width, "height": height}
+            sizes = {"count": len(images), "width": width, "height": height}
             self._state.wanted = Show(serial=serial, hold_frames=hold_frames, loop=loop, **sizes)
             self._state.memfd = memfd
             if old >= 0:
@@ -111,17 +109,17 @@ class Supervisor:
             return self._state.shown if self._is_out(serial) else None
 
     def problem(self) -> str:
-        """Why the wanted picture may not be out; empty when all is well."""
+        """Why the wanted image may not be out; empty when all is well."""
         with self._changed:
             state = self._state
             if state.down or state.beat.problem:
                 return state.down or state.beat.problem
             if state.wanted is not None and not self._is_out(state.wanted.serial):
-                return "the picture is not confirmed to be out yet"
+                return "the image is not confirmed to be out yet"
             return state.after_show
 
     def counted(self) -> dict[str, int]:
-        """How often the window was started again, and how many pictures of sequences were late."""
+        """How often the window was started again, and how many images of sequences were late."""
         with self._changed:
             return {"restarts": self._state.restarts, "late": self._state.beat.late}
 
@@ -176,7 +174,7 @@ class Supervisor:
     def _fell(self, failed: Failed) -> None:
         state = self._state
         state.pid, state.shown, state.failed = 0, None, failed
-        state.down = f"no picture, the window is started again: {failed.reason}"
+        state.down = f"no image, the window is started again: {failed.reason}"
         state.beat = replace_problem(state.beat, "")
 
     def _live(self) -> Failed:

@@ -1,4 +1,4 @@
-"""The window that shows the pictures: pyglet for OpenGL, our own hand for where it stands."""
+"""The window that shows the images: pyglet for OpenGL, our own hand for where it stands."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Window(pyglet.window.Window):  # type: ignore[misc]  # pyglet picks the c
 class PatternWindow:
     """A hidden, borderless window of an output's size; nothing is on the screen before :meth:`map`.
 
-    Pictures are copied from textures by glBlitFramebuffer with GL_NEAREST: no shader, no blending, no dithering, no
+    Images are copied from textures by glBlitFramebuffer with GL_NEAREST: no shader, no blending, no dithering, no
     sRGB conversion, no samples touches them.
 
     Args:
@@ -101,27 +101,27 @@ class PatternWindow:
         self._window.set_visible(True)
         self._sync()
 
-    def load(self, pictures: NDArray[np.uint8]) -> str:
-        """Replace the pictures in the graphics card by these, (N, H, W, 3), and draw the first one unseen.
+    def load(self, images: NDArray[np.uint8]) -> str:
+        """Replace the images in the graphics card by these, (N, H, W, 3), and draw the first one unseen.
 
         Returns:
-            What is wrong with the pixels that OpenGL drew, empty when they are the picture's, byte for byte.
+            What is wrong with the pixels that OpenGL drew, empty when they are the image's, byte for byte.
 
         Raises:
-            SettingRefused: pictures of another size than the window.
+            SettingRefused: images of another size than the window.
         """
-        if pictures.shape[1:] != (self.height, self.width, 3) or pictures.nbytes > BYTES_LIMIT:
-            raise SettingRefused(f"pictures {pictures.shape} do not fit, expected {self.height, self.width, 3}")
+        if images.shape[1:] != (self.height, self.width, 3) or images.nbytes > BYTES_LIMIT:
+            raise SettingRefused(f"images {images.shape} do not fit, expected {self.height, self.width, 3}")
         self._window.switch_to()
         self._drop()
-        self._framebuffers = [self._upload(picture) for picture in pictures]
+        self._framebuffers = [self._upload(image) for image in images]
         self.draw(0)
         drawn = self._read_back()
-        wrong = int(np.count_nonzero((drawn != pictures[0]).any(axis=2)))
+        wrong = int(np.count_nonzero((drawn != images[0]).any(axis=2)))
         return f"OpenGL drew {wrong} of {self.width * self.height} pixels with other values than asked" if wrong else ""
 
     def draw(self, number: int | None) -> None:
-        """Draw a loaded picture (None = black) where :meth:`flip` takes it from."""
+        """Draw a loaded image (None = black) where :meth:`flip` takes it from."""
         self._window.switch_to()
         gl.glBindFramebuffer(gl.GL_DRAW_FRAMEBUFFER, 0)
         if number is None:
@@ -129,12 +129,12 @@ class PatternWindow:
             gl.glClear(gl.GL_COLOR_BUFFER_BIT)
             return
         gl.glBindFramebuffer(gl.GL_READ_FRAMEBUFFER, self._framebuffers[number][1])
-        # The picture's first row is its top; OpenGL counts from the bottom.
+        # The image's first row is its top; OpenGL counts from the bottom.
         rectangles = 0, 0, self.width, self.height, 0, self.height, self.width, 0
         gl.glBlitFramebuffer(*rectangles, gl.GL_COLOR_BUFFER_BIT, gl.GL_NEAREST)
 
     def flip(self) -> None:
-        """Hand the drawn picture to the screen and wait until the graphics card has done so."""
+        """Hand the drawn image to the screen and wait until the graphics card has done so."""
         self._window.flip()
         gl.glFinish()
         self._sync()
@@ -153,11 +153,11 @@ class PatternWindow:
         gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 1)
         gl.glColorMask(True, True, True, True)
 
-    def _upload(self, picture: NDArray[np.uint8]) -> tuple[Any, Any]:
+    def _upload(self, image: NDArray[np.uint8]) -> tuple[Any, Any]:
         texture, framebuffer = gl.GLuint(), gl.GLuint()
         gl.glGenTextures(1, texture)
         gl.glBindTexture(gl.GL_TEXTURE_2D, texture)
-        size, data = (self.width, self.height), np.ascontiguousarray(picture)
+        size, data = (self.width, self.height), np.ascontiguousarray(image)
         pixels = gl.GL_RGB, gl.GL_UNSIGNED_BYTE, data.ctypes.data
         gl.glTexImage2D(gl.GL_TEXTURE_2D, 0, gl.GL_RGB8, *size, 0, *pixels)
         for side in (gl.GL_TEXTURE_MIN_FILTER, gl.GL_TEXTURE_MAG_FILTER):

@@ -118,7 +118,7 @@ class RemoteCamera:
         self._order(self._alive(), "start", self._limits.order_s)
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame; its picture lies in shared memory and is given back when nobody looks at it any more."""
+        """The next frame; its image lies in shared memory and is given back when nobody looks at it any more."""
         child = self._alive()
         end = time.monotonic() + timeout_s
         while True:
@@ -221,7 +221,7 @@ class RemoteCamera:
     def _frame(self, child: _Process, ready: Ready) -> Frame:
         if child.ring is None:
             self._lose("it sent a frame before it was open")
-        image = child.ring.picture(ready.slot, ready.shape, wide=ready.wide)
+        image = child.ring.image(ready.slot, ready.shape, wide=ready.wide)
         kept = len(child.lent) < child.ring.slots - _SPARE
         if kept:
             child.lent.add(ready.slot)
@@ -276,7 +276,7 @@ class RemoteCamera:
 
 
 def _give_back(connection: socket.socket, lent: set[int], backlog: deque[int], slot: int) -> None:
-    """Runs in whatever thread drops a picture, possibly amid garbage collection: takes no lock and never waits."""
+    """Runs in whatever thread drops an image, possibly amid garbage collection: takes no lock and never waits."""
     lent.discard(slot)
     try:
         connection.send(messages.encode(Returned(slot)), socket.MSG_DONTWAIT)

@@ -5,7 +5,7 @@ connection, or, should a vendor's library hang, by the kernel's parent-death sig
 (Ctrl-C, a service manager's SIGTERM) reach this process too and are left to the daemon, which closes the camera in
 order.
 
-A camera with an attribute ``allocate`` fills its pictures into the ring: ``allocate(shape, dtype)`` gives an array to
+A camera with an attribute ``allocate`` fills its images into the ring: ``allocate(shape, dtype)`` gives an array to
 fill and to pass on as a frame's image; asking again before a frame was passed on gives the same memory.
 """
 

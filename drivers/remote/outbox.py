@@ -16,7 +16,7 @@ from drivers.remote.ring import RingWriter
 WINDOW = 2
 """Frames announced and not yet taken; the others wait here, where the oldest can still be dropped."""
 
-Picture = NDArray[Any]
+Image = NDArray[Any]
 
 
 class Outbox:
@@ -32,7 +32,7 @@ class Outbox:
         self._free = list(range(ring.slots))
         self._waiting: deque[Ready] = deque()
         self._announced: set[int] = set()
-        self._filling: tuple[int, Picture] | None = None
+        self._filling: tuple[int, Image] | None = None
         self.ring_full = 0
 
     @property
@@ -40,8 +40,8 @@ class Outbox:
         """Frames that the daemon has not been told of."""
         return len(self._waiting)
 
-    def allocate(self, shape: tuple[int, ...], dtype: Any) -> Picture:
-        """Memory for a picture, in the ring where there is room; a driver that fills it saves a copy."""
+    def allocate(self, shape: tuple[int, ...], dtype: Any) -> Image:
+        """Memory for an image, in the ring where there is room; a driver that fills it saves a copy."""
         if self._filling is not None:
             index = self._filling[0]
         else:
@@ -49,9 +49,9 @@ class Outbox:
             if found is None:
                 return np.empty(shape, dtype)
             index = found
-        picture = self._ring.slot(index, shape, np.dtype(dtype))
-        self._filling = (index, picture)
-        return picture
+        image = self._ring.slot(index, shape, np.dtype(dtype))
+        self._filling = (index, image)
+        return image
 
     def put(self, frame: Frame) -> None:
         """Pass a frame on, or count it as lost."""
@@ -91,7 +91,7 @@ class Outbox:
         while self._waiting:
             self._free.append(self._waiting.popleft().slot)
 
-    def _place(self, image: Picture) -> int | None:
+    def _place(self, image: Image) -> int | None:
         filling, self._filling = self._filling, None
         if filling is not None and image is filling[1]:
             return filling[0]

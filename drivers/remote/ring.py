@@ -86,14 +86,14 @@ class RingWriter:
     ) -> NDArray[np.uint8]:
         """A slot as an array to fill."""
         if int(np.prod(shape)) * dtype.itemsize > self.slot_bytes:
-            raise ValueError(f"a picture of {shape} {dtype} does not fit into a slot of {self.slot_bytes} bytes")
+            raise ValueError(f"an image of {shape} {dtype} does not fit into a slot of {self.slot_bytes} bytes")
         return np.ndarray(shape, dtype, buffer=self._map, offset=_BULLETIN + index * self.slot_bytes)
 
 
 class RingReader:
-    """The daemon's side: pictures to look at, the heartbeat and the health.
+    """The daemon's side: images to look at, the heartbeat and the health.
 
-    The memory goes when the last picture that lies in it does.
+    The memory goes when the last image that lies in it does.
     """
 
     def __init__(self, fd: int, slots: int, slot_bytes: int) -> None:
@@ -121,11 +121,11 @@ class RingReader:
             self._health = CameraHealth(found.temperature_c, found.counters)
         return self._health
 
-    def picture(self, index: int, shape: tuple[int, ...], *, wide: bool) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """The picture in a slot: a read-only view whose life the caller watches."""
+    def image(self, index: int, shape: tuple[int, ...], *, wide: bool) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """The image in a slot: a read-only view whose life the caller watches."""
         dtype = np.dtype(np.uint16 if wide else np.uint8)
         if not 0 <= index < self.slots or int(np.prod(shape)) * dtype.itemsize > self._slot_bytes or min(shape) < 0:
-            raise DriverError(f"the camera's process told of slot {index} with a picture of {shape}: it does not exist")
+            raise DriverError(f"the camera's process told of slot {index} with an image of {shape}: it does not exist")
         return np.ndarray(shape, dtype, buffer=self._map, offset=_BULLETIN + index * self._slot_bytes)
 
 

@@ -89,7 +89,7 @@ class Device:
                     " use a camera that offers single-planar capture (USB cameras do)"
                 )
             raise DriverError(
-                f"{self.name}: {self.path} ({self.card}) gives no pictures; a camera often has a second device file for"
+                f"{self.name}: {self.path} ({self.card}) gives no images; a camera often has a second device file for"
                 " metadata only, use the other one"
             )
         if not self.capabilities & v.CAP_STREAMING:

@@ -34,7 +34,7 @@ class CameraFound:
 
 
 def discover(*, kernel: Kernel | None = None, sysfs: Path = SYSFS, dev: Path = DEV) -> list[CameraFound]:
-    """Every device that gives pictures, also those that cannot be used now, with the reason."""
+    """Every device that gives images, also those that cannot be used now, with the reason."""
     kernel = kernel or LinuxKernel()
     nodes = sorted(sysfs.glob("video*"), key=lambda entry: (len(entry.name), entry.name)) if sysfs.is_dir() else []
     found = [_look(kernel, entry, dev) for entry in nodes]

@@ -1,4 +1,4 @@
-"""Pixel formats: the bytes of a buffer as a picture of ours, in one copy.
+"""Pixel formats: the bytes of a buffer as an image of ours, in one copy.
 
 Colour comes out as ``rgb8`` or as an 8-bit mosaic, grey as ``mono8`` or as ``mono16`` that fills its 16 bits. Deeper
 mosaics lose their lower bits, which a note says.
@@ -19,7 +19,7 @@ Bytes = memoryview
 
 
 class CorruptFrame(ValueError):
-    """The bytes are no picture; ``reason`` is the counter's name."""
+    """The bytes are no image; ``reason`` is the counter's name."""
 
     def __init__(self, reason: str, message: str) -> None:
         self.reason = reason
@@ -28,19 +28,19 @@ class CorruptFrame(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a picture lies in a buffer: (width, height) in pixels, bytes from row to row."""
+    """How an image lies in a buffer: (width, height) in pixels, bytes from row to row."""
 
     size: tuple[int, int]
     row_bytes: int
 
     def rows(self, data: Bytes, pixel_bytes: int) -> NDArray[np.uint8]:
-        """The (H, width * pixel_bytes) bytes of the picture without the rows' padding: a view, nothing is copied."""
+        """The (H, width * pixel_bytes) bytes of the image without the rows' padding: a view, nothing is copied."""
         width, height = self.size
         used = width * pixel_bytes
         stride = max(self.row_bytes, used)
         needed = stride * (height - 1) + used
         if len(data) < needed:
-            raise CorruptFrame("short_frames", f"{len(data)} bytes, a picture of this size has {needed}")
+            raise CorruptFrame("short_frames", f"{len(data)} bytes, an image of this size has {needed}")
         flat = np.frombuffer(data, np.uint8, needed)
         return np.lib.stride_tricks.as_strided(flat, (height, used), (stride, 1), writeable=False)
 
@@ -54,7 +54,7 @@ class PixelFormat:
 
     Args:
         fourcc: the kernel's name; alias: the name in its documentation; encoding: of the frames.
-        convert: makes a picture of its own; note: what is lost.
+        convert: makes an image of its own; note: what is lost.
     """
 
     fourcc: str
@@ -116,15 +116,15 @@ def _jpeg(data: Bytes, layout: Layout) -> Image:
 
     raw = bytes(data).rstrip(b"\0")  # cameras fill up to a whole packet
     if not raw.startswith(b"\xff\xd8") or b"\xff\xd9" not in raw[-64:]:
-        # A decoder would fill the missing part of the picture with grey and say nothing.
+        # A decoder would fill the missing part of the image with grey and say nothing.
         raise CorruptFrame("corrupt_jpeg", f"{len(raw)} bytes do not begin and end like a JPEG")
     try:
-        picture = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise CorruptFrame("corrupt_jpeg", str(error)) from error
-    if picture is None or picture.shape[1::-1] != layout.size:
+    if image is None or image.shape[1::-1] != layout.size:
         raise CorruptFrame("corrupt_jpeg", f"{len(raw)} bytes cannot be decoded to {layout.size}")
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 _YUV_NOTE = "colours have half the resolution across (4:2:2)"

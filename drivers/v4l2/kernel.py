@@ -62,7 +62,7 @@ class LinuxKernel:
                 continue
 
     def map(self, fd: int, length: int, offset: int) -> Memory:
-        """Shared mapping: the pictures are read where the device wrote them."""
+        """Shared mapping: the images are read where the device wrote them."""
         return mmap.mmap(fd, length, mmap.MAP_SHARED, mmap.PROT_READ | mmap.PROT_WRITE, offset=offset)
 
     def wait(self, fd: int, timeout_s: float) -> bool:

@@ -90,7 +90,7 @@ def _problems(options: Options) -> list[tuple[str, str]]:
             (
                 "trigger",
                 "with 'software' each camera exposes by its own clock, so that a moving object stands elsewhere in the"
-                " right picture than in the left one and is measured wrongly; trigger both cameras by a wire"
+                " right image than in the left one and is measured wrongly; trigger both cameras by a wire"
                 " (trigger: hardware), or, if nothing ever moves, say so with only_still_scenes: true",
             )
         )

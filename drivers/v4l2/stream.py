@@ -16,7 +16,7 @@ from drivers.v4l2.device import Device
 from drivers.v4l2.kernel import Memory
 
 LEAST_BUFFERS = 2
-"""With a single one the camera would have nowhere to write while a picture is read."""
+"""With a single one the camera would have nowhere to write while an image is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Taken:
 
     @property
     def error(self) -> bool:
-        """The driver says that the picture may be corrupt."""
+        """The driver says that the image may be corrupt."""
         return bool(self.flags & v.BUF_FLAG_ERROR)
 
     @property

@@ -39,7 +39,7 @@ class FormatDescription(ctypes.Structure):
 
 
 class PixelFormat(ctypes.Structure):
-    """Size and layout of a picture: ``v4l2_pix_format``."""
+    """Size and layout of an image: ``v4l2_pix_format``."""
 
     _fields_ = tuple(
         (name, c_uint32)

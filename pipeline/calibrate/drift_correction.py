@@ -91,7 +91,7 @@ class _Look:
         if len(patches) < _FEWEST_PATCHES:
             raise RefineError(
                 f"only {len(patches)} smooth pieces of surface are seen, at least {_FEWEST_PATCHES} are needed; show a "
-                "scene that fills the pictures, or calibrate again if hardly anything is measured any more"
+                "scene that fills the images, or calibrate again if hardly anything is measured any more"
             )
         return self._observer.readings(patches), patches, int(np.median(points))
 
@@ -115,7 +115,7 @@ def refine(
     """The correction of one device that makes ordinary pairs agree.
 
     Args:
-        pairs: raw pictures of any scene, better of several; at most :data:`MOST_PAIRS` are used.
+        pairs: raw images of any scene, better of several; at most :data:`MOST_PAIRS` are used.
         device: ``left``, ``right`` or ``projector``; None = the one that alone explains the readings.
 
     Raises:
@@ -123,7 +123,7 @@ def refine(
             drift too large for this.
     """
     if len(pairs) < _FEWEST_PAIRS:
-        raise RefineError(f"{len(pairs)} pairs of pictures, at least {_FEWEST_PAIRS} are needed")
+        raise RefineError(f"{len(pairs)} pairs of images, at least {_FEWEST_PAIRS} are needed")
     chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).astype(int))]
     train, judge = chosen[::2], chosen[1::2]
     steps = _ROUNDS + 3
@@ -166,7 +166,7 @@ def refine(
 
 
 def _projector(now: Calibration, turn: Turn, samples: Samples) -> Calibration:
-    """The projector refined in full, or only turned where the pieces of surface fill too little of its picture."""
+    """The projector refined in full, or only turned where the pieces of surface fill too little of its image."""
     try:
         return refine_projector(now, samples).calibration
     except CalibrationError:
@@ -179,7 +179,7 @@ def _require_drift(readings: dict[str, Reading]) -> None:
         worst = max((abs(one.value) for one in known), default=0.0)
         raise RefineError(
             f"there is nothing to correct: the largest residual is {worst:.3f} px, which is noise; "
-            "the calibration fits these pictures"
+            "the calibration fits these images"
         )
 
 
@@ -237,5 +237,5 @@ def table(found: Refinement) -> list[str]:
 def encoding_of(encodings: set[str], name: str) -> str:
     """The one encoding of all pairs."""
     if len(encodings) != 1:
-        raise SourceError(f"{name}: pictures of several encodings, {', '.join(sorted(encodings)) or 'none at all'}")
+        raise SourceError(f"{name}: images of several encodings, {', '.join(sorted(encodings)) or 'none at all'}")
     return next(iter(encodings))

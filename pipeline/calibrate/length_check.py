@@ -116,7 +116,7 @@ def check_board(cameras: Cameras, board: Board, left: Marks, right: Marks, limit
 
 
 def check_length(cameras: Cameras, length_mm: float, in_left: Array, in_right: Array, limits: Limits) -> Distances:
-    """One known distance from the pixels (2, 2) of its two ends in both pictures, in any order."""
+    """One known distance from the pixels (2, 2) of its two ends in both images, in any order."""
     straight = epipolar_distances(cameras.left, cameras.right, in_left, in_right)
     crossed = epipolar_distances(cameras.left, cameras.right, in_left, in_right[::-1])
     if np.abs(crossed).max() < np.abs(straight).max():

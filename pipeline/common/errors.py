@@ -6,16 +6,16 @@ class PipelineError(ValueError):
 
 
 class CalibrationError(PipelineError):
-    """A calibration that contradicts itself or the pictures."""
+    """A calibration that contradicts itself or the images."""
 
 
 class PatternError(PipelineError):
     """A pattern description that cannot be projected or decoded."""
 
 
-class PictureError(PipelineError):
-    """A picture whose size, type or encoding does not fit."""
+class ImageError(PipelineError):
+    """An image whose size, type or encoding does not fit."""
 
 
 class TargetError(PipelineError):
-    """A calibration board that cannot be described, found or trusted in a picture; the message says why."""
+    """A calibration board that cannot be described, found or trusted in an image; the message says why."""

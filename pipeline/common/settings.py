@@ -1,4 +1,4 @@
-"""What a person may change about the reconstruction, with defaults that serve simulated and real pictures alike."""
+"""What a person may change about the reconstruction, with defaults that serve simulated and real images alike."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Settings:
     self_calibration_range: float = 2.0
     """Largest offset of the projector columns that is searched, projector pixels."""
     read_noise: float = 0.0
-    """Read noise, counts; 0 = estimate the noise from the pictures."""
+    """Read noise, counts; 0 = estimate the noise from the images."""
     noise_gain: float = 0.0
     """Shot noise: variance per count; used when read_noise is given."""
 

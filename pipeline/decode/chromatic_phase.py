@@ -7,7 +7,7 @@ mean slope of a frequency-modulated fringe.
 
 With the turned fringes the solution (A', C', S') of the unturned equations is F (A, C, S), a matrix for every pixel:
 ``F = L(delta)^-1 L(delta + eps)`` with the rows ``L_c(delta) = (1, cos delta_c, -sin delta_c)``. The mean of eps over
-the picture goes into the shifts that the decoder takes, for nothing; the rest into a table of every 16th row.
+the image goes into the shifts that the decoder takes, for nothing; the rest into a table of every 16th row.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Triple = tuple[float, float, float]
 
 STEP = 16
 SMALLEST_RAD = 1e-3
-"""Angles that differ less than this over the picture are taken as constant."""
+"""Angles that differ less than this over the image are taken as constant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ class ColorTurns:
 
     @staticmethod
     def of(shifts: Triple, angles: F64) -> ColorTurns:
-        """From the channels' angles at every STEP-th row, (3, n, W), the last of them below the picture."""
+        """From the channels' angles at every STEP-th row, (3, n, W), the last of them below the image."""
         constant = angles.mean(axis=(1, 2))
         red, green, blue = (float(s) for s in np.array(shifts) + constant)
         rest = np.moveaxis(angles - constant[:, None, None], 0, -1)

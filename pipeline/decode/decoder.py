@@ -1,4 +1,4 @@
-"""Wrapped phase, modulation and mean of one picture.
+"""Wrapped phase, modulation and mean of one image.
 
 Light in channel k is ``A + B cos(Phi + shift_k)``; the camera's channel c answers ``sum_k M_ck (...)``. With
 C = B cos(Phi), S = B sin(Phi) every sample is linear in (A, C, S): ``I_c = a_c A + p_c C + q_c S``,
@@ -33,15 +33,15 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseMap:
-    """Phase of one picture, all (H, W).
+    """Phase of one image, all (H, W).
 
-    The decoder's next picture overwrites all planes but the mean and the modulation.
+    The decoder's next image overwrites all planes but the mean and the modulation.
 
     Args:
         phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.decode.packed_phasor`; 0 where unknown.
         traits: int32, what the order search compares, see :mod:`pipeline.decode.pixel_descriptor`; with the phase from
             channels divided by their local means, the equalised one.
-        variance: float32, variance of the pointwise phase from the picture's noise, rad^2.
+        variance: float32, variance of the pointwise phase from the image's noise, rad^2.
         clipped: share of pixels with a clipped sample.
         phase: float32, wrapped angle of the pointwise phasor.
         mean, modulation: uint8, A (the fringe-free texture) and B, counts.
@@ -71,13 +71,13 @@ class PhaseMap:
 
 
 class Decoder:
-    """Everything of a camera that can be computed once, and the decoding of its pictures.
+    """Everything of a camera that can be computed once, and the decoding of its images.
 
     Args:
         color: black level and crosstalk.
         shifts: of the pattern's channels, radians.
         mosaic: (2, 2) channel numbers of a Bayer sensor, or None.
-        slopes: expected phase steps per pixel in this camera's picture, (x, y) radians; one of them is 0.
+        slopes: expected phase steps per pixel in this camera's image, (x, y) radians; one of them is 0.
         turns: angles by which lateral colour turns the channels, with the shifts that go with them; None = none.
     """
 
@@ -111,7 +111,7 @@ class Decoder:
         self._planes: dict[str, NDArray[Any]] = {}
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
-        """Phase of a raw picture, (H, W, 3) three-chip or (H, W) mosaic; overwrites the planes of the last one."""
+        """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the planes of the last one."""
         image = read_only(image)
         noise = self._noise(image)
         height, width = image.shape[:2]

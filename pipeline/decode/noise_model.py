@@ -1,4 +1,4 @@
-"""Noise of a picture, estimated from the picture itself."""
+"""Noise of an image, estimated from the image itself."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class NoiseModel:
     gain: float
 
 
-def estimate(picture: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel:
+def estimate(image: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel:
     """Fit the noise model to second differences of samples along the fringes.
 
     The quietest fifth of the 16-pixel tiles at each brightness is taken as free of texture: the mean square of
     ``I[-1] - 2 I[0] + I[1]`` of white noise is six times its variance. Linear in brightness, so a tile's mean serves.
 
     Args:
-        picture: (H, W) or (H, W, 3) raw samples.
-        along: axis of the picture along which the fringes run (0 for vertical fringes).
+        image: (H, W) or (H, W, 3) raw samples.
+        along: axis of the image along which the fringes run (0 for vertical fringes).
         step: distance of samples of one colour, 2 on a Bayer mosaic.
     """
-    height, colors = picture.shape[0], 1 if picture.ndim == 2 else 3
+    height, colors = image.shape[0], 1 if image.ndim == 2 else 3
     rows, shift = (step, 0) if along == 0 else (0, step * colors)
-    levels, squares = _tiles(picture.reshape(height, -1), colors, rows, shift)
+    levels, squares = _tiles(image.reshape(height, -1), colors, rows, shift)
     levels, squares = levels.ravel(), squares.ravel()
     usable = (levels > 4 * _SAMPLES) & (levels < 235 * _SAMPLES)
     if np.count_nonzero(usable) < 20:
@@ -56,18 +56,18 @@ def _add_row(first: Any, middle: Any, last: Any, levels: Any, squares: Any) -> N
 
 
 @parallel
-def _tiles(picture: Any, colors: int, rows: int, shift: int) -> tuple[Any, Any]:
+def _tiles(image: Any, colors: int, rows: int, shift: int) -> tuple[Any, Any]:
     """Sums over the tiles in every third band of them, in whole numbers.
 
     Args:
-        picture: (H, W * colors) uint8, colours interleaved.
+        image: (H, W * colors) uint8, colours interleaved.
         rows, shift: distance of the samples that are subtracted, in rows and in elements of a row.
 
     Returns:
         sums of the samples, and of their squared second differences, (bands, tiles, colors) int32.
     """
-    height = picture.shape[0] - 2 * rows
-    width = picture.shape[1] - 2 * shift
+    height = image.shape[0] - 2 * rows
+    width = image.shape[1] - 2 * shift
     columns = width // (_TILE * colors)
     bands = max(0, (height - _TILE) // (_BANDS_APART * _TILE) + 1)
     levels, squares = np.zeros((bands, columns, colors), np.int32), np.zeros((bands, columns, colors), np.int32)
@@ -76,8 +76,8 @@ def _tiles(picture: Any, colors: int, rows: int, shift: int) -> tuple[Any, Any]:
         top = band * _BANDS_APART * _TILE
         level, square = np.zeros(n, np.int32), np.zeros(n, np.int32)
         for i in range(top, top + _TILE):
-            _add_row(picture[i][:n], picture[i + rows][shift : shift + n],
-                     picture[i + 2 * rows][2 * shift : 2 * shift + n], level, square)  # fmt: skip
+            _add_row(image[i][:n], image[i + rows][shift : shift + n],
+                     image[i + 2 * rows][2 * shift : 2 * shift + n], level, square)  # fmt: skip
         j = 0
         for tile in range(columns):
             for _ in range(_TILE):

@@ -78,7 +78,7 @@ def complete_row(phase: Any, valid: Any, mean: Any, out: Any) -> None:
 
 @parallel
 def traits_without_color(phase: Any, valid: Any, mean: Any, out: Any) -> None:
-    """Traits (H, W) of pictures in which both phases are the same; the others as in :func:`complete_row`."""
+    """Traits (H, W) of images in which both phases are the same; the others as in :func:`complete_row`."""
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = _equal_bits(phase[i, j])

@@ -1,4 +1,4 @@
-"""What the sensor's encodings mean, and checks of the pictures at the border."""
+"""What the sensor's encodings mean, and checks of the images at the border."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 
 BAYER: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "bayer_rggb8": ((0, 1), (1, 2)),
@@ -21,19 +21,19 @@ ENCODINGS = ("rgb8", *BAYER)
 
 
 def mosaic_of(encoding: str) -> NDArray[np.int64] | None:
-    """(2, 2) channel numbers of a Bayer mosaic, None for a three-chip picture."""
+    """(2, 2) channel numbers of a Bayer mosaic, None for a three-chip image."""
     if encoding not in ENCODINGS:
-        raise PictureError(f"encoding {encoding!r} carries no three colours; expected one of {', '.join(ENCODINGS)}")
+        raise ImageError(f"encoding {encoding!r} carries no three colours; expected one of {', '.join(ENCODINGS)}")
     return None if encoding == "rgb8" else np.array(BAYER[encoding], dtype=np.int64)
 
 
 def checked(image: NDArray[Any], side: str, encoding: str, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The picture as a contiguous uint8 array of the calibrated size, else PictureError."""
+    """The image as a contiguous uint8 array of the calibrated size, else ImageError."""
     width, height = size
     shape = (height, width, 3) if encoding == "rgb8" else (height, width)
     if image.shape != shape or image.dtype != np.uint8:
-        raise PictureError(
-            f"{side} picture is {image.dtype} {image.shape}, but {encoding} of the calibrated camera is uint8 {shape}; "
+        raise ImageError(
+            f"{side} image is {image.dtype} {image.shape}, but {encoding} of the calibrated camera is uint8 {shape}; "
             "use the calibration of this camera and its region of interest"
         )
     return read_only(np.ascontiguousarray(image))

@@ -20,7 +20,7 @@ LEFT, UP = np.uint8(1), np.uint8(2)
 """Bits of a link: the pixel continues its left neighbour, the one above it."""
 
 MOST_SURFACES = 65534
-"""Surfaces beyond these, in scanning order, are taken as too small: a picture that has them shows noise."""
+"""Surfaces beyond these, in scanning order, are taken as too small: an image that has them shows noise."""
 
 _START, _CONTACT, _STOP = np.uint8(1), np.uint8(2), np.uint8(4)
 _NO = np.uint8(0)
@@ -49,7 +49,7 @@ def links(absolute: Any, match_u: Any, match_v: Any, slope_x: int, slope_y: int,
     """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning beside unknown pixels.
 
     Args:
-        absolute: (H, W) int16, absolute phase; match_u, match_v: (H, W) int16, pixel in the right picture, all in the
+        absolute: (H, W) int16, absolute phase; match_u, match_v: (H, W) int16, pixel in the right image, all in the
             steps of :mod:`pipeline.match.match_result`, modulo 16 bits.
         slope_x, slope_y: expected change of the phase per pixel, steps.
     """
@@ -204,7 +204,7 @@ def paint(start: Any, stop: Any, count: Any, first: Any, surface: Any, label: An
 
 
 class Surfaces:
-    """Connected surfaces of one picture size, in arrays that every call uses again.
+    """Connected surfaces of one image size, in arrays that every call uses again.
 
     After :meth:`find`: runs by rows in ``start``, ``stop`` and ``count`` (2, H); number of each row's first run
     in ``first`` (H + 1); surface of each run in ``surface``, -1 for too small ones; pixels of each in ``sizes``.
@@ -212,7 +212,7 @@ class Surfaces:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         height, width = shape
-        # Only what a picture has runs for is ever touched of these.
+        # Only what an image has runs for is ever touched of these.
         # Rows a power of two apart would share few lines of a cache.
         self.start, self.stop, self.contact = (np.empty((height, width + 24), np.int32) for _ in range(3))
         self.count = np.empty((2, height), np.int32)

@@ -1,4 +1,4 @@
-"""A contest between surfaces that pictures of noise never have: it compiles what only real scenes would."""
+"""A contest between surfaces that images of noise never have: it compiles what only real scenes would."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def local_outliers(known: Any, first: Any, second: Any, limit: int, largest: int
     for block in prange((height + _ROWS - 1) // _ROWS):
         top = block * _ROWS
         bottom = min(top + _ROWS, height)
-        # Columns beyond the picture's sides stay 0, and rows above and below it count as unknown.
+        # Columns beyond the image's sides stay 0, and rows above and below it count as unknown.
         column1, column2, column_n = (np.zeros(width + 2 * RADIUS, np.int16), np.zeros(width + 2 * RADIUS, np.int16),
                                       np.zeros(width + 2 * RADIUS, np.int16))  # fmt: skip
         n, sum1, sum2 = np.empty(width, np.int16), np.empty(width, np.int16), np.empty(width, np.int16)
@@ -166,7 +166,7 @@ def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
     for block in prange((height + _ROWS - 1) // _ROWS):
         top = block * _ROWS
         bottom = min(top + _ROWS, height)
-        # Beyond the picture there is no surface. Rows are kept in turns of three.
+        # Beyond the image there is no surface. Rows are kept in turns of three.
         strength, labels = np.zeros((3, width + 2), np.uint8), np.zeros((3, width + 2), np.uint16)
         best_of_row = np.zeros((3, width), np.uint8)
         least_of_row, most_of_row = np.zeros((3, width), np.uint16), np.zeros((3, width), np.uint16)

@@ -11,7 +11,7 @@ from pipeline.common.jit import parallel, prange, serial
 from pipeline.match.match_result import PIXEL_STEPS
 
 TILE_ROWS, TILE_COLUMNS = 8, 16
-"""Pixels of the left picture's tiles."""
+"""Pixels of the left image's tiles."""
 PARAMETER_STEPS = 16384
 """Steps of the parameter s from 0 to 1."""
 

@@ -50,11 +50,11 @@ def _forget(doubtful: Any, start: Any, stop: Any, count: Any, row: Any, surface:
 
 
 class Gates:
-    """The gates for one picture size, in arrays that every call uses again.
+    """The gates for one image size, in arrays that every call uses again.
 
     Args:
-        shape: (H, W) of the left camera's picture; right, projector: (width, height) of the other devices.
-        slopes: expected phase steps per pixel of the left picture (x, y), radians.
+        shape: (H, W) of the left camera's image; right, projector: (width, height) of the other devices.
+        slopes: expected phase steps per pixel of the left image (x, y), radians.
         depth: scale of the parameter s; order_step: change of s from one order to the next.
         smallest: pixels of the smallest connected surface.
     """
@@ -76,7 +76,7 @@ class Gates:
         """1 where a point is certain, else 0, (H, W); valid until the next call.
 
         Args:
-            located: of the left picture; depth_mm: (H, W), float32; modulation: (H, W) uint8, counts.
+            located: of the left image; depth_mm: (H, W), float32; modulation: (H, W) uint8, counts.
         """
         s, known, label, surfaces = self._settings, self._known, self._label, self._surfaces
         limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)

@@ -1,8 +1,8 @@
 """One pixel of another device sees (or lights) one surface only: of two that claim it one is forgotten there.
 
 Areas seen by the left camera alone can match areas seen by the right alone with perfect phase; nothing else removes
-them. Most of the other device's picture is claimed by one surface only, which blocks of 8 x 8 pixels tell quickly: a
-tile of the left picture claims every block between its least and largest coordinates there. Claims to single pixels
+them. Most of the other device's image is claimed by one surface only, which blocks of 8 x 8 pixels tell quickly: a
+tile of the left image claims every block between its least and largest coordinates there. Claims to single pixels
 are compared in the few blocks that several surfaces claim.
 """
 
@@ -176,7 +176,7 @@ def number_shared(owner: Any, number: Any) -> int:
 
 
 class Uniqueness:
-    """For one picture size and the other devices of these sizes (width, height); arrays that every call uses again."""
+    """For one image size and the other devices of these sizes (width, height); arrays that every call uses again."""
 
     def __init__(self, shape: tuple[int, int], devices: tuple[tuple[int, int], ...]) -> None:
         height, width = shape

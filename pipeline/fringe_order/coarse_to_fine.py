@@ -1,6 +1,6 @@
 """Orders of a lattice from sure decisions on every second pixel of it, along continuous phase.
 
-Most of a picture is smooth surface, on which the order search says the same again and again. It is done on a quarter
+Most of an image is smooth surface, on which the order search says the same again and again. It is done on a quarter
 of the lattice; a pixel between two sure ones that both continue to it, to the same order, needs no search of its own.
 What stays open (edges, doubtful decisions, noise) is searched on the whole lattice, between what is settled.
 """
@@ -38,7 +38,7 @@ def _agreed(before: Any, after: Any, from_before: Any, from_after: Any) -> Any:
 
 @serial
 def _between_columns(phase: Any, valid: Any, left: int, step: int, slope: Any, row: Any) -> None:
-    """Settle the odd pixels of a lattice row (w,) between its even ones; ``phase``, ``valid``: the picture's row."""
+    """Settle the odd pixels of a lattice row (w,) between its even ones; ``phase``, ``valid``: the image's row."""
     for b in range(1, row.shape[0] - 1, 2):
         row[b] = NONE
         if row[b - 1] == NONE or row[b + 1] == NONE:
@@ -62,7 +62,7 @@ def _between_columns(phase: Any, valid: Any, left: int, step: int, slope: Any, r
 def _between_rows(
     phase: Any, valid: Any, i: int, down: int, left: int, step: int, slope: Any, above: Any, below: Any, row: Any
 ) -> None:
-    """Settle the even pixels of an odd lattice row between those above and below; i: picture row of the one above."""
+    """Settle the even pixels of an odd lattice row between those above and below; i: image row of the one above."""
     for b in range(0, row.shape[0], 2):
         row[b] = NONE
         if above[b] == NONE or below[b] == NONE:
@@ -88,7 +88,7 @@ def settle(
 
     Args:
         coarse, sure: (ceil(h / 2), ceil(w / 2)) orders of every second lattice pixel, and 1 where they are sure.
-        phase, valid: (H, W) of the picture; lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
+        phase, valid: (H, W) of the image; lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         slope_x, slope_y: expected phase steps per pixel, radians.
     """
     h, w = settled.shape

@@ -1,4 +1,4 @@
-"""Every fringe order a lattice pixel may have, with what the pictures say against each.
+"""Every fringe order a lattice pixel may have, with what the images say against each.
 
 A wrapped phase phi leaves the absolute phases phi + 2 pi k. Each is a projector column, which meets the pixel's viewing
 ray at one point; the other camera must see the same phase at that point's image. On a plane, a candidate wrong by m
@@ -49,7 +49,7 @@ def load_nodes(
     """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
     Args:
-        nodes, pixels: numbers of the n lattice pixels in the lattice and in the picture.
+        nodes, pixels: numbers of the n lattice pixels in the lattice and in the image.
         rays: (h w RAY), see :data:`RAY`; first, count: (h w); phase, traits: (H W).
     """
     for j in range(n):
@@ -104,8 +104,8 @@ def price(
     """Cost 0 .. about 1.6 (slot _COST) of the candidates ``order`` after the first of a tile of lattice pixels.
 
     The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
-    phases and the texture are compared there; UNSEEN outside the other picture or where that has no fringes.
-    ``traits``, flat, are the other picture's; ``linear``: the table ``columns`` is a straight line, and need not be
+    phases and the texture are compared there; UNSEEN outside the other image or where that has no fringes.
+    ``traits``, flat, are the other image's; ``linear``: the table ``columns`` is a straight line, and need not be
     looked up.
     """
     start, stop = columns[0], columns[0] + columns[1] * np.float32(columns.shape[0] - 3)

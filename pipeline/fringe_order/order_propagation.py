@@ -86,12 +86,12 @@ def cross_check(
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
 
     Args:
-        order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the picture.
+        order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the image.
         lines: (7, h, w), of :class:`pipeline.geometry.ray_tables.RayTable`; axis: 0 = phase grows along u.
-        phase, traits: of this picture.
+        phase, traits: of this image.
         other_order .. other_phase: the same of the other camera.
         table: even-grid table phase -> projector coordinate; shift: the column correction; all float32.
-        slope_x, slope_y: the other picture's expected phase steps per pixel.
+        slope_x, slope_y: the other image's expected phase steps per pixel.
     """
     h, w = order.shape
     n, m = other_order.shape

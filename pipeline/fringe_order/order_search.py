@@ -50,7 +50,7 @@ class OrderSearch:
         """Orders (h, w) of the lattice pixels, valid until the next call.
 
         Args:
-            here, there: phases of this camera's picture and of the other's.
+            here, there: phases of this camera's image and of the other's.
             follow: look only near what :meth:`expect` was told last, but for a few rows in turn.
         """
         coarse, fine, table, view = self._coarse, self._fine, self._view.table, self._view

@@ -29,7 +29,7 @@ def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any
     The phase is unwrapped pixel by pixel along the way: robust for steep surfaces, and every break is seen.
 
     Args:
-        phase, valid: a row of the picture; lattice pixel b is its column ``j0 + step b``.
+        phase, valid: a row of the image; lattice pixel b is its column ``j0 + step b``.
         slope: expected phase step per pixel, radians; count: (w,) labels of each; nothing is tied between pixels
             that have one label at most.
         jump: (w,) int32, change of order from the neighbour to here along a continuous surface.

@@ -37,7 +37,7 @@ def search_rows(
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         rays: (h, w, RAY), see :data:`pipeline.fringe_order.order_candidates.RAY`.
         phase: (H, W) float32; traits: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`; valid: (H, W) bool.
-        other_traits: the other picture's.
+        other_traits: the other image's.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
             across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.

@@ -41,7 +41,7 @@ class RayTable:
     """What one camera's lattice pixels see in the other devices.
 
     Args:
-        top, down: lattice row a is picture row ``top + down a``; left, step: column b is column ``left + step b``.
+        top, down: lattice row a is image row ``top + down a``; left, step: column b is column ``left + step b``.
         along: (3, h, w) float32, c0, c1, c2 of the module's text for the projector coordinate along which the phase
             grows.
         lines: (7, h, w) float32, m0, m1, m2, q0, q1, r0, r1 of that text.
@@ -74,7 +74,7 @@ class RayTable:
         )
 
     def sampled(self, plane: NDArray[Any]) -> NDArray[Any]:
-        """A picture's values at the lattice pixels, a view (h, w)."""
+        """An image's values at the lattice pixels, a view (h, w)."""
         return plane[self.top :: self.down, self.left :: self.step][: self.shape[0], : self.shape[1]]
 
 
@@ -183,8 +183,8 @@ def _line(a: F64, b: F64) -> F64:
     return _composed(a, b)[:2]
 
 
-def period_in_picture(calibration: Calibration, depth: DepthScale, *, axis: str, period: float) -> float:
-    """Fringe period in the left camera's picture at mid-volume, pixels, along the direction of growth."""
+def period_in_image(calibration: Calibration, depth: DepthScale, *, axis: str, period: float) -> float:
+    """Fringe period in the left camera's image at mid-volume, pixels, along the direction of growth."""
     width, height = calibration.left.size
     first = 0 if axis == "x" else 1
     centre = np.array([[width / 2, height / 2], [width / 2, height / 2]])

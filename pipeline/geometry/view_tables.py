@@ -12,7 +12,7 @@ from pipeline.common.settings import Settings
 from pipeline.decode.chromatic_phase import color_turns
 from pipeline.decode.decoder import Decoder, PhaseMap
 from pipeline.fringe_order import order_propagation
-from pipeline.geometry.ray_tables import DepthScale, RayTable, packed, period_in_picture, ray_table
+from pipeline.geometry.ray_tables import DepthScale, RayTable, packed, period_in_image, ray_table
 from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, Located
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.cloud import Volume
@@ -59,7 +59,7 @@ class View:
         """Build the tables of the calibration's left camera."""
         axis = pattern.axis
         depth = DepthScale.of(volume)
-        period = period_in_picture(calibration, depth, axis=axis, period=pattern.length / pattern.periods)
+        period = period_in_image(calibration, depth, axis=axis, period=pattern.length / pattern.periods)
         step = (settings.lattice_x, coarser * settings.lattice_y)
         table = ray_table(calibration, depth, axis=axis, step=step if axis == "x" else step[::-1], inside=inside)
         sign = _growth(calibration, depth, axis)
@@ -82,7 +82,7 @@ class View:
         )  # fmt: skip
 
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
-        """Phase of this camera's picture."""
+        """Phase of this camera's image."""
         return self.decoder.decode(image)
 
     def cross_check(
@@ -126,7 +126,7 @@ def _even_table(pattern: ColorFringe) -> F64:
 
 
 def _growth(calibration: Calibration, depth: DepthScale, axis: str) -> float:
-    """+1 when the phase grows with u (or v) in this camera's picture, else -1."""
+    """+1 when the phase grows with u (or v) in this camera's image, else -1."""
     width, height = calibration.left.size
     first = 0 if axis == "x" else 1
     centre = np.array([[width / 2, height / 2], [width / 2, height / 2]])

@@ -1,6 +1,6 @@
-"""Steps of the sub-pixel match, each for a tile of pixels of the left picture (see :mod:`pipeline.common.tile_math`).
+"""Steps of the sub-pixel match, each for a tile of pixels of the left image (see :mod:`pipeline.common.tile_math`).
 
-A pixel's viewing ray is met with the projector's column, and the other camera's picture is read where it sees that
+A pixel's viewing ray is met with the projector's column, and the other camera's image is read where it sees that
 point: phasors, interpolated, never wrapped phases.
 """
 
@@ -121,7 +121,7 @@ def meet(t: Any, d: Any, axis: int, correction: Any) -> None:
 
 @inline
 def look_up(t: Any, k: Any, other: Any, along: int, across: int, width: int, height: int, lanes: int) -> None:
-    """Phasors of the other picture about the pixels in slots X, Y of the first ``lanes`` of a tile.
+    """Phasors of the other image about the pixels in slots X, Y of the first ``lanes`` of a tile.
 
     At both ends of the cells along the growth of the phase, linear across it; ``other`` flat, packed. ``lanes`` is a
     constant: TILE or FEW.
@@ -150,7 +150,7 @@ def look_up(t: Any, k: Any, other: Any, along: int, across: int, width: int, hei
 
 @inline
 def errors(t: Any, axis: int, lanes: int) -> None:
-    """Phase of the other picture minus this one's (slot ERROR), its change with W (SLOPE), the size squared (SIZE)."""
+    """Phase of the other image minus this one's (slot ERROR), its change with W (SLOPE), the size squared (SIZE)."""
     for j in range(lanes):
         ar, ai, br, bi = t[_AR + j], t[_AI + j], t[_BR + j], t[_BI + j]
         f = t[FRACTION + j]

@@ -1,6 +1,6 @@
 """What the sub-pixel match hands to the gates.
 
-The gates look at several planes of a whole picture many times, and memory is what they wait for: pixels and phases are
+The gates look at several planes of a whole image many times, and memory is what they wait for: pixels and phases are
 whole numbers of 16 bits in steps that are fine enough for a gate. Only the cloud itself is float32.
 """
 
@@ -16,9 +16,9 @@ I16 = NDArray[np.int16]
 U16 = NDArray[np.uint16]
 
 PIXEL_STEPS = 8
-"""Steps per pixel of a coordinate, counted from the picture's edge: half a pixel before the first pixel's centre."""
+"""Steps per pixel of a coordinate, counted from the image's edge: half a pixel before the first pixel's centre."""
 OUTSIDE = np.uint16(65535)
-"""Coordinate of what lies before the picture's edge or beyond 8191 pixels."""
+"""Coordinate of what lies before the image's edge or beyond 8191 pixels."""
 RESIDUAL_STEP = 0.005
 """Step of a residual, radians."""
 LARGEST_RESIDUAL = 668
@@ -34,7 +34,7 @@ class Located(NamedTuple):
 
     Args:
         known: uint8, 1 where a match was found, else 0 (bytes serve vector code better than truth values).
-        match_u, match_v: pixel in the right picture, uint16 of :data:`PIXEL_STEPS`.
+        match_u, match_v: pixel in the right image, uint16 of :data:`PIXEL_STEPS`.
         source_u, source_v: pixel of the projector that lights the point, likewise.
         absolute: phase of the left pixel and 2 pi times its order, int16 of :data:`TURN_STEPS`.
         residual_eq, residual: absolute phase minus the projector's phase at the point, equalised and pointwise,

@@ -6,7 +6,7 @@ the projector's column lies, find it. Because the match is sought along the ray'
 camera models, the four linear equations of the two views (see :mod:`pipeline.geometry.triangulate`) agree there: the
 point on the ray is their solution.
 
-Everything is done for tiles of one picture row (see :mod:`pipeline.common.tile_math`). Two looks at the other picture
+Everything is done for tiles of one image row (see :mod:`pipeline.common.tile_math`). Two looks at the other image
 serve nine pixels in ten; the others are gathered for a third one.
 """
 
@@ -55,7 +55,7 @@ def refine(
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate;
             linear: both are straight lines.
-        correlation: of neighbouring phases' noise in the other picture (0 pointwise, more after a window fit).
+        correlation: of neighbouring phases' noise in the other image (0 pointwise, more after a window fit).
         xyz, sigma: (every H, every W, 3) and (every H, every W) or a little less, mm; pixel (i, j) is theirs at (every
             i, every j). Written where known; where not, perhaps.
         known ... residual: the planes of :class:`pipeline.match.match_result.Located`, written. (One by one: what a
@@ -154,7 +154,7 @@ def refine(
 
 @inline
 def _load(t: Any, n: int, order: Any, phase: Any, traits: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
-    """The left picture's side of a tile; slots PHI, BIAS and T0 get the absolute phase, bias, equalised phase."""
+    """The left image's side of a tile; slots PHI, BIAS and T0 get the absolute phase, bias, equalised phase."""
     for j in range(n):
         t[PHI + j] = phase[j] + _TURN * np.float32(order[j])
     for j in range(n):
@@ -230,7 +230,7 @@ def _store_phases(t: Any, n: int, absolute: Any, residual_eq: Any, residual: Any
 
 @inline
 def _steps_of_pixel(x: Any) -> Any:
-    """A coordinate in steps from the picture's edge, see :mod:`pipeline.match.match_result`."""
+    """A coordinate in steps from the image's edge, see :mod:`pipeline.match.match_result`."""
     x = (x + _HALF) * _PER_PIXEL
     return np.uint16(np.int32(x if (x >= _ZERO) & (x < _FARTHEST) else _FARTHEST))
 

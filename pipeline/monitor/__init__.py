@@ -1,22 +1,22 @@
 """Drift of a rig, from ordinary pairs: which numbers tell that the calibration does not fit any more, and why.
 
-**Trinocular residual.** A left pixel, its match in the right picture and the projector column that lights the point
+**Trinocular residual.** A left pixel, its match in the right image and the projector column that lights the point
 measure two unknowns of the point three times over. With parallel axes, f and f_p the focal lengths, b and p the
 distances from left camera to right camera and to projector: u_L = f X / Z, u_R = f (X - b) / Z, so the expected column
 is
 
     u_P = f_p (X - p) / Z = (f_p / f) ((1 - p/b) u_L + (p/b) u_R),
 
-and a picture displaced by d changes observed minus expected by (f_p/f)(1 - p/b) d (left) or (f_p/f)(p/b) d (right): for
+and an image displaced by d changes observed minus expected by (f_p/f)(1 - p/b) d (left) or (f_p/f)(p/b) d (right): for
 a projector at 0.382 of the baseline and f_p/f = 1.25, 0.2 px are 0.155 and 0.096 projector px. A camera turned by yaw a
 does the same with d = f a (0.60 px for 0.01 degree at f = 3413 px); roll displaces rows at height y by -a y, a slope of
-the residual across the picture. Residuals are fitted by offset, slope along x and slope along y.
+the residual across the image. Residuals are fitted by offset, slope along x and slope along y.
 
 **Epipolar residual.** A displacement e across the epipolar lines does not move the phase where fringes stand at right
 angles to them. But they never do everywhere: where the surface slopes, fringes lean by g = F_v / F_u (F the phase in
-the picture), and the match slips by g e along the line. The regression of the residual on that answer tells e, with a
+the image), and the match slips by g e along the line. The regression of the residual on that answer tells e, with a
 standard deviation that says whether the scene has slopes enough (a wall at right angles has none). The surface's own
-texture tells e again: what the left picture shows at a point, the right one shows a little higher (instruments against
+texture tells e again: what the left image shows at a point, the right one shows a little higher (instruments against
 the noise of gradients, see :mod:`pipeline.monitor.brightness`). Both are combined by their variances; where neither
 sees anything the residual is not observable.
 
@@ -24,7 +24,7 @@ sees anything the residual is not observable.
 (c, k) of the true matrix has grown by x, it carries x rho_k (A + B cos(Phi + shift_k)) too, and its phase turns by
 x (rho_k / rho_c) sin(shift_k - shift_c): 0.026 rad for x = 0.03 on grey, 0.017 and -0.009 after the mean of the three
 channels is taken off. At x = 0 this is 0 for any colour of the surface: albedos scale a channel and do not turn it.
-Lock-in against the geometry's smooth phase rather than the picture's own keeps out the ripple that crosstalk causes.
+Lock-in against the geometry's smooth phase rather than the image's own keeps out the ripple that crosstalk causes.
 
 **Modulation.** B / A of each camera falls with focus lost, stray light, motion.
 """
@@ -39,5 +39,5 @@ OBSERVABLES: dict[str, str] = {
     **{f"{side}_{color}_rad": "color" for side in ("left", "right") for color in ("red", "green", "blue")},
     **{f"{side}_modulation": "modulation" for side in ("left", "right")},
 }
-"""Every observable and its kind: residual, its slope to the picture's edge, projector pixels; epipolar residual, pixels
-of the right picture; phase of a channel against the mean of the three, rad; fringe amplitude over mean light."""
+"""Every observable and its kind: residual, its slope to the image's edge, projector pixels; epipolar residual, pixels
+of the right image; phase of a channel against the mean of the three, rad; fringe amplitude over mean light."""

@@ -23,11 +23,11 @@ EDGE = 2
 
 
 @serial
-def brightness(picture: Any, mosaic: Any, black: Any, top: int, left: int, rows: int, columns: int, q: Any,
+def brightness(image: Any, mosaic: Any, black: Any, top: int, left: int, rows: int, columns: int, q: Any,
                 centre_u: float, centre_v: float, half_u: float, half_v: float, light: Any, scratch: Any,
                 raw: Any, out: Any) -> None:  # fmt: skip
     """Counts over the fitted fringe in a rectangle, smoothed; the outermost pixels of ``out`` stay undefined."""
-    colours = picture.shape[2]
+    colours = image.shape[2]
     cosine, sine = scratch[3], scratch[4]
     level, p, r, dark = (
         np.empty(3, np.float32),
@@ -46,14 +46,14 @@ def brightness(picture: Any, mosaic: Any, black: Any, top: int, left: int, rows:
                 a, b = np.float32(0.0), np.float32(0.0)
                 for c in range(3):
                     f = level[c] + p[c] * cosine[j] + r[c] * sine[j]
-                    a += f * (np.float32(picture[v, left + j, c]) - dark[c])
+                    a += f * (np.float32(image[v, left + j, c]) - dark[c])
                     b += f * f
                 over[j], under[j] = a, b
         else:
             for j in range(columns):
                 c = mosaic[v & 1, (left + j) & 1]
                 f = level[c] + p[c] * cosine[j] + r[c] * sine[j]
-                over[j], under[j] = f * (np.float32(picture[v, left + j, 0]) - dark[c]), f * f
+                over[j], under[j] = f * (np.float32(image[v, left + j, 0]) - dark[c]), f * f
     two, one = np.float32(2.0), np.float32(1.0)
     a, b = scratch[0], scratch[1]
     for i in range(1, rows - 1):

@@ -1,10 +1,10 @@
 """Which device has moved: what small turns of each would make of the readings, compared with what they are.
 
 A turn of a device by a few thousandths of a degree and a shift of its lens look almost alike, so turns stand for both.
-For a point X on its left ray, a turned right camera displaces the right picture by (du, dv), to which the residual
+For a point X on its left ray, a turned right camera displaces the right image by (du, dv), to which the residual
 answers as :func:`pipeline.monitor.sensitivity.answers` has it; a turned projector changes the predicted column itself;
 a turned left camera is a turn of the world, which moves both the other way. What tells them apart is how the residual
-changes across the picture: left and right camera give slopes of opposite sign.
+changes across the image: left and right camera give slopes of opposite sign.
 """
 
 from __future__ import annotations

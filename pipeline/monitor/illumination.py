@@ -1,4 +1,4 @@
-"""How well two pictures are lit: clipped samples and fringe amplitude of each colour, from a few lines of pixels.
+"""How well two images are lit: clipped samples and fringe amplitude of each colour, from a few lines of pixels.
 
 Two samples of a fringe of amplitude B and period P that lie s apart differ by ``2 B sin(pi s / P) sin(...)``; where the
 phase takes every value alike, the median of the square of the difference is ``2 (B sin(pi s / P))^2``. Half a period
@@ -27,7 +27,7 @@ _ENOUGH = 64  # samples that tell an amplitude
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """Of one picture: by channel, red, green, blue (one of a monochrome picture).
+    """Of one image: by channel, red, green, blue (one of a monochrome image).
 
     Args:
         clipped: share of clipped samples; amplitude: of the fringes, counts, NaN where there is no light.
@@ -38,7 +38,7 @@ class Lighting:
 
 
 def fringe_period_px(calibration: Calibration, pattern: ColorFringe) -> float:
-    """Period of the fringes in the left picture, pixels, on a surface as far from the camera as from the projector."""
+    """Period of the fringes in the left image, pixels, on a surface as far from the camera as from the projector."""
     at = 0 if pattern.axis == "x" else 1
     ratio = float(calibration.left.matrix[at, at] / calibration.projector.matrix[at, at])
     return ratio * pattern.length / pattern.periods
@@ -53,7 +53,7 @@ def lighting(
     every: int = 1,
     axis: str = "x",
 ) -> Lighting:
-    """Look at some lines of a raw picture.
+    """Look at some lines of a raw image.
 
     Args:
         image: (H, W) or (H, W, 3), uint8, or uint16 of full scale 65535; modulation: of every ``every``-th pixel.

@@ -68,7 +68,7 @@ def _row_sums(values: Any, cosine: Any, sine: Any, first: int, step: int, n: int
 
 
 @serial
-def lock_in(picture: Any, mosaic: Any, top: int, left: int, rows: int, columns: int, q: Any, centre_u: float,
+def lock_in(image: Any, mosaic: Any, top: int, left: int, rows: int, columns: int, q: Any, centre_u: float,
              centre_v: float, half_u: float, half_v: float, clip: int, scratch: Any, matrix: Any, right: Any,
              out: Any) -> bool:  # fmt: skip
     """Fit a, p, q of every channel over a rectangle of raw pixels; False when a sample is clipped or a fit singular.
@@ -78,7 +78,7 @@ def lock_in(picture: Any, mosaic: Any, top: int, left: int, rows: int, columns: 
     Args:
         scratch: (5, columns) float32; out: (3, 3) a, p, q by channel, raw counts.
     """
-    colours = picture.shape[2]
+    colours = image.shape[2]
     cosine, sine = scratch[3], scratch[4]
     normal, sums = np.zeros((3, 15)), np.zeros((3, 5))
     d, x0 = 1.0 / half_u, (left - centre_u) / half_u
@@ -91,7 +91,7 @@ def lock_in(picture: Any, mosaic: Any, top: int, left: int, rows: int, columns: 
         waves(q, half_u, x0, y, columns, cosine, sine)
         for j in range(columns):
             for k in range(colours):
-                value = picture[v, left + j, k]
+                value = image[v, left + j, k]
                 largest = max(largest, value)
                 scratch[k, j] = value
         if colours == 3:

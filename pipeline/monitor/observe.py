@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.decode.raw_image import checked, mosaic_of
-from pipeline.geometry.ray_tables import DepthScale, packed, period_in_picture
+from pipeline.geometry.ray_tables import DepthScale, packed, period_in_image
 from pipeline.monitor import sensitivity
 from pipeline.monitor import texture_disparity as texture
 from pipeline.monitor.brightness import TEXTURE
@@ -46,7 +46,7 @@ class Observation:
         readings: by name, only those that this scene shows; see :data:`pipeline.monitor.OBSERVABLES`.
         patches: how many pieces of the surface were used.
         shape: (n, 14) the patches' places and slopes, see :func:`pipeline.monitor.patches.measure_patches`.
-        lit: share of the left picture where fringes are seen; known: share of those pixels that have a point.
+        lit: share of the left image where fringes are seen; known: share of those pixels that have a point.
     """
 
     readings: dict[str, Reading]
@@ -97,7 +97,7 @@ class Observer:
         self._mosaic = np.zeros((2, 2), np.int64) if mosaic is None else mosaic
         self.first = self._first = 0 if pattern.axis == "x" else 1
         depth = DepthScale.of(volume)
-        period = period_in_picture(calibration, depth, axis=pattern.axis, period=pattern.length / pattern.periods)
+        period = period_in_image(calibration, depth, axis=pattern.axis, period=pattern.length / pattern.periods)
         along = 2 * max(4, round(period))
         self._size = (along, _ROWS) if self._first == 0 else (_ROWS, along)
         self._other, self._projector = packed(calibration.right), packed(calibration.projector)
@@ -120,9 +120,9 @@ class Observer:
         """The pieces of surface of one pair, chosen at random among those that the cloud knows.
 
         Raises:
-            PictureError: a picture of another size or type.
+            ImageError: an image of another size or type.
         """
-        pictures = [
+        images = [
             checked(image, side, self.encoding, device.size).reshape(*image.shape[:2], -1)
             for image, side, device in (
                 (left, "left", self.calibration.left), (right, "right", self.calibration.right)
@@ -133,7 +133,7 @@ class Observer:
         good = np.zeros(n, np.uint8)
         shape, light, sums = np.zeros((n, SHAPE)), np.zeros((n, 2, 3, LIGHT)), np.zeros((n, TEXTURE))
         measure_patches(
-            pictures[0], pictures[1], self._mosaic, self._black, cloud.xyz, places, *self._size, self._projector,
+            images[0], images[1], self._mosaic, self._black, cloud.xyz, places, *self._size, self._projector,
             self._other, self._phases, self._first, int(np.ceil(self._settings.saturation)), good, shape, light, sums,
         )  # fmt: skip
         use = good > 0
@@ -183,7 +183,7 @@ class Observer:
         return self._residuals(found, self._ahead(self._waves(found)))
 
     def _ahead(self, waves: NDArray[np.complex128]) -> F64:
-        """(n, 2) phase by which each picture is ahead of the geometry: the mean of the channels' directions.
+        """(n, 2) phase by which each image is ahead of the geometry: the mean of the channels' directions.
 
         Not of the channels: where the projector's colours do not register, a red surface would be ahead of a blue one.
         """
@@ -203,7 +203,7 @@ class Observer:
         return np.asarray(np.einsum("kcp,nkp->nkc", self._unmix, found.light[..., 0] - self._black))
 
     def _columns(self, found: Patches, ahead: F64) -> dict[str, Reading]:
-        """Trinocular residual: observed minus predicted projector coordinate, and how it changes over the picture."""
+        """Trinocular residual: observed minus predicted projector coordinate, and how it changes over the image."""
         residual = self._residuals(found, ahead)
         solution = fit(sensitivity.design(self.calibration, found.shape, self._first), residual)
         if solution is None:
@@ -216,7 +216,7 @@ class Observer:
         known = [] if slope is None else [slope]
         use = found.textured
         if use.sum() >= _LEAST_PATCHES:
-            x, y = sensitivity.in_picture(self.calibration, found.shape[use, :3])
+            x, y = sensitivity.in_image(self.calibration, found.shape[use, :3])
             told = texture.displacement(found.texture[use], x, y, across=1 - self._first)
             known += [] if told is None else [Reading(*told)]
         if not known:
@@ -226,11 +226,11 @@ class Observer:
         return {"epipolar_px": Reading(value, float(weights.sum() ** -0.5))}
 
     def _colors(self, found: Patches, waves: NDArray[np.complex128], ahead: F64) -> dict[str, Reading]:
-        """Phase of each channel against the mean of the three, in the middle of the picture.
+        """Phase of each channel against the mean of the three, in the middle of the image.
 
         Lateral colour of the lenses turns channels too, the other way on the other side; slopes take it up.
         """
-        x, y = sensitivity.in_picture(self.calibration, found.shape[:, :3])
+        x, y = sensitivity.in_image(self.calibration, found.shape[:, :3])
         design = np.stack([np.ones_like(x), x, y], axis=1)
         turned = np.angle(waves * self._turn_back * np.exp(-1j * ahead)[:, :, None])
         out = {}
@@ -249,12 +249,12 @@ class Observer:
 
 
 def rehearse() -> None:
-    """Compile (or load) the kernel by a run on empty pictures."""
-    picture = np.zeros((8, 8, 3), np.uint8)
-    picture.setflags(write=False)
+    """Compile (or load) the kernel by a run on empty images."""
+    image = np.zeros((8, 8, 3), np.uint8)
+    image.setflags(write=False)
     device = np.zeros(22)
     nothing = np.zeros(0, np.uint8), np.zeros((0, SHAPE)), np.zeros((0, 2, 3, LIGHT)), np.zeros((0, TEXTURE))
     measure_patches(
-        picture, picture, np.zeros((2, 2), np.int64), np.zeros((2, 3)), np.zeros((8, 8, 3), np.float32),
+        image, image, np.zeros((2, 2), np.int64), np.zeros((2, 3)), np.zeros((8, 8, 3), np.float32),
         np.zeros((0, 2), np.int64), 8, 8, device, device, np.zeros(8), 0, 255, *nothing,
     )  # fmt: skip

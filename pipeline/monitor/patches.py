@@ -1,4 +1,4 @@
-"""Small smooth pieces of the surface, and what the raw pictures say of each of them: the compiled part of the check.
+"""Small smooth pieces of the surface, and what the raw images say of each of them: the compiled part of the check.
 
 A patch is a rectangle of left pixels about two fringe periods wide. Its points (the cloud's) are projected into the
 projector and into the right camera; the projector's phase there, and the right pixels, are fitted by quadratic
@@ -38,7 +38,7 @@ def measure_patches(
         first: 0 when it grows along u, else 1.
         clip: counts from which a sample is clipped.
         good: (n,) uint8, bit 1: shape and light are known, bit 2: texture too.
-        shape: (n, 14): point x, y, z of the middle; roughness, rad; right pixel u, v; phase slopes of the left picture
+        shape: (n, 14): point x, y, z of the middle; roughness, rad; right pixel u, v; phase slopes of the left image
             along u and v, of the right one along u and v, rad per pixel; phase per projector coordinate, rad per pixel;
             projector coordinate; share of known points; rms of the texture's difference.
         light: (n, 2, 3, 3) camera, channel, (a, p, q), raw counts.

@@ -1,4 +1,4 @@
-"""How a small displacement of a camera's picture shows in the projector's column, patch by patch."""
+"""How a small displacement of a camera's image shows in the projector's column, patch by patch."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ F64 = NDArray[np.float64]
 _STEP_MM = 1.0
 
 
-def in_picture(calibration: Calibration, points: F64) -> tuple[F64, F64]:
-    """Place of world points in the left picture, -1 .. 1 from edge to edge, x and y."""
+def in_image(calibration: Calibration, points: F64) -> tuple[F64, F64]:
+    """Place of world points in the left image, -1 .. 1 from edge to edge, x and y."""
     width, height = calibration.left.size
     pixels = calibration.left.project(points)
     return 2 * pixels[:, 0] / (width - 1) - 1, 2 * pixels[:, 1] / (height - 1) - 1
@@ -27,10 +27,10 @@ def along_ray(calibration: Calibration, points: F64, first: int) -> tuple[F64, F
 
 
 def answers(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]:
-    """Change of observed minus predicted projector coordinate per pixel that the right picture is displaced, u and v.
+    """Change of observed minus predicted projector coordinate per pixel that the right image is displaced, u and v.
 
     The match slides along the epipolar curve (u_s, v_s) until the phase agrees: a displacement (du, dv) moves it by
-    ``ds = (F_u du + F_v dv) / (F_u u_s + F_v v_s)``, F the phase in the right picture, and the predicted projector
+    ``ds = (F_u du + F_v dv) / (F_u u_s + F_v v_s)``, F the phase in the right image, and the predicted projector
     coordinate by p_s ds.
 
     Args:
@@ -44,6 +44,6 @@ def answers(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]
 
 def design(calibration: Calibration, shape: F64, first: int) -> F64:
     """(n, 4) regressors of the residual: 1, place x, place y, answer to a displacement across the epipolar lines."""
-    x, y = in_picture(calibration, shape[:, :3])
+    x, y = in_image(calibration, shape[:, :3])
     across = answers(calibration, shape, first)[1 - first]
     return np.stack([np.ones_like(x), x, y, across], axis=1)

@@ -1,4 +1,4 @@
-"""Displacement of the right picture across the epipolar lines, from the surface's own brightness."""
+"""Displacement of the right image across the epipolar lines, from the surface's own brightness."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _TUNING = 3.0
 def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[float, float] | None:
     """Mean displacement across the epipolar lines, pixels, and its standard deviation.
 
-    Each patch gives two equations of instruments (left gradients) for its displacement; what changes over the picture,
+    Each patch gives two equations of instruments (left gradients) for its displacement; what changes over the image,
     and the displacement along the lines, which the phase has fixed already, are nuisances.
 
     Args:
-        sums: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`; x, y: (n,) place in the picture, -1 .. 1.
+        sums: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`; x, y: (n,) place in the image, -1 .. 1.
         across: 1 when the epipolar lines run along u, else 0.
     """
     one = np.stack([np.ones_like(x), x, y], axis=1)

@@ -1,6 +1,6 @@
 """Sets of two colour fringes to clouds: the single shot of the first, with orders that the second agrees with.
 
-Left and right are matched in pictures of one instant. Motion between the two sets the orders at variance, never the
+Left and right are matched in images of one instant. Motion between the two sets the orders at variance, never the
 points: what it costs is coverage.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.multi_frame import temporal_unwrapping
@@ -58,9 +58,9 @@ class ColorSets:
 
     def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], every: int, watch: Stopwatch) -> Cloud:
         """The cloud of a set."""
-        for side, pictures in (("left", lefts), ("right", rights)):
-            if len(pictures) != len(self._shots):
-                raise PictureError(f"{len(pictures)} {side} pictures of a set of {len(self._shots)}; expected one each")
+        for side, images in (("left", lefts), ("right", rights)):
+            if len(images) != len(self._shots):
+                raise ImageError(f"{len(images)} {side} images of a set of {len(self._shots)}; expected one each")
         first, second = self._shots
         found = first.decide(lefts[0], rights[0], watch)
         other, _, other_order = second.decide(lefts[1], rights[1], watch)

@@ -1,4 +1,4 @@
-"""Sets of grey pictures to clouds: shifted fringes of several frequencies, or of one and a Gray code."""
+"""Sets of grey images to clouds: shifted fringes of several frequencies, or of one and a Gray code."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FEWEST = 1000
 WORST_DEVIATION = 0.6
 """Largest mean deviation of the fringes of a set from each other with which an order is taken, radians."""
 WORST_MISFIT = 0.05
-"""Contradiction of a set's pictures from which a pixel has moved, radians of the finest fringe."""
+"""Contradiction of a set's images from which a pixel has moved, radians of the finest fringe."""
 
 
 class GreySets:
@@ -109,7 +109,7 @@ class GreySets:
             self.calibrated = True
 
     def _located(self, left: SetPhase, right: SetPhase, correction: NDArray[np.float64]) -> Located:
-        """Points of a coarse lattice, confirmed by the right picture."""
+        """Points of a coarse lattice, confirmed by the right image."""
         order = np.ascontiguousarray(left.order[::_COARSE, ::_COARSE])
         located = self._stage(_COARSE).locate(left.map.every(_COARSE), right.map, order, correction)
         self._confirm(located, right)

@@ -1,4 +1,4 @@
-"""What the pictures of a set are for."""
+"""What the images of a set are for."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _HARMONIC_FROM = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shifted:
-    """The pictures of one fringe, and how samples become its phase.
+    """The images of one fringe, and how samples become its phase.
 
     Args:
-        periods: over the projector; frames: numbers of its pictures in the set.
+        periods: over the projector; frames: numbers of its images in the set.
         solve: (3, n), samples -> mean, C, S.
         rest: (m, n), orthonormal: what a sinusoid cannot explain; for n > 5 a second harmonic neither.
         bend: what the one row of ``rest`` of four steps makes of a second harmonic, complex; 0 for others.
@@ -38,7 +38,7 @@ class Shifted:
 
     @staticmethod
     def of(periods: float, frames: tuple[int, ...], shifts: NDArray[np.float64]) -> Shifted:
-        """For pictures with these shifts, radians."""
+        """For images with these shifts, radians."""
         solve = solution_of(shifts)
         columns = [np.ones_like(shifts), np.cos(shifts), np.sin(shifts)]
         if len(shifts) >= _HARMONIC_FROM:
@@ -84,7 +84,7 @@ class Plan:
 
     @property
     def centre(self) -> float:
-        """Number of the picture, as a rule between two, that a slowly moving surface is measured at."""
+        """Number of the image, as a rule between two, that a slowly moving surface is measured at."""
         means = [float(np.mean(f.frames)) for f in self.fringes]
         return float(self.shares @ means) if means else 0.0
 

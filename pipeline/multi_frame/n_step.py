@@ -32,11 +32,11 @@ class WrappedPhase:
 
     Args:
         phase: radians, -pi..pi; any value where the amplitude is 0.
-        amplitude: B, counts of an 8-bit picture; mean: A, likewise.
+        amplitude: B, counts of an 8-bit image; mean: A, likewise.
         clipped: a sample is saturated; phase and amplitude are then wrong.
         floor_factor, shot_factor: the variance of the phase is ``floor * floor_factor + gain * shot_factor`` for a
             noise of ``floor + gain * counts``.
-        steps: number of pictures.
+        steps: number of images.
     """
 
     phase: F64
@@ -48,16 +48,16 @@ class WrappedPhase:
     steps: int
 
     def sigma(self, noise: NoiseModel) -> F64:
-        """Standard deviation of the phase from the pictures' noise, (H, W), radians."""
+        """Standard deviation of the phase from the images' noise, (H, W), radians."""
         return np.asarray(np.sqrt(noise.floor * self.floor_factor + noise.gain * np.maximum(self.shot_factor, 0)))
 
 
 def wrapped_phase(planes: Items[F64], shifts: Items[float], clipped: Items[Bools] = ()) -> WrappedPhase:
-    """Least-squares phase of pictures (H, W) of one fringe with these shifts, radians.
+    """Least-squares phase of images (H, W) of one fringe with these shifts, radians.
 
     Args:
-        planes: counts of the pictures, one for each shift; any iterable, each is read once.
-        clipped: where each picture is saturated; empty = nowhere.
+        planes: counts of the images, one for each shift; any iterable, each is read once.
+        clipped: where each image is saturated; empty = nowhere.
 
     Raises:
         PatternError: when three unknowns cannot be told apart by these shifts.
@@ -175,7 +175,7 @@ def absolute_phase(
         known &= (one.amplitude >= min_amplitude) & ~one.clipped
         sigma = finer
     if periods[0] == 1:
-        # Here one end of the picture cannot be told from the other.
+        # Here one end of the image cannot be told from the other.
         near = certainty * sigma
         with np.errstate(invalid="ignore"):
             known &= (absolute > near) & (absolute < _TURN * periods[-1] - near)

@@ -1,7 +1,7 @@
-"""Phases of a set of shifted fringes, pixel by pixel, from the raw pictures of one camera.
+"""Phases of a set of shifted fringes, pixel by pixel, from the raw images of one camera.
 
-The fringes are grey: what crosstalk takes from one channel it gives to another, so a three-chip picture's channels are
-added up, and a mosaic's pixels each speak for themselves. A channel that is saturated in one of the pictures is left
+The fringes are grey: what crosstalk takes from one channel it gives to another, so a three-chip image's channels are
+added up, and a mosaic's pixels each speak for themselves. A channel that is saturated in one of the images is left
 out of all of them.
 """
 
@@ -22,7 +22,7 @@ _MOST = np.float32(127)
 
 @serial
 def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share: Any, clip: float, row: Any) -> int:
-    """Samples of a row of all pictures, (F, W), in counts of light above black; 0 where everything is saturated.
+    """Samples of a row of all images, (F, W), in counts of light above black; 0 where everything is saturated.
 
     Args:
         stack: (F, H, W * channels) raw, counts once multiplied by ``scale``.
@@ -82,11 +82,11 @@ def phases(
 
     Args:
         stack ... clip: see :func:`load_row`; floor, gain: noise of a raw sample, counts^2 and counts^2 per count.
-        index: (n,) pictures of all fringes, fringe after fringe; first: (J + 1,) where each fringe's begin.
+        index: (n,) images of all fringes, fringe after fringe; first: (J + 1,) where each fringe's begin.
         solve: (3, n), samples -> A, C, S; rest: (n, most) rows of what is left over, fringe ``q`` has
-            ``rest_first[q + 1] - rest_first[q]`` of them, each with as many numbers as the fringe has pictures.
-        bend: (J, 2), second harmonic that the pictures are known to have, as the first of those rows sees it.
-        bit_index, bit_sign: (n,) pictures of a Gray code, and -1 where one is inverted.
+            ``rest_first[q + 1] - rest_first[q]`` of them, each with as many numbers as the fringe has images.
+        bend: (J, 2), second harmonic that the images are known to have, as the first of those rows sees it.
+        bit_index, bit_sign: (n,) images of a Gray code, and -1 where one is inverted.
         phase, amplitude, variance: (J, H, W) float32, written: radians, counts, radians^2.
         mean: (H, W) float32, counts, written.
         misfit: (H, W) float32, written: mean square, in radians^2 of a phase, of what noise does not explain of the

@@ -1,7 +1,7 @@
 """The second harmonic that a projector without a known response puts into every fringe.
 
 Four steps measure the phase in spite of it, but what is left over of the four samples is just this harmonic; it says
-nothing about motion. It turns by twice the phase and is the same all over the picture, motion's is not.
+nothing about motion. It turns by twice the phase and is the same all over the image, motion's is not.
 """
 
 from __future__ import annotations

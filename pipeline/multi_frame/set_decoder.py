@@ -1,4 +1,4 @@
-"""One camera's pictures of a set to a phase map with known orders."""
+"""One camera's images of a set to a phase map with known orders."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 from pipeline.common.settings import Settings
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.noise_model import NoiseModel, estimate
@@ -33,12 +33,12 @@ ENCODINGS = tuple(_SHAPES)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetPhase:
-    """What one camera's set of pictures says; the next set overwrites the planes but ``map.modulation``.
+    """What one camera's set of images says; the next set overwrites the planes but ``map.modulation``.
 
     Args:
         map: phases of the finest fringe, as the single shot has them.
         order: (H, W) int16, orders, -32768 where unknown; absolute: (H, W) float32, radians, NaN likewise.
-        moved: lit pixels whose pictures contradict each other.
+        moved: lit pixels whose images contradict each other.
     """
 
     map: PhaseMap
@@ -48,11 +48,11 @@ class SetPhase:
 
 
 class SetDecoder:
-    """Everything of a camera that can be computed once, and the decoding of its sets of grey pictures.
+    """Everything of a camera that can be computed once, and the decoding of its sets of grey images.
 
     Args:
-        plan: what the pictures are for; color: black level and crosstalk; tables: limits of the absolute phase.
-        encoding: of the pictures, one of :data:`ENCODINGS`.
+        plan: what the images are for; color: black level and crosstalk; tables: limits of the absolute phase.
+        encoding: of the images, one of :data:`ENCODINGS`.
         limits: largest deviation of orders, largest misfit, radians.
     """
 
@@ -95,10 +95,10 @@ class SetDecoder:
         self._bit_sign = np.array([-1 if b.inverted else 1 for _, b in plan.bits], np.float32)
         self._number = np.array([b.bits - 1 - b.bit for _, b in plan.bits], np.int32)
 
-    def decode(self, pictures: Items[NDArray[Any]], side: str) -> SetPhase:
-        """Phases and orders of a set of raw pictures; ``side`` is for errors."""
-        self._take(pictures, side)
-        noise = self._noise(pictures[self._index[0]])
+    def decode(self, images: Items[NDArray[Any]], side: str) -> SetPhase:
+        """Phases and orders of a set of raw images; ``side`` is for errors."""
+        self._take(images, side)
+        noise = self._noise(images[self._index[0]])
         s, smallest = self._settings, np.float32(self._settings.min_modulation)
         given = (
             self._stack, self._channels, self._scale, self._black, self._share, np.float32(s.saturation),
@@ -151,25 +151,25 @@ class SetDecoder:
         found = PhaseMap(self._phasor, self._traits, counts, variance, share, phase, modulation, valid)
         return SetPhase(found, self._order, absolute, int(moved))
 
-    def _take(self, pictures: Items[NDArray[Any]], side: str) -> None:
-        """Copy the pictures into one array; PictureError unless all fit."""
-        if len(pictures) != self._plan.frames:
-            raise PictureError(f"{len(pictures)} {side} pictures of a set of {self._plan.frames}; expected one each")
+    def _take(self, images: Items[NDArray[Any]], side: str) -> None:
+        """Copy the images into one array; ImageError unless all fit."""
+        if len(images) != self._plan.frames:
+            raise ImageError(f"{len(images)} {side} images of a set of {self._plan.frames}; expected one each")
         width, height = self._tables.size
         shape = (height, width, 3) if self._channels == 3 else (height, width)
-        for number, picture in enumerate(pictures):
-            if picture.shape != shape or picture.dtype != self._type:
-                raise PictureError(
-                    f"{side} picture {number} of the set is {picture.dtype} {picture.shape}, but {self._encoding} of "
+        for number, image in enumerate(images):
+            if image.shape != shape or image.dtype != self._type:
+                raise ImageError(
+                    f"{side} image {number} of the set is {image.dtype} {image.shape}, but {self._encoding} of "
                     f"the calibrated camera is {np.dtype(self._type)} {shape}; use the calibration of this camera and "
                     "its region of interest"
                 )
-            self._stack[number] = picture.reshape(height, -1)
+            self._stack[number] = image.reshape(height, -1)
 
-    def _noise(self, picture: NDArray[Any]) -> NoiseModel:
+    def _noise(self, image: NDArray[Any]) -> NoiseModel:
         if self._settings.read_noise > 0:
             return NoiseModel(self._settings.read_noise**2, self._settings.noise_gain)
-        shallow = (picture >> 8).astype(np.uint8) if self._encoding == "mono16" else picture
+        shallow = (image >> 8).astype(np.uint8) if self._encoding == "mono16" else image
         return estimate(shallow, along=0 if self._plan.axis == "x" else 1, step=2 if self._encoding in BAYER else 1)
 
 

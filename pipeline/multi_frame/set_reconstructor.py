@@ -1,4 +1,4 @@
-"""A set of pairs of pictures to one cloud."""
+"""A set of pairs of images to one cloud."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.errors import CalibrationError, PictureError
+from pipeline.common.errors import CalibrationError, ImageError
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.filter.kernel_warmup import rehearse_contest
@@ -32,12 +32,12 @@ class SetReconstructor:
     Args:
         calibration: of the rig; sequence: what the projector shows, such as
             :func:`pipeline.pattern.mode_sequences.mode_sequence` makes; volume: where surfaces may be.
-        encoding: of the raw pictures, ``rgb8``, ``bayer_....8``, ``mono8`` or ``mono16``.
+        encoding: of the raw images, ``rgb8``, ``bayer_....8``, ``mono8`` or ``mono16``.
         settings, clock, threads: as there.
 
     Raises:
         CalibrationError: when sequence, projector and volume do not fit together.
-        PatternError: the sequence cannot be measured with; PictureError: the encoding is not known.
+        PatternError: the sequence cannot be measured with; ImageError: the encoding is not known.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class SetReconstructor:
                 f"{list(calibration.projector.size)}"
             )
         if encoding not in ENCODINGS:
-            raise PictureError(f"encoding {encoding!r:.80} is not known; expected one of {', '.join(ENCODINGS)}")
+            raise ImageError(f"encoding {encoding!r:.80} is not known; expected one of {', '.join(ENCODINGS)}")
         self.calibration, self.sequence, self.volume, self.encoding = calibration, sequence, volume, encoding
         self.settings, self.plan = settings or Settings(), plan_of(sequence)
         self._clock, self._threads = clock, threads
@@ -70,7 +70,7 @@ class SetReconstructor:
         return self._sets.correction
 
     def warm_up(self, *, every: tuple[int, ...] = (1,)) -> None:
-        """Compile (or load) every kernel by runs on empty pictures; leaves no trace in the results.
+        """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
 
         Args:
             every: spacings that will be asked for.
@@ -89,14 +89,14 @@ class SetReconstructor:
         self._sets.restore(kept)
 
     def reconstruct(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], *, every: int = 1) -> Cloud:
-        """The cloud of a set of raw pictures, one of each camera for each frame of the sequence, in its order.
+        """The cloud of a set of raw images, one of each camera for each frame of the sequence, in its order.
 
         Args:
             lefts, rights: (H, W, 3) for rgb8, else (H, W), of the calibrated sizes; uint16 for mono16, else uint8.
             every: points only on every n-th pixel of every n-th row; the others are unknown.
 
         Raises:
-            PictureError: another number of pictures, or a picture of another size or type.
+            ImageError: another number of images, or an image of another size or type.
         """
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))

@@ -148,7 +148,7 @@ def by_bits(
     Args:
         phase, amplitude, variance: (1, H, W); low, high, smallest, order, phasor: see :func:`by_phase`.
         bits: (n, H, W) int8, see :func:`pipeline.multi_frame.n_step_kernel.phases`; number: (n,) int32, place of each
-            in the code, 0 = the least significant; per_period: cells of the code per period; steps: pictures of the
+            in the code, 0 = the least significant; per_period: cells of the code per period; steps: images of the
             fringe.
         misfit: (H, W), the mean square of what noise does not explain of the bits' contrasts is added.
     """
@@ -181,7 +181,7 @@ def by_bits(
 def settle(
     order: Any, phasor: Any, amplitude: Any, misfit: Any, variance: Any, smallest: float, limit: float, absolute: Any
 ) -> int:
-    """Forget the pixels whose pictures contradict each other, or whose neighbours' do, and count them.
+    """Forget the pixels whose images contradict each other, or whose neighbours' do, and count them.
 
     Where half of the lit pixels of a window of 5 x 5 contradict, something moved; a border between two surfaces makes
     fewer contradict. A pixel that contradicts by three times as much is forgotten in any case, but not counted.
@@ -225,11 +225,11 @@ def settle(
 
 @parallel
 def confirm(known: Any, absolute: Any, match_u: Any, match_v: Any, there: Any, per_turn: float, limit: float) -> None:
-    """Forget matches whose pixel in the other picture has another absolute phase, or none.
+    """Forget matches whose pixel in the other image has another absolute phase, or none.
 
     Args:
         known: (h, w) uint8, changed; absolute, match_u, match_v: of :class:`pipeline.match.match_result.Located`.
-        there: (H, W) float32, absolute phases of the other picture; limit: radians.
+        there: (H, W) float32, absolute phases of the other image; limit: radians.
     """
     for i in prange(known.shape[0]):
         for j in range(known.shape[1]):

@@ -23,7 +23,7 @@ _CHANNELS = ("red", "green", "blue")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorFringe:
-    """Three fringes in one picture: ``mean + amplitude cos(phi(u) + shift_c)``, light 0..255.
+    """Three fringes in one image: ``mean + amplitude cos(phi(u) + shift_c)``, light 0..255.
 
     Args:
         size: (width, height) of the projector, pixels.
@@ -85,13 +85,13 @@ class ColorFringe:
         return np.interp(phase, np.concatenate([[ends[0]], table, [ends[1]]]), columns, left=np.nan, right=np.nan)
 
     def light(self) -> Array:
-        """Ideal light of the picture, (height, width, 3), 0..255."""
+        """Ideal light of the image, (height, width, 3), 0..255."""
         waves = self.mean + self.amplitude * np.cos(self.phase[:, None] + np.array(self.shifts))
         shape = (*self.size[::-1], 3)
         return np.broadcast_to(waves[None] if self.axis == "x" else waves[:, None], shape)
 
-    def picture(self, response: Response | None = None) -> NDArray[np.uint8]:
-        """The picture to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
+    def image(self, response: Response | None = None) -> NDArray[np.uint8]:
+        """The image to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
         light = self.light()
         drive = light if response is None else response.drive(light)
         return np.rint(drive).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The sets of pictures of the measuring modes.
+"""The sets of images of the measuring modes.
 
 Three frequencies whose beats have one period over the whole projector ("heterodyne": Gruber and Haeusler, Optik 89,
 118, 1992) are all fine: each of them measures as well as the others. A Gray code numbers the periods of one fringe
@@ -42,13 +42,13 @@ def mode_sequence(
     amplitude: float = GREY_AMPLITUDE,
     channels: tuple[str, ...] = CHANNELS,
 ) -> Sequence:
-    """The pictures of a mode in the order in which they are shown.
+    """The images of a mode in the order in which they are shown.
 
     Args:
         name: one of :data:`MODES`; it becomes the sequence's name.
         size: (width, height) of the projector, pixels.
         periods: of the finest fringe over the width (axis x) or the height; may be fractional, at least 4.
-        steps: pictures of each fringe that is shifted, 3 to 16. With three, a projector whose response is not known
+        steps: images of each fringe that is shifted, 3 to 16. With three, a projector whose response is not known
             bends the phase by a quarter of a radian; with four by a hundredth.
         axis: direction along which the phase grows.
         mean, amplitude: light of fringes and bits; of colour fringes see :class:`ColorFringe`.

@@ -1,6 +1,6 @@
-"""Kinds of pictures that the projector shows, beside :class:`pipeline.pattern.color_fringe.ColorFringe`.
+"""Kinds of images that the projector shows, beside :class:`pipeline.pattern.color_fringe.ColorFringe`.
 
-An even picture in drive values, as it is sent to the projector (its response may be what is asked for); in light, the
+An even image in drive values, as it is sent to the projector (its response may be what is asked for); in light, the
 same in every channel that is lit, one fringe, and one bit of a Gray code.
 """
 
@@ -16,7 +16,7 @@ from pipeline.common.errors import PatternError
 from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 Axis = Literal["x", "y"]
 
 CHANNELS = ("red", "green", "blue")
@@ -43,8 +43,8 @@ class Uniform:
         if len(self.color) != 3 or any(level not in range(256) for level in self.color):
             raise PatternError(f"pattern.color is {self.color!r:.80}, expected three whole numbers from 0 to 255")
 
-    def picture(self, response: Response | None = None) -> Picture:  # noqa: ARG002 (drive values: as they are)
-        """The picture to send, (height, width, 3) uint8, whatever the response is."""
+    def image(self, response: Response | None = None) -> Image:  # noqa: ARG002 (drive values: as they are)
+        """The image to send, (height, width, 3) uint8, whatever the response is."""
         return np.full((*self.size[::-1], 3), self.color, np.uint8)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -109,11 +109,11 @@ class Fringe:
         return np.array([name in self.channels for name in CHANNELS])
 
     def light(self) -> Array:
-        """Ideal light of the picture, (height, width, 3), 0..255."""
+        """Ideal light of the image, (height, width, 3), 0..255."""
         return np.asarray(_spread(self._wave()[:, None] * self.lit, self.axis, self.size))
 
-    def picture(self, response: Response | None = None) -> Picture:
-        """The picture to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
+    def image(self, response: Response | None = None) -> Image:
+        """The image to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
         return _sent(self._wave(), self.lit, self.axis, self.size, response)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -186,11 +186,11 @@ class GrayBit:
         return np.asarray(ones ^ self.inverted)
 
     def light(self) -> Array:
-        """Ideal light of the picture, (height, width, 3), 0..255."""
+        """Ideal light of the image, (height, width, 3), 0..255."""
         return np.asarray(_spread(self._wave()[:, None] * self.lit, self.axis, self.size))
 
-    def picture(self, response: Response | None = None) -> Picture:
-        """The picture to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
+    def image(self, response: Response | None = None) -> Image:
+        """The image to send, (height, width, 3) uint8, pre-distorted so that its light is :meth:`light`."""
         return _sent(self._wave(), self.lit, self.axis, self.size, response)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -210,12 +210,12 @@ def check_size(size: tuple[int, int]) -> None:
 
 
 def _spread(line: NDArray[Any], axis: Axis, size: tuple[int, int]) -> NDArray[Any]:
-    """A line along the axis, (length, 3), all over the picture, (height, width, 3)."""
+    """A line along the axis, (length, 3), all over the image, (height, width, 3)."""
     return np.broadcast_to(line[None] if axis == "x" else line[:, None], (*size[::-1], 3))
 
 
-def _sent(wave: Array, lit: NDArray[np.bool_], axis: Axis, size: tuple[int, int], response: Response | None) -> Picture:
-    """The picture of a line of light, (length,), in the channels that are lit."""
+def _sent(wave: Array, lit: NDArray[np.bool_], axis: Axis, size: tuple[int, int], response: Response | None) -> Image:
+    """The image of a line of light, (length,), in the channels that are lit."""
     line = np.repeat(wave[:, None], 3, axis=1)
     drive = line if response is None else response.drive(line)
     # A dark channel gets drive 0, not the largest drive that still gives no light.

@@ -1,4 +1,4 @@
-"""Pictures that the projector shows one after the other on a scene at rest, as descriptions and as pixels."""
+"""Images that the projector shows one after the other on a scene at rest, as descriptions and as pixels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pipeline.pattern.projected_frames import LARGEST_SIDE as LARGEST_SIDE
 from pipeline.pattern.projected_frames import Axis as Axis
 from pipeline.pattern.projected_frames import Fringe as Fringe
 from pipeline.pattern.projected_frames import GrayBit as GrayBit
-from pipeline.pattern.projected_frames import Picture as Picture
+from pipeline.pattern.projected_frames import Image as Image
 from pipeline.pattern.projected_frames import Uniform as Uniform
 from pipeline.pattern.projected_frames import check_size as check_size
 

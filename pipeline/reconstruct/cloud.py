@@ -30,10 +30,10 @@ class Cloud:
         xyz: (H, W, 3) float32, mm, world frame; NaN where unknown.
         sigma_mm: (H, W) float32, one standard deviation along the viewing ray; NaN where unknown.
         gray: (H, W) uint8, the fringe-free texture, everywhere.
-        modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right picture.
+        modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right image.
         order: (H, W) int16, fringe order of the left pixel; -1 where unknown.
         saturated: share of clipped pixels, left and right.
-        moved: lit pixels whose pictures contradict each other, so that something moved, of the camera with more of
+        moved: lit pixels whose images contradict each other, so that something moved, of the camera with more of
             them; sets only.
         ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
     """

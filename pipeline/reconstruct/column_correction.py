@@ -1,7 +1,7 @@
 """Projector columns corrected from the measurement itself.
 
 The left/right geometry gives the metric; the projector only selects the integer order. A projector that moved by a
-fraction of a pixel since calibration shows as a constant offset of its columns, which the pictures reveal: first a
+fraction of a pixel since calibration shows as a constant offset of its columns, which the images reveal: first a
 one-dimensional search for the offset with the least mean best cost, then an affine fit of observed minus predicted
 columns on accepted points.
 """

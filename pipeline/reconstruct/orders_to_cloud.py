@@ -25,7 +25,7 @@ class SurfaceStage:
     """For one calibration and one resolution, in arrays that every pair uses again.
 
     Args:
-        left: the left camera's view; correlation: of neighbouring phases' noise in the right picture.
+        left: the left camera's view; correlation: of neighbouring phases' noise in the right image.
         every: step of the pixels that get points, in both directions.
     """
 

@@ -1,4 +1,4 @@
-"""One pair of pictures to one cloud: every table that can be precomputed, then the stages in order."""
+"""One pair of images to one cloud: every table that can be precomputed, then the stages in order."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Reconstructor:
 
     Args:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
-        encoding: of the raw pictures, ``rgb8`` or ``bayer_....8``.
+        encoding: of the raw images, ``rgb8`` or ``bayer_....8``.
         settings: see :class:`pipeline.common.settings.Settings`.
         clock: returns nanoseconds; only used to fill ``Cloud.ms``.
         threads: 0 = all that numba knows of.
@@ -88,7 +88,7 @@ class Reconstructor:
         self._stages: dict[int, SurfaceStage] = {}
 
     def warm_up(self, *, every: tuple[int, ...] = (1,), follow: bool = False) -> None:
-        """Compile (or load) every kernel by runs on empty pictures; leaves no trace in the results.
+        """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
 
         Args:
             every: spacings that will be asked for; follow: whether pairs will follow each other.
@@ -107,7 +107,7 @@ class Reconstructor:
         self.correction, self.calibrated = kept
 
     def reconstruct(self, left: NDArray[Any], right: NDArray[Any], *, every: int = 1, follow: bool = False) -> Cloud:
-        """The cloud of a pair of raw pictures.
+        """The cloud of a pair of raw images.
 
         Args:
             left, right: uint8, (H, W, 3) for rgb8, (H, W) for a mosaic, of the calibrated sizes.
@@ -116,7 +116,7 @@ class Reconstructor:
                 only where this pair contradicts them.
 
         Raises:
-            PictureError: a picture of another size or type.
+            ImageError: an image of another size or type.
         """
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))

@@ -28,7 +28,7 @@ _COLORS = ("red", "blue")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorDisplacement:
-    """Displacement of one colour against green in a camera's picture: ``shift + (magnification + cubic r^2)(x - c)``.
+    """Displacement of one colour against green in a camera's image: ``shift + (magnification + cubic r^2)(x - c)``.
 
     c is the principal point and r the distorted normalised radius, ``|((u - cx) / fx, (v - cy) / fy)|``.
 
@@ -73,12 +73,12 @@ class Lateral:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorOffset:
-    """Where one colour lands against green on the projector's picture: ``shift + stretch (p - centre)``.
+    """Where one colour lands against green on the projector's image: ``shift + stretch (p - centre)``.
 
     Light sent from pixel p shines where green light of pixel ``p + offset`` does.
 
     Args:
-        shift: (2,), projector pixels, at the centre of the picture.
+        shift: (2,), projector pixels, at the centre of the image.
         stretch: (2, 2).
     """
 
@@ -93,7 +93,7 @@ class ColorOffset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """How a projector's red and blue pictures lie on its green one."""
+    """How a projector's red and blue images lie on its green one."""
 
     red: ColorOffset = field(default_factory=ColorOffset)
     blue: ColorOffset = field(default_factory=ColorOffset)

@@ -1,4 +1,4 @@
-"""Where a board is held in a session: near and far, tilted, and moved so that its marks reach the pictures' corners."""
+"""Where a board is held in a session: near and far, tilted, and moved so that its marks reach the images' corners."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.scene.shapes import Triple, rotation_about
 Array = NDArray[np.float64]
 
 MOST_TILT_DEG = 45.0
-# Distance from the border of each device's picture that every mark keeps, as a share of the picture's width, and how
+# Distance from the border of each device's image that every mark keeps, as a share of the image's width, and how
 # far beyond the measuring volume the board goes, as a share of the volume's half depth.
 _MARGIN, _BEYOND = 0.01, 1.2
 # Of a hundredth of the stand-off each: further away the cameras' fields drift apart.
@@ -61,10 +61,10 @@ def session_poses(
     *,
     tilt_deg: float = MOST_TILT_DEG,
 ) -> list[BoardPose]:
-    """Poses of a good session, each with all marks in both cameras and in the projector's picture.
+    """Poses of a good session, each with all marks in both cameras and in the projector's image.
 
     The first faces the rig; the others tilt by up to ``tilt_deg`` about axes all around, at distances within and
-    slightly beyond the measuring volume, each as far towards a corner or an edge of the pictures as its marks allow.
+    slightly beyond the measuring volume, each as far towards a corner or an edge of the images as its marks allow.
 
     Args:
         n: number of poses, 1 or more.
@@ -89,13 +89,13 @@ def _pose(k: int, seed: int, layout: RigLayout, board: Board, tilt_deg: float) -
     depth = half * ((2 * ((k * 0.618034 + 0.5) % 1.0) - 1) + rng.uniform(-0.1, 0.1))
     lean = rotation_about((np.cos(axis), np.sin(axis), 0.0), tilt)
     for share in (1.0, 0.6, 0.3, 0.0):
-        # A large board is held straighter, or none of the pictures holds all of it.
+        # A large board is held straighter, or none of the images holds all of it.
         turn = lean @ rotation_about((0.0, 0.0, 1.0), share * roll)
         place = _nearest_fit(depth, turn, layout, board)
         if place is not None:
             break
     else:
-        raise ValueError(f"session_poses: the board {board} does not fit into the pictures at any distance")
+        raise ValueError(f"session_poses: the board {board} does not fit into the images at any distance")
     # Nobody's hand goes to the last pixel; the first pose stays in the middle.
     reach = 0.0 if k == 0 else rng.uniform(0.9, 1.0)
     corner = _CORNERS[k % len(_CORNERS)]
@@ -106,7 +106,7 @@ def _pose(k: int, seed: int, layout: RigLayout, board: Board, tilt_deg: float) -
 
 
 def _nearest_fit(depth: float, turn: Array, layout: RigLayout, board: Board) -> Array | None:
-    """The place in the middle of all pictures where the board fits in, at a depth or a little further away."""
+    """The place in the middle of all images where the board fits in, at a depth or a little further away."""
     rig = layout.calibration()
     corners = _corners(turn, layout, board)
     rotation, origin = layout.stage_pose()
@@ -125,7 +125,7 @@ def _nearest_fit(depth: float, turn: Array, layout: RigLayout, board: Board) -> 
 
 
 def _furthest(place: Array, direction: Array, turn: Array, layout: RigLayout, board: Board) -> Array:
-    """The longest way from a place along a direction with all marks in all pictures, (3,), mm."""
+    """The longest way from a place along a direction with all marks in all images, (3,), mm."""
     corners = _corners(turn, layout, board)
     inner, outer = 0.0, layout.standoff_mm / 4
     for _ in range(14):

@@ -1,4 +1,4 @@
-"""Printed calibration boards as things on the stage, pictures of them, and the truth about their marks."""
+"""Printed calibration boards as things on the stage, images of them, and the truth about their marks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pipeline.pattern.sequence import camera_sequence
 from pipeline.rig.camera_model import CameraModel
 from sim.boards.board_poses import BoardPose, middle, session_poses
 from sim.render.projection_transport import Counts, Stage
-from sim.render.render_pair import Picture, with_noise
+from sim.render.render_pair import Image, with_noise
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import Scene
@@ -68,7 +68,7 @@ class RenderedViews:
 
     Args:
         layout, board, optics, encoding, poses: what was rendered.
-        counts: for each pose and each picture of the projector, left and right counts above black.
+        counts: for each pose and each image of the projector, left and right counts above black.
     """
 
     layout: RigLayout
@@ -78,8 +78,8 @@ class RenderedViews:
     poses: tuple[BoardPose, ...]
     counts: tuple[tuple[Counts, ...], ...]
 
-    def pictures(self, seed: int, view: int) -> list[tuple[Picture, Picture]]:
-        """Left and right picture of each frame of a view; the seed decides the noise, bit by bit."""
+    def images(self, seed: int, view: int) -> list[tuple[Image, Image]]:
+        """Left and right image of each frame of a view; the seed decides the noise, bit by bit."""
         frames = self.counts[view]
         start = 1_000_003 * seed + 1009 * view
         return [with_noise(pair, self.optics, start + k, self.encoding) for k, pair in enumerate(frames)]
@@ -95,23 +95,23 @@ def render_views(
     encoding: str = "rgb8",
     beside: Sequence[Shape] = (),
 ) -> RenderedViews:
-    """Render a board at each pose under each picture of the projector.
+    """Render a board at each pose under each image of the projector.
 
     Args:
         layout: the rig. board: what is held into its field. poses: see :func:`session_poses`.
         optics: light, lenses and sensor; with 4 x 4 rays a pixel at least. The standard ones if None.
         frames: what the projector shows one after the other: a sequence (sent as it is, the response being unknown),
-            or pictures, (H, W, 3) uint8; if None, white that clips nothing.
+            or images, (H, W, 3) uint8; if None, white that clips nothing.
         encoding: of the cameras.
         beside: other things on the stage.
     """
     optics = fine(optics or Optics())
     frames = camera_sequence(layout.projector_size) if frames is None else frames
-    pictures = [frame.picture() for frame in frames.frames] if isinstance(frames, Frames) else list(frames)
+    images = [frame.image() for frame in frames.frames] if isinstance(frames, Frames) else list(frames)
     counts = []
     for pose in poses:
         stage = Stage(layout, board_scene(board, pose, beside=beside), optics, encoding=encoding)
-        counts.append(tuple(stage.counts(picture) for picture in pictures))
+        counts.append(tuple(stage.counts(image) for image in images))
     return RenderedViews(layout, board, optics, encoding, tuple(poses), tuple(counts))
 
 
@@ -121,7 +121,7 @@ def fine(optics: Optics) -> Optics:
 
 
 def true_marks(layout: RigLayout, board: Board, pose: BoardPose) -> dict[str, Array]:
-    """Pixels (n, 2) of the marks' points in ``left``, ``right`` and ``projector``, inside the picture or not."""
+    """Pixels (n, 2) of the marks' points in ``left``, ``right`` and ``projector``, inside the image or not."""
     rotation, place = pose.in_world(board, layout)
     world = board.points @ rotation.T + place
     rig = layout.calibration()

@@ -1,7 +1,7 @@
-"""``python -m sim.boards DIR``: a calibration session of the simulated rig as pictures on disk, with the truth.
+"""``python -m sim.boards DIR``: a calibration session of the simulated rig as images on disk, with the truth.
 
 A capture folder holds ``capture.json`` (encoding, and the sequence that was shown) and ``view_00/left_00.png``,
-``right_00.png``, ``left_01.png``, ...: one picture a frame of the sequence. Beside it stand ``truth_calibration.json``
+``right_00.png``, ``left_01.png``, ...: one image a frame of the sequence. Beside it stand ``truth_calibration.json``
 (the rig as it is), ``truth.json`` (for each view the board's pose in the world and the marks in each device's pixels),
 ``pattern.json`` and ``volume.json``.
 """
@@ -24,7 +24,7 @@ from pipeline.pattern.sequence import Sequence as Frames
 from pipeline.pattern.sequence import camera_sequence, projector_sequence
 from sim.boards.board_scene import BoardPose, board_scene, fine, session_poses, true_centroids, true_marks
 from sim.render.projection_transport import Stage
-from sim.render.render_pair import Picture
+from sim.render.render_pair import Image
 from sim.render.sensor import ENCODINGS
 from sim.rig import rig_files
 from sim.rig.layout import RigLayout
@@ -56,32 +56,32 @@ def write_capture(
         place.mkdir(exist_ok=True)
         stage = Stage(layout, scene, optics, encoding=encoding)
         for k, frame in enumerate(sequence.frames):
-            pair = stage.pictures(stage.counts(np.ascontiguousarray(frame.picture())), noise_seed(seed, view, k))
-            for side, picture in zip(("left", "right"), pair, strict=True):
-                write_picture(place / f"{side}_{k:02d}.png", picture)
+            pair = stage.images(stage.counts(np.ascontiguousarray(frame.image())), noise_seed(seed, view, k))
+            for side, image in zip(("left", "right"), pair, strict=True):
+                write_image(place / f"{side}_{k:02d}.png", image)
 
 
 def write_plain(
     folder: Path, layout: RigLayout, scenes: Sequence[Scene], optics: Optics, *, encoding: str = "rgb8", seed: int = 0
 ) -> None:
-    """``left_00.png``, ``right_00.png``, ...: one white picture a scene, as an ordinary camera would take it."""
+    """``left_00.png``, ``right_00.png``, ...: one white image a scene, as an ordinary camera would take it."""
     folder.mkdir(parents=True, exist_ok=True)
     (frame,) = camera_sequence(layout.projector_size).frames
     for view, scene in enumerate(scenes):
         stage = Stage(layout, scene, optics, encoding=encoding)
-        pair = stage.pictures(stage.counts(frame.picture()), noise_seed(seed, view, 0))
-        for side, picture in zip(("left", "right"), pair, strict=True):
-            write_picture(folder / f"{side}_{view:02d}.png", picture)
+        pair = stage.images(stage.counts(frame.image()), noise_seed(seed, view, 0))
+        for side, image in zip(("left", "right"), pair, strict=True):
+            write_image(folder / f"{side}_{view:02d}.png", image)
 
 
 def noise_seed(seed: int, view: int, frame: int) -> int:
-    """Seed of the noise of one picture of a session."""
+    """Seed of the noise of one image of a session."""
     return 1_000_003 * seed + 1009 * view + frame
 
 
-def write_picture(path: Path, picture: Picture) -> None:
-    """A picture as PNG, colours in the order that PNG has them."""
-    if not cv2.imwrite(str(path), picture[..., ::-1] if picture.ndim == 3 else picture):
+def write_image(path: Path, image: Image) -> None:
+    """An image as PNG, colours in the order that PNG has them."""
+    if not cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image):
         raise OSError(f"{path} cannot be written")
 
 
@@ -170,9 +170,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--board", default=str(DEFAULT_BOARD), help="default: %(default)s")
     parser.add_argument("--views", type=int, default=12, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of poses and noise")
-    parser.add_argument(
-        "--scale", type=float, default=0.5, help="of all pictures; 1 = 1024 x 820; default: %(default)s"
-    )
+    parser.add_argument("--scale", type=float, default=0.5, help="of all images; 1 = 1024 x 820; default: %(default)s")
     parser.add_argument("--encoding", choices=ENCODINGS, default="rgb8")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--plain", action="store_true", help="left_00.png, right_00.png, ... under white light")

@@ -1,7 +1,7 @@
 """What was shown at each trigger, so that any frame can be told which exposure it is by nothing but its bytes.
 
-The noise of every exposure has a seed of its own, so no two pictures of a run are equal; a frame that equals a picture
-byte by byte is that exposure. Nothing is hidden in the pictures.
+The noise of every exposure has a seed of its own, so no two images of a run are equal; a frame that equals an image
+byte by byte is that exposure. Nothing is hidden in the images.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ class Shown:
     Args:
         index: 0 for the first one; it is the seed of the noise too.
         t_ns: the edge on both trigger lines, CLOCK_MONOTONIC.
-        picture: digest of what the projector showed; dark: it was black because no display answered.
+        image: digest of what the projector showed; dark: it was black because no display answered.
         instant: of the scene.
         faults: what befell each side's frame.
-        exposures: digest of the picture on each sensor.
+        exposures: digest of the image on each sensor.
     """
 
     index: int
     t_ns: int
-    picture: bytes
+    image: bytes
     dark: bool
     instant: int
     faults: Mapping[Side, FaultKind]

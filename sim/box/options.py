@@ -25,7 +25,7 @@ class BoxOptions:
 
     Args:
         simulation: scene, layout, optics, encoding, faults and rate, as the simulated rig has them; ``rate_hz`` is the
-            rate of the triggers, ``frames`` the number of instants of a moving scene. The sizes of the pictures are
+            rate of the triggers, ``frames`` the number of instants of a moving scene. The sizes of the images are
             rounded down to what cameras and X servers have.
         exposure_us: exposure time of the cameras, one period of the projector unless told otherwise; readout_us: time
             that a frame takes to leave the sensor.
@@ -69,7 +69,7 @@ class BoxOptions:
 
     @property
     def layout(self) -> RigLayout:
-        """The rig, its pictures of sizes that cameras and X servers have."""
+        """The rig, its images of sizes that cameras and X servers have."""
         return fitted(self.simulation.layout)
 
     @property

@@ -88,7 +88,7 @@ class Grabber:
 
 
 class _Link:
-    """One connection to a server, with the shared memory for one picture."""
+    """One connection to a server, with the shared memory for one image."""
 
     def __init__(self, display: str, place: str | Rectangle, timeout_s: float) -> None:
         self._xcb: Xcb = load()

@@ -1,7 +1,7 @@
 """The light between a projector's cable and the cameras' trigger lines: what is shown is what they see.
 
 At each trigger the world reads what the X server really shows on the projector's output, lights the scene with it,
-puts the pictures on both emulated sensors and gives both trigger lines an edge of the same time. In lock-step
+puts the images on both emulated sensors and gives both trigger lines an edge of the same time. In lock-step
 (:meth:`World.step`) the next trigger waits until this one's frames have left the cameras, so nothing depends on the
 machine's speed; :meth:`World.run` gives triggers at a rate instead.
 
@@ -34,7 +34,7 @@ from sim.box.exposure_ledger import Ledger, Shown, digest
 from sim.box.output_grabber import DisplayLost
 from sim.devices.faults import FaultKind, FaultPlan
 from sim.render.projection_transport import Counts
-from sim.render.render_pair import Picture
+from sim.render.render_pair import Image
 
 _NO_EDGE = (FaultKind.WRONG_NUMBER, FaultKind.BLACKOUT, FaultKind.GONE)
 
@@ -42,8 +42,8 @@ _NO_EDGE = (FaultKind.WRONG_NUMBER, FaultKind.BLACKOUT, FaultKind.GONE)
 class CameraCable(Protocol):
     """What the world does to one emulated camera."""
 
-    def show(self, picture: Picture) -> object:
-        """Let this picture fall on the sensor from now on."""
+    def show(self, image: Image) -> object:
+        """Let this image fall on the sensor from now on."""
 
     def pulse(self, t_ns: int | None = None) -> object:
         """An edge on the trigger line at a time of CLOCK_MONOTONIC."""
@@ -77,11 +77,11 @@ class Screen(Protocol):
 class Lit(Protocol):
     """The scene under any light."""
 
-    def counts(self, picture: NDArray[np.uint8], instant: int = 0) -> Counts:
+    def counts(self, image: NDArray[np.uint8], instant: int = 0) -> Counts:
         """Both cameras' counts without noise."""
 
-    def pictures(self, counts: Counts, seed: int) -> tuple[Picture, Picture]:
-        """Both cameras' pictures with the noise of a seed."""
+    def images(self, counts: Counts, seed: int) -> tuple[Image, Image]:
+        """Both cameras' images with the noise of a seed."""
 
 
 class NotSettled(RuntimeError):
@@ -100,7 +100,7 @@ class World:
         period_s: least time between two triggers, also in lock-step; at least the cameras' exposure and readout.
         settle_s: longest wait of lock-step; NotSettled is raised after it.
         ledger: where everything is written down.
-        lit_pictures: pictures of the projector that are kept lit, so that showing one again costs only noise.
+        lit_images: images of the projector that are kept lit, so that showing one again costs only noise.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class World:
         period_s: float = 0.02,
         settle_s: float = 10.0,
         ledger: Ledger | None = None,
-        lit_pictures: int = 8,
+        lit_images: int = 8,
     ) -> None:
         self.ledger = ledger or Ledger()
         self.late = 0
@@ -127,8 +127,8 @@ class World:
         self._index, self._next_ns = 0, 0
         self._gone: set[Side] = set()
         self._lit: OrderedDict[tuple[bytes, int], Counts] = OrderedDict()
-        self._lit_room = max(1, lit_pictures) * instants
-        self._last_picture, self._last_digest = self._dark, digest(self._dark)
+        self._lit_room = max(1, lit_images) * instants
+        self._last_image, self._last_digest = self._dark, digest(self._dark)
 
     @property
     def triggers(self) -> int:
@@ -146,17 +146,17 @@ class World:
         Raises:
             NotSettled: they have not within ``settle_s``.
         """
-        picture, dark = self._grab()
+        image, dark = self._grab()
         index, instant = self._index, self._index % self._instants
-        pictures = dict(zip(SIDES, self._stage.pictures(self._counts(picture, instant), index), strict=True))
+        images = dict(zip(SIDES, self._stage.images(self._counts(image, instant), index), strict=True))
         faults = {side: self._plan.of(index, side).kind for side in SIDES}
         for side in SIDES:
             self._replug(side, gone=faults[side] is FaultKind.GONE)
-            self._cables[side].show(pictures[side])
+            self._cables[side].show(images[side])
         if index == 0:
             self._extra_first()
         t_ns = self._wait_for_turn()
-        exposures = {side: digest(pictures[side]) for side in SIDES}
+        exposures = {side: digest(images[side]) for side in SIDES}
         shown = Shown(index, t_ns, self._last_digest, dark, instant, faults, exposures)
         self.ledger.note(shown)
         self._index += 1
@@ -193,25 +193,25 @@ class World:
 
     def _grab(self) -> tuple[NDArray[np.uint8], bool]:
         try:
-            picture = self._screen.grab()
+            image = self._screen.grab()
             self.display_problem = ""
         except DisplayLost as error:
-            picture, self.display_problem = self._dark, str(error)
-        if picture.shape != self._dark.shape:
-            self.display_problem = f"the output shows {picture.shape[1]} x {picture.shape[0]} pixels"
-            picture = self._dark
-        if not np.array_equal(picture, self._last_picture):
-            self._last_picture, self._last_digest = picture, digest(picture)
-        return picture, bool(self.display_problem)
+            image, self.display_problem = self._dark, str(error)
+        if image.shape != self._dark.shape:
+            self.display_problem = f"the output shows {image.shape[1]} x {image.shape[0]} pixels"
+            image = self._dark
+        if not np.array_equal(image, self._last_image):
+            self._last_image, self._last_digest = image, digest(image)
+        return image, bool(self.display_problem)
 
-    def _counts(self, picture: NDArray[np.uint8], instant: int) -> Counts:
+    def _counts(self, image: NDArray[np.uint8], instant: int) -> Counts:
         key = self._last_digest, instant
         if key in self._lit:
             self._lit.move_to_end(key)
         else:
             if len(self._lit) >= self._lit_room:
                 self._lit.popitem(last=False)
-            self._lit[key] = self._stage.counts(picture, instant)
+            self._lit[key] = self._stage.counts(image, instant)
         return self._lit[key]
 
     def _wait_for_turn(self) -> int:

@@ -29,7 +29,7 @@ class SimCamera:
         queue_frames: frames that wait unread; a further one pushes the oldest out, which is counted.
         dropped: told of each frame that is thrown away unread, and why (``overflow`` or ``dropped``).
         started: told when the camera begins to accept triggers.
-        note: on where the pictures come from.
+        note: on where the images come from.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class SimCamera:
         queue_frames: int = 8,
         dropped: Callable[[Frame, str], None] | None = None,
         started: Callable[[], None] | None = None,
-        note: str = "simulated: pictures come from a rendered loop",
+        note: str = "simulated: images come from a rendered loop",
     ) -> None:
         self.side, self.size, self.encoding, self.note = side, size, encoding, note
         self._queue: deque[Frame] = deque()

@@ -1,7 +1,7 @@
 """What the cameras see of what the projector really shows, rendered when it is asked for.
 
-A scene at rest is met by each camera's rays once (:class:`sim.render.projection_transport.Stage`); a new picture costs
-a look-up, another trigger under the same picture only its noise.
+A scene at rest is met by each camera's rays once (:class:`sim.render.projection_transport.Stage`); a new image costs
+a look-up, another trigger under the same image only its noise.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from sim.devices.scene_options import optics_of, poses_of, scene_of
 from sim.devices.trigger_world import Lamp, SimWorld
 from sim.render.noise_pool import GrainPool, deviation_of
 from sim.render.projection_transport import Stage
-from sim.render.render_pair import Picture
+from sim.render.render_pair import Image
 from sim.render.sensor import Light
 from sim.rig.disturbance import Device, Disturbance, TrueRig
 
-# Bytes of rendered stages and of lit pictures that are kept for the next time.
+# Bytes of rendered stages and of lit images that are kept for the next time.
 _STAGE_BYTES, _LIT_BYTES = 600 << 20, 400 << 20
 _BYTES_A_RAY = 20
 
@@ -36,11 +36,11 @@ class _Situation:
 
 
 class LiveScene:
-    """Pictures of a scene under a projector that shows anything; for :class:`sim.devices.trigger_world.SimWorld`.
+    """Images of a scene under a projector that shows anything; for :class:`sim.devices.trigger_world.SimWorld`.
 
     Args:
         options: scene, rig, seed; ``disturb`` is what happens by itself, ``hold`` how long a pose lasts.
-        projector: asked for its picture at every trigger.
+        projector: asked for its image at every trigger.
     """
 
     def __init__(self, options: SimOptions, projector: LiveProjector) -> None:
@@ -84,10 +84,10 @@ class LiveScene:
         """Render what trigger ``index`` will need, so that it can be given without a delay."""
         self._counts(index)
 
-    def pair(self, index: int) -> tuple[Picture, Picture]:
-        """Left and right picture of a trigger under the picture that is shown now, each with a noise of its own."""
+    def pair(self, index: int) -> tuple[Image, Image]:
+        """Left and right image of a trigger under the image that is shown now, each with a noise of its own."""
         left, right = (
-            self._pool.picture(counts, deviation, self._optics, self._options.encoding, index=2 * index + camera)
+            self._pool.image(counts, deviation, self._optics, self._options.encoding, index=2 * index + camera)
             for camera, (counts, deviation) in enumerate(self._counts(index))
         )
         return left, right
@@ -99,11 +99,11 @@ class LiveScene:
 
     def _counts(self, index: int) -> tuple[tuple[Light, Light], ...]:
         """(counts, deviation) of both cameras."""
-        picture, digest = self._projector.shown_at(index)
+        image, digest = self._projector.shown_at(index)
         situation = self._situation(index)
         key = situation, digest
         if key not in self._lit:
-            counts = self._stage(situation).counts(picture)
+            counts = self._stage(situation).counts(image)
             self._lit[key] = tuple((part, deviation_of(part, self._optics)) for part in counts)
             while len(self._lit) > self._lit_kept:
                 self._lit.popitem(last=False)
@@ -128,7 +128,7 @@ class LiveScene:
 
 
 class LiveWorld(SimWorld):
-    """A world whose pictures are rendered when they are needed: what the projector shows now is what the cameras see.
+    """A world whose images are rendered when they are needed: what the projector shows now is what the cameras see.
 
     A trigger that cannot be rendered in time is given later. Args as of :class:`SimWorld`, with a live scene.
     """
@@ -136,7 +136,7 @@ class LiveWorld(SimWorld):
     _slack = 0.1
 
     def __init__(self, scene: LiveScene, projector: Lamp, size: tuple[int, int], encoding: str, **options: Any) -> None:
-        note = "simulated: pictures are rendered of what the projector shows"
+        note = "simulated: images are rendered of what the projector shows"
         super().__init__(scene, projector, size, encoding, note=note, **options)
         self._scene = scene
 
@@ -151,7 +151,7 @@ class LiveWorld(SimWorld):
         return self._scene.poses
 
     def step(self) -> int:
-        """Give one trigger; returns its number. It is given when its pictures are ready, not before."""
+        """Give one trigger; returns its number. It is given when its images are ready, not before."""
         with self._lock:
             self._scene.prepare(self.triggers)
             return super().step()

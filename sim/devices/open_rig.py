@@ -12,8 +12,8 @@ from sim.devices.live_world import LiveScene, LiveWorld
 from sim.devices.options import SimOptions, from_mapping
 from sim.devices.projector import LiveProjector, SimProjector
 from sim.devices.rendered_loop import Progress, loops_of
-from sim.devices.trigger_world import Pictures, SimWorld
-from sim.render.render_pair import picture_sent
+from sim.devices.trigger_world import Images, SimWorld
+from sim.render.render_pair import image_sent
 from sim.rig import rig_files
 
 
@@ -49,7 +49,7 @@ def open_rig(
     *,
     progress: Progress | None = None,
     clock: Clock | None = None,
-    pictures: Pictures | None = None,
+    images: Images | None = None,
     first_number: int = 0,
     keep_entries: bool = False,
 ) -> RigDevices:
@@ -62,13 +62,13 @@ def open_rig(
         base_dir: where relative paths in it start.
         progress: told (done, of) while the loop is rendered.
         clock: what the time is; the machine's if None.
-        pictures: instead of the rendered loop.
+        images: instead of the rendered loop.
         first_number: number of the first trigger.
         keep_entries: whether the ledger of faults keeps every event.
     """
     checked = options if isinstance(options, SimOptions) else from_mapping(options, base_dir)
     layout, optics = checked.layout, checked.optics
-    shown = picture_sent(layout.pattern(), optics, layout.projector_size)
+    shown = image_sent(layout.pattern(), optics, layout.projector_size)
     settings: dict[str, Any] = {
         "plan": checked.faults,
         "rate_hz": checked.rate_hz,
@@ -80,7 +80,7 @@ def open_rig(
     }
     projector: SimProjector | LiveProjector
     world: SimWorld
-    if checked.live and pictures is None:
+    if checked.live and images is None:
         projector = LiveProjector(shown)
         scene = LiveScene(checked, projector)
         if progress is not None:
@@ -91,7 +91,7 @@ def open_rig(
         world = LiveWorld(scene, projector, layout.camera_size, checked.encoding, **settings)
     else:
         projector = SimProjector(shown)
-        source = loops_of(checked, progress) if pictures is None else pictures
+        source = loops_of(checked, progress) if images is None else images
         world = SimWorld(source, projector, layout.camera_size, checked.encoding, **settings)
     return RigDevices(
         world.cameras,

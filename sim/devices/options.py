@@ -34,14 +34,14 @@ class SimOptions:
         scene: name, see :mod:`sim.scene.named_scenes`, or ``board``.
         mesh: file of a triangle mesh, for the scene ``mesh``.
         seed: of textures and noise.
-        frames: pictures in the loop.
+        frames: images in the loop.
         layout: the rig.
         optics: light, lenses, sensors.
         encoding: what the cameras send.
         faults: what goes wrong.
         rate_hz: triggers a second; 0 = only by ``trigger.step()``.
         cache_dir: where rendered loops are kept; None = the user's cache directory.
-        live: whether pictures are rendered when they are needed, of what the projector shows then; else a loop is
+        live: whether images are rendered when they are needed, of what the projector shows then; else a loop is
             rendered beforehand and the projector shows nothing but its pattern.
         board: of the scene ``board``, such as ``circles:11x9:32:20``; poses: number of its poses in a live rig.
         hold: triggers after which the board of a live rig moves on by itself; 0 = only by ``trigger.next_pose()``.

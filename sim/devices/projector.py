@@ -1,4 +1,4 @@
-"""Simulated projectors: one for a rendered loop, which has one picture, and one that shows any picture."""
+"""Simulated projectors: one for a rendered loop, which has one image, and one that shows any image."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from drivers.protocols import ProjectorInfo
 
 
 class SimProjector:
-    """Shows the picture that the loop was rendered with, or darkness.
+    """Shows the image that the loop was rendered with, or darkness.
 
-    Until somebody opens it, it shows the picture (as a slide projector would that was left on).
+    Until somebody opens it, it shows the image (as a slide projector would that was left on).
 
     Args:
-        picture: (H, W, 3) uint8, the one that was rendered.
+        image: (H, W, 3) uint8, the one that was rendered.
     """
 
-    def __init__(self, picture: NDArray[np.uint8]) -> None:
-        self._picture = picture
+    def __init__(self, image: NDArray[np.uint8]) -> None:
+        self._image = image
         self._open = False
         self._lit = True
 
@@ -32,27 +32,27 @@ class SimProjector:
         return self._lit
 
     def open(self) -> ProjectorInfo:
-        """Connect; the picture is black until :meth:`show`."""
+        """Connect; the image is black until :meth:`show`."""
         self._open, self._lit = True, False
-        height, width = self._picture.shape[:2]
+        height, width = self._image.shape[:2]
         return ProjectorInfo("simulated", (width, height), 0.0)
 
-    def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show the rendered picture (within one level: rounding may differ) or a black one."""
+    def show(self, image: NDArray[np.uint8]) -> None:
+        """Show the rendered image (within one level: rounding may differ) or a black one."""
         if not self._open:
             raise DriverError("projector: show() while closed; open() comes first")
-        if picture.shape != self._picture.shape or picture.dtype != np.uint8:
+        if image.shape != self._image.shape or image.dtype != np.uint8:
             raise SettingRefused(
-                f"projector: picture {picture.shape} {picture.dtype} does not fit, expected {self._picture.shape} uint8"
+                f"projector: image {image.shape} {image.dtype} does not fit, expected {self._image.shape} uint8"
             )
-        if not picture.any():
+        if not image.any():
             self._lit = False
-        elif np.abs(picture.astype(np.int16) - self._picture).max() <= 1:
+        elif np.abs(image.astype(np.int16) - self._image).max() <= 1:
             self._lit = True
         else:
             raise SettingRefused(
                 "projector: the simulated rig plays a loop rendered with its own pattern and cannot show another "
-                "picture; use the pattern of its layout (sim.layout.periods) with its own calibration"
+                "image; use the pattern of its layout (sim.layout.periods) with its own calibration"
             )
 
     def problem(self) -> str:
@@ -65,7 +65,7 @@ class SimProjector:
 
 
 class LiveProjector:
-    """Shows any picture of its size.
+    """Shows any image of its size.
 
     Until somebody opens it, it shows ``first`` (as a slide projector would that was left on).
 
@@ -73,7 +73,7 @@ class LiveProjector:
         first: (H, W, 3) uint8.
     """
 
-    lit = True  # A black picture is rendered like any other.
+    lit = True  # A black image is rendered like any other.
     latency_s = 0.0
 
     def __init__(self, first: NDArray[np.uint8]) -> None:
@@ -85,34 +85,34 @@ class LiveProjector:
 
     @property
     def shown(self) -> tuple[NDArray[np.uint8], bytes]:
-        """The picture that is shown now, read-only, and a digest of it."""
+        """The image that is shown now, read-only, and a digest of it."""
         return self._shown
 
     def shown_at(self, index: int) -> tuple[NDArray[np.uint8], bytes]:
-        """The picture that trigger ``index`` sees."""
+        """The image that trigger ``index`` sees."""
         stored = self._stored
         return stored[(index - self._first) % len(stored)] if stored else self._shown
 
-    def store(self, pictures: Sequence[NDArray[np.uint8]], first: int = 0) -> None:
+    def store(self, images: Sequence[NDArray[np.uint8]], first: int = 0) -> None:
         """Show these from now on, one a trigger, the first of them at trigger ``first``; :meth:`show` ends it."""
-        self._first, self._stored = first, [_kept(picture) for picture in pictures]
+        self._first, self._stored = first, [_kept(image) for image in images]
 
     def open(self) -> ProjectorInfo:
-        """Connect; the picture is black until :meth:`show`."""
+        """Connect; the image is black until :meth:`show`."""
         self._open, self._shown, self._stored = True, self._black, []
         height, width = self._black[0].shape[:2]
         return ProjectorInfo("simulated", (width, height), 0.0)
 
-    def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture; the next trigger sees it."""
+    def show(self, image: NDArray[np.uint8]) -> None:
+        """Show an image; the next trigger sees it."""
         if not self._open:
             raise DriverError("projector: show() while closed; open() comes first")
         expected = self._black[0].shape
-        if picture.shape != expected or picture.dtype != np.uint8:
+        if image.shape != expected or image.dtype != np.uint8:
             raise SettingRefused(
-                f"projector: picture {picture.shape} {picture.dtype} does not fit, expected {expected} uint8"
+                f"projector: image {image.shape} {image.dtype} does not fit, expected {expected} uint8"
             )
-        self._shown, self._stored = _kept(picture), []
+        self._shown, self._stored = _kept(image), []
 
     def problem(self) -> str:
         """Nothing ever is."""
@@ -123,7 +123,7 @@ class LiveProjector:
         self._open, self._shown, self._stored = False, self._black, []
 
 
-def _kept(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:
-    copy = np.array(picture, order="C")
+def _kept(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:
+    copy = np.array(image, order="C")
     copy.setflags(write=False)
     return copy, hashlib.blake2b(copy.data, digest_size=16).digest()

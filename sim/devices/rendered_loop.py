@@ -1,4 +1,4 @@
-"""A loop of pictures of a scene, rendered once and kept on disk.
+"""A loop of images of a scene, rendered once and kept on disk.
 
 The folder of a loop is named by a digest of everything that went into it. It appears whole or not at all; one that
 does not pass its checks is rendered again.
@@ -26,25 +26,25 @@ from sim.render import render_pair
 from sim.rig.disturbance import TrueRig
 from sim.scene.named_scenes import Scene
 
-# To be raised whenever the same options would give other pictures.
+# To be raised whenever the same options would give other images.
 RENDER_VERSION = 1
 
-Picture = NDArray[np.uint8] | NDArray[np.uint16]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loop:
-    """Pictures of both cameras, (frames, H, W) or (frames, H, W, 3), read-only."""
+    """Images of both cameras, (frames, H, W) or (frames, H, W, 3), read-only."""
 
-    left: Picture
-    right: Picture
+    left: Image
+    right: Image
 
     def __len__(self) -> int:
         return len(self.left)
 
-    def pair(self, index: int) -> tuple[Picture, Picture]:
-        """Left and right picture of a trigger; after the last comes the first again."""
+    def pair(self, index: int) -> tuple[Image, Image]:
+        """Left and right image of a trigger; after the last comes the first again."""
         i = index % len(self.left)
         return np.asarray(self.left[i]), np.asarray(self.right[i])
 
@@ -55,8 +55,8 @@ class Switched:
 
     loops: tuple[tuple[int, Loop], ...]
 
-    def pair(self, index: int) -> tuple[Picture, Picture]:
-        """Left and right picture of a trigger."""
+    def pair(self, index: int) -> tuple[Image, Image]:
+        """Left and right image of a trigger."""
         return [loop for first, loop in self.loops if first <= max(0, index)][-1].pair(index)
 
 
@@ -86,7 +86,7 @@ def default_cache_dir() -> Path:
 
 
 def digest(options: SimOptions) -> str:
-    """Hex digest of all that the pictures depend on."""
+    """Hex digest of all that the images depend on."""
     parts: dict[str, Any] = {
         "version": RENDER_VERSION,
         "scene": options.scene,
@@ -105,7 +105,7 @@ def digest(options: SimOptions) -> str:
 
 
 def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
-    """All pictures of the loop, after all disturbances; a scene at rest is lit once and only the noise differs."""
+    """All images of the loop, after all disturbances; a scene at rest is lit once and only the noise differs."""
     scene = scene_of(options)
     pairs = []
     counts = None
@@ -122,7 +122,7 @@ def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
 
 
 def time_of(options: SimOptions, scene: Scene, index: int) -> float:
-    """Time in the scene at which a picture of the loop starts, seconds."""
+    """Time in the scene at which an image of the loop starts, seconds."""
     return scene.period_s * (index % options.frames) / options.frames
 
 
@@ -135,8 +135,8 @@ def _counts(options: SimOptions, scene: Scene, index: int) -> tuple[NDArray[np.f
     return render_pair.render_counts(options.layout, scene, pattern, optics, t_s, options.encoding, rig)
 
 
-def _frozen(pictures: list[Picture]) -> Picture:
-    out: Picture = np.stack(pictures)  # type: ignore[assignment, arg-type, unused-ignore]
+def _frozen(images: list[Image]) -> Image:
+    out: Image = np.stack(images)  # type: ignore[assignment, arg-type, unused-ignore]
     out.setflags(write=False)
     return out
 
@@ -162,9 +162,9 @@ def _keep(loop: Loop, folder: Path) -> Loop | None:
         return None
     try:
         sums = {}
-        for side, pictures in (("left", loop.left), ("right", loop.right)):
-            _write(fresh / f"{side}.npy", pictures)
-            sums[side] = zlib.crc32(pictures.data)
+        for side, images in (("left", loop.left), ("right", loop.right)):
+            _write(fresh / f"{side}.npy", images)
+            sums[side] = zlib.crc32(images.data)
         (fresh / "loop.json").write_text(json.dumps({"crc32": sums}))
         if folder.exists():
             # What is there did not pass its checks (or another process was quicker: then this is as good).
@@ -177,8 +177,8 @@ def _keep(loop: Loop, folder: Path) -> Loop | None:
     return _read(folder)
 
 
-def _write(path: Path, pictures: Picture) -> None:
+def _write(path: Path, images: Image) -> None:
     with path.open("wb") as file:
-        np.save(file, pictures, allow_pickle=False)
+        np.save(file, images, allow_pickle=False)
         file.flush()
         os.fsync(file.fileno())

@@ -14,14 +14,14 @@ from sim.devices.camera import SimCamera
 from sim.devices.clock import SystemClock
 from sim.devices.faults import Fault, FaultKind, FaultPlan, Ledger
 
-Picture = NDArray[np.uint8] | NDArray[np.uint16]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-class Pictures(Protocol):
-    """Where the pictures of a trigger come from; they are read-only."""
+class Images(Protocol):
+    """Where the images of a trigger come from; they are read-only."""
 
-    def pair(self, index: int) -> tuple[Picture, Picture]:
-        """Left and right picture of trigger ``index``."""
+    def pair(self, index: int) -> tuple[Image, Image]:
+        """Left and right image of trigger ``index``."""
 
 
 class Lamp(Protocol):
@@ -29,7 +29,7 @@ class Lamp(Protocol):
 
     @property
     def lit(self) -> bool:
-        """Whether the pictures are those of the trigger; dark ones are sent otherwise."""
+        """Whether the images are those of the trigger; dark ones are sent otherwise."""
 
     def close(self) -> None:
         """Go dark and let go."""
@@ -42,25 +42,25 @@ class SimWorld:
     ``rate_hz`` above 0 a thread does so in real time, from the moment the first camera starts until :meth:`close`.
 
     Args:
-        pictures: of each trigger.
-        projector: dark pictures are sent while it is dark.
+        images: of each trigger.
+        projector: dark images are sent while it is dark.
         size: (width, height) of the cameras.
         plan: what goes wrong.
         rate_hz: triggers a second; 0 = only by :meth:`step`.
         clock: what the time is; the machine's if None.
         first_number: number of the first trigger; it wraps at 2**32.
         exposure_us: exposure time; a frame arrives when it has passed.
-        dark_dn: counts of a picture without projector light.
+        dark_dn: counts of an image without projector light.
         queue_frames: room in each camera's queue.
         keep_entries: whether the ledger keeps every event, not just counts.
-        note: on the pictures, for what the cameras say of themselves.
+        note: on the images, for what the cameras say of themselves.
     """
 
     _slack = 1.0  # By how much of a period a trigger that comes late may stand nearer to the next one.
 
     def __init__(
         self,
-        pictures: Pictures,
+        images: Images,
         projector: Lamp,
         size: tuple[int, int],
         encoding: str,
@@ -73,9 +73,9 @@ class SimWorld:
         dark_dn: float = 4.0,
         queue_frames: int = 8,
         keep_entries: bool = False,
-        note: str = "simulated: pictures come from a rendered loop",
+        note: str = "simulated: images come from a rendered loop",
     ) -> None:
-        self._pictures, self._projector, self._encoding = pictures, projector, encoding
+        self._images, self._projector, self._encoding = images, projector, encoding
         self._plan, self._rate_hz, self._clock = plan or FaultPlan.none(), rate_hz, clock or SystemClock()
         self._first_number, self._exposure_us, self._dark_dn = first_number, exposure_us, dark_dn
         self.ledger = Ledger(keep_entries=keep_entries)
@@ -96,7 +96,7 @@ class SimWorld:
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._dark: Picture | None = None
+        self._dark: Image | None = None
 
     @property
     def triggers(self) -> int:
@@ -166,8 +166,8 @@ class SimWorld:
     def _number(self, index: int, off: int = 0) -> int:
         return (self._first_number + index + off) % TRIGGER_MODULUS
 
-    def _exposed(self, index: int) -> tuple[Picture, Picture]:
-        left, right = self._pictures.pair(index)
+    def _exposed(self, index: int) -> tuple[Image, Image]:
+        left, right = self._images.pair(index)
         if self._projector.lit:
             return left, right
         if self._dark is None:
@@ -176,13 +176,13 @@ class SimWorld:
             self._dark.setflags(write=False)
         return self._dark, self._dark
 
-    def _frame(self, index: int, side: Side, image: Picture, t_ns: int, off: int = 0) -> Frame:
+    def _frame(self, index: int, side: Side, image: Image, t_ns: int, off: int = 0) -> Frame:
         # Both cameras hang on one wire: they differ by a few hundred nanoseconds.
         jitter_ns = (index * 7919 + (523 if side == "right" else 0)) % 1000 - 500
         number, now_ns = self._number(index, off), self._clock.realtime_ns()
         return Frame(side, number, t_ns + jitter_ns, now_ns, self._encoding, image, self._exposure_us)
 
-    def _expose(self, index: int, side: Side, image: Picture, t_ns: int) -> None:
+    def _expose(self, index: int, side: Side, image: Image, t_ns: int) -> None:
         fault = self._plan.of(index, side)
         self.cameras[side].set_present(fault.kind is not FaultKind.GONE)
         if fault.kind in (FaultKind.LOST, FaultKind.BLACKOUT, FaultKind.GONE):

@@ -1,6 +1,6 @@
 """Any calibration put to the test: what the simulated rig measures with it, against the truth.
 
-The picture shown is the fringe sent through the inverse of the response that the *calibration* knows, as a daemon
+The image shown is the fringe sent through the inverse of the response that the *calibration* knows, as a daemon
 would send it; what the cameras see of it is the true rig's affair.
 """
 
@@ -15,7 +15,7 @@ from pipeline.rig.calibration import Calibration
 from sim.evaluate.score import AlignedScore, aligned
 from sim.render import render_pair
 from sim.render.ground_truth import Truth
-from sim.render.render_pair import Picture
+from sim.render.render_pair import Image
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene import named_scenes as scenes
@@ -37,8 +37,8 @@ def measuring_pair(
     pattern: ColorFringe | None = None,
     encoding: str = "rgb8",
     seed: int = 0,
-) -> tuple[Picture, Picture, Truth]:
-    """Both pictures of a scene under the fringe that somebody with this calibration shows, and the left truth.
+) -> tuple[Image, Image, Truth]:
+    """Both images of a scene under the fringe that somebody with this calibration shows, and the left truth.
 
     Args:
         calibration: only its response matters here. layout, optics: the rig as it is.
@@ -47,8 +47,8 @@ def measuring_pair(
     """
     optics, pattern = optics or Optics(), pattern or layout.pattern()
     built = scenes.build(scene, seed=seed)
-    left, right = render_pair.render_pictures(
-        layout, built, pattern.picture(calibration.response), optics, seed=seed, encoding=encoding
+    left, right = render_pair.render_images(
+        layout, built, pattern.image(calibration.response), optics, seed=seed, encoding=encoding
     )
     truth, _ = render_pair.truths(layout, built, pattern, 0.5e-6 * optics.exposure_us)
     return left, right, truth

@@ -40,7 +40,7 @@ class Score:
 
 
 def score(xyz: NDArray[np.float32], truth: Truth, *, only: NDArray[np.bool_] | None = None) -> Score:
-    """Score a cloud (H, W, 3) mm; ``only`` (H, W) restricts the accuracy figures to a part of the picture."""
+    """Score a cloud (H, W, 3) mm; ``only`` (H, W) restricts the accuracy figures to a part of the image."""
     error = np.linalg.norm(xyz.astype(np.float64) - truth.xyz, axis=-1)
     known = np.isfinite(xyz[..., 2])
     scorable = truth.scorable

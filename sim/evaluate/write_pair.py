@@ -22,9 +22,9 @@ from sim.scene import named_scenes
 def write_shot(pair: RenderedPair, folder: Path) -> None:
     """``left.png``, ``right.png`` and ``truth_left.npz``, ``truth_right.npz`` in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    for side, picture, truth in (("left", pair.left, pair.truth_left), ("right", pair.right, pair.truth_right)):
-        image = picture[..., ::-1] if picture.ndim == 3 else picture
-        if not cv2.imwrite(str(folder / f"{side}.png"), image):
+    for side, image, truth in (("left", pair.left, pair.truth_left), ("right", pair.right, pair.truth_right)):
+        bgr = image[..., ::-1] if image.ndim == 3 else image
+        if not cv2.imwrite(str(folder / f"{side}.png"), bgr):
             raise OSError(f"{folder / side}.png cannot be written")
         np.savez_compressed(folder / f"truth_{side}.npz", allow_pickle=False, **truth.arrays())
 
@@ -49,7 +49,7 @@ def main(arguments: list[str]) -> int:
     ):
         (Path(folder) / file).write_text(json.dumps(mapping, indent=1))
     share = float(pair.truth_left.scorable.mean())
-    sys.stdout.write(f"{scene.name}: brightest {int(pair.left.max())}, measurable {share:.1%} of the left picture\n")
+    sys.stdout.write(f"{scene.name}: brightest {int(pair.left.max())}, measurable {share:.1%} of the left image\n")
     return 0
 
 

@@ -7,7 +7,7 @@ that holds for camera N:
 
 =============  =======================================================================================
 ``camN.state``  what outlives the process that has the camera open: plug, clock, faults, counters, registers
-``camN.img``    the last pictures shown, as light on the sensor
+``camN.img``    the last images shown, as light on the sensor
 ``camN.sock``   datagrams with edges on the trigger lines; bound by the process that has the camera open
 =============  =======================================================================================
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from sim.gentl import memory
 from sim.gentl.counters import CableState, read_state
-from sim.gentl.shared_images import Picture, Pictures
+from sim.gentl.shared_images import Image, Images
 
 Filter = Literal["mono", "RG", "GR", "GB", "BG"]
 _FLOCK = "hhqqi4x"
@@ -41,7 +41,7 @@ class Cable:
         real_time: frames leave the camera exposure and readout after the pulse; otherwise at once, for lock-step.
         readout_us: least time between two exposures and from an exposure's end to the frame.
         exposure_step_us: exposure times are whole multiples of it.
-        reference_exposure_us: exposure time with which the camera gives the very values of the picture shown, others
+        reference_exposure_us: exposure time with which the camera gives the very values of the image shown, others
             make it darker or brighter; 0: the exposure time does not matter.
 
     Raises:
@@ -70,7 +70,7 @@ class Cable:
         self._paths = {ending: directory / f"cam{number}.{ending}" for ending in ("state", "img", "sock")}
         if len(os.fsencode(self._paths["sock"])) > 107:
             raise ValueError(f"the path {self._paths['sock']} is longer than the 107 bytes of a socket's name")
-        self._pictures = Pictures(self._paths["img"], size)
+        self._images = Images(self._paths["img"], size)
         made: dict[str, int | float | bytes] = {
             "width": size[0],
             "height": size[1],
@@ -100,17 +100,17 @@ class Cable:
     ) -> None:
         self.close()
 
-    def show(self, picture: Picture) -> int:
-        """Let light fall on the whole sensor, and return the picture's number from 1.
+    def show(self, image: Image) -> int:
+        """Let light fall on the whole sensor, and return the image's number from 1.
 
         Args:
-            picture: (H, W) or (H, W, 3) of the sensor's size, uint8 or uint16 over their whole range.
+            image: (H, W) or (H, W, 3) of the sensor's size, uint8 or uint16 over their whole range.
         """
         self._live()
-        return self._pictures.show(picture)
+        return self._images.show(image)
 
     def pulse(self, t_ns: int | None = None, *, line: int = 1, width_ns: int = 10_000) -> bool:
-        """Give a pulse on a line; the picture exposed is the one shown now.
+        """Give a pulse on a line; the image exposed is the one shown now.
 
         Args:
             t_ns: CLOCK_MONOTONIC time of the rising edge, may lie in the future; None: now. Without real time,
@@ -127,7 +127,7 @@ class Cable:
         judged = t_ns is not None or bool(state["real_time"])
         t_ns = time.monotonic_ns() if t_ns is None else t_ns
         asked = int(state["asked"]) + 1
-        pulse = (memory.PULSE_MAGIC, asked, t_ns, width_ns, line, self._pictures.shown, judged)
+        pulse = (memory.PULSE_MAGIC, asked, t_ns, width_ns, line, self._images.shown, judged)
         message = np.array([pulse], dtype=memory.PULSE_DTYPE).tobytes()
         deadline = time.monotonic() + _PATIENCE_S
         while asked - int(state["answered"]) > memory.MAX_PENDING or not self._send(message):

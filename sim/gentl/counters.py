@@ -27,8 +27,8 @@ class CableState:
         missed: pulses during an exposure; ignored: pulses that the settings do not want; granted: pulses that started
             an acquisition or a burst rather than a frame.
         superseded: delivered frames that a newer one replaced before the host took them.
-        overtaken: lost because their picture was written over before the camera's process, which slept, came to it.
-        picture: number of the picture exposed last.
+        overtaken: lost because their image was written over before the camera's process, which slept, came to it.
+        image: number of the image exposed last.
     """
 
     present: bool
@@ -50,7 +50,7 @@ class CableState:
     granted: int
     superseded: int
     overtaken: int
-    picture: int
+    image: int
 
 
 _COUNTERS = tuple(field.name for field in fields(CableState) if field.type == "int" and field.name != "open_by")

@@ -168,7 +168,7 @@ class Description:
         ET.SubElement(node, "Formula").text = formula
 
     def chunk(self, name: str, chunk_id: int, *, number: bool = False) -> None:
-        """A value of 8 bytes that comes with each picture."""
+        """A value of 8 bytes that comes with each image."""
         if not self._wanted(name):
             return
         self._node("Port", f"{name}Port", [("ChunkID", f"{chunk_id:X}")])

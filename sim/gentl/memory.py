@@ -15,7 +15,7 @@ from sim.gentl.features import REGISTERS
 STATE_MAGIC = 0x3153_4C54_4E45_4746  # "FGENTLS1"
 IMAGE_MAGIC = 0x3149_4C54_4E45_4746  # "FGENTLI1"
 SLOTS = 4
-"""Pictures kept: the world may be this many minus one ahead of the camera's process."""
+"""Images kept: the world may be this many minus one ahead of the camera's process."""
 SLOT_HEADER = 64
 MAX_CAMERAS = 8
 MAX_SIDE = 8192
@@ -50,14 +50,14 @@ WORLD = _fields(
 
 CAMERA = _fields(
     "owner_pid acquiring armed answered inside exposed delivered truncated dropped no_buffer overrun abandoned "
-    "too_small missed ignored granted superseded overtaken exposure_ns picture registers_power_cycle"
+    "too_small missed ignored granted superseded overtaken exposure_ns image registers_power_cycle"
 )
 """Fields of the state that only the process with the camera open writes."""
 
 IMAGE = _fields("magic slots slot_bytes newest width height")
 SLOT = _fields("sequence channels bytes_per_sample")
-"""``sequence`` is 2n once picture n stands in the slot, 2n - 1 while it is written."""
-PULSE = _fields("magic sequence t_ns:i64 width_ns:i64 line picture judged")
+"""``sequence`` is 2n once image n stands in the slot, 2n - 1 while it is written."""
+PULSE = _fields("magic sequence t_ns:i64 width_ns:i64 line image judged")
 """A datagram: an edge up at t_ns (CLOCK_MONOTONIC) and down width_ns later."""
 
 _NUMPY = {"u64": "<u8", "i64": "<i8", "f64": "<f8", "text": "S64"}

@@ -1,4 +1,4 @@
-"""The light on a sensor, shared with the camera's process: the last few pictures, each whole or seen as not."""
+"""The light on a sensor, shared with the camera's process: the last few images, each whole or seen as not."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from sim.gentl import memory
 
-Picture = NDArray[np.uint8] | NDArray[np.uint16]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-class Pictures:
-    """A ring of pictures in a file of its own.
+class Images:
+    """A ring of images in a file of its own.
 
-    The writer makes a slot's sequence odd, writes the picture, and makes it even; the reader copies and looks whether
-    the sequence is still the one it wanted. So neither waits for the other, and no torn picture is ever used.
+    The writer makes a slot's sequence odd, writes the image, and makes it even; the reader copies and looks whether
+    the sequence is still the one it wanted. So neither waits for the other, and no torn image is ever used.
 
     Args:
         path: a new file; size: (width, height) of the sensor.
@@ -32,23 +32,23 @@ class Pictures:
         self._header["width"], self._header["height"] = size
         self._header["magic"] = memory.IMAGE_MAGIC
 
-    def show(self, picture: Picture) -> int:
-        """Write the next picture and return its number from 1; see :meth:`sim.gentl.cable.Cable.show`."""
+    def show(self, image: Image) -> int:
+        """Write the next image and return its number from 1; see :meth:`sim.gentl.cable.Cable.show`."""
         width, height = self._size
-        if picture.shape not in ((height, width), (height, width, 3)) or picture.dtype not in (np.uint8, np.uint16):
+        if image.shape not in ((height, width), (height, width, 3)) or image.dtype not in (np.uint8, np.uint16):
             raise ValueError(
                 f"the sensor shows ({height}, {width}) or ({height}, {width}, 3), uint8 or uint16; "
-                f"got {picture.shape}, {picture.dtype}"
+                f"got {image.shape}, {image.dtype}"
             )
         number = self.shown + 1
         start = memory.SLOT_HEADER + number % memory.SLOTS * self._slot_bytes
         slot = self._bytes[start : start + self._slot_bytes]
         header = slot[: memory.SLOT_DTYPE.itemsize].view(memory.SLOT_DTYPE)[0]
         header["sequence"] = 2 * number - 1
-        header["channels"] = 3 if picture.ndim == 3 else 1
-        header["bytes_per_sample"] = picture.dtype.itemsize
-        pixels = slot[memory.SLOT_HEADER : memory.SLOT_HEADER + picture.nbytes].view(picture.dtype)
-        np.copyto(pixels.reshape(picture.shape), picture)
+        header["channels"] = 3 if image.ndim == 3 else 1
+        header["bytes_per_sample"] = image.dtype.itemsize
+        pixels = slot[memory.SLOT_HEADER : memory.SLOT_HEADER + image.nbytes].view(image.dtype)
+        np.copyto(pixels.reshape(image.shape), image)
         header["sequence"] = 2 * number
         self._header["newest"] = number
         self.shown = number

@@ -23,9 +23,9 @@ class Truth:
     Args:
         xyz: (H, W, 3) float32, mm, world; NaN where the pixel sees nothing.
         projector: (H, W, 2) float32, projector pixel (u, v) that lights the point, shadow or not; NaN likewise.
-        order: (H, W) int16, fringe order floor(phase / 2 pi); -1 where nothing is, outside the picture, or no pattern.
-        lit: (H, W), the projector sees the point and it lies within its picture.
-        seen_by_both: (H, W), the other camera sees it too, within its picture.
+        order: (H, W) int16, fringe order floor(phase / 2 pi); -1 where nothing is, outside the image, or no pattern.
+        lit: (H, W), the projector sees the point and it lies within its image.
+        seen_by_both: (H, W), the other camera sees it too, within its image.
     """
 
     xyz: NDArray[np.float32]
@@ -50,7 +50,7 @@ class Truth:
 
 
 def inside(pixels: Array, size: tuple[int, int]) -> Bools:
-    """Which pixels (..., 2) lie in a picture of (width, height)."""
+    """Which pixels (..., 2) lie in an image of (width, height)."""
     u, v = pixels[..., 0], pixels[..., 1]
     with np.errstate(invalid="ignore"):
         return np.asarray((u >= -0.5) & (v >= -0.5) & (u <= size[0] - 0.5) & (v <= size[1] - 0.5))
@@ -84,7 +84,7 @@ def rows_of_truth(
 
 
 def phases(projector_pixels: Array, pattern: ColorFringe) -> Array:
-    """Absolute phase of projector pixels, (..., 2) -> (...), radians; NaN outside the picture."""
+    """Absolute phase of projector pixels, (..., 2) -> (...), radians; NaN outside the image."""
     along = projector_pixels[..., 0] if pattern.axis == "x" else projector_pixels[..., 1]
     table = pattern.phase
     columns = np.arange(-1.0, pattern.length + 1)
@@ -95,7 +95,7 @@ def phases(projector_pixels: Array, pattern: ColorFringe) -> Array:
 
 
 def orders(projector_pixels: Array, pattern: ColorFringe | None) -> NDArray[np.int16]:
-    """Fringe orders of projector pixels, -1 outside the picture."""
+    """Fringe orders of projector pixels, -1 outside the image."""
     if pattern is None:
         return np.full(projector_pixels.shape[:-1], -1, np.int16)
     phase = phases(projector_pixels, pattern)

@@ -1,4 +1,4 @@
-"""Noise for many pictures a second: a pool of grain, read from a new place for each picture."""
+"""Noise for many images a second: a pool of grain, read from a new place for each image."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 from sim.render.sensor import Light, noise_variance
 from sim.rig.optics import Optics
 
-Picture = NDArray[np.uint8] | NDArray[np.uint16]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
 _PLACES = 1 << 20
 
 
 class GrainPool:
-    """Standard normal numbers for pictures of one size.
+    """Standard normal numbers for images of one size.
 
-    Two pictures have the same grain once in two million; the law is :func:`sim.render.sensor.read_out`'s.
+    Two images have the same grain once in two million; the law is :func:`sim.render.sensor.read_out`'s.
 
     Args:
-        values: of one picture.
+        values: of one image.
         seed: another seed, another pool.
     """
 
@@ -28,12 +28,12 @@ class GrainPool:
         self._grain = rng.standard_normal(values + _PLACES, dtype=np.float32)
         self._seed = seed
 
-    def picture(self, counts: Light, deviation: Light, optics: Optics, encoding: str, *, index: int) -> Picture:
-        """The picture as the sensor gives it, read-only.
+    def image(self, counts: Light, deviation: Light, optics: Optics, encoding: str, *, index: int) -> Image:
+        """The image as the sensor gives it, read-only.
 
         Args:
             counts: above black, without noise; deviation: :func:`deviation_of` these counts.
-            index: number of the picture; the same one has the same grain.
+            index: number of the image; the same one has the same grain.
         """
         place, sign = np.random.default_rng([self._seed, index]).integers([_PLACES, 2])
         wide = encoding == "mono16"
@@ -59,7 +59,7 @@ def _read_out(
     sign: np.float32,
     black: np.float32,
     scale: np.float32,
-    out: Picture,
+    out: Image,
 ) -> None:
     for k in range(len(counts)):
         value = counts[k] + sign * grain[k] * deviation[k] + black

@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 _SPLINE_VARIANCE = 1 / 6
 
 
-def projected_light(picture: NDArray[np.uint8], optics: Optics) -> NDArray[np.float32]:
-    """Light of a picture after response and blur, (H, W, 3), 0..255, to be sampled by :func:`shade`."""
-    light = optics.light_of(picture)
+def projected_light(image: NDArray[np.uint8], optics: Optics) -> NDArray[np.float32]:
+    """Light of an image after response and blur, (H, W, 3), 0..255, to be sampled by :func:`shade`."""
+    light = optics.light_of(image)
     variance = optics.defocus_px**2 - _SPLINE_VARIANCE
     if variance > 0.01:
         blur = cv2.GaussianBlur(light, (0, 0), float(np.sqrt(variance)), borderType=cv2.BORDER_REPLICATE)
@@ -36,7 +36,7 @@ def _spline(f: float) -> tuple[float, float, float]:
 
 @njit(cache=True, nogil=True)
 def _sample(light: NDArray[np.float32], u: float, v: float, channel: int) -> float:
-    """Light of one channel at a place of the projector picture; 0 outside."""
+    """Light of one channel at a place of the projector image; 0 outside."""
     rows, columns = light.shape[0], light.shape[1]
     if u < -0.5 or v < -0.5 or u > columns - 0.5 or v > rows - 0.5:
         return 0.0

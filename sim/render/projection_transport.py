@@ -1,8 +1,8 @@
-"""Any picture on the projector, seen by both cameras: the renderer with everything done once but the picture itself.
+"""Any image on the projector, seen by both cameras: the renderer with everything done once but the image itself.
 
-Light is linear. For a scene at rest each ray of a camera picture meets one place of the projector picture and brings
-back a fixed share of its light; what changes with the picture is a look-up per ray, and what follows (lens blur,
-colours, mosaic, noise) is the renderer's own code. :mod:`sim.render.render_pair` renders from the pixels of the picture
+Light is linear. For a scene at rest each ray of a camera image meets one place of the projector image and brings
+back a fixed share of its light; what changes with the image is a look-up per ray, and what follows (lens blur,
+colours, mosaic, noise) is the renderer's own code. :mod:`sim.render.render_pair` renders from the pixels of the image
 on the cable too, so the two differ by rounding alone.
 """
 
@@ -19,7 +19,7 @@ from pipeline.rig.camera_model import CameraModel
 from sim.render import projected_light as lighting
 from sim.render import render_pair, sensor
 from sim.render.lens import packed, pixel_rays, pixels_of
-from sim.render.render_pair import Picture
+from sim.render.render_pair import Image
 from sim.rig.disturbance import TrueRig
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
@@ -29,17 +29,17 @@ from sim.scene.ray_hits import Surfaces, surfaces
 Light = NDArray[np.float32]
 Counts = tuple[Light, Light]
 
-# The picture of the projector is given this many more pixels at each edge, so that no look-up needs to clamp.
+# The image of the projector is given this many more pixels at each edge, so that no look-up needs to clamp.
 _EDGE_PX = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprint:
-    """Where each ray of one camera meets the projector picture during one exposure, and how much light comes back.
+    """Where each ray of one camera meets the projector image during one exposure, and how much light comes back.
 
     Args:
         uv: (H s, W s, 2) float32, projector pixel, for s x s rays a pixel.
-        gain: (H s, W s, 3) float32, light that returns per light sent, R G B; 0 in shadow and outside the picture.
+        gain: (H s, W s, 3) float32, light that returns per light sent, R G B; 0 in shadow and outside the image.
         dark: (H, W, 3) float32, light on the sensor while the projector is black.
     """
 
@@ -64,7 +64,7 @@ class Footprint:
 
 
 class Stage:
-    """A scene at fixed instants, ready to be lit by any picture.
+    """A scene at fixed instants, ready to be lit by any image.
 
     Keeps 20 bytes a ray, camera and instant: 70 MB a camera at 1024 x 820, 4 MB at a quarter of that each way.
 
@@ -98,14 +98,14 @@ class Stage:
             for t_s in self.instants_s
         ]
 
-    def counts(self, picture: NDArray[np.uint8], instant: int = 0) -> Counts:
+    def counts(self, image: NDArray[np.uint8], instant: int = 0) -> Counts:
         """Counts above black of both cameras without noise, as :func:`sim.render.render_pair.render_counts` gives them.
 
         Args:
-            picture: (H, W, 3) uint8 of the projector's size.
+            image: (H, W, 3) uint8 of the projector's size.
             instant: index of ``instants_s``; it goes round.
         """
-        sent = render_pair.picture_sent(picture, self.optics, self.layout.projector_size)
+        sent = render_pair.image_sent(image, self.optics, self.layout.projector_size)
         light = lighting.projected_light(sent, self.optics)
         left, right = (
             sensor.exposed(
@@ -115,7 +115,7 @@ class Stage:
         )
         return left, right
 
-    def pictures(self, counts: Counts, seed: int) -> tuple[Picture, Picture]:
+    def images(self, counts: Counts, seed: int) -> tuple[Image, Image]:
         """What the sensors make of counts; the seed decides the noise, bit by bit."""
         return render_pair.with_noise(counts, self.optics, seed, self.encoding)
 
@@ -153,7 +153,7 @@ def _sampled(
     camera: CameraModel,
     offset: tuple[float, float],
 ) -> tuple[Light, Light, Light]:
-    """One ray a pixel: projector pixel (H, W, 2), gain (H, W, 3), and light under a black picture (H, W, 3)."""
+    """One ray a pixel: projector pixel (H, W, 2), gain (H, W, 3), and light under a black image (H, W, 3)."""
     columns, rows = camera.size
     lamp = packed(projector)
     shift = np.array(optics.color_shift_px)

@@ -1,4 +1,4 @@
-"""One trigger: both cameras' pictures of a scene under projector light, with the truth.
+"""One trigger: both cameras' images of a scene under projector light, with the truth.
 
 Every pixel is the mean over several rays and, where something moves, over several instants of the exposure. Bands of
 rows are rendered by a few threads; the result does not depend on how many.
@@ -27,17 +27,17 @@ from sim.rig.optics import Optics
 from sim.scene.named_scenes import Scene
 from sim.scene.ray_hits import Surfaces, surfaces
 
-Picture = NDArray[np.uint8] | NDArray[np.uint16]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
 T = TypeVar("T")
 _BAND_ROWS = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedPair:
-    """Pictures of one trigger, in the sensor's encoding, and what is true."""
+    """Images of one trigger, in the sensor's encoding, and what is true."""
 
-    left: Picture
-    right: Picture
+    left: Image
+    right: Image
     truth_left: Truth
     truth_right: Truth
     encoding: str = "rgb8"
@@ -52,26 +52,26 @@ def render_pair(
     seed: int = 0,
     encoding: str = "rgb8",
 ) -> RenderedPair:
-    """Both pictures of one exposure and their truth.
+    """Both images of one exposure and their truth.
 
     Args:
         layout: the rig.
         scene: what stands on the stage.
-        pattern: a fringe (sent through the inverse of the response if the optics say so), or the picture
+        pattern: a fringe (sent through the inverse of the response if the optics say so), or the image
             (H, W, 3) uint8 that the projector shows; then no fringe orders are known.
         optics: light, lenses and sensor; the standard ones if None.
         t_s: start of the exposure in the scene's time.
-        seed: of the noise; the same seed gives the same pictures, bit by bit.
+        seed: of the noise; the same seed gives the same images, bit by bit.
         encoding: ``rgb8`` (three chips), ``bayer_rggb8`` and its kin, ``mono8``, ``mono16``.
     """
     optics = Optics() if optics is None else optics
-    pictures = render_pictures(layout, scene, pattern, optics, t_s, seed, encoding)
+    images = render_images(layout, scene, pattern, optics, t_s, seed, encoding)
     fringe = pattern if isinstance(pattern, ColorFringe) else None
     left, right = truths(layout, scene, fringe, t_s + 0.5e-6 * optics.exposure_us)
-    return RenderedPair(*pictures, left, right, encoding)
+    return RenderedPair(*images, left, right, encoding)
 
 
-def render_pictures(
+def render_images(
     layout: RigLayout,
     scene: Scene,
     pattern: ColorFringe | NDArray[np.uint8],
@@ -79,8 +79,8 @@ def render_pictures(
     t_s: float = 0.0,
     seed: int = 0,
     encoding: str = "rgb8",
-) -> tuple[Picture, Picture]:
-    """The pictures of :func:`render_pair` alone, for a third less time."""
+) -> tuple[Image, Image]:
+    """The images of :func:`render_pair` alone, for a third less time."""
     return with_noise(render_counts(layout, scene, pattern, optics, t_s, encoding), optics, seed, encoding)
 
 
@@ -98,7 +98,7 @@ def render_counts(
     ``rig`` stands for that of the layout and of the optics, when something has happened to it.
     """
     rig = TrueRig.of(layout, optics) if rig is None else rig
-    light = lighting.projected_light(picture_sent(pattern, optics, rig.projector.size), optics)
+    light = lighting.projected_light(image_sent(pattern, optics, rig.projector.size), optics)
     left, right = (
         sensor.exposed(
             light_on_sensor(layout, rig.projector, scene, light, optics, t_s, device),
@@ -114,30 +114,29 @@ def render_counts(
 
 def with_noise(
     counts: tuple[NDArray[np.float32], NDArray[np.float32]], optics: Optics, seed: int, encoding: str
-) -> tuple[Picture, Picture]:
-    """Pictures of noiseless counts; every seed has a noise of its own."""
+) -> tuple[Image, Image]:
+    """Images of noiseless counts; every seed has a noise of its own."""
     left, right = (
-        sensor.read_out(picture, optics, np.random.default_rng([seed, camera]), encoding)
-        for camera, picture in enumerate(counts)
+        sensor.read_out(image, optics, np.random.default_rng([seed, camera]), encoding)
+        for camera, image in enumerate(counts)
     )
     return left, right
 
 
-def picture_sent(pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The picture on the cable to the projector, (H, W, 3) uint8."""
+def image_sent(pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The image on the cable to the projector, (H, W, 3) uint8."""
     if isinstance(pattern, ColorFringe):
         from pipeline.rig.calibration import Response
 
         corrected = optics.precorrected and optics.gamma != 1.0
-        picture = pattern.picture(Response(*optics.response_table()) if corrected else None)
+        image = pattern.image(Response(*optics.response_table()) if corrected else None)
     else:
-        picture = pattern
-    if picture.shape != (size[1], size[0], 3) or picture.dtype != np.uint8:
+        image = pattern
+    if image.shape != (size[1], size[0], 3) or image.dtype != np.uint8:
         raise ValueError(
-            f"the picture to show is {picture.shape} {picture.dtype}, "
-            f"the projector takes ({size[1]}, {size[0]}, 3) uint8"
+            f"the image to show is {image.shape} {image.dtype}, the projector takes ({size[1]}, {size[0]}, 3) uint8"
         )
-    return picture
+    return image
 
 
 def light_on_sensor(

@@ -35,7 +35,7 @@ def blurred(light: Light, optics: Optics) -> Light:
 
 
 def _stretched(light: Light, chromatic: float) -> Light:
-    """Red magnified by 1 - chromatic and blue by 1 + chromatic about the picture's centre."""
+    """Red magnified by 1 - chromatic and blue by 1 + chromatic about the image's centre."""
     rows, columns = light.shape[:2]
     out = light.copy()
     for channel, scale in ((0, 1 - chromatic), (2, 1 + chromatic)):
@@ -66,12 +66,12 @@ def exposed(
     return mosaic(counts, encoding)
 
 
-def mosaic(picture: Light, encoding: str) -> Light:
-    """The mosaic of a colour picture, (H, W, 3) -> (H, W)."""
-    out = np.empty(picture.shape[:2], picture.dtype)
+def mosaic(image: Light, encoding: str) -> Light:
+    """The mosaic of a colour image, (H, W, 3) -> (H, W)."""
+    out = np.empty(image.shape[:2], image.dtype)
     for cell, channel in enumerate(MOSAICS[encoding]):
         row, column = divmod(cell, 2)
-        out[row::2, column::2] = picture[row::2, column::2, channel]
+        out[row::2, column::2] = image[row::2, column::2, channel]
     return out
 
 
@@ -86,7 +86,7 @@ def noise_variance(counts: Light, optics: Optics) -> Light:
 def read_out(
     counts: Light, optics: Optics, rng: np.random.Generator, encoding: str
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """The picture as the sensor gives it, from counts above black: noise, black level, saturation, rounding."""
+    """The image as the sensor gives it, from counts above black: noise, black level, saturation, rounding."""
     if optics.noise > 0:
         grain = rng.standard_normal(counts.shape, dtype=np.float32)
         counts = counts + grain * np.sqrt(noise_variance(counts, optics))

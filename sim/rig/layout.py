@@ -139,7 +139,7 @@ def _looking(device: CameraModel, centre: Array, target: Array) -> CameraModel:
 
 
 def _misplaced(projector: CameraModel, error_px: tuple[float, float]) -> CameraModel:
-    """The projector with wrong columns: a shift, and a stretch that is ``error_px[1]`` at the picture's edges."""
+    """The projector with wrong columns: a shift, and a stretch that is ``error_px[1]`` at the image's edges."""
     shift, stretch = error_px
     if shift == 0 and stretch == 0:
         return projector

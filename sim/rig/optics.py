@@ -1,4 +1,4 @@
-"""Everything between the picture sent and the counts read, as numbers: light, lenses, colours and sensor."""
+"""Everything between the image sent and the counts read, as numbers: light, lenses, colours and sensor."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Optics:
         full_well_e: electrons at 255 counts; 0 = no shot noise.
         read_noise_dn: standard deviation, counts.
         noise: factor on all noise; 0 = no noise and no rounding error other than 8 bit.
-        exposure_us: exposure time; the picture is the mean over it.
+        exposure_us: exposure time; the image is the mean over it.
         supersampling: rays per pixel, along each axis; where something moves, each has an instant of its own.
     """
 
@@ -117,10 +117,10 @@ class Optics:
         levels = np.arange(256.0)
         return levels, np.tile((levels / 255) ** self.gamma, (3, 1))
 
-    def light_of(self, picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Light of a picture sent, (H, W, 3), 0..255, before blur."""
+    def light_of(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Light of an image sent, (H, W, 3), 0..255, before blur."""
         table = (255 * (np.arange(256.0) / 255) ** self.gamma).astype(np.float32)
-        return np.asarray(table[picture])
+        return np.asarray(table[image])
 
     def gain(self, camera: int) -> float:
         """Counts per unit of light times albedo, so that a white board peaks at ``white_dn``."""

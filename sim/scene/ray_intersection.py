@@ -153,7 +153,7 @@ def _ellipse_span(m: Array, ox: float, oy: float, dx: float, dy: float) -> tuple
 def _relief(m: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, floor: float) -> Hit:
     """The solid between z = 0 and z = -depth h(x/a, y/b); dims: a, b, depth, variant, steepest slope, highest point.
 
-    ``floor`` is the least step in mm; shadows afford larger ones than pictures.
+    ``floor`` is the least step in mm; shadows afford larger ones than images.
     """
     half = m[5] / 2
     near, far = _slab(oz + half, dz, half)

@@ -49,7 +49,7 @@ def test_all_files_of_a_take_have_one_stem(name: str, stem: str) -> None:
 
 
 def ledger_of(path: Path, *, swapped: bool) -> Ledger:
-    """What a world would have shown for a take; swapped: the right pictures of the first two triggers."""
+    """What a world would have shown for a take; swapped: the right images of the first two triggers."""
     with TakeReader(path) as reader:
         pairs = list(reader.pairs())
     rights = [pair.right for pair in pairs]

@@ -25,7 +25,7 @@ SMALL = Case("small", "plane", layout=RigLayout().scaled(0.25), periods=24.0)
 
 @pytest.fixture(scope="module")
 def shot(tmp_path_factory: pytest.TempPathFactory) -> Shot:
-    return rendered.shot(SMALL, folder=tmp_path_factory.mktemp("pictures"))
+    return rendered.shot(SMALL, folder=tmp_path_factory.mktemp("images"))
 
 
 @pytest.fixture(scope="module")
@@ -72,13 +72,13 @@ def test_the_mean_of_equal_scores_is_each_of_them(shot: Shot) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_pictures_are_shown_without_a_jump(count: int) -> None:
+def test_images_are_shown_without_a_jump(count: int) -> None:
     shown = list(itertools.islice(there_and_back(count), 4 * count + 1))
     assert set(shown) == set(range(count))
     assert all(abs(b - a) == min(1, count - 1) for a, b in itertools.pairwise(shown))
 
 
-def test_pictures_are_rendered_once_and_depth_does_not_matter(tmp_path: Path) -> None:
+def test_images_are_rendered_once_and_depth_does_not_matter(tmp_path: Path) -> None:
     case = replace(SMALL, layout=RigLayout().scaled(0.05), periods=4.0)
     first = rendered.shot(case, folder=tmp_path)
     deeper = replace(case, layout=replace(case.layout, depth_mm=300.0))
@@ -113,6 +113,6 @@ def test_a_job_is_timed_in_a_process_of_its_own(shot: Shot, tmp_path: Path, opti
     timing = timed(SMALL, [shot], 1, 3, clouds=tmp_path, **options)
     assert len(timing.total_ms) == 3 and all(len(ms) == 3 for ms in timing.stage_ms.values())
     assert sum(ms[0] for ms in timing.stage_ms.values()) <= timing.total_ms[0] + 1e-3
-    assert timing.peak_mib > timing.pictures_mib > 0 and timing.ready_s > 0
+    assert timing.peak_mib > timing.images_mib > 0 and timing.ready_s > 0
     cloud = np.load(tmp_path / "0.npy")
     assert scored(cloud, shot.truth_left, int(options.get("every", 1))).reconstructed > 0.9  # type: ignore[call-overload]

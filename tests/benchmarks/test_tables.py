@@ -26,7 +26,7 @@ def table() -> Table:
 
 def timing(scale: float) -> Timing:
     stages = {"decode": [scale, 3 * scale, 2 * scale], "orders": [4 * scale] * 3}
-    return Timing([6 * scale, 5 * scale, 70 * scale], stages, ready_s=1.0, peak_mib=300.0, pictures_mib=5.0)
+    return Timing([6 * scale, 5 * scale, 70 * scale], stages, ready_s=1.0, peak_mib=300.0, images_mib=5.0)
 
 
 def test_a_row_has_a_cell_for_every_heading(table: Table) -> None:
@@ -81,8 +81,8 @@ def test_the_document_has_a_block_for_every_table(tmp_path: Path) -> None:
     written = copy.read_text()
     assert [name for name in names if f"### Title of {name}\n" not in written] == []
     assert sorted(re.findall(r"<!-- measured: ([a-z ]+) \(", written)) == sorted(names)
-    for picture in re.findall(r"\(pictures/(.+?)\)", written):
-        assert re.fullmatch(r"bench-(stages|peers|pixels|periods|depth)\.svg", picture)
+    for image in re.findall(r"\(images/(.+?)\)", written):
+        assert re.fullmatch(r"bench-(stages|peers|pixels|periods|depth)\.svg", image)
 
 
 def test_stages_have_median_and_worst_and_the_whole_its_rate() -> None:

@@ -1,4 +1,4 @@
-"""The cloud that a subscriber gets of the box errs as much as one of pictures that never left the simulator."""
+"""The cloud that a subscriber gets of the box errs as much as one of images that never left the simulator."""
 
 from __future__ import annotations
 

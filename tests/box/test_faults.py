@@ -107,21 +107,21 @@ def test_the_projector_window_and_the_x_server_die_and_come_back(make_box: Calla
     box = make_box(scene="plane", layout={"scale": 0.125})
     with Daemon(box) as daemon:
         daemon.step_until_pair()
-        pattern = box.world.ledger.last.picture
+        pattern = box.world.ledger.last.image
         projector = daemon.rig.projector
         os.kill(projector.window_pid, signal.SIGKILL)
         wait_until(lambda: "projector" in daemon.reasons(), 30, "the loss of the window")
         daemon.step_patiently(3)
         wait_until(lambda: daemon.state() == "running", 30, "the window's return")
         daemon.step_until_pair()
-        assert box.world.ledger.last.picture == pattern
+        assert box.world.ledger.last.image == pattern
         box.server.kill()
         wait_until(lambda: "projector" in daemon.reasons(), 30, "the loss of the X server")
         dark = daemon.step_until_pair()
         assert box.world.ledger.last.dark and box.world.ledger.last.index == dark
         box.server.restart()
         wait_until(lambda: daemon.state() == "running", 60, "the projector's return")
-        wait_until(lambda: box.world.step().picture == pattern, 30, "the pattern")
+        wait_until(lambda: box.world.step().image == pattern, 30, "the pattern")
         daemon.step_until_pair()
         assert not box.world.ledger.last.dark
         assert no_wrong_pair(daemon)

@@ -41,11 +41,11 @@ def devices(box: Box) -> Iterator[tuple[OutputProjector, dict[Side, Camera]]]:
         projector.close()
 
 
-def pictures(box: Box) -> list[np.ndarray]:
+def images(box: Box) -> list[np.ndarray]:
     """White, the fringes, and noise that no scene and no fringe resembles."""
     width, height = box.options.layout.projector_size
     noise = np.random.default_rng(8).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    return [np.full_like(noise, 255), box.options.layout.pattern().picture(), noise]
+    return [np.full_like(noise, 255), box.options.layout.pattern().image(), noise]
 
 
 @pytest.mark.slow
@@ -54,17 +54,17 @@ def test_frames_are_what_was_shown_and_pairs_are_right(make_box: Callable[..., B
     box = make_box(encoding=encoding)
     optics, layout = box.options.simulation.optics, box.options.layout
     moving = Stage(layout, named_scenes.build("moving"), optics, encoding=encoding, instants_s=(0.0, 0.8, 1.7))
-    shown_pictures, pairer, told = pictures(box), Pairer(PairingSettings(tolerance_ns=500_000)), Counter[str]()
+    shown_images, pairer, told = images(box), Pairer(PairingSettings(tolerance_ns=500_000)), Counter[str]()
     with devices(box) as (projector, cameras):
         for index in range(TRIGGERS):
             if index % 10 == 0:
-                projector.show(shown_pictures[index // 10 % len(shown_pictures)])
+                projector.show(shown_images[index // 10 % len(shown_images)])
                 assert projector.problem() == ""
             if index == TRIGGERS // 2:
                 box.world.put_on_stage(moving, instants=3)
             shown = box.world.step()
             assert not shown.dark
-            told[shown.picture.hex()] += 1
+            told[shown.image.hex()] += 1
             for side in SIDES:
                 frame = cameras[side].read(10.0)
                 assert frame is not None and frame.encoding == encoding

@@ -1,4 +1,4 @@
-"""Relighting agrees with the renderer for any picture, scene, encoding and optics, and is linear in the light."""
+"""Relighting agrees with the renderer for any image, scene, encoding and optics, and is linear in the light."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ CASES = {
 }
 
 
-def pictures() -> dict[str, np.ndarray]:
+def images() -> dict[str, np.ndarray]:
     width, height = SMALL.projector_size
     noise = np.random.default_rng(4).integers(0, 256, (height, width, 3), dtype=np.uint8)
     edges = np.zeros_like(noise)
     edges[[0, -1]] = edges[:, [0, -1]] = 255
-    return {"fringes": SMALL.pattern().picture(), "noise": noise, "edges": edges, "black": np.zeros_like(noise)}
+    return {"fringes": SMALL.pattern().image(), "noise": noise, "edges": edges, "black": np.zeros_like(noise)}
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_any_picture_looks_as_the_renderer_has_it(case: str) -> None:
+def test_any_image_looks_as_the_renderer_has_it(case: str) -> None:
     name, optics, encoding, t_s = CASES[case]
     scene = named_scenes.build(name, seed=2)
     stage = Stage(SMALL, scene, optics, encoding=encoding, instants_s=(t_s,))
-    for picture in pictures().values():
-        expected = render_pair.render_counts(SMALL, scene, picture, optics, t_s, encoding)
-        for lit, rendered in zip(stage.counts(picture), expected, strict=True):
+    for image in images().values():
+        expected = render_pair.render_counts(SMALL, scene, image, optics, t_s, encoding)
+        for lit, rendered in zip(stage.counts(image), expected, strict=True):
             assert lit.dtype == np.float32 and lit.shape == rendered.shape
             assert np.abs(lit - rendered).max() < 2e-3
         noisy = render_pair.with_noise(expected, optics, 9, encoding)
-        for made, wanted in zip(stage.pictures(stage.counts(picture), 9), noisy, strict=True):
+        for made, wanted in zip(stage.images(stage.counts(image), 9), noisy, strict=True):
             assert np.abs(made.astype(np.int64) - wanted).max() <= 1
             assert np.mean(made != wanted) < 1e-3 if made.dtype == np.uint8 else True
 
@@ -49,15 +49,15 @@ def test_light_adds_up() -> None:
     optics = Optics()
     stage = Stage(SMALL, named_scenes.build("mixed"), optics)
     rng = np.random.default_rng(1)
-    one, other = (rng.integers(0, 128, pictures()["noise"].shape, dtype=np.uint8) for _ in range(2))
+    one, other = (rng.integers(0, 128, images()["noise"].shape, dtype=np.uint8) for _ in range(2))
     dark, first, second, both = (stage.counts(p)[0] for p in (np.zeros_like(one), one, other, one + other))
     assert np.abs((both - dark) - (first - dark) - (second - dark)).max() < 2e-3
 
 
 def test_the_noise_depends_on_the_seed_alone() -> None:
     stage = Stage(SMALL, named_scenes.build("plane"))
-    counts = stage.counts(pictures()["fringes"])
-    first, again, other = (stage.pictures(counts, seed)[1] for seed in (5, 5, 6))
+    counts = stage.counts(images()["fringes"])
+    first, again, other = (stage.images(counts, seed)[1] for seed in (5, 5, 6))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -66,7 +66,7 @@ def test_instants_go_round_and_a_scene_at_rest_needs_one() -> None:
     times = (0.0, 1.0, 2.0)
     moving, still = (Stage(SMALL, named_scenes.build(name), instants_s=times) for name in ("moving", "plane"))
     assert (moving.instants_s, still.instants_s) == (times, (0.0,))
-    white = np.full_like(pictures()["black"], 255)
+    white = np.full_like(images()["black"], 255)
     pics = [moving.counts(white, instant)[0] for instant in range(4)]
     assert np.array_equal(pics[0], pics[3])
     assert not np.array_equal(pics[0], pics[1])
@@ -77,5 +77,5 @@ def test_mistakes_are_told() -> None:
         Stage(SMALL, named_scenes.build("plane"), encoding="yuv")
     with pytest.raises(ValueError, match="instants_s is empty"):
         Stage(SMALL, named_scenes.build("plane"), instants_s=())
-    with pytest.raises(ValueError, match=r"the picture to show is \(4, 4, 3\)"):
+    with pytest.raises(ValueError, match=r"the image to show is \(4, 4, 3\)"):
         Stage(SMALL, named_scenes.build("plane")).counts(np.zeros((4, 4, 3), np.uint8))

@@ -1,4 +1,4 @@
-"""A rig without light for tests of the daemon: the simulated world's triggers over pictures of nothing."""
+"""A rig without light for tests of the daemon: the simulated world's triggers over images of nothing."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ SMALL = {"frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}}
 
 
 class Noise:
-    """Pictures of the size that is asked for."""
+    """Images of the size that is asked for."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         rng = np.random.default_rng(3)
-        self._pictures = [rng.integers(40, 200, (*size[::-1], 3), dtype=np.uint8) for _ in range(2)]
-        for picture in self._pictures:
-            picture.setflags(write=False)
+        self._images = [rng.integers(40, 200, (*size[::-1], 3), dtype=np.uint8) for _ in range(2)]
+        for image in self._images:
+            image.setflags(write=False)
 
     def pair(self, index: int) -> tuple[Any, Any]:  # noqa: ARG002 - the protocol's
-        return self._pictures[0], self._pictures[1]
+        return self._images[0], self._images[1]
 
 
 def devices(**options: Any) -> RigDevices:
     """A stepped simulated rig that renders nothing."""
     merged = SMALL | options
     size = open_rig_size(merged)
-    return open_rig(merged, Path(), pictures=Noise(size), clock=SteppedClock())
+    return open_rig(merged, Path(), images=Noise(size), clock=SteppedClock())
 
 
 class SteppedClock:

@@ -1,4 +1,4 @@
-"""A daemon over pictures of nothing, with files that can be changed and reloaded."""
+"""A daemon over images of nothing, with files that can be changed and reloaded."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Listening(Collector):
 
 
 class Running:
-    """A daemon over pictures of nothing, with its files."""
+    """A daemon over images of nothing, with its files."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.devices = path, devices()

@@ -45,8 +45,8 @@ class Projector:
     def open(self) -> ProjectorInfo:
         return ProjectorInfo("none", PROJECTOR, 0.0)
 
-    def show(self, picture: Any) -> None:
-        assert picture.dtype == np.uint8
+    def show(self, image: Any) -> None:
+        assert image.dtype == np.uint8
 
     def problem(self) -> str:
         return ""

@@ -185,7 +185,7 @@ def test_takes_go_to_another_directory_after_a_reload(running: Running) -> None:
     assert "elsewhere" in running.call("snapshot")["file"]
 
 
-def test_another_projected_picture_needs_a_restart(running: Running) -> None:
+def test_another_projected_image_needs_a_restart(running: Running) -> None:
     other = ColorFringe(size=running.service.rig.pattern.size, periods=7)
     running.service.rig = replace(running.service.rig, pattern=other)
     try:
@@ -208,7 +208,7 @@ def test_no_reload_while_a_take_is_written(running: Running) -> None:
         running.call("record.stop")
 
 
-def test_no_reload_while_pictures_are_captured(running: Running) -> None:
+def test_no_reload_while_images_are_captured(running: Running) -> None:
     class Busy:
         active = True
 

@@ -16,7 +16,7 @@ NOW_NS = 1_700_000_000_000_000_000
 
 
 class Bench:
-    """Time, light and triggers: time passes only while a frame is waited for or a picture is flipped."""
+    """Time, light and triggers: time passes only while a frame is waited for or an image is flipped."""
 
     def __init__(self, *, latency_ms: float, period_ms: float, refresh_hz: float = 60.0, white: float = 180.0) -> None:
         self.now_ns, self.latency_ns, self.period_ns = NOW_NS, round(1e6 * latency_ms), round(1e6 * period_ms)
@@ -46,10 +46,10 @@ class Bench:
     def open(self) -> ProjectorInfo:
         return ProjectorInfo("bench", (32, 24), self.refresh_hz)
 
-    def show(self, picture: Any) -> None:
-        assert picture.shape == (24, 32, 3)
+    def show(self, image: Any) -> None:
+        assert image.shape == (24, 32, 3)
         self.pass_until(self.now_ns + 7_300_000)
-        self.changes.append((self.now_ns + self.latency_ns, int(picture[0, 0, 0])))
+        self.changes.append((self.now_ns + self.latency_ns, int(image[0, 0, 0])))
 
     def problem(self) -> str:
         return ""
@@ -115,7 +115,7 @@ def test_a_driver_that_knows_the_flip_is_believed() -> None:
 
 def test_a_flash_that_nobody_sees_and_frames_that_never_come_are_told_and_everything_is_closed() -> None:
     dark = Bench(latency_ms=1.0, period_ms=10.0, white=5.0)
-    with pytest.raises(DriverError, match=r"the flash is not seen \(the dark picture has 12\.0 counts\)"):
+    with pytest.raises(DriverError, match=r"the flash is not seen \(the dark image has 12\.0 counts\)"):
         measured(dark)
     deaf = Bench(latency_ms=1.0, period_ms=10.0)
     deaf.cameras["right"].deaf = True

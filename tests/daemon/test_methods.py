@@ -99,7 +99,7 @@ def test_a_take_begins_once_and_ends(methods: Methods) -> None:
 def test_patterns_are_shown_by_name(methods: Methods) -> None:
     assert call(methods, "pattern.show", name="black") == {"shown": "black"}
     assert call(methods, "pattern.show") == {"shown": "fringe"}
-    with pytest.raises(RpcError, match="no picture"):
+    with pytest.raises(RpcError, match="no image"):
         call(methods, "pattern.show", name="plaid")
     with pytest.raises(RpcError, match="simulated"):
         call(methods, "pattern.show", name="white")

@@ -70,7 +70,7 @@ def test_without_leave_pairs_are_skipped_for_ever() -> None:
     assert rig.overload.every == 1 and rig.changes == 0 and rig.drops > 100
 
 
-def test_a_slower_trigger_brings_the_full_picture_back_after_seconds() -> None:
+def test_a_slower_trigger_brings_the_full_image_back_after_seconds() -> None:
     rig = Rig()
     rig.run(10, rate_hz=30)
     rig.run(2, rate_hz=10)

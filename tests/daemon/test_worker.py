@@ -1,4 +1,4 @@
-"""The worker: which pairs follow the one before, half pictures under overload, and errors that harm one pair only."""
+"""The worker: which pairs follow the one before, half images under overload, and errors that harm one pair only."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CLOUD = Cloud(
 
 @dataclass
 class Stub:
-    """Notes how it is called; a picture of 1 is refused; ``gate`` holds it up."""
+    """Notes how it is called; an image of 1 is refused; ``gate`` holds it up."""
 
     calls: list[tuple[int, bool]] = field(default_factory=list)
     gate: threading.Semaphore | None = None
@@ -109,7 +109,7 @@ def test_without_the_temporal_prior_every_pair_stands_alone() -> None:
 
 
 @pytest.mark.parametrize(("overload", "every"), [("half", 2), ("skip", 1)])
-def test_dropped_pairs_bring_half_pictures_where_that_is_wanted(overload: str, every: int) -> None:
+def test_dropped_pairs_bring_half_images_where_that_is_wanted(overload: str, every: int) -> None:
     line = Line(overload=overload)
     line.stub.gate = threading.Semaphore(0)
     line.start()

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
 
 PERIOD_NS = 33_000_000
-_PICTURE = np.zeros((1, 1), np.uint8)
+_IMAGE = np.zeros((1, 1), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -79,4 +79,4 @@ def _deliver(side: Side, k: int, number: int, faults: Faults, rng: np.random.Gen
 
 def _frame(side: Side, number: int, t_ns: int, delay_ns: int) -> Frame:
     t_ns += 1_000_000_000_000
-    return Frame(side, number % TRIGGER_MODULUS, t_ns, t_ns + delay_ns, "mono8", _PICTURE)
+    return Frame(side, number % TRIGGER_MODULUS, t_ns, t_ns + delay_ns, "mono8", _IMAGE)

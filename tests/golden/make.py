@@ -11,7 +11,7 @@ from daemon.live.items import PairItem
 from daemon.recording.write.take_writer import TakeWriter
 from daemon.rig.calibration_file import write_calibration
 from drivers.protocols import Frame
-from sim.render.render_pair import render_pictures
+from sim.render.render_pair import render_images
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
@@ -35,11 +35,11 @@ def main() -> None:
         compression="zstd", min_free_bytes=0,
     )  # fmt: skip
     for number in range(2):
-        pictures = render_pictures(layout, build("moving"), pattern, optics, t_s=0.4 * number, seed=number)
+        images = render_images(layout, build("moving"), pattern, optics, t_s=0.4 * number, seed=number)
         t_ns = T0_NS + number * 400_000_000
         left, right = (
             Frame(side, number, t_ns, t_ns + 10_000_000, "rgb8", image, optics.exposure_us)
-            for side, image in zip(("left", "right"), pictures, strict=True)
+            for side, image in zip(("left", "right"), images, strict=True)
         )
         writer.offer(PairItem(left, right))
     writer.close()

@@ -88,7 +88,7 @@ def test_the_light_of_a_pair_is_looked_at(watch: Health, clock: Clock) -> None:
     assert watch.monitor.values["saturated_right"] == 0.0 and watch.monitor.values["coverage_lit"] == 1.0
 
 
-def test_pictures_that_cannot_be_looked_at_are_told_and_the_seconds_go_on(watch: Health, clock: Clock) -> None:
+def test_images_that_cannot_be_looked_at_are_told_and_the_seconds_go_on(watch: Health, clock: Clock) -> None:
     item = cloud(1, clock.realtime_ns())
     clock.move(1.0)
     watch.offer(replace(item, left=replace(item.left, image=np.zeros(3, np.uint8))))
@@ -127,7 +127,7 @@ def test_the_metrics_are_served(watch: Health, clock: Clock) -> None:
         assert line.startswith("# ") or float(line.rsplit(" ", 1)[1]) is not None
 
 
-def test_the_pictures_are_made_from_what_the_methods_tell(watch: Health, clock: Clock) -> None:
+def test_the_images_are_made_from_what_the_methods_tell(watch: Health, clock: Clock) -> None:
     import xml.etree.ElementTree as ET
 
     import cv2
@@ -140,11 +140,11 @@ def test_the_pictures_are_made_from_what_the_methods_tell(watch: Health, clock: 
     html = page.html(shown).decode()
     ET.fromstring(html.split("\n", 1)[1])
     assert "latency 300 ms, more than 100 ms" in html and "nan" not in html
-    picture = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
-    assert picture is not None and picture.shape[1] == 2 * 1160 and len(np.unique(picture)) > 50
+    image = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None and image.shape[1] == 2 * 1160 and len(np.unique(image)) > 50
 
 
-def test_without_fonts_the_picture_is_drawn_with_strokes(
+def test_without_fonts_the_image_is_drawn_with_strokes(
     watch: Health, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import cv2
@@ -153,11 +153,11 @@ def test_without_fonts_the_picture_is_drawn_with_strokes(
     seconds(watch, clock, 12)
     table = HealthMethods(watch).table()
     shown = panels.ask(lambda name, /, **params: table[name](params), 60.0)
-    picture = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
-    assert picture is not None and (picture[:100] < 128).any()
+    image = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None and (image[:100] < 128).any()
 
 
-def test_pictures_of_a_daemon_that_has_just_begun(watch: Health) -> None:
+def test_images_of_a_daemon_that_has_just_begun(watch: Health) -> None:
     table = HealthMethods(watch).table()
     shown = panels.ask(lambda name, /, **params: table[name](params), 600.0)
     assert not shown.panels() and b"nothing is known" in page.html(shown) and page.png(shown)

@@ -28,13 +28,13 @@ def pair(scene, number=0, encoding="rgb8"):
     return render_pair(LAYOUT, build(scene), pattern, Optics(), time, noise, encoding)
 
 
-def pictures(rendered, axis="x"):
-    """Left and right picture of a rendered pair; axis y: mirrored at the diagonal, so that its fringes lie."""
+def images(rendered, axis="x"):
+    """Left and right image of a rendered pair; axis y: mirrored at the diagonal, so that its fringes lie."""
     pair = rendered.left, rendered.right
     shown = pair if axis == "x" else tuple(np.ascontiguousarray(p.swapaxes(0, 1)) for p in pair)
     # Read-only, as the reconstruction has them: for others the kernels that decode would be compiled once more.
-    for picture in shown:
-        picture.setflags(write=False)
+    for image in shown:
+        image.setflags(write=False)
     return shown
 
 

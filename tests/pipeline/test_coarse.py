@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.evaluate.score import RIGHT_MM, score
-from tests.pipeline.small import pair, pictures, reconstructor, same, upright
+from tests.pipeline.small import images, pair, reconstructor, same, upright
 
 AXES = pytest.mark.parametrize("axis", ["x", "y"])
 SCENES = pytest.mark.parametrize("scene", ["mixed", "moving"])
@@ -16,8 +16,8 @@ SCENES = pytest.mark.parametrize("scene", ["mixed", "moving"])
 def clouds(axis, scene):
     """The cloud of all pixels and that of every second one."""
     rendered, found = pair(scene), reconstructor(axis)
-    full = found.reconstruct(*pictures(rendered, axis))
-    return full, found.reconstruct(*pictures(rendered, axis), every=2)
+    full = found.reconstruct(*images(rendered, axis))
+    return full, found.reconstruct(*images(rendered, axis), every=2)
 
 
 @AXES
@@ -56,7 +56,7 @@ def test_they_cover_about_as_much_and_err_as_seldom(axis, scene):
         error = np.linalg.norm(xyz[part] - truth.xyz[part], axis=-1)
         return (error < RIGHT_MM)[scorable].mean()
 
-    # Borders are twice as wide for the gates, and this small picture has many: up to two points are theirs.
+    # Borders are twice as wide for the gates, and this small image has many: up to two points are theirs.
     assert abs(covered(half) - covered(full)) < 0.03
     assert score(half, truth).wrong < score(full, truth).wrong + 0.002
 
@@ -64,7 +64,7 @@ def test_they_cover_about_as_much_and_err_as_seldom(axis, scene):
 @AXES
 def test_resolutions_may_alternate(axis):
     full, half = clouds(axis, "mixed")
-    found, shown = reconstructor(axis), pictures(pair("mixed"), axis)
+    found, shown = reconstructor(axis), images(pair("mixed"), axis)
     for _ in range(2):
         assert same(found.reconstruct(*shown, every=2), half)
         assert same(found.reconstruct(*shown), full)

@@ -1,4 +1,4 @@
-"""The gates agree with plain definitions on small pictures, whatever the number of threads."""
+"""The gates agree with plain definitions on small images, whatever the number of threads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHAPES = [(1, 1), (5, 7), (40, 33), (70, 90)]
 
 
 def _blobs(rng: np.random.Generator, shape: tuple[int, int], share: float) -> Any:
-    """A picture of 0 and 1 with areas and single pixels."""
+    """An image of 0 and 1 with areas and single pixels."""
     coarse = rng.random((shape[0] // 6 + 1, shape[1] // 6 + 1)) < share
     fine = np.kron(coarse, np.ones((6, 6), bool))[: shape[0], : shape[1]]
     return (fine ^ (rng.random(shape) < 0.03)).astype(np.uint8)

@@ -62,7 +62,7 @@ def test_a_cropped_camera_sees_the_same_rays():
     assert np.abs(part.rays() - left.rays()[30:110, 40:140]).max() < 1e-12
 
 
-def test_swapping_the_cameras_moves_the_world_not_the_pictures():
+def test_swapping_the_cameras_moves_the_world_not_the_images():
     calibration, world = rig(), points(100)
     swapped = calibration.swapped()
     moved = world @ calibration.right.rotation.T + calibration.right.translation
@@ -92,7 +92,7 @@ def test_ray_tables_follow_the_full_models_closely(axis):
         truths = projector[..., first], projector[..., 1 - first], right[..., first], right[..., 1 - first]
         # Across the growth of the phase whole pixels serve.
         for value, truth, most in zip(found, truths, (0.1, 0.2, 0.1, 0.2), strict=True):
-            near = np.abs(truth - 140) < 150  # far outside the picture no one asks
+            near = np.abs(truth - 140) < 150  # far outside the image no one asks
             assert np.abs(np.where(near, value - truth, 0)).max() < most
 
 

@@ -93,7 +93,7 @@ def test_the_channels_angles_are_the_phases_of_where_their_light_comes_from():
     angles = channel_angles(calibration, PATTERN, calibration.left_color, 1400.0, pixels)
     rays = np.concatenate([calibration.left.normalise(pixels), np.ones((3, 1))], axis=1)
     for k in (0, 2):
-        # Light that leaves the projector at p lands at p + offset and is seen displaced in the picture.
+        # Light that leaves the projector at p lands at p + offset and is seen displaced in the image.
         shift = LATERAL.at(calibration.left, pixels)[k]
         from_green = np.concatenate([calibration.left.normalise(pixels - shift), np.ones((3, 1))], axis=1)
         landed = calibration.projector.project(1400 * from_green)
@@ -119,12 +119,12 @@ def test_without_either_there_is_no_table():
 
 
 def angles_at(v, u, shape):
-    """Angles of red and blue that change over the picture, (3, ...)."""
+    """Angles of red and blue that change over the image, (3, ...)."""
     x, y = 2 * u / shape[1] - 1, 2 * v / shape[0] - 1
     return np.stack([0.05 + 0.15 * x - 0.04 * y, 0 * x, 0.02 - 0.12 * x + 0.05 * x * y])
 
 
-def turned_picture(phase, encoding):
+def turned_image(phase, encoding):
     v, u = np.mgrid[0 : phase.shape[0], 0 : phase.shape[1]].astype(float)
     delta = np.array(SHIFTS)[:, None, None] + angles_at(v, u, phase.shape)
     light = np.moveaxis(80 + 70 * np.cos(phase + delta) + 20, 0, -1)
@@ -142,7 +142,7 @@ def turns_for(shape):
 @pytest.mark.parametrize("radius", [1, 2])
 def test_turned_channels_give_the_phase_of_the_unturned(encoding, radius):
     phase = smooth_phase()
-    raw = turned_picture(phase, encoding)
+    raw = turned_image(phase, encoding)
     plain = decoder(encoding, window_radius=radius).decode(raw)
     before = np.abs(wrapped(plain.phase - phase)[INNER]).max()
     straight = Decoder(

@@ -27,11 +27,11 @@ def fringes(amplitude: tuple[float, ...] = AMPLITUDE, *, period: float = PERIOD,
     return np.clip(np.round(mean[..., None] + np.stack(waves, -1) + noise), 0, 255).astype(np.uint8)
 
 
-def mosaic(picture: Any, encoding: str) -> Any:
-    raw = np.zeros(picture.shape[:2], np.uint8)
+def mosaic(image: Any, encoding: str) -> Any:
+    raw = np.zeros(image.shape[:2], np.uint8)
     for down in (0, 1):
         for across in (0, 1):
-            raw[down::2, across::2] = picture[down::2, across::2, BAYER[encoding][down][across]]
+            raw[down::2, across::2] = image[down::2, across::2, BAYER[encoding][down][across]]
     return raw
 
 
@@ -42,8 +42,8 @@ def lit(value: int = 40, every: int = 1) -> Any:
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("encoding", ["rgb8", *BAYER])
 def test_the_amplitude_of_every_channel_is_found(encoding: str, axis: str) -> None:
-    picture = fringes(axis=axis)
-    raw = picture if encoding == "rgb8" else mosaic(picture, encoding)
+    image = fringes(axis=axis)
+    raw = image if encoding == "rgb8" else mosaic(image, encoding)
     seen = lighting(raw, encoding, lit(), period_px=PERIOD, axis=axis)
     assert seen.clipped == (0.0, 0.0, 0.0)
     assert seen.amplitude == pytest.approx(AMPLITUDE, rel=0.1)
@@ -61,9 +61,9 @@ def test_a_surface_without_fringes_has_hardly_any_amplitude() -> None:
 
 
 def test_clipped_samples_are_counted_by_channel() -> None:
-    picture = fringes()
-    picture[:, : WIDTH // 4, 1] = 255
-    assert lighting(picture, "rgb8", lit(), period_px=PERIOD).clipped == pytest.approx((0, 0.25, 0))
+    image = fringes()
+    image[:, : WIDTH // 4, 1] = 255
+    assert lighting(image, "rgb8", lit(), period_px=PERIOD).clipped == pytest.approx((0, 0.25, 0))
 
 
 def test_where_there_is_no_light_nothing_is_known() -> None:
@@ -71,7 +71,7 @@ def test_where_there_is_no_light_nothing_is_known() -> None:
     assert all(math.isnan(value) for value in seen.amplitude)
 
 
-def test_half_measured_and_monochrome_pictures_are_looked_at_too() -> None:
+def test_half_measured_and_monochrome_images_are_looked_at_too() -> None:
     assert lighting(fringes(), "rgb8", lit(every=2), period_px=PERIOD, every=2).amplitude == pytest.approx(
         AMPLITUDE, rel=0.1
     )
@@ -81,10 +81,10 @@ def test_half_measured_and_monochrome_pictures_are_looked_at_too() -> None:
     assert lighting(deep, "mono16", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
 
 
-def test_a_picture_of_a_few_pixels_is_no_error() -> None:
+def test_an_image_of_a_few_pixels_is_no_error() -> None:
     for size in ((2, 3), (5, 40)):
-        picture = np.zeros((*size, 3), np.uint8)
-        assert len(lighting(picture, "rgb8", picture[..., 0], period_px=PERIOD).amplitude) == 3
+        image = np.zeros((*size, 3), np.uint8)
+        assert len(lighting(image, "rgb8", image[..., 0], period_px=PERIOD).amplitude) == 3
 
 
 def test_the_period_is_that_of_the_rig() -> None:

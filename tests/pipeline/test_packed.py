@@ -61,7 +61,7 @@ def test_what_is_beyond_the_range_is_cut_off_with_its_sign(scale):
     assert im.tolist() == [-MOST] * 4 + [MOST] * 4
 
 
-def test_the_range_holds_every_phasor_of_an_eight_bit_picture():
+def test_the_range_holds_every_phasor_of_an_eight_bit_image():
     assert MOST / PHASOR_SCALE >= 255
 
 
@@ -72,7 +72,7 @@ def test_nan_becomes_zero_and_leaves_the_other_part_alone(scale):
     assert im.tolist() == [2 * scale, 0, 0]
 
 
-def test_rows_and_pictures_are_unpacked_alike():
+def test_rows_and_images_are_unpacked_alike():
     rng = np.random.default_rng(6)
     plane = there(*rng.uniform(-200, 200, (2, 600)), PHASOR_SCALE)
     re, im = back(plane)

@@ -23,7 +23,7 @@ def decode(channels, shifts):
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("profile", [False, True])
 @pytest.mark.parametrize("shifts", [(-2 * np.pi / 3, 0.0, 2 * np.pi / 3), (0.1, 1.9, 4.0)])
-def test_the_phase_of_every_column_comes_back_from_the_picture(axis, profile, shifts):
+def test_the_phase_of_every_column_comes_back_from_the_image(axis, profile, shifts):
     length = 1280 if axis == "x" else 1024
     table = modulated_profile(length, 96) if profile else None
     pattern = ColorFringe(axis=axis, shifts=shifts, profile=table)
@@ -32,7 +32,7 @@ def test_the_phase_of_every_column_comes_back_from_the_picture(axis, profile, sh
     assert np.abs(wrapped(np.arctan2(s, c) - pattern.phase)).max() < 1e-9
     assert np.abs(mean - pattern.mean).max() < 1e-9
     assert np.abs(np.hypot(c, s) - pattern.amplitude).max() < 1e-9
-    quantised = pattern.picture()[0] if axis == "x" else pattern.picture()[:, 0]
+    quantised = pattern.image()[0] if axis == "x" else pattern.image()[:, 0]
     _, c, s = decode(quantised.astype(float), shifts).T
     assert np.abs(wrapped(np.arctan2(s, c) - pattern.phase)).max() < 0.012
 
@@ -61,7 +61,7 @@ def test_a_pattern_sent_through_its_response_gives_the_light_asked_for():
     pattern = ColorFringe(amplitude=100.0)
     drive = response.drive(pattern.light())
     assert np.abs(response.light(drive) - pattern.light()).max() < 1e-6
-    sent = response.light(pattern.picture(response).astype(float))
+    sent = response.light(pattern.image(response).astype(float))
     assert np.abs(sent - pattern.light()).max() < 2.0
 
 

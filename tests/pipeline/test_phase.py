@@ -1,4 +1,4 @@
-"""Laws of the decoders, three-chip and mosaic, on pictures made here from the formulas alone."""
+"""Laws of the decoders, three-chip and mosaic, on images made here from the formulas alone."""
 
 import cv2
 import numba
@@ -35,7 +35,7 @@ def light(phase, albedo=1.0, ambient=20.0, mean=80.0, amplitude=70.0):
     return np.asarray(albedo)[..., None] * (waves + ambient) if np.ndim(albedo) else albedo * (waves + ambient)
 
 
-def picture(phase, noise=0.0, seed=0, color=COLOR, **kwargs):
+def image(phase, noise=0.0, seed=0, color=COLOR, **kwargs):
     counts = light(phase, **kwargs) @ color.crosstalk.T + color.black
     counts = counts + noise * np.random.default_rng(seed).standard_normal(counts.shape)
     return np.clip(np.rint(counts), 0, 255).astype(np.uint8)
@@ -57,9 +57,9 @@ INNER = (slice(8, -8), slice(16, -16))
 
 
 @pytest.mark.parametrize("radius", [0, 1, 2])
-def test_a_three_chip_picture_gives_the_phase_it_was_made_of(radius):
+def test_a_three_chip_image_gives_the_phase_it_was_made_of(radius):
     phase = smooth_phase()
-    found = decoder(window_radius=radius).decode(picture(phase))
+    found = decoder(window_radius=radius).decode(image(phase))
     error = wrapped(found.phase - phase)[INNER]
     assert np.abs(error).max() < 0.03
     assert found.valid[INNER].all()
@@ -70,7 +70,7 @@ def test_a_three_chip_picture_gives_the_phase_it_was_made_of(radius):
 @pytest.mark.parametrize("radius", [1, 2])
 def test_a_mosaic_gives_the_same_phase_without_demosaicing(encoding, radius):
     phase = smooth_phase()
-    found = decoder(encoding, window_radius=radius).decode(mosaic(picture(phase), encoding))
+    found = decoder(encoding, window_radius=radius).decode(mosaic(image(phase), encoding))
     assert np.abs(wrapped(found.phase - phase)[INNER]).max() < 0.05
     assert np.abs(found.mean[INNER] - 100.0).max() < 3
 
@@ -79,12 +79,12 @@ def test_a_mosaic_gives_the_same_phase_without_demosaicing(encoding, radius):
 @pytest.mark.parametrize("ambient", [0.0, 40.0])
 def test_the_phase_knows_neither_albedo_nor_ambient_light(albedo, ambient):
     phase = smooth_phase()
-    found = decoder().decode(picture(phase, albedo=albedo, ambient=ambient))
+    found = decoder().decode(image(phase, albedo=albedo, ambient=ambient))
     assert np.abs(wrapped(found.phase - phase)[INNER]).max() < 0.03 / min(albedo, 1)
 
 
 def test_the_modulation_is_the_amplitude_times_the_albedo():
-    found = decoder().decode(picture(smooth_phase(), albedo=0.5))
+    found = decoder().decode(image(smooth_phase(), albedo=0.5))
     assert np.abs(found.modulation[INNER].astype(float) - 35).max() < 3
 
 
@@ -113,7 +113,7 @@ def test_the_predicted_variance_is_the_scatter(radius, encoding):
     dec = decoder(encoding, window_radius=radius, read_noise=2.0)
     errors, variances = [], []
     for seed in range(30):
-        rgb = picture(phase, noise=1.98, seed=seed)
+        rgb = image(phase, noise=1.98, seed=seed)
         found = dec.decode(rgb if encoding == "rgb8" else mosaic(rgb, encoding))
         errors.append(wrapped(found.phase - phase)[INNER])
         variances.append(found.variance[INNER].mean())
@@ -124,7 +124,7 @@ def test_the_predicted_variance_is_the_scatter(radius, encoding):
 
 def test_clipped_samples_are_left_out_of_the_fit():
     phase = smooth_phase()
-    bright = picture(phase, mean=150.0, amplitude=110.0, ambient=10.0, color=ColorModel())
+    bright = image(phase, mean=150.0, amplitude=110.0, ambient=10.0, color=ColorModel())
     dec = Decoder(ColorModel(), SHIFTS, mosaic=None, slopes=(2 * np.pi / 11, 0.0), settings=Settings())
     found = dec.decode(bright)
     clipped = (bright >= 254).any(axis=2)[INNER]
@@ -137,7 +137,7 @@ def test_clipped_samples_are_left_out_of_the_fit():
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
-def test_noise_is_estimated_from_the_picture_alone(encoding):
+def test_noise_is_estimated_from_the_image_alone(encoding):
     rng = np.random.default_rng(5)
     clean = light(smooth_phase((400, 512)), albedo=np.linspace(0.2, 1.2, 400)[:, None] * np.ones(512))
     variance = 0.8**2 + 0.0255 * clean
@@ -151,14 +151,14 @@ def test_noise_is_estimated_from_the_picture_alone(encoding):
 PLANES = ("phasor", "traits", "mean", "variance", "phase", "phase_eq", "modulation", "valid")
 
 
-def hard_picture(shape=(90, 131), seed=3):
+def hard_image(shape=(90, 131), seed=3):
     """Fringes with an edge, a dark and a clipped part, and noise."""
     phase = smooth_phase(shape)
     phase[shape[0] // 2 :, 40:70] += 2.0
     albedo = np.full(shape, 0.9)
     albedo[10:30, 20:60] = 0.0
     albedo[50:80, 80:] = 1.9
-    return picture(phase, noise=1.0, seed=seed, albedo=albedo)
+    return image(phase, noise=1.0, seed=seed, albedo=albedo)
 
 
 def levels_of(raw):
@@ -177,7 +177,7 @@ def equalized_of(levels):
     means = channels
     for _ in range(2):
         means = cv2.blur(means, (11, 5), borderType=cv2.BORDER_REFLECT)
-    # Rows share the means of the multiple of three next to them; beyond the picture is its mirror image.
+    # Rows share the means of the multiple of three next to them; beyond the image is its mirror image.
     rows = SHARED * ((np.arange(len(means)) + 1) // SHARED)
     means = means[np.where(rows < len(means), rows, 2 * len(means) - 1 - rows)]
     return phasors_of(channels / np.maximum(means, 1), np.eye(3))[0]
@@ -205,7 +205,7 @@ def folded(sums, unit, axis, nominal, weight):
 
 @pytest.mark.parametrize("radius", [0, 1])
 def test_the_three_chip_decoder_does_what_whole_planes_in_double_precision_do(radius):
-    raw = hard_picture()
+    raw = hard_image()
     levels = levels_of(raw)
     phasor, mean = phasors_of(levels)
     unit = phasor / np.maximum(abs(phasor), 1e-6)
@@ -244,7 +244,7 @@ def test_the_three_chip_decoder_does_what_whole_planes_in_double_precision_do(ra
 
 @pytest.mark.parametrize("encoding", ["rgb8", *BAYER])
 def test_the_equalised_phase_is_right_up_to_the_border(encoding):
-    rgb = hard_picture((72, 94))
+    rgb = hard_image((72, 94))
     if encoding == "rgb8":
         raw, levels = rgb, levels_of(rgb)
     else:
@@ -267,7 +267,7 @@ def test_the_equalised_phase_is_right_up_to_the_border(encoding):
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_gbrg8"])
 def test_the_result_does_not_depend_on_the_number_of_threads(encoding):
-    raw = hard_picture()
+    raw = hard_image()
     raw = raw if encoding == "rgb8" else mosaic(raw, encoding)
     dec, threads = decoder(encoding), numba.get_num_threads()
     found = []
@@ -284,7 +284,7 @@ def test_the_result_does_not_depend_on_the_number_of_threads(encoding):
 
 @pytest.mark.parametrize("level", [0, 255])
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_gbrg8"])
-def test_black_and_white_pictures_have_no_phase_and_no_nan(encoding, level):
+def test_black_and_white_images_have_no_phase_and_no_nan(encoding, level):
     found = decoder(encoding).decode(np.full((40, 64, 3) if encoding == "rgb8" else (40, 64), level, np.uint8))
     assert not found.valid.any()
     assert found.clipped == (level == 255)
@@ -293,8 +293,8 @@ def test_black_and_white_pictures_have_no_phase_and_no_nan(encoding, level):
 
 @pytest.mark.parametrize("shape", [(6, 40), (13, 33), (35, 200)])
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
-def test_small_pictures_are_decoded_as_parts_of_large_ones(encoding, shape):
-    rgb = picture(smooth_phase((60, 240)), noise=1.0)
+def test_small_images_are_decoded_as_parts_of_large_ones(encoding, shape):
+    rgb = image(smooth_phase((60, 240)), noise=1.0)
     whole, part = (x if encoding == "rgb8" else mosaic(x, encoding) for x in (rgb, rgb[: shape[0], : shape[1]]))
     small = decoder(encoding, read_noise=1.0).decode(np.ascontiguousarray(part))
     large = decoder(encoding, read_noise=1.0).decode(whole)
@@ -305,11 +305,11 @@ def test_small_pictures_are_decoded_as_parts_of_large_ones(encoding, shape):
     assert (np.abs(one - other) < 1.5 / PHASOR_SCALE).all()
 
 
-def test_the_modulation_outlives_the_next_picture():
+def test_the_modulation_outlives_the_next_image():
     dec = decoder()
-    first = dec.decode(hard_picture())
+    first = dec.decode(hard_image())
     kept = first.modulation.copy()
-    dec.decode(picture(smooth_phase((90, 131)), albedo=0.3))
+    dec.decode(image(smooth_phase((90, 131)), albedo=0.3))
     assert np.array_equal(first.modulation, kept)
 
 

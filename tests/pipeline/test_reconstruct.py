@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pipeline.common.errors import CalibrationError, PictureError, PipelineError
+from pipeline.common.errors import CalibrationError, ImageError, PipelineError
 from pipeline.common.settings import LIMITS, Settings
 from pipeline.geometry.triangulate import triangulate
 from pipeline.pattern.color_fringe import modulated_profile
@@ -46,7 +46,7 @@ def cloud(pair):
 
 def test_a_scene_with_everything_is_measured(pair, cloud):
     found = score(cloud.xyz, pair.truth_left)
-    # Edges weigh more in a small picture than in a full one, whose promise is checked below.
+    # Edges weigh more in a small image than in a full one, whose promise is checked below.
     assert found.reconstructed > 0.92
     assert found.wrong < 0.015
 
@@ -113,7 +113,7 @@ def test_measuring_in_other_units_gives_the_same_shape(pair, cloud):
     both = np.isfinite(big.xyz[..., 2]) & np.isfinite(cloud.xyz[..., 2])
     assert both.sum() > 0.995 * cloud.points
     assert np.abs(big.xyz[both] / 2.5 - cloud.xyz[both]).max() < 0.02
-    # The right picture's variance is that of the nearest pixel, which rounding may exchange for its neighbour; rounding
+    # The right image's variance is that of the nearest pixel, which rounding may exchange for its neighbour; rounding
     # may also decide whether a pixel at the border of something is looked at a third time.
     changes = np.abs(big.sigma_mm[both] / 2.5 / cloud.sigma_mm[both] - 1)
     assert np.quantile(changes, 0.999) < 1e-3
@@ -178,7 +178,7 @@ def test_pure_noise_is_not_a_surface():
 
 
 @pytest.mark.slow
-def test_sigma_is_the_scatter_over_fifty_noisy_pictures():
+def test_sigma_is_the_scatter_over_fifty_noisy_images():
     optics = Optics()
     counts = render_counts(SMALL, build("spheres"), small_pattern(), optics)
     found = reconstructor(settings=dataclasses.replace(SETTINGS, self_calibrate=False))
@@ -228,12 +228,12 @@ def test_the_promise_at_full_size(scene, layout, reconstructed, wrong, rms_mm):
     assert abs(measured.bias_mm) < 0.02
 
 
-def test_pictures_that_do_not_fit_are_refused(pair):
-    with pytest.raises(PictureError, match="left picture"):
+def test_images_that_do_not_fit_are_refused(pair):
+    with pytest.raises(ImageError, match="left image"):
         reconstructor().reconstruct(pair.left[:-1], pair.right)
-    with pytest.raises(PictureError, match="right picture"):
+    with pytest.raises(ImageError, match="right image"):
         reconstructor().reconstruct(pair.left, pair.right.astype(np.uint16))
-    with pytest.raises(PictureError, match="mono8"):
+    with pytest.raises(ImageError, match="mono8"):
         reconstructor(encoding="mono8")
 
 

@@ -18,7 +18,7 @@ def lattice(shape: tuple[int, int]) -> tuple[slice, slice]:
 
 
 def settled(absolute: np.ndarray, valid: np.ndarray, sure: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """What is settled of a picture of absolute phases, whose every second lattice pixel is decided rightly."""
+    """What is settled of an image of absolute phases, whose every second lattice pixel is decided rightly."""
     order = np.round(absolute / (2 * np.pi)).astype(np.int16)
     phase = (absolute - 2 * np.pi * order).astype(np.float32)
     coarse = np.ascontiguousarray(order[lattice(shape)][::2, ::2])

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.common.jit import serial
 from pipeline.decode import pixel_descriptor
-from tests.pipeline.test_phase import decoder, hard_picture, mosaic, wrapped
+from tests.pipeline.test_phase import decoder, hard_image, mosaic, wrapped
 
 PHASE_ERROR, EQUAL_ERROR = 1.001 * np.pi / 2**12, 1.001 * np.pi / 2**11
 UNIT = 2 * np.pi / 2**32
@@ -80,7 +80,7 @@ def test_the_bias_is_the_difference_of_both_phases_within_half_a_turn():
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
 def test_a_decoder_writes_every_pixel_of_them(encoding):
-    raw = hard_picture()
+    raw = hard_image()
     found = decoder(encoding).decode(raw if encoding == "rgb8" else mosaic(raw, encoding))
     phase, equal, mean, valid = (np.empty(raw[..., 0].size, k) for k in (np.int32, np.int32, np.float32, np.bool_))
     read(found.traits.ravel(), phase, equal, mean, valid)

@@ -8,7 +8,7 @@ import pytest
 _PROGRAM = """
 import sys
 from numba.core.registry import CPUDispatcher
-from tests.pipeline.small import pair, pictures, reconstructor
+from tests.pipeline.small import pair, images, reconstructor
 
 def compiled():
     ours = [module for name, module in list(sys.modules.items()) if name.partition(".")[0] == "pipeline"]
@@ -20,7 +20,7 @@ made = reconstructor(encoding=encoding)
 made.warm_up(every=(1, 2), follow=True)
 before = compiled()
 for number, every, follow in ((0, 1, False), (1, 1, True), (2, 2, True), (3, 1, True)):
-    made.reconstruct(*pictures(pair("moving", number, encoding)), every=every, follow=follow)
+    made.reconstruct(*images(pair("moving", number, encoding)), every=every, follow=follow)
 print(before > 20, compiled() - before)
 """
 

@@ -43,7 +43,7 @@ def message_class(name: str, data: bytes) -> Any:
 
 
 def pixels(image: Any) -> np.ndarray[Any, Any]:
-    """The picture of a RawImage, rows possibly padded."""
+    """The image of a RawImage, rows possibly padded."""
     item = np.dtype("<u2" if image.encoding == "mono16" else "u1")
     channels = 3 if image.encoding == "rgb8" else 1
     rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)

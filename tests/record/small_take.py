@@ -24,21 +24,21 @@ OPTICS = Optics()
 SCENES = ("plane", "spheres", "face")
 CALIBRATION = yaml.safe_dump(rig_files.calibration_mapping(LAYOUT, OPTICS), sort_keys=False).encode()
 
-Pictures = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
 
-def render() -> list[Pictures]:
-    """Left and right picture of every scene."""
+def render() -> list[Images]:
+    """Left and right image of every scene."""
     pairs = [render_pair(LAYOUT, named_scenes.build(name), LAYOUT.pattern(), OPTICS) for name in SCENES]
     return [(pair.left, pair.right) for pair in pairs]
 
 
-def write(path: Path, pictures: Sequence[Pictures], *, first: int = 40, **options: Any) -> Path:
-    """A take of these pictures, numbered from ``first``."""
+def write(path: Path, images: Sequence[Images], *, first: int = 40, **options: Any) -> Path:
+    """A take of these images, numbered from ``first``."""
     values: dict[str, Any] = {"session": "small", "device": "sim", "calibration_data": CALIBRATION}
     values |= {"pattern": rig_files.pattern_mapping(LAYOUT), "volume": rig_files.volume_mapping(LAYOUT)}
     recorder = TakeWriter(path, **(values | {"min_free_bytes": 0, "queue": 100} | options))
-    for number, (left, right) in enumerate(pictures, first):
+    for number, (left, right) in enumerate(images, first):
         t_ns = 1_790_000_000_000_000_000 + 250_000_000 * number
         frames = [
             Frame(side, number, t_ns, t_ns + 10_000_000, "rgb8", image)

@@ -19,7 +19,7 @@ SIZE = (26, 32)
 
 
 def frame(side: Side, number: int, *, encoding: str = "rgb8", size: tuple[int, int] = SIZE) -> Frame:
-    """A picture of noise that its side and number determine."""
+    """An image of noise that its side and number determine."""
     rng = np.random.default_rng([number, side == "left"])
     if encoding == "mono16":
         image: Any = rng.integers(0, 65536, size, dtype=np.uint16)

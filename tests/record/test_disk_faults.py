@@ -27,7 +27,7 @@ def take(path: Path, **options: Any) -> TakeWriter:
 
 
 def read(path: Path) -> list[int]:
-    """Numbers of the pairs; each picture must be the one that was written."""
+    """Numbers of the pairs; each image must be the one that was written."""
     with TakeReader(path) as reader:
         pairs = list(reader.pairs())
     for one in pairs:

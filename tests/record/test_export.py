@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name, clouds_in, read_cloud
-from daemon.apps.export.depth_video import depth_limits, depth_picture, write_video
+from daemon.apps.export.depth_video import depth_image, depth_limits, write_video
 from daemon.common.errors import DaemonError
 
 
@@ -125,7 +125,7 @@ def test_a_file_of_other_arrays_is_refused(tmp_path: Path) -> None:
 
 def test_near_is_another_colour_than_far_and_unknown_is_black() -> None:
     depth = np.array([[1000.0, 1500.0, np.nan, 900.0, 1600.0]], np.float32)
-    near, far, unknown, nearer, farther = depth_picture(depth, 1000, 1500)[0]
+    near, far, unknown, nearer, farther = depth_image(depth, 1000, 1500)[0]
     assert near[2] > near[0]
     assert far[0] > far[2]
     assert not unknown.any()
@@ -143,27 +143,27 @@ def test_limits_hold_nearly_all_points() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".avi"])
-def test_a_video_opens_again_with_every_picture(tmp_path: Path, suffix: str) -> None:
+def test_a_video_opens_again_with_every_image(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"depth{suffix}"
     depths = [np.full((103, 129), 1000 + 100 * i, np.float32) for i in range(5)]
-    assert write_video(path, (depth_picture(d, 1000, 1500) for d in depths), rate_hz=10) == 5
+    assert write_video(path, (depth_image(d, 1000, 1500) for d in depths), rate_hz=10) == 5
     video = cv2.VideoCapture(str(path))
-    pictures = []
+    images = []
     while (answer := video.read())[0]:
-        pictures.append(answer[1])
+        images.append(answer[1])
     video.release()
-    assert [picture.shape for picture in pictures] == 5 * [(102, 128, 3)]
-    for picture, depth in zip(pictures, depths, strict=True):
-        expected = depth_picture(depth, 1000, 1500)[0, 0].astype(float)
-        assert np.abs(picture.mean(axis=(0, 1)) - expected).max() < 12
+    assert [image.shape for image in images] == 5 * [(102, 128, 3)]
+    for image, depth in zip(images, depths, strict=True):
+        expected = depth_image(depth, 1000, 1500)[0, 0].astype(float)
+        assert np.abs(image.mean(axis=(0, 1)) - expected).max() < 12
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
 def test_a_video_that_fails_leaves_nothing(tmp_path: Path) -> None:
     sizes = [(40, 40, 3), (40, 60, 3)]
-    with pytest.raises(DaemonError, match="picture 1 is 60 x 40"):
+    with pytest.raises(DaemonError, match="image 1 is 60 x 40"):
         write_video(tmp_path / "x.mp4", (np.zeros(size, np.uint8) for size in sizes), rate_hz=5)
-    with pytest.raises(DaemonError, match="no pictures"):
+    with pytest.raises(DaemonError, match="no images"):
         write_video(tmp_path / "x.mp4", iter(()), rate_hz=5)
     with pytest.raises(DaemonError, match=r"ends with \.mp4 or \.avi"):
         write_video(tmp_path / "x.gif", iter(()), rate_hz=5)

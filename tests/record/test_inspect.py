@@ -130,7 +130,7 @@ def test_export_writes_a_file_for_every_cloud(tmp_path: Path, capsys: pytest.Cap
         assert run(["export", str(tmp_path / "clouds"), "--out", str(tmp_path / kind), "--format", kind]) == 0
         assert sorted(p.name for p in (tmp_path / kind).iterdir()) == [f"cloud_{i:06d}.{kind}" for i in range(3)]
     assert run(["export", str(tmp_path / "clouds"), "--out", str(tmp_path / "depth.avi")]) == 0
-    assert "3 pictures" in capsys.readouterr().out
+    assert "3 images" in capsys.readouterr().out
 
 
 def test_export_refuses_what_makes_no_sense(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,8 +49,8 @@ def played(sent: list[Sent], restarts: dict[int, tuple[Side, ...]] | None = None
     return items, desk
 
 
-def pictured(sent: list[Sent]) -> list[Sent]:
-    """The same frames, each picture telling its exposure."""
+def imaged(sent: list[Sent]) -> list[Sent]:
+    """The same frames, each image telling its exposure."""
     out = []
     for item in sent:
         image = np.full((1, 8), item.exposure % 251, np.uint8)
@@ -60,7 +60,7 @@ def pictured(sent: list[Sent]) -> list[Sent]:
 
 
 def pairs_read(path: Path, items: list[Item]) -> tuple[list[tuple[int, int]], dict[str, int]]:
-    """Exposure of the left and of the right picture of every pair that a reader makes of the take."""
+    """Exposure of the left and of the right image of every pair that a reader makes of the take."""
     status = write(path, items)
     with TakeReader(path) as take:
         return [(int(p.left[0, 0]), int(p.right[0, 0])) for p in take.pairs()], status["dropped"]
@@ -74,7 +74,7 @@ def test_counts_that_begin_anew_make_no_wrong_pair_and_the_numbers_go_on(tmp_pat
         for side in _SIDES
         if not (side == "right" and k in (5, 9)) and not (side == "left" and k in (45, 49))
     ]
-    items, _ = played(pictured(sent), {40: _SIDES})
+    items, _ = played(imaged(sent), {40: _SIDES})
     pairs, _ = pairs_read(tmp_path / "take.mcap", items)
     assert [left for left, right in pairs] == [right for left, right in pairs]
     assert len(pairs) == 76
@@ -91,7 +91,7 @@ def test_a_lone_frame_carries_the_common_count(tmp_path: Path) -> None:
         for side in _SIDES
         if (side, k) != ("left", 12)
     ]
-    items, _ = played(pictured(sent))
+    items, _ = played(imaged(sent))
     alone = [item.frame.trigger for item in items if isinstance(item, LoneItem)]
     assert 12 in alone
     pairs, dropped = pairs_read(tmp_path / "take.mcap", items)
@@ -105,7 +105,7 @@ def test_a_camera_that_came_first_costs_no_pair(tmp_path: Path, early: Side) -> 
     sent = [Sent(_frame(early, k, k * PERIOD_NS, 1), k) for k in range(60)]
     sent += [Sent(_frame(late, k - 30, k * PERIOD_NS, 1), k) for k in range(30, 60)]
     sent.sort(key=lambda item: item.frame.t_host_ns)
-    items, _ = played(pictured(sent), {30: (late,)})
+    items, _ = played(imaged(sent), {30: (late,)})
     pairs, dropped = pairs_read(tmp_path / "take.mcap", items)
     assert pairs == [(k, k) for k in range(30, 60)]
     assert dropped == {}
@@ -114,7 +114,7 @@ def test_a_camera_that_came_first_costs_no_pair(tmp_path: Path, early: Side) -> 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_storm_of_faults_makes_a_wrong_pair_in_a_take(tmp_path: Path, seed: int) -> None:
     faults = Faults(lost=0.05, late=0.05, wrong_number=0.03, gone=0.005, extra_first=("right",))
-    sent = pictured(storm(800, faults, seed))
+    sent = imaged(storm(800, faults, seed))
     items, desk = played(sent)
     path = tmp_path / "take.mcap"
     status = write(path, items, max_part_bytes=40_000)

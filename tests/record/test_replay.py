@@ -19,13 +19,13 @@ from tests.record import small_take
 
 
 @pytest.fixture(scope="module")
-def pictures() -> list[small_take.Pictures]:
+def images() -> list[small_take.Images]:
     return small_take.render()
 
 
 @pytest.fixture(scope="module")
-def take(tmp_path_factory: pytest.TempPathFactory, pictures: list[small_take.Pictures]) -> Path:
-    return small_take.write(tmp_path_factory.mktemp("takes") / "take.mcap", pictures)
+def take(tmp_path_factory: pytest.TempPathFactory, images: list[small_take.Images]) -> Path:
+    return small_take.write(tmp_path_factory.mktemp("takes") / "take.mcap", images)
 
 
 def replay(take: Path, *arguments: object) -> int:
@@ -57,12 +57,12 @@ def test_the_results_are_what_the_format_promises(take: Path, tmp_path: Path) ->
         np.testing.assert_allclose(xyz[known][:, :2], expected, atol=1e-3)  # on the viewing ray of its pixel
 
 
-def test_the_clouds_are_those_of_the_pipeline(take: Path, tmp_path: Path, pictures: list[small_take.Pictures]) -> None:
+def test_the_clouds_are_those_of_the_pipeline(take: Path, tmp_path: Path, images: list[small_take.Images]) -> None:
     replay(take, "--out", tmp_path)
     layout = small_take.LAYOUT
     calibration = layout.calibration_for(small_take.OPTICS)
     reconstructor = Reconstructor(calibration, layout.pattern(), layout.volume())
-    for number, (left, right) in enumerate(pictures, 40):
+    for number, (left, right) in enumerate(images, 40):
         cloud = reconstructor.reconstruct(left, right)
         np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud_{number:06d}.npz").xyz, cloud.xyz)
 
@@ -175,11 +175,11 @@ def test_a_depth_that_drifts_is_found_though_the_points_stay(take: Path, tmp_pat
 
 
 def test_a_missing_pair_and_a_new_one_are_told(
-    take: Path, tmp_path: Path, pictures: list[small_take.Pictures], capsys: pytest.CaptureFixture[str]
+    take: Path, tmp_path: Path, images: list[small_take.Images], capsys: pytest.CaptureFixture[str]
 ) -> None:
     golden = tmp_path / "golden.json"
     replay(take, "--bless", golden)
-    later = small_take.write(tmp_path / "later.mcap", pictures, first=41)
+    later = small_take.write(tmp_path / "later.mcap", images, first=41)
     assert replay(later, "--expect", golden) == 1
     shown = capsys.readouterr().out
     assert "must be there" in shown

@@ -249,7 +249,7 @@ def test_what_was_written_is_synced_while_the_take_goes_on(tmp_path: Path, monke
     recorder.close()
 
 
-def test_a_picture_that_cannot_be_recorded_costs_only_its_pair(tmp_path: Path) -> None:
+def test_an_image_that_cannot_be_recorded_costs_only_its_pair(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
     wrong = PairItem(pair(1).left, frame("right", 1, encoding="mono8", size=(0, 7)))
     status = write(path, [pair(0), wrong, pair(2)])
@@ -362,7 +362,7 @@ def test_clouds_are_not_for_the_recorder(tmp_path: Path) -> None:
     ("encoding", "image"),
     [("rgb8", np.zeros((4, 4), np.uint8)), ("mono16", np.zeros((4, 4), np.uint8)), ("jpeg", np.zeros(4, np.uint8))],
 )
-def test_a_picture_that_contradicts_its_encoding_is_not_written(encoding: str, image: Any) -> None:
+def test_an_image_that_contradicts_its_encoding_is_not_written(encoding: str, image: Any) -> None:
     with pytest.raises(TakeError, match="encoding"):
         raw_image.encode(0, "left", encoding, image)
 

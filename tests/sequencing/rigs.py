@@ -57,7 +57,7 @@ def _run(service: Service, sink: Collector, settings: RigConfig, path: Path) -> 
 
 @contextmanager
 def rendered(path: Path, mode: str = "heterodyne", *, sequence: str = "{}", simulation: str) -> Iterator[Running]:
-    """A daemon on the small simulated rig, rendered as its projector shows pictures."""
+    """A daemon on the small simulated rig, rendered as its projector shows images."""
     text = RENDERED.format(mode=mode, sequence=sequence, simulation=simulation, tmp=path)
     settings, sink = parse_rig(text), Collector()
     with _run(Service(settings, open_rig(settings, path), {"stream": sink}), sink, settings, path) as running:
@@ -65,7 +65,7 @@ def rendered(path: Path, mode: str = "heterodyne", *, sequence: str = "{}", simu
 
 
 class FlatSets:
-    """Gives clouds without any point for sets, and keeps how bright their pictures are."""
+    """Gives clouds without any point for sets, and keeps how bright their images are."""
 
     def __init__(self, mode: str, seen: list[list[int]]) -> None:
         self.mode, self._seen = mode, seen
@@ -75,7 +75,7 @@ class FlatSets:
 
     def reconstruct(self, lefts: Any, rights: Any) -> Cloud:
         both = [{int(v) for image in pair for v in np.unique(image)} for pair in zip(lefts, rights, strict=True)]
-        assert all(len(levels) == 1 for levels in both), "a picture of a set shows one light"
+        assert all(len(levels) == 1 for levels in both), "an image of a set shows one light"
         self._seen.append([levels.pop() for levels in both])
         return FlatReconstructor().reconstruct(lefts[0], rights[0])
 
@@ -96,7 +96,7 @@ class UnmeasuringService(Service):
 
     @property
     def seen(self) -> list[list[int]]:
-        """Brightness of the pictures of every set that was measured."""
+        """Brightness of the images of every set that was measured."""
         return self.__dict__.setdefault("_seen", [])
 
 
@@ -109,10 +109,10 @@ class Lit(Running):
 
     @property
     def levels(self) -> list[int]:
-        """Brightness of the mode's pictures, one after the other."""
+        """Brightness of the mode's images, one after the other."""
         plan = self.service.sequencing.plan
         assert plan is not None
-        return [int(picture[0, 0].max()) for picture in plan.pictures]
+        return [int(image[0, 0].max()) for image in plan.images]
 
     def goes_on(self, count: int = 3) -> None:
         """Wait for further clouds."""

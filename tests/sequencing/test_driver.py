@@ -1,4 +1,4 @@
-"""Sets of a driven projector in time that passes only while somebody waits: every pair shows its picture, or no set."""
+"""Sets of a driven projector in time that passes only while somebody waits: every pair shows its image, or no set."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from daemon.live.acquisition.pairer import Pair
 from daemon.live.projection import sequence_player as driver_module
 from daemon.live.projection.confirmed_capture import Shooting, settling_ns
 from daemon.live.projection.sequence_player import Driver
-from daemon.live.sets import PictureSet
+from daemon.live.sets import ImageSet
 from drivers.errors import DriverError
-from tests.calibrate.live.bench import MS, Bench, level, picture
+from tests.calibrate.live.bench import MS, Bench, image, level
 from tests.daemon.rigs import wait_until
 
 LEVELS = [10, 60, 110, 160, 210]
@@ -27,7 +27,7 @@ class Played:
 
     def __init__(self, bench: Bench, *, most: int = 20) -> None:
         self.bench, self.most = bench, most
-        self.sets: list[PictureSet] = []
+        self.sets: list[ImageSet] = []
         self.seen: list[Pair] = []
         self.dropped = 0
         self.driver = Driver(self._shooting, seen=self.seen.append, whole=self._whole, dropped=self._drop)
@@ -41,7 +41,7 @@ class Played:
         self.before_get()
         return self.bench.get(timeout_s)
 
-    def _whole(self, one: PictureSet) -> None:
+    def _whole(self, one: ImageSet) -> None:
         self.sets.append(one)
         if len(self.sets) >= self.most:
             self.driver.hold(None)
@@ -50,7 +50,7 @@ class Played:
         self.dropped += 1
 
     def play(self, levels: list[int] = LEVELS) -> None:
-        self.driver.play("gray", [picture(one) for one in levels])
+        self.driver.play("gray", [image(one) for one in levels])
 
     def finish(self) -> None:
         wait_until(lambda: len(self.sets) >= self.most)
@@ -65,7 +65,7 @@ def played(monkeypatch: pytest.MonkeyPatch, *, most: int = 20, **options: Any) -
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_each_pair_of_a_set_shows_its_picture_whatever_is_lost_or_late(
+def test_each_pair_of_a_set_shows_its_image_whatever_is_lost_or_late(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     latency_ms = 15.0 + 5 * seed
@@ -80,7 +80,7 @@ def test_each_pair_of_a_set_shows_its_picture_whatever_is_lost_or_late(
         assert made.dropped == 0 and made.driver.problem == ""
 
 
-def test_trouble_of_the_projector_drops_the_set_and_the_next_begins_with_the_first_picture(
+def test_trouble_of_the_projector_drops_the_set_and_the_next_begins_with_the_first_image(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with played(monkeypatch, most=6) as made:
@@ -129,7 +129,7 @@ def test_while_it_fails_the_problem_is_told(monkeypatch: pytest.MonkeyPatch) -> 
         wait_until(lambda: made.driver.problem == "")
 
 
-def test_who_holds_it_has_the_projector_alone_and_it_goes_on_with_the_first_picture(
+def test_who_holds_it_has_the_projector_alone_and_it_goes_on_with_the_first_image(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with played(monkeypatch, most=10_000) as made:
@@ -137,7 +137,7 @@ def test_who_holds_it_has_the_projector_alone_and_it_goes_on_with_the_first_pict
         wait_until(lambda: len(made.sets) > 3)
         made.driver.hold(20.0)
         shown, sets = made.bench.shown, len(made.sets)
-        made.bench.show(picture(33))
+        made.bench.show(image(33))
         assert made.bench.shown == shown + 1 and len(made.sets) == sets
         made.most = sets + 2
         made.play()

@@ -64,7 +64,7 @@ def test_clouds_are_right_and_a_replay_of_the_take_gives_the_same_bit_for_bit(tm
 
 
 def _no_points_in_a_wrong_order(take: TakeReader) -> None:
-    """Pictures that begin with another one than was thought give nothing, rather than something wrong."""
+    """Images that begin with another one than was thought give nothing, rather than something wrong."""
     sequence = take.sequence()
     assert sequence is not None
     made = SetReconstructor(take.calibration().calibration, sequence, take.volume(), encoding="rgb8")
@@ -82,9 +82,7 @@ def test_what_moves_during_a_set_is_marked_and_the_rest_is_measured(tmp_path: Pa
 
 
 @pytest.mark.parametrize("lost", ["left", "right"])
-def test_stored_pictures_are_told_by_the_trigger_and_a_lost_frame_costs_its_set_alone(
-    tmp_path: Path, lost: str
-) -> None:
+def test_stored_images_are_told_by_the_trigger_and_a_lost_frame_costs_its_set_alone(tmp_path: Path, lost: str) -> None:
     faults = f"faults: {{script: [{{kind: lost, at: 41, side: {lost}}}, {{kind: lost, at: 55, side: {lost}}}]}}"
     sequence = "{display: stored, first_trigger: 5}"
     with rendered(tmp_path, sequence=sequence, simulation=f"{SPHERES}, {faults}") as running:
@@ -92,5 +90,5 @@ def test_stored_pictures_are_told_by_the_trigger_and_a_lost_frame_costs_its_set_
         clouds = list(running.sink.clouds)
         status = running.service.status()
     assert all(item.seq % 12 == 5 and item.cloud.points > 5000 for item in clouds)
-    assert not {41, 53} & {item.seq for item in clouds}, "the sets that missed a picture"
+    assert not {41, 53} & {item.seq for item in clouds}, "the sets that missed an image"
     assert status.sequence["sets_incomplete"] >= 2 and status.reasons == ()

@@ -1,4 +1,4 @@
-"""Sets of pairs: whatever is lost, doubled or late, a set holds each picture once, all of one pass, in order."""
+"""Sets of pairs: whatever is lost, doubled or late, a set holds each image once, all of one pass, in order."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame
 
 MS = 1_000_000
 Shot = tuple[int, int]
-"""How many triggers after the first picture's, and start of exposure."""
+"""How many triggers after the first image's, and start of exposure."""
 
 
 def fed(gatherer: Gatherer[Shot], shots: list[Shot], first: int) -> list[tuple[Shot, ...]]:
@@ -77,7 +77,7 @@ def test_a_pair_that_comes_a_little_late_still_finds_its_set() -> None:
     assert gatherer.incomplete == 0
 
 
-def test_pictures_of_two_times_under_one_number_spoil_the_set() -> None:
+def test_images_of_two_times_under_one_number_spoil_the_set() -> None:
     gatherer: Gatherer[Shot] = Gatherer(2)
     assert fed(gatherer, [(0, 5 * MS), (0, 900 * MS), (1, 910 * MS)], 0) == []
     assert gatherer.incomplete == 1

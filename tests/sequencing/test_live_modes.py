@@ -1,4 +1,4 @@
-"""A daemon in a multi-frame mode: captures, plain pictures, pauses, troubles and other modes, and back to its sets."""
+"""A daemon in a multi-frame mode: captures, plain images, pauses, troubles and other modes, and back to its sets."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
         made.capture.close()
 
 
-def test_every_set_holds_each_picture_in_its_order(desk: Desk) -> None:
+def test_every_set_holds_each_image_in_its_order(desk: Desk) -> None:
     desk.bench.goes_on(4)
     assert len(desk.bench.levels) > 4
     assert all(one == desk.bench.levels for one in desk.bench.service.seen)
@@ -75,9 +75,9 @@ def test_a_capture_has_the_projector_alone_and_the_sets_go_on_afterwards(desk: D
     assert all(one == desk.bench.levels for one in desk.bench.service.seen)
 
 
-def test_nothing_is_measured_under_a_plain_picture(desk: Desk) -> None:
+def test_nothing_is_measured_under_a_plain_image(desk: Desk) -> None:
     desk.call("pattern.show", name="white")
-    assert desk.bench.projector.level == 255 and desk.call("pattern.mode")["held"] == ["picture"]
+    assert desk.bench.projector.level == 255 and desk.call("pattern.mode")["held"] == ["image"]
     shown = len(desk.bench.projector.shown)
     triggers = desk.bench.service.desk.pairs
     wait_until(lambda: desk.bench.service.desk.pairs > triggers + 20)
@@ -113,7 +113,7 @@ def test_the_mode_changes_live_there_and_back(desk: Desk) -> None:
     pairs = len(desk.bench.sink.pairs)
     desk.bench.goes_on()
     rig = desk.bench.service.rig
-    fringe = int(rig.pattern.picture(rig.calibration.response)[0, 0].max())
+    fringe = int(rig.pattern.image(rig.calibration.response)[0, 0].max())
     assert all((item.left.image == fringe).all() for item in desk.bench.sink.pairs[pairs + 1 :])
     desk.call("pattern.mode", name="gray")
     desk.bench.goes_on()
@@ -157,7 +157,7 @@ CAMERAS = "calibration: c\npattern: p\nvolume: {near_mm: 1, far_mm: 2}\ncameras:
         ("cameras: {driver: sim}\nmode: grey\n", "rig.yaml:2:7: mode"),
         ("cameras: {driver: sim}\nmode: gray\nsimulation: {live: false}\n", "rig.yaml:3:20: simulation.live is false"),
         (CAMERAS + "projector: {driver: external}\nmode: gray\n", "sequence.display: stored"),
-        (CAMERAS + "projector: {driver: x11}\nmode: gray\nsequence: {display: stored}\n", "x11 holds no pictures"),
+        (CAMERAS + "projector: {driver: x11}\nmode: gray\nsequence: {display: stored}\n", "x11 holds no images"),
         ("cameras: {driver: sim}\nmode: gray\nsequence: {steps: 2}\n", "rig.yaml:3:19: sequence.steps"),
     ],
 )  # fmt: skip

@@ -36,7 +36,7 @@ def test_a_camera_tells_what_it_is(rig):
     assert (info.model, info.serial, info.size, info.encoding) == ("simulated", "sim-left", (64, 51), "rgb8")
 
 
-def test_frames_are_read_only_pictures_of_the_loop(rig):
+def test_frames_are_read_only_images_of_the_loop(rig):
     camera = rig.cameras["left"]
     camera.open()
     camera.start()
@@ -142,13 +142,13 @@ def test_triggers_come_by_themselves_at_a_rate(tmp_path):
     assert rig.trigger.triggers == after
 
 
-def test_a_dark_projector_makes_dark_pictures(rig):
+def test_a_dark_projector_makes_dark_images(rig):
     camera, projector = rig.cameras["left"], rig.projector
     camera.open()
     camera.start()
-    picture = color_fringe.from_mapping(rig.pattern).picture()
+    image = color_fringe.from_mapping(rig.pattern).image()
     brightness = []
-    for act in (projector.open, lambda: projector.show(picture), lambda: projector.show(picture * 0), projector.close):
+    for act in (projector.open, lambda: projector.show(image), lambda: projector.show(image * 0), projector.close):
         act()
         rig.trigger.step()
         brightness.append(int(camera.read(0.0).image.max()))
@@ -163,7 +163,7 @@ def test_the_projector_refuses_what_was_never_rendered(rig):
     assert info.size == (80, 64)
     with pytest.raises(SettingRefused, match="does not fit"):
         rig.projector.show(np.zeros((8, 8, 3), np.uint8))
-    with pytest.raises(SettingRefused, match="cannot show another picture"):
+    with pytest.raises(SettingRefused, match="cannot show another image"):
         rig.projector.show(np.full((64, 80, 3), 128, np.uint8))
 
 
@@ -172,7 +172,7 @@ def test_the_pattern_sent_through_the_known_response_is_the_one_rendered(tmp_pat
     rig = open_rig(options)
     known = calibration.from_mapping(rig.calibration)
     rig.projector.open()
-    rig.projector.show(color_fringe.from_mapping(rig.pattern).picture(known.response))
+    rig.projector.show(color_fringe.from_mapping(rig.pattern).image(known.response))
     assert rig.trigger.cameras["left"].size == known.left.size
     rig.close()
 

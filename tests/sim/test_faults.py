@@ -17,7 +17,7 @@ from sim.devices.trigger_world import SimWorld
 
 
 class Numbered:
-    """Pictures that tell which trigger they belong to, and which side."""
+    """Images that tell which trigger they belong to, and which side."""
 
     def pair(self, index):
         out = []
@@ -49,7 +49,7 @@ def read_all(camera):
 
 
 def index_in(frame):
-    """The trigger at which a picture was really exposed."""
+    """The trigger at which an image was really exposed."""
     return int(frame.image[0, 0, 0]) + 256 * int(frame.image[0, 0, 1])
 
 
@@ -106,7 +106,7 @@ def test_an_extra_first_frame_comes_before_the_first_trigger():
     assert len(read_all(world.cameras["left"])) == 1
 
 
-def test_a_wrong_number_keeps_its_picture_and_its_time():
+def test_a_wrong_number_keeps_its_image_and_its_time():
     world = started(FaultPlan.script([Fault(FaultKind.WRONG_NUMBER, 2, "left", 1)]))
     for _ in range(4):
         world.step()

@@ -1,4 +1,4 @@
-"""Loops of pictures: rendered once, kept whole, and rendered again when what was kept is spoiled."""
+"""Loops of images: rendered once, kept whole, and rendered again when what was kept is spoiled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def options(tmp_path):
 
 
 def rendered(options):
-    """The loop, and how many pictures had to be rendered for it."""
+    """The loop, and how many images had to be rendered for it."""
     calls = []
     found = loops.load_or_render(options, lambda done, of: calls.append((done, of)))
     return found, max(0, len(calls) - 1)
@@ -79,7 +79,7 @@ def test_a_cache_in_a_place_that_is_a_file_costs_only_time(options):
     assert len(rendered(options)[0]) == 3
 
 
-def test_every_option_that_changes_pictures_changes_the_digest(options):
+def test_every_option_that_changes_images_changes_the_digest(options):
     others = [
         replace(options, scene="plane"),
         replace(options, seed=1),
@@ -93,7 +93,7 @@ def test_every_option_that_changes_pictures_changes_the_digest(options):
     assert loops.digest(replace(options, rate_hz=3.0)) == loops.digest(options)
 
 
-def test_the_pictures_of_a_scene_at_rest_differ_by_noise_only(options):
+def test_the_images_of_a_scene_at_rest_differ_by_noise_only(options):
     loop = loops.render_loop(replace(options, scene="plane"))
     difference = loop.left[0].astype(float) - loop.left[1]
     assert 0.5 < difference.std() < 4
@@ -157,7 +157,7 @@ def test_wrong_options_are_told_by_name(data, message):
         from_mapping(data)
 
 
-def test_a_shot_holds_pictures_and_truth(tmp_path, small):
+def test_a_shot_holds_images_and_truth(tmp_path, small):
     import cv2
 
     from sim.evaluate.write_pair import write_shot

@@ -28,7 +28,7 @@ def test_a_seed_reproduces_every_bit_and_another_seed_does_not(small):
     assert not np.array_equal(first.left, first.right)
 
 
-def test_pictures_do_not_depend_on_the_number_of_threads(small, monkeypatch):
+def test_images_do_not_depend_on_the_number_of_threads(small, monkeypatch):
     scene = named_scenes.build("mixed")
     several = render_pair.render_counts(small, scene, small.pattern(), Optics())
     monkeypatch.setattr(render_pair.os, "cpu_count", lambda: 1)
@@ -47,8 +47,8 @@ def test_scene_seeds_change_the_texture_only(small):
 def test_a_white_board_peaks_at_the_white_level(small, board):
     optics = Optics(noise=0.0)
     counts = render_pair.render_counts(small, board, small.pattern(), optics)
-    for picture in counts:
-        assert 0.85 * optics.white_dn < picture.max() + optics.black_dn < 1.05 * optics.white_dn
+    for image in counts:
+        assert 0.85 * optics.white_dn < image.max() + optics.black_dn < 1.05 * optics.white_dn
 
 
 def test_light_falls_with_the_square_of_the_distance_and_the_cosine(small):
@@ -88,7 +88,7 @@ def test_noise_of_left_and_right_is_independent(small, board):
 
 
 @pytest.mark.parametrize("encoding", list(sensor.MOSAICS))
-def test_a_bayer_picture_is_the_colour_picture_sub_sampled(encoding, small):
+def test_a_bayer_image_is_the_colour_image_sub_sampled(encoding, small):
     scene, optics = named_scenes.build("mixed"), Optics()
     color = render_pair.render_counts(small, scene, small.pattern(), optics)[0]
     bayer = render_pair.render_counts(small, scene, small.pattern(), optics, encoding=encoding)[0]
@@ -110,9 +110,9 @@ def test_crosstalk_mixes_projector_channels_as_the_calibration_says(small, board
     optics = Optics(noise=0.0, ambient=0.0)
     calibration = small.calibration_for(optics)
     for channel in range(3):
-        picture = np.zeros((128, 160, 3), np.uint8)
-        picture[..., channel] = 200
-        counts = render_pair.render_counts(small, board, picture, optics)
+        image = np.zeros((128, 160, 3), np.uint8)
+        image[..., channel] = 200
+        counts = render_pair.render_counts(small, board, image, optics)
         for seen, color in zip(counts, (calibration.left_color, calibration.right_color), strict=True):
             answer = seen[40:60, 50:80].mean(axis=(0, 1))
             assert answer / answer[channel] == pytest.approx(color.crosstalk[:, channel], abs=1e-4)
@@ -140,8 +140,8 @@ def test_the_calibration_knows_what_realistic_optics_spoil(small):
     assert small.calibration_for(Optics()).projector.matrix == pytest.approx(true.projector.matrix)
 
 
-def _phase(picture):
-    red, green, blue = (picture[..., c].astype(np.float64) for c in range(3))
+def _phase(image):
+    red, green, blue = (image[..., c].astype(np.float64) for c in range(3))
     return np.arctan2(np.sqrt(3) * (red - blue), 2 * green - red - blue)
 
 
@@ -233,7 +233,7 @@ def test_ambient_light_is_seen_in_the_shadow(small):
     assert np.ptp(counts[shadow], axis=-1).max() < 1e-3
 
 
-def test_a_picture_of_the_wrong_size_is_refused(small, board):
+def test_an_image_of_the_wrong_size_is_refused(small, board):
     with pytest.raises(ValueError, match=r"the projector takes \(128, 160, 3\)"):
         render_pair.render_pair(small, board, np.zeros((10, 10, 3), np.uint8))
 

@@ -155,7 +155,7 @@ def test_reliefs_are_met_at_their_surface_and_nowhere_before(variant, small):
         assert (gap(share * points) > -1e-3)[np.abs((share * points - origin) @ rotation[:, 0]) < 60].mean() > 0.995
 
 
-def test_a_supersampled_picture_is_lit_where_the_truth_says_so(small):
+def test_a_supersampled_image_is_lit_where_the_truth_says_so(small):
     scene = named_scenes.build("spheres")
     pair = render_pair.render_pair(small, scene, np.full((128, 160, 3), 255, np.uint8), Optics.ideal())
     inner = cv2.erode(pair.truth_left.lit.astype(np.uint8), np.ones((3, 3))) > 0
@@ -171,8 +171,8 @@ def test_noise_free_phase_is_the_phase_of_the_truth(name, small):
     white = tuple(s.placed(s.at_mm, turn=s.turn, albedo=0.8, motion=s.motion) for s in scene.shapes)
     pattern: ColorFringe = small.pattern()
     counts = render_pair.render_counts(small, Scene(name, white), pattern, Optics.ideal(supersampling=4))
-    for picture, truth in zip(counts, render_pair.truths(small, Scene(name, white), pattern), strict=True):
-        red, green, blue = (picture[..., c].astype(np.float64) for c in range(3))
+    for image, truth in zip(counts, render_pair.truths(small, Scene(name, white), pattern), strict=True):
+        red, green, blue = (image[..., c].astype(np.float64) for c in range(3))
         phase = np.arctan2(np.sqrt(3) * (red - blue), 2 * green - red - blue)
         error = np.angle(np.exp(1j * (phase - phases(truth.projector.astype(np.float64), pattern))))
         z = np.nan_to_num(truth.xyz[..., 2])

@@ -59,7 +59,7 @@ def half(seq: int) -> CloudItem:
 
 
 def frame(side: Any, seq: int, encoding: str, size: tuple[int, int]) -> Frame:
-    """A grey picture with a clipped patch."""
+    """A grey image with a clipped patch."""
     shape = (size[1], size[0], 3) if encoding == "rgb8" else (size[1], size[0])
     image = np.full(shape, 90, np.uint16 if encoding == "mono16" else np.uint8)
     image[8:16, 8:16] = np.iinfo(image.dtype).max

@@ -216,14 +216,14 @@ def test_previews_are_jpegs_with_clipped_pixels_in_red(encoding: str) -> None:
         connected(made, "preview")
         made.offer(clouds.item(4, encoding=encoding))
         preview = message(receiver)
-    pictures = {name: cv2.imdecode(data, cv2.IMREAD_COLOR) for name, data in preview.arrays.items()}
-    assert set(pictures) == {"left", "right", "overlay"}
-    assert all(picture.shape == (26, 32, 3) for picture in pictures.values())
-    blue, _, red = pictures["overlay"][12, 12].astype(int)
+    images = {name: cv2.imdecode(data, cv2.IMREAD_COLOR) for name, data in preview.arrays.items()}
+    assert set(images) == {"left", "right", "overlay"}
+    assert all(image.shape == (26, 32, 3) for image in images.values())
+    blue, _, red = images["overlay"][12, 12].astype(int)
     assert red > blue + 60
 
 
-def test_previews_of_half_clouds_have_the_size_of_the_picture() -> None:
+def test_previews_of_half_clouds_have_the_size_of_the_image() -> None:
     assert overlay(clouds.half(4)).shape == (26, 32, 3)
 
 

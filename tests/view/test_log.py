@@ -75,17 +75,17 @@ def test_a_cloud_without_points_is_logged_as_none(tmp_path: Path) -> None:
         cloud.xyz[:] = np.nan
 
 
-def test_pictures_are_decoded_and_a_damaged_one_costs_only_itself(tmp_path: Path) -> None:
+def test_images_are_decoded_and_a_damaged_one_costs_only_itself(tmp_path: Path) -> None:
     left = np.full((40, 60, 3), (10, 100, 200), np.uint8)
     jpeg = cv2.imencode(".jpg", left)[1].reshape(-1)
     recording = rerun_targets.to_file(tmp_path / "x.rrd")
     logger = rerun_log.Logger(recording, decimate=1)
     logger.time(seq=1, t_ns=1)
-    logger.pictures({"left": jpeg, "right": jpeg[:9], "overlay": jpeg[:0]})
+    logger.images({"left": jpeg, "right": jpeg[:9], "overlay": jpeg[:0]})
     recording.flush()
     recording.disconnect()
-    assert "/pictures/right" not in logged.entities(tmp_path / "x.rrd")
-    (buffer,) = logged.rows(tmp_path / "x.rrd", "/pictures/left", "Image:buffer").values()
+    assert "/images/right" not in logged.entities(tmp_path / "x.rrd")
+    (buffer,) = logged.rows(tmp_path / "x.rrd", "/images/left", "Image:buffer").values()
     np.testing.assert_allclose(buffer.reshape(left.shape), left, atol=4)
 
 
@@ -111,12 +111,12 @@ def test_paint_tells_an_empty_view_from_a_drawn_one() -> None:
     empty = np.full((900, 1400, 3), 24, np.uint8)
     drawn = empty.copy()
     drawn[250:450, 300:600] = np.linspace(0, 255, 300, dtype=np.uint8)[:, None] * np.array([1, 0, 1], np.uint8)
-    paints = [screenshot.paint(cv2.imencode(".png", picture)[1].tobytes()) for picture in (empty, drawn)]
+    paints = [screenshot.paint(cv2.imencode(".png", image)[1].tobytes()) for image in (empty, drawn)]
     assert [paint.enough for paint in paints] == [False, True]
     assert not screenshot.paint(b"no png").enough
 
 
 def test_waiting_for_paint_is_bounded_and_tells_what_it_saw() -> None:
-    picture = cv2.imencode(".png", np.zeros((90, 140, 3), np.uint8))[1].tobytes()
+    image = cv2.imencode(".png", np.zeros((90, 140, 3), np.uint8))[1].tobytes()
     with pytest.raises(screenshot.DaemonError, match="drew no cloud within 0 s"):
-        screenshot.wait_for_paint(lambda: picture, timeout_s=0.05, poll_s=0.01)
+        screenshot.wait_for_paint(lambda: image, timeout_s=0.05, poll_s=0.01)

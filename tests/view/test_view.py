@@ -64,7 +64,7 @@ def test_of_what_waits_only_the_newest_of_each_topic_is_kept() -> None:
         assert not list(source.newest())
 
 
-def test_clouds_pictures_and_figures_of_a_stream_reach_the_file(tmp_path: Path) -> None:
+def test_clouds_images_and_figures_of_a_stream_reach_the_file(tmp_path: Path) -> None:
     file = tmp_path / "x.rrd"
     with clouds.publisher() as publisher, NewestMessages(publisher.endpoints[0]) as source:
         wanted(publisher, "cloud/full", "preview", "status")
@@ -82,7 +82,7 @@ def test_clouds_pictures_and_figures_of_a_stream_reach_the_file(tmp_path: Path) 
 
             until(all_came)
     assert list(logged.clouds(file)) == [3]
-    assert {"/pictures/left", "/pictures/right", "/pictures/modulation"} <= logged.entities(file)
+    assert {"/images/left", "/images/right", "/images/modulation"} <= logged.entities(file)
     figures = {
         name: [float(value[0]) for value in logged.rows(file, f"/figures/{name}", "Scalars:scalars").values()]
         for name in ("rate_hz", "drops", "points", "latency_ms")
@@ -165,7 +165,7 @@ def test_the_web_viewer_prints_one_line_with_its_address_and_serves_the_page() -
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 @pytest.mark.usefixtures("browser")
-def test_a_picture_of_the_viewer_shows_the_cloud(tmp_path: Path) -> None:
+def test_an_image_of_the_viewer_shows_the_cloud(tmp_path: Path) -> None:
     done = threading.Event()
     file = tmp_path / "view.png"
     with clouds.publisher() as publisher:
@@ -183,8 +183,8 @@ def test_a_picture_of_the_viewer_shows_the_cloud(tmp_path: Path) -> None:
         finally:
             done.set()
             sender.join()
-    picture = cv2.imread(str(file))
-    assert picture is not None and picture.shape == (900, 1400, 3)
+    image = cv2.imread(str(file))
+    assert image is not None and image.shape == (900, 1400, 3)
     assert screenshot.paint(file.read_bytes()).enough
 
 

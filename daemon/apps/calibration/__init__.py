@@ -1,1 +1,1 @@
-"""Calibration from pictures: sources of views, the solved rig's file and report, other programs' formats."""
+"""Calibration from images: sources of views, the solved rig's file and report, other programs' formats."""

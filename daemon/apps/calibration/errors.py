@@ -1,4 +1,4 @@
-"""What can go wrong between pictures and a calibration file."""
+"""What can go wrong between images and a calibration file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from daemon.common.errors import DaemonError
 
 
 class SourceError(DaemonError):
-    """Pictures that cannot be read, or that do not belong together; the message names the file."""
+    """Images that cannot be read, or that do not belong together; the message names the file."""
 
 
 class KeptError(DaemonError):

@@ -17,8 +17,8 @@ from daemon.common.errors import DaemonError
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
 
-def depth_picture(depth_mm: NDArray[np.float32], near_mm: float, far_mm: float) -> NDArray[np.uint8]:
-    """A depth map as a colour picture, (H, W) -> (H, W, 3) B G R; depths outside the limits get the end colours."""
+def depth_image(depth_mm: NDArray[np.float32], near_mm: float, far_mm: float) -> NDArray[np.uint8]:
+    """A depth map as a colour image, (H, W) -> (H, W, 3) B G R; depths outside the limits get the end colours."""
     known = np.isfinite(depth_mm)
     share = (far_mm - np.where(known, depth_mm, far_mm)) / (far_mm - near_mm)
     levels = np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
@@ -37,18 +37,18 @@ def depth_limits(depths_mm: Iterable[NDArray[np.float32]]) -> tuple[float, float
     return near - margin, far + margin
 
 
-def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], *, rate_hz: float) -> int:
-    """Write pictures of one size as a video and prove that it can be opened again.
+def write_video(path: Path, images: Iterable[NDArray[np.uint8]], *, rate_hz: float) -> int:
+    """Write images of one size as a video and prove that it can be opened again.
 
     Args:
         path: its suffix chooses the kind, ``.mp4`` or ``.avi``.
-        pictures: (H, W, 3) B G R; odd sizes lose their last row or column, which the codecs ask for.
+        images: (H, W, 3) B G R; odd sizes lose their last row or column, which the codecs ask for.
 
     Returns:
-        number of pictures written.
+        number of images written.
 
     Raises:
-        DaemonError: a kind that cannot be written, pictures of different sizes, or a file that does not open.
+        DaemonError: a kind that cannot be written, images of different sizes, or a file that does not open.
     """
     codec = CODECS.get(path.suffix.lower())
     if codec is None:
@@ -57,7 +57,7 @@ def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], *, rate_hz: f
     os.close(handle)
     temporary = Path(name)
     try:
-        count = _encode(temporary, path, codec, pictures, rate_hz)
+        count = _encode(temporary, path, codec, images, rate_hz)
         _check(temporary, path, count)
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
@@ -70,31 +70,31 @@ def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], *, rate_hz: f
     return count
 
 
-def _encode(temporary: Path, path: Path, codec: str, pictures: Iterable[NDArray[np.uint8]], rate_hz: float) -> int:
+def _encode(temporary: Path, path: Path, codec: str, images: Iterable[NDArray[np.uint8]], rate_hz: float) -> int:
     writer: cv2.VideoWriter | None = None
     size, count = (0, 0), 0
     try:
-        for picture in pictures:
-            even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+        for image in images:
+            even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
             if writer is None:
                 size = (even.shape[1], even.shape[0])
                 writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*codec), rate_hz, size)  # type: ignore[attr-defined]
                 if not writer.isOpened():
                     raise DaemonError(f"{path}: this OpenCV cannot write {codec} video of {size[0]} x {size[1]}")
             if (even.shape[1], even.shape[0]) != size:
-                raise DaemonError(f"{path}: picture {count} is {even.shape[1]} x {even.shape[0]}, the first {size}")
+                raise DaemonError(f"{path}: image {count} is {even.shape[1]} x {even.shape[0]}, the first {size}")
             writer.write(np.ascontiguousarray(even))
             count += 1
     finally:
         if writer is not None:
             writer.release()
     if count == 0:
-        raise DaemonError(f"{path}: there are no pictures for a video")
+        raise DaemonError(f"{path}: there are no images for a video")
     return count
 
 
 def _check(temporary: Path, path: Path, count: int) -> None:
-    """OpenCV tells nothing of a full disk, so the video is opened again and its last picture asked for."""
+    """OpenCV tells nothing of a full disk, so the video is opened again and its last image asked for."""
     video = cv2.VideoCapture(str(temporary))
     try:
         read = 0
@@ -103,4 +103,4 @@ def _check(temporary: Path, path: Path, count: int) -> None:
     finally:
         video.release()
     if read != count:
-        raise DaemonError(f"{path}: {read} of {count} pictures can be read back; is the disk full?")
+        raise DaemonError(f"{path}: {read} of {count} images can be read back; is the disk full?")

@@ -1,1 +1,1 @@
-"""The last hours as a picture, drawn alike as SVG (for a page) and PNG. Loaded by commands, never by the daemon."""
+"""The last hours as an image, drawn alike as SVG (for a page) and PNG. Loaded by commands, never by the daemon."""

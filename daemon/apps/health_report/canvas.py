@@ -1,4 +1,4 @@
-"""What a picture is drawn on: the same few strokes as SVG or as pixels. Coordinates and sizes are pixels."""
+"""What an image is drawn on: the same few strokes as SVG or as pixels. Coordinates and sizes are pixels."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Svg:
 
 
 class Pixels:
-    """A picture of pixels, by OpenCV; drawn twice as fine as its coordinates."""
+    """An image of pixels, by OpenCV; drawn twice as fine as its coordinates."""
 
     FINE = 2
 
@@ -125,7 +125,7 @@ class Pixels:
         """The bytes of a PNG file."""
         good, data = self._cv.imencode(".png", self._image, [self._cv.IMWRITE_PNG_COMPRESSION, 9])
         if not good:
-            raise ValueError("OpenCV cannot encode the picture")
+            raise ValueError("OpenCV cannot encode the image")
         return bytes(data)
 
     def _width(self, text: str, fine: int, *, bold: bool) -> float:

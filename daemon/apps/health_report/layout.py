@@ -21,13 +21,13 @@ _TITLE, _CLOCK = 24.0, 20.0  # above and below the plot of a panel
 
 
 def size(courses: Courses, *, head: bool = True) -> tuple[float, float]:
-    """(width, height) of the picture."""
+    """(width, height) of the image."""
     rows = math.ceil(max(1, len(courses.panels())) / _COLUMNS)
     return _WIDTH + 2 * _PAD, (_HEAD if head else 8.0) + rows * _TALL + _FOOT
 
 
 def draw(canvas: Canvas, courses: Courses, *, head: bool = True) -> None:
-    """The whole picture; without ``head`` the charts alone."""
+    """The whole image; without ``head`` the charts alone."""
     if head:
         _head(canvas, courses)
     top = _HEAD if head else 8.0

@@ -112,7 +112,7 @@ class Course:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Courses:
-    """All that the picture needs.
+    """All that the image needs.
 
     Args:
         t_s: (n,) middles of the pieces, seconds since 1970; period_s: their length.
@@ -127,12 +127,12 @@ class Courses:
 
     @property
     def begin_s(self) -> float:
-        """Left border of the picture."""
+        """Left border of the image."""
         return float(self.t_s[0] - self.period_s / 2)
 
     @property
     def end_s(self) -> float:
-        """Right border of the picture."""
+        """Right border of the image."""
         return float(self.t_s[-1] + self.period_s / 2)
 
     def limit(self, rule: str) -> float | None:

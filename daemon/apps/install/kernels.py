@@ -33,7 +33,7 @@ def compile_ahead(target: Target, modes: Sequence[str] = ()) -> None:
     """Compile with the installed environment; as root under the service's user.
 
     Args:
-        modes: with several pictures, beside the single shot.
+        modes: with several images, beside the single shot.
     """
     python = target.prefix / "env/bin/python"
     who: dict[str, object] = {}
@@ -95,7 +95,7 @@ def small_layout() -> RigLayout:
 
 
 def small_pair(encoding: str) -> RenderedPair:
-    """Pictures of that rig; compiles rendering."""
+    """Images of that rig; compiles rendering."""
     from sim.render.render_pair import render_pair
     from sim.rig.optics import Optics
     from sim.scene.named_scenes import build
@@ -125,7 +125,7 @@ def compile_all(modes: Sequence[str] = ()) -> None:
 
 
 def compile_modes(wanted: Iterable[tuple[str, str]]) -> None:
-    """Compile what measuring with sets of pictures needs, by mode and encoding."""
+    """Compile what measuring with sets of images needs, by mode and encoding."""
     from pipeline.multi_frame.set_reconstructor import SetReconstructor
     from pipeline.pattern.mode_sequences import mode_sequence
     from sim.rig.optics import Optics

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class RerunLog:
-    """Logs clouds, pictures and figures as the live viewer shows them.
+    """Logs clouds, images and figures as the live viewer shows them.
 
     Args:
         file: to save to (``.rrd``), None = open the native viewer.
@@ -46,11 +46,11 @@ class RerunLog:
             raise DaemonError("--rerun needs the package rerun-sdk: pip install 'fringed[rig]'") from error
 
     def show(self, result: Result) -> None:
-        """Log a cloud, the pictures it was made from, and how it went."""
+        """Log a cloud, the images it was made from, and how it went."""
         pair, cloud, run = result.pair, result.cloud, result.runs[-1]
         self._logger.time(seq=pair.sequence, t_ns=pair.t_ns)
         self._logger.cloud(cloud.xyz, cloud.gray, cloud.sigma_mm)
-        self._logger.pictures({"left": _jpeg(pair.left), "right": _jpeg(pair.right)})
+        self._logger.images({"left": _jpeg(pair.left), "right": _jpeg(pair.right)})
         self._logger.figures({"points": float(run.points), "latency_ms": run.total_ms})
 
     def close(self) -> None:
@@ -71,7 +71,7 @@ class RerunLog:
 
 
 def _jpeg(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """A raw picture for the eye, as the bytes of a JPEG file; a mosaic is shown as it is."""
+    """A raw image for the eye, as the bytes of a JPEG file; a mosaic is shown as it is."""
     eight_bit = (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image
     order = eight_bit[..., ::-1] if eight_bit.ndim == 3 else eight_bit
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(order))

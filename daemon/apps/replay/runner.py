@@ -31,7 +31,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """The cloud of a pair (or of a set, with the newest of its pictures), and every run that gave it."""
+    """The cloud of a pair (or of a set, with the newest of its images), and every run that gave it."""
 
     pair: TakePair
     cloud: Cloud
@@ -77,7 +77,7 @@ class Replay:
 
     @property
     def incomplete(self) -> int:
-        """Sets of the last walk that miss a picture."""
+        """Sets of the last walk that miss an image."""
         return 0 if self._sets is None else self._sets.incomplete
 
     @property
@@ -120,7 +120,7 @@ class Replay:
             yield Result(pair, cloud, runs)
 
     def _reconstructor(self, encoding: str, sequence: Sequence | None) -> Any:
-        """For pictures of this encoding, every kernel compiled."""
+        """For images of this encoding, every kernel compiled."""
         if self._made is not None and self._made.encoding == encoding:
             return self._made
         options: dict[str, Any] = {

@@ -14,11 +14,11 @@ from pipeline.pattern.sequence import Sequence
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """The pictures of one cloud.
+    """The images of one cloud.
 
     Args:
-        pair: for the eye: the newest pictures, with number and time of the first ones.
-        lefts, rights: raw pictures; of a single pattern, one each.
+        pair: for the eye: the newest images, with number and time of the first ones.
+        lefts, rights: raw images; of a single pattern, one each.
     """
 
     pair: TakePair
@@ -33,7 +33,7 @@ def pairs_of(take: TakeReader, progress: Callable[[int], Any] | None = None) -> 
 
 
 class Sets:
-    """The whole sets of a take of a sequence; those that miss a picture are counted in ``incomplete``."""
+    """The whole sets of a take of a sequence; those that miss an image are counted in ``incomplete``."""
 
     def __init__(self, take: TakeReader, sequence: Sequence) -> None:
         self._take, self._frames = take, len(sequence)
@@ -43,7 +43,7 @@ class Sets:
         """In the order of the take.
 
         Raises:
-            TakeError: pictures of two encodings.
+            TakeError: images of two encodings.
         """
         gatherer: Gatherer[TakePair] = Gatherer(self._frames, self._take.first_pattern_sequence)
         for pair in self._take.pairs(progress):
@@ -58,6 +58,6 @@ class Sets:
 def _shot(made: tuple[TakePair, ...], take: TakeReader) -> Shot:
     first, last = made[0], made[-1]
     if any(pair.encoding != first.encoding for pair in made):
-        raise TakeError(f"{take.path}: the pictures of set {first.sequence} are of different encodings")
+        raise TakeError(f"{take.path}: the images of set {first.sequence} are of different encodings")
     shown = TakePair(first.sequence, last.left, last.right, first.t_ns, first.encoding)
     return Shot(shown, [pair.left for pair in made], [pair.right for pair in made])

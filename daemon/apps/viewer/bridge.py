@@ -76,7 +76,7 @@ class Bridge:
             return
         self._logger.time(t_ns=message.header.t_ns)
         if message.topic == "preview":
-            self._logger.pictures(message.arrays)
+            self._logger.images(message.arrays)
         else:
             self._logger.figures(_status_figures(message))
 

@@ -1,4 +1,4 @@
-"""How the viewer is laid out: the cloud large, pictures at the right, plots below; panels out of the way."""
+"""How the viewer is laid out: the cloud large, images at the right, plots below; panels out of the way."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from daemon.apps.viewer.rerun_import import rerun
 
 CLOUD = "world/cloud"
-PICTURES = {"left": "left", "right": "right", "overlay": "modulation"}
+IMAGES = {"left": "left", "right": "right", "overlay": "modulation"}
 """Parts of a ``preview`` message, and what they are called in the viewer."""
 PLOTS = {"rate_hz": "clouds/s", "latency_ms": "latency, ms", "points": "points", "drops": "drops"}
 CLOUD_WIDTH, CLOUD_HEIGHT = 0.7, 0.75
@@ -36,7 +36,7 @@ def blueprint(extent: Extent | None = None) -> Any:
     cloud = rrb.Spatial3DView(
         origin="world", contents=[f"/{CLOUD}"], name="cloud", line_grid=False, background=[24, 26, 30], eye_controls=eye
     )
-    pictures = [rrb.Spatial2DView(origin=f"pictures/{name}", name=name) for name in PICTURES.values()]
+    images = [rrb.Spatial2DView(origin=f"images/{name}", name=name) for name in IMAGES.values()]
     plots = [
         rrb.TimeSeriesView(
             origin=f"figures/{name}",
@@ -46,7 +46,7 @@ def blueprint(extent: Extent | None = None) -> Any:
         )
         for name, title in PLOTS.items()
     ]
-    upper = rrb.Horizontal(cloud, rrb.Vertical(*pictures), column_shares=[CLOUD_WIDTH, 1 - CLOUD_WIDTH])
+    upper = rrb.Horizontal(cloud, rrb.Vertical(*images), column_shares=[CLOUD_WIDTH, 1 - CLOUD_WIDTH])
     return rrb.Blueprint(
         rrb.Vertical(upper, rrb.Horizontal(*plots), row_shares=[CLOUD_HEIGHT, 1 - CLOUD_HEIGHT]),
         rrb.TimePanel(state="collapsed", timeline="exposure", play_state="following"),

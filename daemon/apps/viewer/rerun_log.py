@@ -1,7 +1,7 @@
 """What is logged to Rerun: entities, timelines, units.
 
     world/cloud                      points, mm, in the left camera's frame (x right, y down, z forward)
-    pictures/left, right, modulation the pictures of ``preview``, BGR
+    images/left, right, modulation the images of ``preview``, BGR
     figures/rate_hz, latency_ms, points, drops, ... one number each
 
 Timelines: ``exposure`` (time of the start of exposure) and ``cloud`` (its number).
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.apps.viewer.colors import packed
-from daemon.apps.viewer.layout import CLOUD, PICTURES, Extent, blueprint
+from daemon.apps.viewer.layout import CLOUD, IMAGES, Extent, blueprint
 from daemon.apps.viewer.rerun_import import rerun
 
 _FILL = 0.9  # radius of a point as a part of the distance to its neighbour: closes the surface, hides no real hole
@@ -54,11 +54,11 @@ class Logger:
         colors = packed(self._color, z=positions[:, 2], gray=gray[step, step][known], sigma=sigma[step, step][known])
         self._recording.log(CLOUD, self._rr.Points3D(positions, colors=colors, radii=[_FILL * _pitch_mm(points)]))
 
-    def pictures(self, jpegs: Mapping[str, NDArray[np.uint8]]) -> None:
+    def images(self, jpegs: Mapping[str, NDArray[np.uint8]]) -> None:
         """Log JPEG files by the names that they have in a ``preview`` message; one that is damaged is passed over."""
-        for part, name in PICTURES.items():
-            if part in jpegs and (picture := _decoded(jpegs[part], half=self._step.step > 1)) is not None:
-                self._recording.log(f"pictures/{name}", self._rr.Image(picture, color_model="BGR"))
+        for part, name in IMAGES.items():
+            if part in jpegs and (image := _decoded(jpegs[part], half=self._step.step > 1)) is not None:
+                self._recording.log(f"images/{name}", self._rr.Image(image, color_model="BGR"))
 
     def figures(self, values: Mapping[str, float]) -> None:
         """Log numbers for the plots, by name."""

@@ -1,4 +1,4 @@
-"""A picture of the web viewer, made in a browser without a screen."""
+"""An image of the web viewer, made in a browser without a screen."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _FLAGS = (
 
 @dataclass(frozen=True, slots=True)
 class Paint:
-    """How much stands in a picture: distinct colours, and the share of pixels that are not background."""
+    """How much stands in an image: distinct colours, and the share of pixels that are not background."""
 
     colors: int
     share: float
@@ -63,7 +63,7 @@ def browser_program() -> str | None:
 
 
 def take(endpoint: str, file: Path, *, color: str = "depth", decimate: int = 2, timeout_s: float = _TIMEOUT_S) -> None:
-    """Show a stream in a browser and save a picture once the cloud is drawn.
+    """Show a stream in a browser and save an image once the cloud is drawn.
 
     Raises:
         DaemonError: no browser, no package to drive it, or nothing drawn in time.
@@ -83,17 +83,17 @@ def wait_for_paint(
     poll_s: float = _POLL_S,
     now_s: Callable[[], float] = time.monotonic,
 ) -> bytes:
-    """Poll pictures (PNG) until a cloud is drawn and two in a row agree; the last one.
+    """Poll images (PNG) until a cloud is drawn and two in a row agree; the last one.
 
     Raises:
         DaemonError: it did not happen in time.
     """
     deadline_s, before, last = now_s() + timeout_s, None, Paint(0, 0.0)
     while now_s() < deadline_s:
-        picture = screenshot()
-        last = paint(picture)
+        image = screenshot()
+        last = paint(image)
         if before is not None and last.enough and before.enough and last.like(before):
-            return picture
+            return image
         before = last
         time.sleep(poll_s)
     raise DaemonError(
@@ -106,17 +106,17 @@ def paint(png: bytes) -> Paint:
     """What stands in the middle of the 3D view."""
     import cv2
 
-    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    if picture is None:
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
         return Paint(0, 0.0)
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     rows = slice(round(0.15 * height), round(0.9 * CLOUD_HEIGHT * height))
     columns = slice(round(0.05 * width), round(0.9 * CLOUD_WIDTH * width))
-    return _count(picture[rows, columns])
+    return _count(image[rows, columns])
 
 
-def _count(picture: NDArray[Any]) -> Paint:
-    coarse = picture.astype(np.uint32) >> 3
+def _count(image: NDArray[Any]) -> Paint:
+    coarse = image.astype(np.uint32) >> 3
     codes = (coarse[..., 0] << 10) | (coarse[..., 1] << 5) | coarse[..., 2]
     counts = np.bincount(codes.ravel(), minlength=1 << 15)
     return Paint(int((counts >= 4).sum()), float(1.0 - counts.max() / codes.size))

@@ -15,7 +15,7 @@ from fringed.losses import Losses
 from fringed.receiver import Receiver
 
 TOPICS = ("cloud/full", "preview", "status")
-_QUEUE = 2  # whole messages; more would only be older pictures of the same thing
+_QUEUE = 2  # whole messages; more would only be older images of the same thing
 
 
 class NewestMessages:

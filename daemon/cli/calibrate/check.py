@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 def main(
-    left: Annotated[str, typer.Option(help="Picture of the left camera, or several such as 'L/*.png'.")],
-    right: Annotated[str, typer.Option(help="Pictures of the right camera, as many.")],
+    left: Annotated[str, typer.Option(help="Image of the left camera, or several such as 'L/*.png'.")],
+    right: Annotated[str, typer.Option(help="Images of the right camera, as many.")],
     calibration: Annotated[Path, typer.Option(help="The calibration to check.")] = Path("calibration.yaml"),
     board: Annotated[str | None, typer.Option(help=BOARD_HELP)] = None,
     length: Annotated[float | None, typer.Option(min=1e-3, help="mm between two circles, the only ones seen.")] = None,
@@ -48,7 +48,7 @@ def main(
 
 def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -> list[tuple[str, Distances]]:
     from daemon.apps.calibration.views.detect_marks import look, require
-    from daemon.apps.calibration.views.open_source import PicturePairs
+    from daemon.apps.calibration.views.open_source import ImagePairs
     from daemon.cli.options.progress import rendering
     from pipeline.calibrate.length_check import check_board
     from pipeline.calibrate.targets.board.board import parse_board
@@ -56,7 +56,7 @@ def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -
 
     board = parse_board(text)
     with rendering("Finding marks") as progress:
-        looked = look([PicturePairs(left, right)], board, progress)
+        looked = look([ImagePairs(left, right)], board, progress)
     require(looked, 1)
     _same_size(cameras, looked.sizes, left, right)
     if looked.problems:
@@ -68,19 +68,19 @@ def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -
 
 def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits) -> list[tuple[str, Distances]]:
     from daemon.apps.calibration.images.image_files import unpacked
-    from daemon.apps.calibration.views.open_source import PicturePairs
+    from daemon.apps.calibration.views.open_source import ImagePairs
     from daemon.cli.options.progress import rendering
     from pipeline.calibrate.length_check import check_length
     from pipeline.calibrate.targets.scale_bar import two_circles
 
     found = []
     with rendering("Finding circles") as progress:
-        for view in PicturePairs(left, right).views(progress):
+        for view in ImagePairs(left, right).views(progress):
             ends, sizes = [], {}
-            for device, file, pictures in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
-                picture = unpacked(pictures[0], view.encoding)
-                sizes[device] = picture.shape[1::-1]
-                ends.append(two_circles(picture, file))
+            for device, file, images in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
+                image = unpacked(images[0], view.encoding)
+                sizes[device] = image.shape[1::-1]
+                ends.append(two_circles(image, file))
             _same_size(cameras, sizes, *view.files)
             found.append((view.name, check_length(cameras, length, ends[0], ends[1], limits)))
     return found

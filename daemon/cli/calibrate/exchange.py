@@ -14,7 +14,7 @@ def bring(
     files: Annotated[list[Path], typer.Argument(help="Files that belong together; for ROS the left, then the right.")],
     out: Annotated[Path, typer.Option("--out", help="Write this calibration.")],
     form: Annotated[str, typer.Option("--format", help=_FORMATS, show_default="by content")] = "",
-    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of the pictures, where OpenCV's files do not tell.")] = "",
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of the images, where OpenCV's files do not tell.")] = "",
     unit_mm: Annotated[float, typer.Option(min=1e-6, help="Millimetres of one unit of OpenCV's T: 1000 for m.")] = 1.0,
     force: Annotated[bool, typer.Option("--force", help="Also over a calibration that is better.")] = False,
 ) -> None:

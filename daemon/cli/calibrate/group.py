@@ -12,7 +12,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=N
 
 @app.callback()
 def _root() -> None:
-    """Calibrate cameras, projector and colours from pictures of a board, and check that they are still true."""
+    """Calibrate cameras, projector and colours from images of a board, and check that they are still true."""
     keep_from_others()
 
 

@@ -1,4 +1,4 @@
-"""``fringed calibrate cameras|projector|color|all RIG.yaml``: a guided session, then the command on its pictures."""
+"""``fringed calibrate cameras|projector|color|all RIG.yaml``: a guided session, then the command on its images."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def run(
     Args:
         step: ``cameras``, ``projector``, ``color`` or ``all``. board: see :func:`parse_board`.
         poses: of the board, at least. view: a live view in Rerun.
-        session: folder for the pictures; None = a new one under ``calibration-sessions`` beside rig.yaml.
-        options: of the same command on pictures.
+        session: folder for the images; None = a new one under ``calibration-sessions`` beside rig.yaml.
+        options: of the same command on images.
 
     Raises:
         typer.Exit: the session was stopped; what was captured is on the disk, and the command to go on is told.
@@ -60,7 +60,7 @@ def run(
 
 
 def solve(step: What, folders: list[Path], board: str, options: dict[str, Any]) -> None:
-    """The command on pictures, with the folders of a session."""
+    """The command on images, with the folders of a session."""
     from daemon.cli.calibrate import steps
 
     if not folders:

@@ -17,7 +17,7 @@ def main(
     device: Annotated[str | None, typer.Option(help="What has moved: left, right or projector.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
 ) -> None:
-    """Correct the turn of one device by the residuals of ordinary pictures; shows what it changes, then asks."""
+    """Correct the turn of one device by the residuals of ordinary images; shows what it changes, then asks."""
     from daemon.apps.calibration.solve import archive
     from daemon.apps.calibration.views.drift_pairs import of_rig, of_take
     from daemon.cli.options.progress import rendering

@@ -1,4 +1,4 @@
-"""``fringed calibrate cameras``, ``projector``, ``color`` and ``all``: on pictures, or live with a rig.yaml."""
+"""``fringed calibrate cameras``, ``projector``, ``color`` and ``all``: on images, or live with a rig.yaml."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from daemon.rig.calibration_file import CamerasFile
     from pipeline.calibrate.bundle import Options
 
-Rig = Annotated[Path | None, typer.Argument(help="Live: the rig.yaml. Without it pictures are named by the options.")]
-Left = Annotated[str | None, typer.Option(help="Pictures of the left camera, such as 'L/*.png', sorted by name.")]
-Right = Annotated[str | None, typer.Option(help="Pictures of the right camera, paired by their order.")]
+Rig = Annotated[Path | None, typer.Argument(help="Live: the rig.yaml. Without it images are named by the options.")]
+Left = Annotated[str | None, typer.Option(help="Images of the left camera, such as 'L/*.png', sorted by name.")]
+Right = Annotated[str | None, typer.Option(help="Images of the right camera, paired by their order.")]
 Views = Annotated[list[Path] | None, typer.Option(help="Capture folder or take; may be given several times.")]
 BoardText = Annotated[str, typer.Option("--board", help=BOARD_HELP)]
 Out = Annotated[Path, typer.Option("--out", help="Write the calibration here; the one before is kept beside it.")]
@@ -34,7 +34,7 @@ Distance = Annotated[
 ]
 Poses = Annotated[int, typer.Option(min=3, help="Live: places of the board that are wanted.")]
 Show = Annotated[Literal["none", "web", "native"], typer.Option("--view", help="Live: a view in Rerun.")]
-Session = Annotated[Path | None, typer.Option(help="Live: folder for the pictures.", show_default="beside rig.yaml")]
+Session = Annotated[Path | None, typer.Option(help="Live: folder for the images.", show_default="beside rig.yaml")]
 
 DEFAULT_BOARD = "circles:11x9:32:20"
 DEFAULT_OUT = Path("calibration.yaml")
@@ -57,7 +57,7 @@ def cameras(
     view: Show = "none",
     session: Session = None,
 ) -> None:
-    """Calibrate both cameras together, from pictures of a board at ten or more places."""
+    """Calibrate both cameras together, from images of a board at ten or more places."""
     _step("cameras", **locals())
 
 
@@ -104,7 +104,7 @@ def color(
     from daemon.cli.options.progress import rendering
 
     sources = _sources(None, None, views)
-    with rendering("Reading pictures") as progress:
+    with rendering("Reading images") as progress:
         result = colored(calibration, sources, progress)
     stored = result.write(out or calibration, force=force)
     _tell(stored, [*result.summary, *result.advice])
@@ -135,7 +135,7 @@ def everything(
 def _step(
     step: str, *, rig: Path | None, left: str | None, right: str | None, views: list[Path] | None, **options: Any
 ) -> None:
-    """A step that finds geometry, live or on pictures; ``options`` are the command's other arguments by name."""
+    """A step that finds geometry, live or on images; ``options`` are the command's other arguments by name."""
     if rig is not None:
         _live(step, rig, left, right, views, options)
         return
@@ -210,15 +210,15 @@ def _tell(stored: Stored, notes: list[str]) -> None:
 
 
 def _sources(left: str | None, right: str | None, views: list[Path] | None) -> list[Source]:
-    from daemon.apps.calibration.views.open_source import PicturePairs, open_source
+    from daemon.apps.calibration.views.open_source import ImagePairs, open_source
 
     if (left is None) != (right is None):
         raise typer.BadParameter("--left and --right belong together")
     found: list[Source] = [open_source(path) for path in views or ()]
     if left is not None and right is not None:
-        found.append(PicturePairs(left, right))
+        found.append(ImagePairs(left, right))
     if not found:
-        raise typer.BadParameter("give a rig.yaml to calibrate live, or pictures: --left and --right, or --views")
+        raise typer.BadParameter("give a rig.yaml to calibrate live, or images: --left and --right, or --views")
     return found
 
 
@@ -240,7 +240,7 @@ def _live(
     step: str, rig: Path, left: str | None, right: str | None, views: list[Path] | None, options: dict[str, Any]
 ) -> None:
     if left or right or views:
-        raise typer.BadParameter("a rig.yaml calibrates live; --left, --right and --views are pictures: give one kind")
+        raise typer.BadParameter("a rig.yaml calibrates live; --left, --right and --views are images: give one kind")
     import importlib
 
     importlib.import_module("daemon.cli.calibrate.guided").run(step, rig, **options)

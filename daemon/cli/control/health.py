@@ -20,7 +20,7 @@ def main(
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with charts.")] = None,
-    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the charts as a picture.")] = None,
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the charts as an image.")] = None,
     last: Annotated[str, typer.Option(metavar="TIME", help="How far the charts go back: 90s, 15min, 6h.")] = "1h",
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for each answer.")] = 5.0,
 ) -> None:
@@ -47,7 +47,7 @@ def main(
 
 
 def _write(call: object, seconds: float, html: Path | None, png: Path | None) -> None:
-    """The pictures that are wanted."""
+    """The images that are wanted."""
     if html is None and png is None:
         return
     from daemon.apps.health_report import page, panels

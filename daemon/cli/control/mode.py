@@ -1,4 +1,4 @@
-"""``fringed mode``: how many pictures make a cloud in a running daemon."""
+"""``fringed mode``: how many images make a cloud in a running daemon."""
 
 from __future__ import annotations
 

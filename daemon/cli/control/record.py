@@ -35,7 +35,7 @@ RigOption = Annotated[Path | None, typer.Option(help="Take the endpoint from thi
 
 @app.callback()
 def _root() -> None:
-    """Record raw pictures: start and stop a take of a running daemon, or `record RIG` to record directly."""
+    """Record raw images: start and stop a take of a running daemon, or `record RIG` to record directly."""
 
 
 @app.command()

@@ -108,7 +108,7 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
 
 def mode_text(mode: str, sequence: dict[str, Any]) -> str:
     """A multi-frame mode, in a line."""
-    told = f"{mode}, {sequence['frames']} pictures a cloud, {sequence['sets']} sets, {sequence['sets_incomplete']} lost"
+    told = f"{mode}, {sequence['frames']} images a cloud, {sequence['sets']} sets, {sequence['sets_incomplete']} lost"
     return f"{told}; held by {', '.join(sequence['held'])}" if sequence["held"] else told
 
 

@@ -65,7 +65,7 @@ def pattern(
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Let a running daemon's projector show the fringe, or a plain picture (nothing is measured under it)."""
+    """Let a running daemon's projector show the fringe, or a plain image (nothing is measured under it)."""
     typer.echo(
         f"shown: {ask('pattern.show', endpoint, rig, timeout, chosen_keys(key, server_key), name=name)['shown']}"
     )

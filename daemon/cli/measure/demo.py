@@ -18,11 +18,11 @@ SMALL_SCALE = 0.25
 def main(
     scene: Annotated[str, typer.Option(help="Scene of the simulated rig: moving, face, spheres, ...")] = "moving",
     mesh: Annotated[Path | None, typer.Option(help="Show this OBJ, PLY or STL file instead.")] = None,
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="Pictures rendered at start, then played.")] = 12,
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="Images rendered at start, then played.")] = 12,
     rate: Annotated[float, typer.Option(min=0.1, max=200, help="Triggers per second.")] = 5.0,
     seconds: Annotated[float | None, typer.Option(min=1, help="Stop by itself after so many seconds.")] = None,
     view: Annotated[bool, typer.Option(help="Serve the viewer to a browser.")] = True,
-    small: Annotated[bool, typer.Option(help="Pictures of 256 x 205 pixels instead of 1024 x 820.")] = False,
+    small: Annotated[bool, typer.Option(help="Images of 256 x 205 pixels instead of 1024 x 820.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
 ) -> None:
     """See it work: a simulated rig, measured live, in a viewer, until Ctrl-C."""

@@ -22,7 +22,7 @@ def main(
     web: Annotated[bool, typer.Option("--web", help="Serve the viewer to a browser; prints its address.")] = False,
     save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write a file for the viewer.")] = None,
     screenshot: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Save a picture of the web viewer, made without a screen.")
+        Path | None, typer.Option(metavar="FILE.png", help="Save an image of the web viewer, made without a screen.")
     ] = None,
     color: Annotated[str, typer.Option(help="Of the points: depth, texture or sigma.")] = "depth",
     decimate: Annotated[int, typer.Option(min=1, max=64, help="Show every so many rows and columns.")] = 2,

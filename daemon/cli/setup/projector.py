@@ -1,4 +1,4 @@
-"""``fringed projector``: find the projector's output, and show pictures on it to set it up; needs no daemon."""
+"""``fringed projector``: find the projector's output, and show images on it to set it up; needs no daemon."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Seconds = Annotated[float | None, typer.Option(min=0.1, help="Stop after so many
 
 @app.callback()
 def _root() -> None:
-    """Find the projector's output, and show pictures on it to set it up."""
+    """Find the projector's output, and show images on it to set it up."""
 
 
 @app.command("list")
@@ -60,15 +60,15 @@ def test(
     reset_gamma: ResetGamma = False,
     seconds: Seconds = None,
 ) -> None:
-    """Show the alignment picture: frame, 1-pixel checkerboard, grey ramps, colours, cross hairs."""
-    from drivers.projector.pictures import alignment
+    """Show the alignment image: frame, 1-pixel checkerboard, grey ramps, colours, cross hairs."""
+    from drivers.projector.images import alignment
 
     hold(_projector(output, display, rig, any_mode, reset_gamma), alignment, seconds)
 
 
 @app.command("show")
 def show(
-    what: Annotated[str, typer.Argument(metavar="FILE.png|white|black|cross", help="Picture of the output's size.")],
+    what: Annotated[str, typer.Argument(metavar="FILE.png|white|black|cross", help="Image of the output's size.")],
     output: Output = None,
     display: Display = "",
     rig: Rig = None,
@@ -76,18 +76,18 @@ def show(
     reset_gamma: ResetGamma = False,
     seconds: Seconds = None,
 ) -> None:
-    """Show a picture until Ctrl-C."""
-    from drivers.projector import pictures
+    """Show an image until Ctrl-C."""
+    from drivers.projector import images
 
     made: dict[str, Callable[[tuple[int, int]], Any]] = {
-        "white": lambda size: pictures.plain(size, 255),
-        "black": lambda size: pictures.plain(size, 0),
-        "cross": pictures.cross,
+        "white": lambda size: images.plain(size, 255),
+        "black": lambda size: images.plain(size, 0),
+        "cross": images.cross,
     }
     make = made.get(what)
     if make is None:
-        picture = read_png(Path(what))
-        make = lambda _: picture  # noqa: E731
+        image = read_png(Path(what))
+        make = lambda _: image  # noqa: E731
     hold(_projector(output, display, rig, any_mode, reset_gamma), make, seconds)
 
 
@@ -128,7 +128,7 @@ def hold(
     make: Callable[[tuple[int, int]], NDArray[np.uint8]],
     seconds: float | None,
 ) -> None:
-    """Show the picture that ``make`` gives for the projector's size; say what becomes of it until the end."""
+    """Show the image that ``make`` gives for the projector's size; say what becomes of it until the end."""
     info = projector.open()
     try:
         with suppress(KeyboardInterrupt):
@@ -191,14 +191,14 @@ def read_png(path: Path) -> NDArray[np.uint8]:
     from daemon.common.errors import DaemonError
 
     data = read_at_most(path, PNG_LIMIT, DaemonError)
-    # Pictures that were compressed with losses are refused: their pixels are no longer those that were meant.
+    # Images that were compressed with losses are refused: their pixels are no longer those that were meant.
     is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
-    if picture is None:
-        raise DaemonError(f"{path}: not a picture that can be read; expected an 8-bit PNG")
-    if picture.dtype != np.uint8 or (picture.ndim == 3 and picture.shape[2] != 3):
-        raise DaemonError(f"{path}: {picture.dtype} {picture.shape}; expected 8 bits, grey or red-green-blue, no alpha")
-    return np.ascontiguousarray(np.repeat(picture[..., None], 3, 2) if picture.ndim == 2 else picture[..., ::-1])
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
+    if image is None:
+        raise DaemonError(f"{path}: not an image that can be read; expected an 8-bit PNG")
+    if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] != 3):
+        raise DaemonError(f"{path}: {image.dtype} {image.shape}; expected 8 bits, grey or red-green-blue, no alpha")
+    return np.ascontiguousarray(np.repeat(image[..., None], 3, 2) if image.ndim == 2 else image[..., ::-1])
 
 
 def _projector(

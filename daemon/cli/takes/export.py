@@ -20,7 +20,7 @@ def main(
     kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: ply, pcd or npz.")] = "ply",
     near: Annotated[float | None, typer.Option(min=0, help="Video: depth of the warmest colour, mm.")] = None,
     far: Annotated[float | None, typer.Option(min=0, help="Video: depth of the coldest colour, mm.")] = None,
-    rate: Annotated[float, typer.Option(min=0.1, max=240, help="Video: pictures per second.")] = 10.0,
+    rate: Annotated[float, typer.Option(min=0.1, max=240, help="Video: images per second.")] = 10.0,
     calibration: Annotated[Path | None, typer.Option(help="Take: use this calibration instead.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="Take: change a setting, key=value.")] = None,
 ) -> None:
@@ -47,7 +47,7 @@ def main(
             count = _video(clouds, source if from_take else None, out, near, far, rate)
         else:
             count = _files(clouds(), out, kind)
-    typer.echo(f"{count} {'pictures' if out.suffix.lower() in _VIDEOS else 'clouds'} in {out}")
+    typer.echo(f"{count} {'images' if out.suffix.lower() in _VIDEOS else 'clouds'} in {out}")
 
 
 def _files(clouds: Clouds, out: Path, kind: str) -> int:
@@ -65,7 +65,7 @@ def _files(clouds: Clouds, out: Path, kind: str) -> int:
 def _video(
     clouds: Callable[[], Clouds], take: Path | None, out: Path, near: float | None, far: float | None, rate: float
 ) -> int:
-    from daemon.apps.export.depth_video import depth_limits, depth_picture, write_video
+    from daemon.apps.export.depth_video import depth_image, depth_limits, write_video
     from daemon.common.errors import DaemonError
     from daemon.recording.read.take_reader import TakeReader
 
@@ -82,8 +82,8 @@ def _video(
     out.parent.mkdir(parents=True, exist_ok=True)
     warm, cold = near, far
 
-    def pictures() -> Iterator[Any]:
+    def images() -> Iterator[Any]:
         for _, cloud in clouds():
-            yield depth_picture(cloud.xyz[..., 2], warm, cold)
+            yield depth_image(cloud.xyz[..., 2], warm, cold)
 
-    return write_video(out, pictures(), rate_hz=rate)
+    return write_video(out, images(), rate_hz=rate)

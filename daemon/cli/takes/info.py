@@ -56,7 +56,7 @@ def rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for name in ("unpaired", "duplicates"):
         counts = report[name]
         yield name, f"left {counts['left']}, right {counts['right']}"
-    yield "pictures", ", ".join(f"{count} {name}" for name, count in report["pictures"].items()) or "none"
+    yield "images", ", ".join(f"{count} {name}" for name, count in report["pictures"].items()) or "none"
     yield from _time_rows(report)
     yield from _attached_rows(report)
     problems = report["problems"] + report["attachment_problems"]
@@ -82,7 +82,7 @@ def _attached_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
         pattern = report["pattern"]
         size = " x ".join(str(n) for n in pattern["size"])
         if "sequence" in pattern:
-            yield "pattern", f"sequence {pattern['sequence']!r} of {pattern['frames']} pictures, {size}"
+            yield "pattern", f"sequence {pattern['sequence']!r} of {pattern['frames']} images, {size}"
         else:
             fringe = f"{pattern['fringe']} fringe, {pattern['periods']:g} periods along {pattern['axis']}"
             yield "pattern", f"{fringe}, {size}"

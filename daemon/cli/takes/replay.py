@@ -165,7 +165,7 @@ def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
     rate, sets = summary["pairs_per_second"], summary.get("sets")
     if sets is not None:
         lost = summary["sets_incomplete"]
-        told = f", {lost} more miss a picture" if lost else ""
+        told = f", {lost} more miss an image" if lost else ""
         typer.echo(f"{summary['clouds']} clouds of {sets} sets ({summary['mode']}){where}, {rate:.2f} per second{told}")
     else:
         typer.echo(f"{summary['clouds']} clouds of {summary['pairs']} pairs{where}, {rate:.2f} pairs per second")

@@ -32,7 +32,7 @@ def _root(context: typer.Context, directory: DirOption = None, rig: RigOption = 
 
 @app.command("list")
 def list_(context: typer.Context, directory: DirOption = None, rig: RigOption = None, as_json: AsJson = False) -> None:
-    """List every take: when, how long, how much, and whether it is whole. The pictures are not read."""
+    """List every take: when, how long, how much, and whether it is whole. The images are not read."""
     import json
 
     where, listing = _scanned(context, directory, rig)
@@ -73,7 +73,7 @@ def check(
     directory: DirOption = None,
     rig: RigOption = None,
 ) -> None:
-    """Read every picture of takes and prove its checksum; exit status 1 if something is wrong."""
+    """Read every image of takes and prove its checksum; exit status 1 if something is wrong."""
     where, listing = _scanned(context, directory, rig)
     takes = [listing.find(name) for name in names] if names else listing.takes
     good = [_checked(where, take) for take in takes]

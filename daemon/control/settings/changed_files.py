@@ -62,7 +62,7 @@ def changed_files(old: Rig, new: Rig) -> list[str]:
 
 
 def needs_restart(old: Rig, new: Rig) -> list[str]:
-    """Of the changed files those that change the projected picture: pictures of both would be measured for a while."""
+    """Of the changed files those that change the projected image: images of both would be measured for a while."""
     pattern = ["pattern"] if "pattern" in changed_files(old, new) else []
     return pattern if same_light(old.calibration, new.calibration) else ["calibration", *pattern]
 

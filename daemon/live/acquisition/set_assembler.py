@@ -1,7 +1,7 @@
-"""Which pairs make a set: one pair of each picture of the sequence, told by number, never by order of arrival.
+"""Which pairs make a set: one pair of each image of the sequence, told by number, never by order of arrival.
 
-Pure logic: no threads and no clock. The pair of number ``first + k * frames + i`` shows picture i of set k. A set is
-handed over when all its pairs are there and their exposures began in the order of the pictures; a set that misses one,
+Pure logic: no threads and no clock. The pair of number ``first + k * frames + i`` shows image i of set k. A set is
+handed over when all its pairs are there and their exposures began in the order of the images; a set that misses one,
 or holds one that contradicts another, is dropped whole and counted. A pair is in one set at most, so a lost frame costs
 its set and never mixes two.
 """
@@ -17,7 +17,7 @@ from drivers.protocols import TRIGGER_MODULUS
 T = TypeVar("T")
 
 MOST_GAP_NS = 60_000_000_000
-"""Pictures of one set that lie further apart belong to different times: a count that began anew, say."""
+"""Images of one set that lie further apart belong to different times: a count that began anew, say."""
 
 _HALF = TRIGGER_MODULUS // 2
 _OPEN_SETS = 2
@@ -32,14 +32,14 @@ class _Open(Generic[T]):
     spoilt: bool = False
 
     def take(self, index: int, t_ns: int, member: T) -> None:
-        """Add a pair; a second one of the same picture is ignored, or spoils the set if it is another exposure."""
+        """Add a pair; a second one of the same image is ignored, or spoils the set if it is another exposure."""
         if index not in self.members:
             self.members[index], self.times_ns[index] = member, t_ns
         elif self.times_ns[index] != t_ns:
             self.spoilt = True
 
     def in_order(self) -> bool:
-        """Whether the exposures began in the order of the pictures, without a long pause."""
+        """Whether the exposures began in the order of the images, without a long pause."""
         times_ns = [self.times_ns[index] for index in sorted(self.times_ns)]
         gaps = [after - before for before, after in itertools.pairwise(times_ns)]
         return all(0 < gap <= MOST_GAP_NS for gap in gaps)
@@ -49,12 +49,12 @@ class Gatherer(Generic[T]):
     """Feed pairs; get whole sets.
 
     Args:
-        frames: pictures in a set; first: number of a trigger that shows the first picture.
+        frames: images in a set; first: number of a trigger that shows the first image.
     """
 
     def __init__(self, frames: int, first: int = 0) -> None:
         if frames < 1:
-            raise ValueError(f"a set of {frames} pictures; expected 1 or more")
+            raise ValueError(f"a set of {frames} images; expected 1 or more")
         self.frames, self._first = frames, first
         self.complete, self.incomplete, self.restarts = 0, 0, 0
         self._open: dict[int, _Open[T]] = {}
@@ -62,7 +62,7 @@ class Gatherer(Generic[T]):
         self._decided: int | None = None  # the newest set that was handed over or dropped
 
     def feed(self, number: int, t_ns: int, member: T) -> tuple[T, ...] | None:
-        """Take a pair; the set that it completes, in the order of the pictures.
+        """Take a pair; the set that it completes, in the order of the images.
 
         Args:
             number: of the trigger, may wrap; t_ns: start of exposure.
@@ -82,7 +82,7 @@ class Gatherer(Generic[T]):
         self._open.clear()
 
     def _position(self, number: int) -> int:
-        """How many triggers after the first picture's, negative before it, without the wrap of the numbers."""
+        """How many triggers after the first image's, negative before it, without the wrap of the numbers."""
         last, position = self._newest or (self._first, 0)
         step = (number - last + _HALF) % TRIGGER_MODULUS - _HALF
         if self._newest is not None and position + step < position - _OPEN_SETS * self.frames:

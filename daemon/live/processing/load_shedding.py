@@ -20,7 +20,7 @@ class Overload:
     one has changed since.
 
     Args:
-        enabled: False = always the full picture.
+        enabled: False = always the full image.
     """
 
     def __init__(self, *, enabled: bool) -> None:

@@ -20,7 +20,7 @@ from daemon.live.items import CloudItem
 from daemon.live.processing.gc_control import Garbage, Pauses
 from daemon.live.processing.load_shedding import Overload
 from daemon.live.processing.temporal_prior import Sequel
-from daemon.live.sets import SINGLE, PictureSet
+from daemon.live.sets import SINGLE, ImageSet
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
 from pipeline.reconstruct.cloud import Cloud
@@ -35,7 +35,7 @@ class Reconstructs(Protocol):
     """What the worker needs of a reconstructor."""
 
     def reconstruct(self, left: Any, right: Any, *, every: int = 1, follow: bool = False) -> Cloud:
-        """The cloud of two raw pictures.
+        """The cloud of two raw images.
 
         Args:
             every: spacing of the pixels that are measured, 1 or 2; follow: the last pair's surface is a good guess.
@@ -51,11 +51,11 @@ class ReconstructsSets(Protocol):
         """Compile every kernel."""
 
     def reconstruct(self, lefts: Any, rights: Any) -> Cloud:
-        """The cloud of the raw pictures of a set, in the order of its sequence."""
+        """The cloud of the raw images of a set, in the order of its sequence."""
 
 
 Make = Callable[[], Reconstructs | ReconstructsSets | None]
-Shot = Pair | PictureSet
+Shot = Pair | ImageSet
 
 
 class Worker:
@@ -214,7 +214,7 @@ class Worker:
 
     def _try(self, shot: Shot) -> None:
         try:
-            if isinstance(shot, PictureSet):
+            if isinstance(shot, ImageSet):
                 self._measure_set(shot)
             else:
                 self._measure(shot)
@@ -262,7 +262,7 @@ class Worker:
         if self._overload.measured((now_ns - began_ns) / 1e6, every, now_ns):
             log.info("load: every %s pixel is measured", "second" if self._overload.every == 2 else "single")
 
-    def _measure_set(self, shot: PictureSet) -> None:
+    def _measure_set(self, shot: ImageSet) -> None:
         """Every pixel, however long it takes: the scene is at rest."""
         reconstructor: Any = self._reconstructor
         if getattr(reconstructor, "mode", SINGLE) != shot.mode:
@@ -289,4 +289,4 @@ class Worker:
 
 
 def _kind(shot: Shot) -> str:
-    return "set" if isinstance(shot, PictureSet) else "pair"
+    return "set" if isinstance(shot, ImageSet) else "pair"

@@ -1,1 +1,1 @@
-"""Multi-frame modes in the daemon: several pictures shown one after the other make one cloud."""
+"""Multi-frame modes in the daemon: several images shown one after the other make one cloud."""

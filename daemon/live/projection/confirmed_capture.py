@@ -1,8 +1,8 @@
-"""Pictures shown one after the other, each with pairs of raw pictures that surely show it.
+"""Images shown one after the other, each with pairs of raw images that surely show it.
 
-A pair counts for a picture only if both of its exposures began after the picture's light was surely out: the flip, the
+A pair counts for an image only if both of its exposures began after the image's light was surely out: the flip, the
 projector's latency and a margin. Which pair that is, is told by the times of the exposures, never by counting frames,
-so that lost, late and queued frames can delay a picture but never exchange two.
+so that lost, late and queued frames can delay an image but never exchange two.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from daemon.live.projection.latency_measurement import SETTLED_NS
 from drivers.errors import DriverError
 from drivers.protocols import Clock, Projector
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 _LEAST_MARGIN_NS = 25_000_000
 _MARGIN_FRAMES = 2.0
@@ -28,7 +28,7 @@ _WAIT_S = 0.1
 
 
 class CaptureCancelledError(DaemonError):
-    """Somebody asked that no more pictures are shown."""
+    """Somebody asked that no more images are shown."""
 
 
 class Pairs(Protocol):
@@ -39,7 +39,7 @@ class Pairs(Protocol):
 
 
 def settling_ns(projector: Projector, refresh_hz: float, *, tolerance_ns: int) -> int:
-    """How long after its flip a picture is surely on the scene.
+    """How long after its flip an image is surely on the scene.
 
     Args:
         projector: open; a driver that knows its latency tells it as ``latency_s``, None or no such attribute: unknown.
@@ -53,12 +53,12 @@ def settling_ns(projector: Projector, refresh_hz: float, *, tolerance_ns: int) -
 
 
 def patience_s(*, rendered: bool) -> float:
-    """How long to wait for a pair: rendered pictures take long, triggers do not."""
+    """How long to wait for a pair: rendered images take long, triggers do not."""
     return 60.0 if rendered else 5.0
 
 
 class Shooting:
-    """Shows pictures and waits for the pairs that show them; used by one thread.
+    """Shows images and waits for the pairs that show them; used by one thread.
 
     Args:
         projector: open. pairs: those of its cameras.
@@ -76,40 +76,40 @@ class Shooting:
         patience_s: float = 5.0,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
-        if getattr(projector, "fixed_picture", False):
+        if getattr(projector, "fixed_image", False):
             raise DriverError(
-                "the projector shows a picture of its own and cannot be told to show another; calibrate from pictures "
+                "the projector shows an image of its own and cannot be told to show another; calibrate from images "
                 "that were taken with it (--left, --right), or drive it through projector.driver: x11"
             )
         self._projector, self._pairs, self._clock = projector, pairs, clock
         self._settle_ns, self._patience_ns, self._cancelled = settle_ns, round(1e9 * patience_s), cancelled
-        self._shown: Picture | None = None
+        self._shown: Image | None = None
         self._lit_ns = 0
         self._restarts = self._count_restarts()
 
-    def show(self, picture: Picture) -> None:
-        """Show an (H, W, 3) uint8 picture from now on; one that is shown already is left alone.
+    def show(self, image: Image) -> None:
+        """Show an (H, W, 3) uint8 image from now on; one that is shown already is left alone.
 
         Raises:
-            DriverError: the projector cannot, or it had to be started again since the last picture.
+            DriverError: the projector cannot, or it had to be started again since the last image.
         """
-        if self._shown is None or not np.array_equal(picture, self._shown):
+        if self._shown is None or not np.array_equal(image, self._shown):
             self._shown = None
-            self._projector.show(picture)
+            self._projector.show(image)
             returned_ns = self._clock.realtime_ns()
             flip: Any = getattr(self._projector, "last_flip", None)
             self._lit_ns = max(returned_ns, flip.t_realtime_ns if flip is not None else 0) + self._settle_ns
-            self._shown = picture.copy()
+            self._shown = image.copy()
         self._check()
 
     def pair(self) -> Pair:
-        """The next pair whose exposures begin from now on and see the picture that is shown.
+        """The next pair whose exposures begin from now on and see the image that is shown.
 
         Raises:
             DriverError: none came in time, or the projector failed. CaptureCancelledError: told to give up.
         """
         if self._shown is None:
-            raise DriverError("no picture is shown; show() comes first")
+            raise DriverError("no image is shown; show() comes first")
         since_ns = max(self._lit_ns, self._clock.realtime_ns())
         settling = min(max(0, since_ns - self._clock.realtime_ns()), self._settle_ns)
         end_ns = self._clock.monotonic_ns() + self._patience_ns + settling
@@ -124,25 +124,25 @@ class Shooting:
                 self._check()
                 return pair
             early += 1
-        self.forget()  # a clock that was set back would otherwise hold up every later picture too
+        self.forget()  # a clock that was set back would otherwise hold up every later image too
         raise DriverError(
-            f"no pair of pictures came within {self._patience_ns / 1e9:g} s ({early} were exposed too early); are both "
+            f"no pair of images came within {self._patience_ns / 1e9:g} s ({early} were exposed too early); are both "
             "cameras triggered, and do their clocks agree?"
         )
 
-    def each(self, pictures: Iterable[Picture]) -> Iterator[Pair]:
-        """Show the pictures in turn; the pair of each as soon as it is there."""
-        for picture in pictures:
-            self.show(picture)
+    def each(self, images: Iterable[Image]) -> Iterator[Pair]:
+        """Show the images in turn; the pair of each as soon as it is there."""
+        for image in images:
+            self.show(image)
             yield self.pair()
 
     def forget(self) -> None:
-        """Somebody else may have shown a picture; the next one is shown whatever it is."""
+        """Somebody else may have shown an image; the next one is shown whatever it is."""
         self._shown = None
         self._restarts = self._count_restarts()
 
     def _check(self) -> None:
-        """A window that came back shows its last picture again, but nobody knows what the cameras saw meanwhile."""
+        """A window that came back shows its last image again, but nobody knows what the cameras saw meanwhile."""
         problem, restarts = self._projector.problem(), self._count_restarts()
         if problem or restarts != self._restarts:
             self.forget()

@@ -1,6 +1,6 @@
-"""How late a projector's light is: from the flip of a picture to the first exposure that sees it.
+"""How late a projector's light is: from the flip of an image to the first exposure that sees it.
 
-A black and a white picture are shown in turn. The cameras go on being triggered; the first frame that is brighter than
+A black and a white image are shown in turn. The cameras go on being triggered; the first frame that is brighter than
 half way from dark to white saw the flash. The light came between the exposure before it and this one, so the triggers'
 period limits what can be told of a single flash; several flashes at unrelated moments narrow it down.
 """
@@ -18,7 +18,7 @@ from drivers.errors import DriverError
 from drivers.protocols import Camera, Clock, Frame, Projector, Side
 
 _STEADY = 3
-"""Frames in a row of about the same brightness end a change of the picture."""
+"""Frames in a row of about the same brightness end a change of the image."""
 _SAME = 0.1
 """What counts as the same brightness, as a share of the step from dark to white."""
 SETTLED_NS = 300_000_000
@@ -60,8 +60,8 @@ def measure_latency(
     """Flash and look; opens the projector and the cameras, and closes them.
 
     Args:
-        flip_ns: when the last picture was out, CLOCK_REALTIME, if the driver knows; else when ``show`` came back.
-        timeout_s: longest wait for a change of the picture to be seen.
+        flip_ns: when the last image was out, CLOCK_REALTIME, if the driver knows; else when ``show`` came back.
+        timeout_s: longest wait for a change of the image to be seen.
 
     Raises:
         DriverError: no frames come, or the flash is not seen.
@@ -96,7 +96,7 @@ def measure_latency(
 def _flash(
     looks: list[_Look],
     projector: Projector,
-    pictures: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
     clock: Clock,
     flip_ns: Callable[[], int | None],
     flashes: int,
@@ -104,10 +104,10 @@ def _flash(
     """Bounds in ms, dark and bright counts of every flash and camera."""
     found = []
     for _ in range(flashes):
-        projector.show(pictures[0])
+        projector.show(images[0])
         shown_ns = clock.realtime_ns()
         dark = [look.dark(shown_ns + SETTLED_NS) for look in looks]
-        projector.show(pictures[1])
+        projector.show(images[1])
         flipped_ns = flip_ns() or clock.realtime_ns()
         for look, level in zip(looks, dark, strict=True):
             before_ns, after_ns, bright = look.brighter(level)
@@ -129,7 +129,7 @@ class _Look:
         def settled(levels: list[float]) -> bool:
             return _is_steady(levels, _LEAST_STEP_DN / 2)
 
-        problem = "its picture goes on changing; is the light of the room steady?"
+        problem = "its image goes on changing; is the light of the room steady?"
         frames, levels = self._until(settled, problem, since_ns)
         self._last_ns = frames[-1].t_exposure_ns
         return levels[-1]
@@ -141,7 +141,7 @@ class _Look:
             step = levels[-1] - dark
             return step > _LEAST_STEP_DN and _is_steady(levels, _SAME * step)
 
-        frames, levels = self._until(settled, f"the flash is not seen (the dark picture has {dark:.1f} counts)")
+        frames, levels = self._until(settled, f"the flash is not seen (the dark image has {dark:.1f} counts)")
         first = next(i for i, level in enumerate(levels) if level > 0.5 * (dark + levels[-1]))
         after_ns = frames[first].t_exposure_ns
         before_ns = frames[first - 1].t_exposure_ns if first > 0 else self._last_ns

@@ -1,7 +1,7 @@
-"""The mode of a running daemon: which pictures are on the scene, and what a pair of them is part of.
+"""The mode of a running daemon: which images are on the scene, and what a pair of them is part of.
 
 In mode ``single`` it only looks on. In a multi-frame mode it takes every pair: of a driven projector the pairs that
-have surely seen a picture, of one with stored pictures all of them, and hands over whole sets.
+have surely seen an image, of one with stored images all of them, and hands over whole sets.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from daemon.live.items import PairItem
 from daemon.live.projection.confirmed_capture import Shooting, patience_s, settling_ns
 from daemon.live.projection.mode_plan import Plan, plan_of
 from daemon.live.projection.sequence_player import HOLD_S, Driver
-from daemon.live.sets import SINGLE, PictureSet, Shown
+from daemon.live.sets import SINGLE, ImageSet, Shown
 from daemon.rig.open_rig import Rig
 from drivers.errors import DriverError
 from drivers.protocols import Clock, ProjectorInfo
@@ -41,7 +41,7 @@ class Outlets:
     """Where things go: raw pairs of a set, whole sets, counts; and how often the triggers' count began anew."""
 
     emit: Callable[[PairItem], None]
-    offer: Callable[[PictureSet], None]
+    offer: Callable[[ImageSet], None]
     drops: Counters
     begun_anew: Callable[[], int]
 
@@ -66,7 +66,7 @@ class Sequencing:
         self._held: set[str] = {"start"}
         self._lock = threading.Lock()
         self._changing = False
-        self._lit_ns = 0  # no pair that was exposed earlier shows the single picture
+        self._lit_ns = 0  # no pair that was exposed earlier shows the single image
         self._refresh_hz = 0.0
         self.sets, self.incomplete = 0, 0
 
@@ -77,12 +77,12 @@ class Sequencing:
 
     @property
     def stored(self) -> bool:
-        """Whether the projector holds the pictures of the set."""
+        """Whether the projector holds the images of the set."""
         return self.plan is not None and self._config.sequence.display == "stored"
 
     @property
     def driven(self) -> bool:
-        """Whether the daemon shows the pictures of the set one by one."""
+        """Whether the daemon shows the images of the set one by one."""
         return self.plan is not None and not self.stored
 
     @property
@@ -96,7 +96,7 @@ class Sequencing:
     def light(self, projector: ProjectorInfo) -> None:
         """Light the scene; the projector is open. The sets begin with ``release("start")``."""
         self._refresh_hz = projector.refresh_hz
-        self._rig.projector.show(self._first_picture(self.plan))
+        self._rig.projector.show(self._first_image(self.plan))
 
     def takes(self, pair: Pair) -> bool:
         """Whether a pair is part of a set, or of nothing; else it is measured by itself."""
@@ -133,41 +133,41 @@ class Sequencing:
             raise
 
     def pause(self, paused: bool) -> None:
-        """No triggers are accepted, so that no picture needs to change; comes back at once."""
+        """No triggers are accepted, so that no image needs to change; comes back at once."""
         if paused:
             self.hold("pause", wait=False)
         else:
             self.release("pause")
 
     def release(self, by: str) -> None:
-        """The projector is needed no longer for this; the set goes on with its first picture if nobody else has it."""
+        """The projector is needed no longer for this; the set goes on with its first image if nobody else has it."""
         with self._lock:
             self._held.discard(by)
             if self._held or self.plan is None:
                 return
             if self.driven:
-                self._driver.play(self.mode, self.plan.pictures)
+                self._driver.play(self.mode, self.plan.images)
             else:
                 self._store(self.plan)
 
-    def show_plain(self, picture: NDArray[np.uint8]) -> None:
-        """Show one picture until :meth:`show_measuring`; nothing is measured under it in a multi-frame mode."""
-        self.hold("picture")
+    def show_plain(self, image: NDArray[np.uint8]) -> None:
+        """Show one image until :meth:`show_measuring`; nothing is measured under it in a multi-frame mode."""
+        self.hold("image")
         try:
-            self._rig.projector.show(picture)
+            self._rig.projector.show(image)
         except BaseException:
-            self.release("picture")
+            self.release("image")
             raise
 
     def show_measuring(self) -> None:
         """Show what is measured with again."""
         if not self.driven:
-            self._rig.projector.show(self._first_picture(self.plan))
-        self.release("picture")
+            self._rig.projector.show(self._first_image(self.plan))
+        self.release("image")
 
     @contextmanager
     def changing(self, mode: str) -> Iterator[None]:
-        """In the block the mode is another one and nothing is shown but its first picture; an error takes it back.
+        """In the block the mode is another one and nothing is shown but its first image; an error takes it back.
 
         Raises:
             DaemonError, DriverError, PipelineError: why it cannot be; nothing has changed.
@@ -197,20 +197,20 @@ class Sequencing:
     def problem(self) -> str:
         """Why there may be no light or no sets, or nothing."""
         if self._driver.playing:
-            # Between two pictures a projector is never sure of its own; each one is confirmed before its pair counts.
+            # Between two images a projector is never sure of its own; each one is confirmed before its pair counts.
             return f"sequence: {self._driver.problem}" if self._driver.problem else ""
         dark = self._rig.projector.problem()
         if dark:
             return f"projector: {dark}"
         if self.stored and self._lost_count():
             return (
-                "sequence: the triggers' count began anew, so nobody knows which stored picture a trigger shows; set "
+                "sequence: the triggers' count began anew, so nobody knows which stored image a trigger shows; set "
                 "sequence.first_trigger and restart"
             )
         return ""
 
     def status(self) -> dict[str, Any]:
-        """Mode, pictures of a set, sets so far, and who has the projector meanwhile."""
+        """Mode, images of a set, sets so far, and who has the projector meanwhile."""
         if self.plan is None:
             return {"mode": SINGLE}
         return {
@@ -226,7 +226,7 @@ class Sequencing:
         """End; False when the projector's driver hangs."""
         return self._driver.close()
 
-    def _whole(self, one: PictureSet) -> None:
+    def _whole(self, one: ImageSet) -> None:
         self.sets += 1
         self._outlets.offer(one)
 
@@ -236,16 +236,16 @@ class Sequencing:
             self._outlets.drops.add("sets_incomplete", count)
 
     def _gather(self, pair: Pair) -> None:
-        """A pair under a projector that holds the pictures; called under the pairing's lock."""
+        """A pair under a projector that holds the images; called under the pairing's lock."""
         self._outlets.emit(PairItem(pair.left, pair.right))
         before = self._gatherer.incomplete
         made = self._gatherer.feed(pair.seq, pair.left.t_exposure_ns, pair)
         self._incomplete(self._gatherer.incomplete - before)
         if made is not None and not self._lost_count():
-            self._whole(PictureSet(made, self.mode))
+            self._whole(ImageSet(made, self.mode))
 
     def _lost_count(self) -> bool:
-        """Whether nobody knows any longer which stored picture a trigger shows."""
+        """Whether nobody knows any longer which stored image a trigger shows."""
         return self._gatherer.restarts > 0 or self._outlets.begun_anew() > 0
 
     def _new_gatherer(self) -> Gatherer[Pair]:
@@ -253,17 +253,17 @@ class Sequencing:
         return Gatherer(frames, self._config.sequence.first_trigger)
 
     def _store(self, plan: Plan) -> None:
-        """Give a projector that can be told its pictures what it is to hold; others hold them already."""
+        """Give a projector that can be told its images what it is to hold; others hold them already."""
         store: Any = getattr(self._rig.projector, "store", None)
         if store is not None:
-            store(plan.pictures, self._config.sequence.first_trigger)
+            store(plan.images, self._config.sequence.first_trigger)
 
-    def _first_picture(self, plan: Plan | None) -> NDArray[np.uint8]:
+    def _first_image(self, plan: Plan | None) -> NDArray[np.uint8]:
         rig = self._rig
-        return rig.pattern.picture(rig.calibration.response) if plan is None else plan.pictures[0]
+        return rig.pattern.image(rig.calibration.response) if plan is None else plan.images[0]
 
     def _show_first(self, plan: Plan | None) -> None:
-        self._rig.projector.show(self._first_picture(plan))
+        self._rig.projector.show(self._first_image(plan))
         self._lit_ns = self._clock.realtime_ns() + self._settle_ns()
 
     def _settle_ns(self) -> int:

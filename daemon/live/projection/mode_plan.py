@@ -24,13 +24,13 @@ class Plan:
     """A mode on a rig.
 
     Args:
-        mode: its name; sequence: the descriptions of its pictures.
-        pictures: as they are sent to the projector, (H, W, 3) uint8.
+        mode: its name; sequence: the descriptions of its images.
+        images: as they are sent to the projector, (H, W, 3) uint8.
     """
 
     mode: str
     sequence: Sequence
-    pictures: list[NDArray[np.uint8]]
+    images: list[NDArray[np.uint8]]
 
     def reconstructor(self, rig: Rig, **options: Any) -> SetMeasure:
         """What measures the sets; options as of :class:`pipeline.multi_frame.set_reconstructor.SetReconstructor`."""
@@ -71,4 +71,4 @@ def plan_of(mode: str, config: Sequencing, rig: Rig) -> Plan | None:
     periods = pattern.periods if config.periods is None else config.periods
     sequence = mode_sequence(mode, pattern.size, periods=periods, axis=pattern.axis, **steps)
     response = rig.calibration.response
-    return Plan(mode, sequence, [frame.picture(response) for frame in sequence.frames])
+    return Plan(mode, sequence, [frame.image(response) for frame in sequence.frames])

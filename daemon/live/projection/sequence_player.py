@@ -1,10 +1,10 @@
-"""The daemon shows the pictures of a set in turn, each with a pair that has surely seen it.
+"""The daemon shows the images of a set in turn, each with a pair that has surely seen it.
 
     idle --play--> playing --hold--> idle --play--> ...
-                      |  a picture fails: the set is dropped, the next try begins with the first picture
+                      |  an image fails: the set is dropped, the next try begins with the first image
 
-A set is complete or it is nothing; its pairs get numbers of their own, ``k * frames + i`` for picture i of set k,
-because the cameras' triggers go on while a picture settles.
+A set is complete or it is nothing; its pairs get numbers of their own, ``k * frames + i`` for image i of set k,
+because the cameras' triggers go on while an image settles.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from daemon.common.errors import DaemonError
 from daemon.common.latest_wins_queue import Mailbox
 from daemon.live.acquisition.pairer import Pair
 from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting
-from daemon.live.sets import PictureSet
+from daemon.live.sets import ImageSet
 from drivers.protocols import TRIGGER_MODULUS
 
 log = logging.getLogger("fringed.sequence")
@@ -39,7 +39,7 @@ class Driver:
     """Plays a sequence over and over, in a thread of its own, from :meth:`play` to :meth:`hold`.
 
     Args:
-        shooting: makes what shows a picture and waits for its pair, from the pairs and whether to give up.
+        shooting: makes what shows an image and waits for its pair, from the pairs and whether to give up.
         seen: takes each pair that is part of a set, numbered. whole: takes each set. dropped: told of each that failed.
     """
 
@@ -48,13 +48,13 @@ class Driver:
         shooting: MakeShooting,
         *,
         seen: Callable[[Pair], None],
-        whole: Callable[[PictureSet], None],
+        whole: Callable[[ImageSet], None],
         dropped: Callable[[], None],
     ) -> None:
         self._make, self._seen, self._whole, self._dropped = shooting, seen, whole, dropped
         self._box: Mailbox[Pair] = Mailbox(_ROOM)
         self._changed = threading.Condition()
-        self._pictures: list[NDArray[np.uint8]] = []
+        self._images: list[NDArray[np.uint8]] = []
         self._mode = ""
         self._wanted = self._busy = self._closed = False
         self._sets = 0
@@ -64,23 +64,23 @@ class Driver:
 
     @property
     def playing(self) -> bool:
-        """Whether pictures are being shown, or tried again after a failure."""
+        """Whether images are being shown, or tried again after a failure."""
         return self._wanted
 
     def offer(self, pair: Pair) -> None:
         """Take a pair of the cameras; the newest few are kept until one is wanted."""
         self._box.put(pair)
 
-    def play(self, mode: str, pictures: list[NDArray[np.uint8]]) -> None:
-        """Show these pictures, (H, W, 3) uint8, from now on, beginning with the first.
+    def play(self, mode: str, images: list[NDArray[np.uint8]]) -> None:
+        """Show these images, (H, W, 3) uint8, from now on, beginning with the first.
 
         Args:
             mode: name that the sets get.
         """
         with self._changed:
-            if len(pictures) != len(self._pictures):
-                self._sets = -(-self._sets * len(self._pictures) // len(pictures))  # the numbers only grow
-            self._mode, self._pictures, self._wanted = mode, pictures, True
+            if len(images) != len(self._images):
+                self._sets = -(-self._sets * len(self._images) // len(images))  # the numbers only grow
+            self._mode, self._images, self._wanted = mode, images, True
             if self._thread is None and not self._closed:
                 self._thread = threading.Thread(target=self._run, name="sequence", daemon=True)
                 self._thread.start()
@@ -101,7 +101,7 @@ class Driver:
             if timeout_s is None:
                 return
             if not self._changed.wait_for(lambda: not self._busy, timeout_s):
-                raise DaemonError(f"the projector does not come back from its picture within {timeout_s:g} s")
+                raise DaemonError(f"the projector does not come back from its image within {timeout_s:g} s")
             self.problem = ""
 
     def close(self) -> bool:
@@ -139,23 +139,23 @@ class Driver:
             return self._busy
 
     def _play(self) -> None:
-        """Set after set; somebody else may have shown a picture since the last turn."""
+        """Set after set; somebody else may have shown an image since the last turn."""
         shooting = self._make(self._box, self._give_up)
         while self._wanted:
             with self._changed:
-                mode, pictures = self._mode, self._pictures
-            self._whole(PictureSet(tuple(self._pairs(shooting, pictures)), mode))
+                mode, images = self._mode, self._images
+            self._whole(ImageSet(tuple(self._pairs(shooting, images)), mode))
             self._sets += 1
             if self.problem:
-                log.info("sequence: the pictures are seen again")
+                log.info("sequence: the images are seen again")
                 self.problem = ""
 
-    def _pairs(self, shooting: Shooting, pictures: list[NDArray[np.uint8]]) -> list[Pair]:
-        frames = len(pictures)
+    def _pairs(self, shooting: Shooting, images: list[NDArray[np.uint8]]) -> list[Pair]:
+        frames = len(images)
         first, pairs = self._sets % (TRIGGER_MODULUS // frames) * frames, []
         try:
-            for self.index, picture in enumerate(pictures):
-                shooting.show(picture)
+            for self.index, image in enumerate(images):
+                shooting.show(image)
                 pairs.append(_numbered(shooting.pair(), first + self.index))
                 self._seen(pairs[-1])
         except BaseException:
@@ -168,7 +168,7 @@ class Driver:
     def _fail(self, error: Exception) -> None:
         problem = str(error) or type(error).__name__
         if problem != self.problem:
-            log.warning("sequence: picture %d: %s", self.index, problem)
+            log.warning("sequence: image %d: %s", self.index, problem)
         self.problem = problem
 
 

@@ -1,4 +1,4 @@
-"""``preview``: both pictures as JPEG, and the left one's modulation with clipped pixels marked."""
+"""``preview``: both images as JPEG, and the left one's modulation with clipped pixels marked."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ _BAYER = {
     "bayer_bggr8": cv2.COLOR_BayerBGGR2BGR,
 }
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 
 def preview(origin: Origin, item: CloudItem) -> Frames:
     """Parts ``left``, ``right`` and ``overlay``, each the bytes of a JPEG file."""
     height, width = item.left.image.shape[:2]
-    pictures = {"left": shown(item.left), "right": shown(item.right), "overlay": overlay(item)}
+    images = {"left": shown(item.left), "right": shown(item.right), "overlay": overlay(item)}
     header = wire.Header(
         kind="preview", seq=item.seq, t_ns=item.t_ns, data={"width": width, "height": height}, **origin.keys()
     )
-    rows = {name: {"media": "image/jpeg"} for name in pictures}
-    return wire.encode("preview", header, {name: _jpeg(p) for name, p in pictures.items()}, rows=rows)
+    rows = {name: {"media": "image/jpeg"} for name in images}
+    return wire.encode("preview", header, {name: _jpeg(p) for name, p in images.items()}, rows=rows)
 
 
-def shown(frame: Frame) -> Picture:
-    """The picture for the eye: (H, W) or (H, W, 3) uint8, BGR. Only here is a mosaic interpolated."""
+def shown(frame: Frame) -> Image:
+    """The image for the eye: (H, W) or (H, W, 3) uint8, BGR. Only here is a mosaic interpolated."""
     image: NDArray[Any] = frame.image
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
@@ -47,8 +47,8 @@ def shown(frame: Frame) -> Picture:
     return np.asarray(image[..., ::-1] if image.ndim == 3 else image, np.uint8)
 
 
-def overlay(item: CloudItem) -> Picture:
-    """Modulation of the left picture as brightness, clipped pixels red; (H, W, 3) uint8, BGR."""
+def overlay(item: CloudItem) -> Image:
+    """Modulation of the left image as brightness, clipped pixels red; (H, W, 3) uint8, BGR."""
     image: NDArray[Any] = item.left.image
     bright = np.minimum(item.cloud.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
     if bright.shape != image.shape[:2]:  # measured with fewer pixels
@@ -59,8 +59,8 @@ def overlay(item: CloudItem) -> Picture:
     return out
 
 
-def _jpeg(picture: Picture) -> Picture:
-    good, data = cv2.imencode(".jpg", np.ascontiguousarray(picture), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+def _jpeg(image: Image) -> Image:
+    good, data = cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     if not good:
-        raise ValueError(f"OpenCV cannot encode a picture of shape {picture.shape}")
+        raise ValueError(f"OpenCV cannot encode an image of shape {image.shape}")
     return np.asarray(data, np.uint8).reshape(-1)

@@ -50,7 +50,7 @@ class Publisher:
         device, session, identity: stand in every header, the last as ``calibration``.
         calibration: gives the rays of the left camera; calibration_data: the bytes of its file.
         config: of the rig, plain values.
-        preview_hz: pictures a second, at most 10; 0 = none.
+        preview_hz: images a second, at most 10; 0 = none.
 
     Raises:
         DaemonError: an endpoint that cannot be bound.

@@ -39,7 +39,7 @@ def told(drifted: Mapping[str, Found], guess: str = "") -> str:
         if name in drifted:
             found = drifted[name]
             parts.append(
-                f"fringes of the {side} picture: modulation {found.value:.2f} of the mean, was "
+                f"fringes of the {side} image: modulation {found.value:.2f} of the mean, was "
                 f"{found.value - found.change:.2f}; look at focus, ambient light and exposure"
             )
     if SURFACE in drifted:

@@ -83,7 +83,7 @@ class SelfCheck:
         self._thread.start()
 
     def offer(self, item: Item) -> bool:
-        """Take a cloud when the next check is due; only a single picture of the colour fringe tells anything."""
+        """Take a cloud when the next check is due; only a single image of the colour fringe tells anything."""
         if isinstance(item, CloudItem) and item.frames == 1:
             now_ns = self._clock.monotonic_ns()
             if now_ns >= self._due_ns and not self._stop.is_set():

@@ -1,4 +1,4 @@
-"""foxglove.RawImage as bytes: the few lines of protobuf that a picture needs, decoded without a copy."""
+"""foxglove.RawImage as bytes: the few lines of protobuf that an image needs, decoded without a copy."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
 class ImageError(TakeError):
-    """A message that is no picture, or a picture that no message can carry."""
+    """A message that is no image, or an image that no message can carry."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawImage:
-    """A picture as the sensor gave it.
+    """An image as the sensor gave it.
 
     Args:
         t_ns: start of exposure; frame_id: ``left`` or ``right``.
@@ -48,7 +48,7 @@ class RawImage:
 
 
 def encode(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> bytes:
-    """The message of a picture; ImageError when picture and encoding contradict each other."""
+    """The message of an image; ImageError when image and encoding contradict each other."""
     return b"".join(pieces(t_ns, frame_id, encoding, image))
 
 
@@ -57,7 +57,7 @@ def pieces(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> tuple[byte
     dtype, channels = _encoding(encoding)
     shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
     if image.shape != shape or image.size == 0 or image.dtype != np.dtype(dtype).newbyteorder("="):
-        raise ImageError(f"{frame_id} picture: {image.dtype} {image.shape} does not fit the encoding {encoding}")
+        raise ImageError(f"{frame_id} image: {image.dtype} {image.shape} does not fit the encoding {encoding}")
     height, width = image.shape[:2]
     step = width * channels * np.dtype(dtype).itemsize
     seconds, nanos = divmod(t_ns, 10**9)
@@ -69,7 +69,7 @@ def pieces(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> tuple[byte
 
 
 def decode(data: bytes | memoryview) -> RawImage:
-    """The picture of a message, a read-only view of ``data`` wherever its rows are not padded.
+    """The image of a message, a read-only view of ``data`` wherever its rows are not padded.
 
     Raises:
         ImageError: bytes that are not a RawImage, or sizes that contradict each other.
@@ -91,11 +91,11 @@ def _view(pixels: memoryview, encoding: str, width: int, height: int, step: int)
     item = np.dtype(dtype).itemsize
     row = width * channels * item
     if not (0 < width <= SIDE_LIMIT and 0 < height <= SIDE_LIMIT):
-        raise ImageError(f"picture of {width} x {height} pixels: each side must be 1 to {SIDE_LIMIT}")
+        raise ImageError(f"image of {width} x {height} pixels: each side must be 1 to {SIDE_LIMIT}")
     if step < row:
-        raise ImageError(f"picture rows of {step} bytes cannot hold {width} pixels of {encoding} ({row} bytes)")
+        raise ImageError(f"image rows of {step} bytes cannot hold {width} pixels of {encoding} ({row} bytes)")
     if not step * (height - 1) + row <= len(pixels) <= step * height:
-        raise ImageError(f"picture of {len(pixels)} bytes, expected {height} rows of {step} bytes")
+        raise ImageError(f"image of {len(pixels)} bytes, expected {height} rows of {step} bytes")
     shape = (height, width) if channels == 1 else (height, width, channels)
     strides = (step, item) if channels == 1 else (step, item * channels, item)
     image: Any = np.ndarray(shape, dtype=dtype, buffer=pixels, strides=strides)
@@ -108,7 +108,7 @@ def _view(pixels: memoryview, encoding: str, width: int, height: int, step: int)
 
 def _encoding(encoding: str) -> tuple[str, int]:
     if encoding not in ENCODINGS:
-        raise ImageError(f"picture encoding {encoding[:40]!r} is not one of {', '.join(ENCODINGS)}")
+        raise ImageError(f"image encoding {encoding[:40]!r} is not one of {', '.join(ENCODINGS)}")
     return ENCODINGS[encoding]
 
 

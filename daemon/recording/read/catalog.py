@@ -1,4 +1,4 @@
-"""Which takes lie in a directory, told from the files' ends without reading the pictures, and remembered.
+"""Which takes lie in a directory, told from the files' ends without reading the images, and remembered.
 
 ``takes.json`` in the directory keeps what was found of finished files, by size and time of change; it may be removed
 at any time, and what does not fit is looked at again.

@@ -1,4 +1,4 @@
-"""What a take holds and whether it is whole: every picture is read and its checksum proven."""
+"""What a take holds and whether it is whole: every image is read and its checksum proven."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class _Tally:
     pairs: int = 0
     unpaired: Counter[Side] = field(default_factory=Counter)
     duplicates: Counter[Side] = field(default_factory=Counter)
-    pictures: Counter[str] = field(default_factory=Counter)
+    images: Counter[str] = field(default_factory=Counter)
     numbers: set[int] = field(default_factory=set)
     times_ns: list[int] = field(default_factory=list)
     last: int | None = None
@@ -41,7 +41,7 @@ class _Tally:
         """Add a frame."""
         self.frames[frame.side] += 1
         height, width = frame.image.shape[:2]
-        self.pictures[f"{frame.side} {frame.encoding} {width} x {height}"] += 1
+        self.images[f"{frame.side} {frame.encoding} {width} x {height}"] += 1
         self.last = unwrapped(frame.trigger, self.last)
         if frame.trigger in seen[frame.side]:
             self.duplicates[frame.side] += 1
@@ -109,7 +109,7 @@ def _sums(tally: _Tally) -> dict[str, Any]:
         "frames": {side: tally.frames[side] for side in SIDES},
         "unpaired": {side: tally.unpaired[side] for side in SIDES},
         "duplicates": {side: tally.duplicates[side] for side in SIDES},
-        "pictures": dict(sorted(tally.pictures.items())),
+        "pictures": dict(sorted(tally.images.items())),
         "first_sequence": min(tally.numbers) % TRIGGER_MODULUS if tally.numbers else None,
         "last_sequence": max(tally.numbers) % TRIGGER_MODULUS if tally.numbers else None,
         "missing": sum((last - first) % TRIGGER_MODULUS + 1 for first, last in holes),

@@ -120,11 +120,11 @@ class PartReader:
         if side is None:
             return None
         try:
-            picture = decode(message.data)
+            image = decode(message.data)
         except ImageError as error:
-            self.complain(f"damaged at byte {place.offset}: {side} picture {message.sequence}: {error}")
+            self.complain(f"damaged at byte {place.offset}: {side} image {message.sequence}: {error}")
             return None
-        return Frame(side, message.sequence, message.publish_ns, message.log_ns, picture.encoding, picture.image)
+        return Frame(side, message.sequence, message.publish_ns, message.log_ns, image.encoding, image.image)
 
     def _side(self, channel_id: int, place: Place) -> Side | None:
         """Which camera a channel is of; None for channels of other things."""

@@ -27,7 +27,7 @@ WAITING_FRAMES = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TakePair:
-    """Two raw pictures of one exposure.
+    """Two raw images of one exposure.
 
     Args:
         sequence: number of the trigger; t_ns: start of exposure of the left camera.
@@ -58,7 +58,7 @@ class TakeReader:
     :attr:`counts` are those of the last walk through :meth:`frames` or :meth:`pairs`.
 
     Raises:
-        TakeError: a file that is no recording, or that holds something else than pairs of raw pictures.
+        TakeError: a file that is no recording, or that holds something else than pairs of raw images.
     """
 
     def __init__(self, path: Path) -> None:
@@ -95,7 +95,7 @@ class TakeReader:
             self._parts.append(part)
 
     def close(self) -> None:
-        """Close the files; pictures that were handed out stay valid."""
+        """Close the files; images that were handed out stay valid."""
         for part in self._parts:
             part.close()
 
@@ -139,12 +139,12 @@ class TakeReader:
         return parse_pattern(*self._attached(PATTERN))
 
     def sequence(self) -> Sequence | None:
-        """The attached sequence of a take whose pictures differ, None for a take of a single pattern."""
+        """The attached sequence of a take whose images differ, None for a take of a single pattern."""
         return parse_sequence(*self._attached(PATTERN))
 
     @property
     def first_pattern_sequence(self) -> int:
-        """Number of a trigger that shows the first picture of the sequence; TakeError for what is no number."""
+        """Number of a trigger that shows the first image of the sequence; TakeError for what is no number."""
         text = self.metadata.get("first_pattern_sequence", "0")
         if not (text.isascii() and text.isdecimal() and len(text) <= 10 and int(text) < TRIGGER_MODULUS):
             raise TakeError(f"{self.path}: first_pattern_sequence is {text!r:.40}, expected a trigger number")

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from daemon.live.items import LoneItem, PairItem
 
-Picture = PairItem | LoneItem
+Image = PairItem | LoneItem
 
 
 class Inbox:
@@ -20,7 +20,7 @@ class Inbox:
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
-        self._items: deque[Picture] = deque()
+        self._items: deque[Image] = deque()
         self._before = 0  # items of the time before the take: they need not fit
         self._changed = threading.Condition()
         self._closing = False
@@ -36,7 +36,7 @@ class Inbox:
         """Whether nothing more will come."""
         return self._closing
 
-    def offer(self, item: Picture) -> bool:
+    def offer(self, item: Image) -> bool:
         """Take an item, or count why not."""
         with self._changed:
             reason = self._over or ("closed" if self._closing else "")
@@ -49,7 +49,7 @@ class Inbox:
             self._changed.notify()
             return True
 
-    def take_over(self, items: Iterable[Picture]) -> None:
+    def take_over(self, items: Iterable[Image]) -> None:
         """Items of the time before: they go first and need not fit."""
         with self._changed:
             before = list(items)
@@ -57,19 +57,19 @@ class Inbox:
             self._before += len(before)
             self._changed.notify()
 
-    def next(self) -> Picture | None:
+    def next(self) -> Image | None:
         """The oldest item; waits for one. None once closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closing)
             self._before = max(0, self._before - 1)
             return self._items.popleft() if self._items else None
 
-    def put_back(self, item: Picture) -> None:
+    def put_back(self, item: Image) -> None:
         """This one is to be the next again."""
         with self._changed:
             self._items.appendleft(item)
 
-    def first(self) -> Picture | None:
+    def first(self) -> Image | None:
         """The oldest item, left where it is."""
         with self._changed:
             return self._items[0] if self._items else None

@@ -1,6 +1,6 @@
 """One file of a take while it is written: MCAP, a chunk for each pair, its real name only once it is whole.
 
-The chunks are put together here and handed to the kernel in pieces: the pictures are never copied, which takes a
+The chunks are put together here and handed to the kernel in pieces: the images are never copied, which takes a
 fraction of the time that a general MCAP writer needs. The small records are written by the ``mcap`` package.
 """
 
@@ -83,7 +83,7 @@ class PartWriter:
         return self._file
 
     def _begin(self, attachments: Mapping[str, bytes], metadata: Mapping[str, str], created_ns: int) -> None:
-        """Everything that comes before the first picture."""
+        """Everything that comes before the first image."""
         self._append([MAGIC, _bytes(mcap_records.Header(profile="", library="fringed"))])
         for name, data in attachments.items():
             record = _bytes(mcap_records.Attachment(created_ns, created_ns, name, _media_type(name), data))

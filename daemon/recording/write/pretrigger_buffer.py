@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from daemon.live.items import PairItem
-from daemon.recording.write.frame_queue import Picture
+from daemon.recording.write.frame_queue import Image
 
 MEGABYTE = 1_000_000
 
@@ -22,10 +22,10 @@ class Before:
 
     def __init__(self, limits: Callable[[], tuple[float, int]], now_ns: Callable[[], int]) -> None:
         self._limits, self._now_ns = limits, now_ns
-        self._items: deque[tuple[int, int, Picture]] = deque()
+        self._items: deque[tuple[int, int, Image]] = deque()
         self._bytes = 0
 
-    def add(self, item: Picture) -> None:
+    def add(self, item: Image) -> None:
         """Keep an item, and let go of what is too old or too much."""
         seconds, most_bytes = self._limits()
         if seconds <= 0:
@@ -37,7 +37,7 @@ class Before:
         while self._items and (self._bytes > most_bytes or now_ns - self._items[0][0] > 1e9 * seconds):
             self._bytes -= self._items.popleft()[1]
 
-    def last(self, seconds: float) -> list[Picture]:
+    def last(self, seconds: float) -> list[Image]:
         """What came within the last seconds, oldest first."""
         since_ns = self._now_ns() - round(1e9 * seconds)
         return [item for t_ns, _, item in self._items if t_ns >= since_ns]
@@ -53,8 +53,8 @@ class Before:
         return {"kept_s": round(reach_s, 2), "items": len(self._items), "bytes": self._bytes}
 
 
-def size_of(item: Picture) -> int:
-    """Bytes of an item's pictures."""
+def size_of(item: Image) -> int:
+    """Bytes of an item's images."""
     if isinstance(item, PairItem):
         return item.left.image.nbytes + item.right.image.nbytes
     return item.frame.image.nbytes

@@ -25,7 +25,7 @@ from daemon.recording.format.part_names import CALIBRATION, PATTERN, RIG, VOLUME
 from daemon.recording.format.raw_image import ImageError
 from daemon.recording.write.disk_space import Disk
 from daemon.recording.write.disk_sync import Policy, Syncer
-from daemon.recording.write.frame_queue import Inbox, Picture
+from daemon.recording.write.frame_queue import Image, Inbox
 from daemon.recording.write.part_chain import Limits, PartChain
 from daemon.recording.write.part_writer import PartWriter
 from daemon.recording.write.progress import Progress
@@ -114,7 +114,7 @@ class TakeWriter:
         """Take a pair or a lone frame; False when the queue is full or the take has ended. Never blocks."""
         return isinstance(item, CloudItem) or self._inbox.offer(item)
 
-    def take_over(self, items: Iterable[Picture]) -> None:
+    def take_over(self, items: Iterable[Image]) -> None:
         """Write these first: what came before the take began. They need not fit into the queue."""
         self._inbox.take_over(items)
 
@@ -179,7 +179,7 @@ class TakeWriter:
                     raise
                 self._interrupt(item, error)
 
-    def _write(self, item: Picture) -> None:
+    def _write(self, item: Image) -> None:
         if self._sync_error is not None:
             raise self._sync_error
         frames = _frames(item)
@@ -219,7 +219,7 @@ class TakeWriter:
             return
         self._progress.wrote(frames, size)
 
-    def _interrupt(self, item: Picture, error: Exception) -> None:
+    def _interrupt(self, item: Image, error: Exception) -> None:
         """The disk is full or in trouble: close the part as well as can be, keep what waits, and try again later."""
         trouble = str(error) if isinstance(error, _NoRoomError) else f"{self._path.parent}: {error}"
         log.warning("recording is interrupted: %s", trouble)
@@ -292,7 +292,7 @@ class TakeWriter:
         self._progress.fail(problem)
 
 
-def _frames(item: Picture) -> tuple[Frame, ...]:
+def _frames(item: Image) -> tuple[Frame, ...]:
     return (item.left, item.right) if isinstance(item, PairItem) else (item.frame,)
 
 

@@ -129,7 +129,7 @@ def _settled(
         if allowed < 0:
             raise CalibrationError(
                 f"more than {options.most_views:.0%} of the views do not fit the others: "
-                f"{'; '.join(map(str, rejected[:6]))}; are board, order of the pictures and numbering right?"
+                f"{'; '.join(map(str, rejected[:6]))}; are board, order of the images and numbering right?"
             )
         for view, device, _ in worse:
             gone = data.view == numbers[view]

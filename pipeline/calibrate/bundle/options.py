@@ -33,9 +33,9 @@ class Options:
         view_limit: a view is left out when its rms residual is more than this many times the usual one.
         most_marks, most_views: largest shares of the marks and of the views that may be left out.
         least_views: fewest views that are accepted.
-        least_marks: fewest marks of one device in one view; with less the device's picture is left out.
+        least_marks: fewest marks of one device in one view; with less the device's image is left out.
         most_focal_sigma: largest standard deviation of a focal length, as a share of it.
-        most_centre_sigma: largest standard deviation of a principal point, as a share of the picture's width.
+        most_centre_sigma: largest standard deviation of a principal point, as a share of the image's width.
         check: whether a degenerate set of views is refused; a guided session asks for numbers while it is not complete.
     """
 

@@ -39,7 +39,7 @@ class Rejection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """Measured minus predicted of one picture's used marks.
+    """Measured minus predicted of one image's used marks.
 
     Args:
         ids: (n,) numbers of the marks.

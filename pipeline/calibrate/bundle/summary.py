@@ -42,7 +42,7 @@ def summarise(
         board: what was shown.
         views: all views.
         devices: names in the order of the unknowns.
-        sizes: of their pictures.
+        sizes: of their images.
         adjusted: the last adjustment.
         numbers: its views' places among ``views``.
         rejected: what was left out before.

@@ -1,4 +1,4 @@
-"""Pictures and views that are not fit for the adjustment."""
+"""Images and views that are not fit for the adjustment."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 def few_marks(
     data: Observations, board: Board, views: Sequence[BoardView], devices: Sequence[str], options: Options
 ) -> tuple[Observations, list[Rejection]]:
-    """Leave out pictures with too few marks, or with marks in a single line."""
+    """Leave out images with too few marks, or with marks in a single line."""
     rejected, good = list[Rejection](), np.ones(len(data), dtype=bool)
     for device, view, where in data.groups():
         count = where.stop - where.start
@@ -48,8 +48,8 @@ def bad_views(
 ) -> list[tuple[int, int | None, Rejection]]:
     """The worst view, if it does not fit the others: (view, device or None for all of them, why).
 
-    One at a time, because a bad view spoils the others. Its picture is judged by the median squared length of its
-    residuals (marks that were left out included), against the median of the device's pictures.
+    One at a time, because a bad view spoils the others. Its image is judged by the median squared length of its
+    residuals (marks that were left out included), against the median of the device's images.
     """
     if options.loss == "squared":
         return []

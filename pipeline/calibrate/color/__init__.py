@@ -1,4 +1,4 @@
-"""Colour of a rig from pictures of an even white surface: black, crosstalk, balance, response, lateral colour.
+"""Colour of a rig from images of an even white surface: black, crosstalk, balance, response, lateral colour.
 
 :func:`color_sequence` says what is shown, :func:`calibrate_color` makes the models of it, :func:`phase_error` checks
 them on a fresh pattern.

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.color.color_planes import F32, Mask, Pictures, blocks
+from pipeline.calibrate.color.color_planes import F32, Images, Mask, blocks
 from pipeline.calibrate.color.color_sequence import Axis, Roles
 from pipeline.calibrate.color.crosstalk import fringe_phasors
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
@@ -26,10 +26,10 @@ _LEAST_BLOCKS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offsets:
-    """Where red and blue light stands against green in one camera's pictures, at n blocks of the board.
+    """Where red and blue light stands against green in one camera's images, at n blocks of the board.
 
     Args:
-        pixels: (n, 2) in the camera's picture; projector: (n, 2) coordinates of the green light there.
+        pixels: (n, 2) in the camera's image; projector: (n, 2) coordinates of the green light there.
         jacobian: (n, 2, 2), derivative of the projector's coordinates by the pixel's.
         red, blue: (n, 2), offset against green, projector pixels.
         weights: (n,) number of white pixels.
@@ -44,7 +44,7 @@ class Offsets:
 
 
 def measure_offsets(
-    pictures: Pictures, roles: Roles, area: Mask, *, black: F32, full: F32, crosstalk: Array,
+    images: Images, roles: Roles, area: Mask, *, black: F32, full: F32, crosstalk: Array,
     response: Response, shown: Response | None,
 ) -> Offsets:  # fmt: skip
     """Offsets of red and blue seen by one camera.
@@ -62,22 +62,22 @@ def measure_offsets(
     weights, sum_u, sum_v = blocks(area.astype(np.float32), u, v, side=_SIDE)
     used = weights > 0.4 * _SIDE**2
     if np.count_nonzero(used) < _LEAST_BLOCKS:
-        raise PictureError(
-            f"{pictures.side} camera: only {np.count_nonzero(used)} blocks of {_SIDE} x {_SIDE} pixels are evenly "
-            f"white, at least {_LEAST_BLOCKS} are needed for lateral colour; fill the picture with a white board"
+        raise ImageError(
+            f"{images.side} camera: only {np.count_nonzero(used)} blocks of {_SIDE} x {_SIDE} pixels are evenly "
+            f"white, at least {_LEAST_BLOCKS} are needed for lateral colour; fill the image with a white board"
         )
     pixels = np.stack([sum_u[used], sum_v[used]], axis=1) / weights[used, None]
     for axis in _AXES:
         fringe = roles.single[axis][1].frame
         period = fringe.length / fringe.periods
-        light = [fringe_phasors(pictures, s, (k,))[..., 0] for k, s in enumerate(roles.single[axis])]
+        light = [fringe_phasors(images, s, (k,))[..., 0] for k, s in enumerate(roles.single[axis])]
         inside = area.astype(np.float32)
         for k, out in ((0, red), (2, blue)):
             turned = blocks(inside, light[k] * light[1].conj(), side=_SIDE)[1][used]
             out.append(np.angle(turned) * period / (2 * np.pi))
-        relative = _relative_light(pictures.planes(roles.coarse[axis]) - black, full, crosstalk)
+        relative = _relative_light(images.planes(roles.coarse[axis]) - black, full, crosstalk)
         coarse = _coarse_coordinate(relative, response if shown is None else None, fringe.length)
-        value, slope = _smooth_coordinate(coarse, np.angle(light[1]), period, area, pixels, pictures.side)
+        value, slope = _smooth_coordinate(coarse, np.angle(light[1]), period, area, pixels, images.side)
         where.append(value)
         slopes.append(slope)
     return Offsets(
@@ -121,7 +121,7 @@ def _smooth_coordinate(
     values = _coefficients(terms, absolute)
     residual = float(np.median(np.abs(absolute - terms @ values)))
     if residual > 0.1 * period:
-        raise PictureError(
+        raise ImageError(
             f"{side} camera: the fringes do not lie on a flat board (typical deviation {residual:.1f} projector "
             f"pixels, limit {0.1 * period:.1f}); show one flat white board, and nothing else that is white"
         )

@@ -1,4 +1,4 @@
-"""Raw pictures as planes of three colours, the even white area in them, and checks of the exposure."""
+"""Raw images as planes of three colours, the even white area in them, and checks of the exposure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibrate.color.color_sequence import Roles
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 from pipeline.decode.raw_image import mosaic_of
 
 F32 = NDArray[np.float32]
@@ -26,8 +26,8 @@ _MARGIN_PX = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pictures:
-    """One camera's pictures of one sequence, in its order.
+class Images:
+    """One camera's images of one sequence, in its order.
 
     Args:
         side: name of the camera, for errors.
@@ -44,12 +44,12 @@ class Pictures:
     def __post_init__(self) -> None:
         mosaic_of(self.encoding)
         deep = 3 if self.encoding == "rgb8" else 2
-        for index, picture in enumerate(self.raw):
-            if picture.dtype != np.uint8 or picture.ndim != deep or picture.shape != self.raw[0].shape:
-                raise PictureError(
-                    f"{self.side} camera, frame {index} ({self.names[index]}): {picture.dtype} {picture.shape} is no "
-                    f"{self.encoding} picture of the size of the first one, {self.raw[0].shape}; "
-                    "pictures of colour are needed as the sensor gives them"
+        for index, image in enumerate(self.raw):
+            if image.dtype != np.uint8 or image.ndim != deep or image.shape != self.raw[0].shape:
+                raise ImageError(
+                    f"{self.side} camera, frame {index} ({self.names[index]}): {image.dtype} {image.shape} is no "
+                    f"{self.encoding} image of the size of the first one, {self.raw[0].shape}; "
+                    "images of colour are needed as the sensor gives them"
                 )
 
     def planes(self, index: int) -> F32:
@@ -69,24 +69,24 @@ class Pictures:
         return np.array([full[area & (colors == k)].mean() for k in range(3)])
 
     def refuse_clipped(self, index: int, area: Mask) -> None:
-        """PictureError when a colour of the area is clipped in this frame."""
+        """ImageError when a colour of the area is clipped in this frame."""
         share = self.clipped(index, area)
         worst = int(share.argmax())
         if share[worst] > MOST_CLIPPED:
-            raise PictureError(
+            raise ImageError(
                 f"{self.side} camera, frame {index} ({self.names[index]}): {100 * share[worst]:.0f} % of the white "
                 f"area are clipped in {('red', 'green', 'blue')[worst]} (limit {100 * MOST_CLIPPED:.0f} %); shorten "
                 "the exposure or close the aperture, and take the sequence again"
             )
 
 
-def planes_of(picture: NDArray[np.uint8], encoding: str) -> F32:
+def planes_of(image: NDArray[np.uint8], encoding: str) -> F32:
     """Three colours at every pixel, (H, W, 3) float32 counts; a mosaic by symmetric means, which move no phase."""
     if encoding == "rgb8":
-        return picture.astype(np.float32)
-    out = np.empty((*picture.shape, 3), np.float32)
-    for k, (own, share) in enumerate(_shares(picture.shape[0], picture.shape[1], encoding)):
-        out[..., k] = _tent(own * picture) * share
+        return image.astype(np.float32)
+    out = np.empty((*image.shape, 3), np.float32)
+    for k, (own, share) in enumerate(_shares(image.shape[0], image.shape[1], encoding)):
+        out[..., k] = _tent(own * image) * share
     return out
 
 
@@ -112,25 +112,25 @@ def _tent(plane: F32) -> F32:
     return np.asarray(rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:])
 
 
-def white_area(pictures: Pictures, full: F32) -> Mask:
+def white_area(images: Images, full: F32) -> Mask:
     """The evenly white part of the view, (H, W): where all three colours come back strongly, marks and edges left out.
 
     Args:
-        pictures: for errors; full: (H, W, 3), each colour's own full light, counts above the black frame.
+        images: for errors; full: (H, W, 3), each colour's own full light, counts above the black frame.
     """
     top = np.percentile(full.reshape(-1, 3), 98, axis=0)
     for k, name in enumerate(("red", "green", "blue")):
         if top[k] < LEAST_PEAK:
-            raise PictureError(
-                f"{pictures.side} camera: full {name} light gives {top[k]:.0f} counts on the brightest part of the "
+            raise ImageError(
+                f"{images.side} camera: full {name} light gives {top[k]:.0f} counts on the brightest part of the "
                 f"view, expected at least {LEAST_PEAK:.0f}; lengthen the exposure, or put a white board into the light "
                 "(are red and blue swapped, or is the projector dark?)"
             )
     bright = np.asarray((full > WHITE_SHARE * top).all(axis=2))
     area = eroded(bright, _MARGIN_PX)
     if area.mean() < LEAST_AREA:
-        raise PictureError(
-            f"{pictures.side} camera: only {100 * area.mean():.2g} % of the picture are evenly white, expected at "
+        raise ImageError(
+            f"{images.side} camera: only {100 * area.mean():.2g} % of the image are evenly white, expected at "
             f"least {100 * LEAST_AREA:.0f} %; put a matte white board into the projector's light"
         )
     return area
@@ -157,25 +157,25 @@ def blocks(weights: Any, *planes: Any, side: int = 16) -> tuple[NDArray[np.float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One camera's pictures of one pass, and what does not change while they are evaluated.
+    """One camera's images of one pass, and what does not change while they are evaluated.
 
     Args:
         black: (H, W, 3) mean of the black frames; full: (H, W, 3) each colour's own full light above it.
         area: (H, W) evenly white pixels.
     """
 
-    pictures: Pictures
+    images: Images
     black: F32
     full: F32
     area: Mask
 
 
-def view_of(pictures: Pictures, roles: Roles) -> View:
-    """Black frame, full light of each colour and white area of one pass; PictureError when it is clipped or dark."""
-    black = pictures.mean(roles.black)
-    own = [pictures.planes(roles.levels[k][-1][1])[..., k] - black[..., k] for k in range(3)]
+def view_of(images: Images, roles: Roles) -> View:
+    """Black frame, full light of each colour and white area of one pass; ImageError when it is clipped or dark."""
+    black = images.mean(roles.black)
+    own = [images.planes(roles.levels[k][-1][1])[..., k] - black[..., k] for k in range(3)]
     full = np.stack(own, axis=-1)
-    area = white_area(pictures, full)
+    area = white_area(images, full)
     for levels in roles.levels:
-        pictures.refuse_clipped(levels[-1][1], area)
-    return View(pictures, black, full, area)
+        images.refuse_clipped(levels[-1][1], area)
+    return View(images, black, full, area)

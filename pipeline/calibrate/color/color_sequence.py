@@ -91,7 +91,7 @@ class Roles:
 
     Args:
         black: dark frames; white: (frame, drive value) of those with three equal channels.
-        levels: per colour, (drive value, frame) of the even pictures of that colour alone.
+        levels: per colour, (drive value, frame) of the even images of that colour alone.
         single: steps of the fringes of one colour, for each of ``axes`` in the order red, green, blue.
         coarse: frame of the one-period colour fringe along an axis.
         shots: colour fringes with their reference.

@@ -15,9 +15,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.color.color_planes import F32, Mask, Pictures, blocks
+from pipeline.calibrate.color.color_planes import F32, Images, Mask, blocks
 from pipeline.calibrate.color.color_sequence import FringeSet, Roles
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _NAMES = ("red", "green", "blue")
 _DARK_SHARE = 0.3
 
 
-def fringe_phasors(pictures: Pictures, fringes: FringeSet, channels: Sequence[int]) -> NDArray[np.complex64]:
+def fringe_phasors(images: Images, fringes: FringeSet, channels: Sequence[int]) -> NDArray[np.complex64]:
     """Complex amplitude of some camera channels, (H, W, len(channels)): B e^{i phase}, counts.
 
     Least squares over the steps, which need not be even.
@@ -37,7 +37,7 @@ def fringe_phasors(pictures: Pictures, fringes: FringeSet, channels: Sequence[in
     weights = (solution[1] + 1j * solution[2]).astype(np.complex64)
     out: Any = 0
     for index, weight in zip(fringes.indices, weights, strict=True):
-        out = out + weight * pictures.planes(index)[..., list(channels)]
+        out = out + weight * images.planes(index)[..., list(channels)]
     return np.asarray(out, np.complex64)
 
 
@@ -51,20 +51,20 @@ class MixSamples:
 Triplet: TypeAlias = tuple[FringeSet, FringeSet, FringeSet]
 
 
-def mix_samples(pictures: Pictures, fringes: Sequence[Triplet], area: Mask) -> MixSamples:
+def mix_samples(images: Images, fringes: Sequence[Triplet], area: Mask) -> MixSamples:
     """Answers of the three channels to fringes of each colour alone, relative to the colour's own channel."""
     out: list[list[Array]] = [[], [], []]
     for sets in fringes:
         for k, fringe in enumerate(sets):
             for index in fringe.indices:
-                pictures.refuse_clipped(index, area)
-            phasors = fringe_phasors(pictures, fringe, (0, 1, 2))
+                images.refuse_clipped(index, area)
+            phasors = fringe_phasors(images, fringe, (0, 1, 2))
             own = phasors[..., k]
             power = np.abs(own) ** 2
             amplitude = float(np.sqrt(np.median(power[area])))
             if amplitude < LEAST_AMPLITUDE:
-                raise PictureError(
-                    f"{pictures.side} camera: fringes of {_NAMES[k]} have an amplitude of {amplitude:.1f} counts, "
+                raise ImageError(
+                    f"{images.side} camera: fringes of {_NAMES[k]} have an amplitude of {amplitude:.1f} counts, "
                     f"expected at least {LEAST_AMPLITUDE:.0f}; focus the projector on the board or lengthen the "
                     "exposure"
                 )
@@ -87,7 +87,7 @@ def crosstalk_of(samples: Sequence[MixSamples], side: str) -> tuple[Array, Array
         sigma[:, k] = 1.2533 * scatter[:, k] / np.sqrt(len(values))
         strongest = int(np.abs(mix[:, k]).argmax())
         if strongest != k and abs(mix[strongest, k]) > 1.1:
-            raise PictureError(
+            raise ImageError(
                 f"{side} camera: {_NAMES[k]} light is answered most by the channel called {_NAMES[strongest]} "
                 f"({mix[strongest, k]:.2f} times {_NAMES[k]}): the colours of camera or projector are swapped; "
                 "check the encoding (RGB or BGR, the mosaic's first row)"
@@ -132,18 +132,18 @@ def _enclosed(area: Mask) -> Mask:
 
 
 def black_level(
-    pictures: Pictures, roles: Roles, black: F32, full: F32, area: Mask, *,
+    images: Images, roles: Roles, black: F32, full: F32, area: Mask, *,
     dark: Sequence[NDArray[np.uint8]] | None, known: Array | None,
 ) -> tuple[Array, str]:  # fmt: skip
     """Camera black, (3,) counts, and where it comes from: "lens cap", "marks", "known" or "darkest"."""
     if dark:
-        capped = Pictures(pictures.side, dark, pictures.encoding, ("lens cap",) * len(dark))
+        capped = Images(images.side, dark, images.encoding, ("lens cap",) * len(dark))
         mean = capped.mean(range(len(dark)))
         level = mean.reshape(-1, 3).mean(axis=0, dtype=np.float64)
         usual = black[area].mean(axis=0, dtype=np.float64)
         if (level > usual + 1.0).any():
-            raise PictureError(
-                f"{pictures.side} camera: the pictures with the lens covered are brighter ({level.max():.1f} counts) "
+            raise ImageError(
+                f"{images.side} camera: the images with the lens covered are brighter ({level.max():.1f} counts) "
                 f"than those of the dark projector ({usual.max():.1f}); cover the lens and take them again"
             )
         return level, "lens cap"
@@ -155,5 +155,5 @@ def black_level(
     # Whatever is darkest is at least as bright as the black; the phase needs no better, see docs/calibration-file.md.
     index = roles.black[0]
     rows, columns = (n // 8 * 8 for n in black.shape[:2])
-    small = pictures.planes(index)[:rows, :columns].reshape(rows // 8, 8, columns // 8, 8, 3).mean(axis=(1, 3))
+    small = images.planes(index)[:rows, :columns].reshape(rows // 8, 8, columns // 8, 8, 3).mean(axis=(1, 3))
     return np.asarray(small.reshape(-1, 3).min(axis=0), np.float64), "darkest"

@@ -1,11 +1,11 @@
 """Lateral colour of both cameras and registration of the projector's colours, from fringes of one colour at a time.
 
 At a pixel the fringe of red has another phase than the fringe of green, in x and in y: red light stands t = -(J d + s)
-projector pixels beside its place, with d the displacement in the camera's picture, J the derivative of the projector's
+projector pixels beside its place, with d the displacement in the camera's image, J the derivative of the projector's
 coordinates by the camera's and s the projector's own offset. d belongs to one camera, s to both; both are fitted
-together by least squares. The pictures hardly tell a shift or a magnification common to both cameras from one of the
+together by least squares. The images hardly tell a shift or a magnification common to both cameras from one of the
 projector: priors share such parts out (a shift is the projector's, a magnification anybody's). What the measuring needs
-is their sum, and that is told by the pictures alone.
+is their sum, and that is told by the images alone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Later
 Array = NDArray[np.float64]
 
 SMALLEST_PX = 0.03
-"""Displacements that stay below this all over the picture are left out of a calibration."""
+"""Displacements that stay below this all over the image are left out of a calibration."""
 # Standard deviations of the priors: shift px, magnification, displacement by the cubic term at the corner px; projector
 # shift px, stretch.
 _PRIOR_SHIFT, _PRIOR_MAGNIFICATION, _PRIOR_CUBIC_PX, _PRIOR_OFFSET, _PRIOR_STRETCH = 0.02, 3e-4, 0.02, 3.0, 3e-4
@@ -83,7 +83,7 @@ def _corners(size: tuple[int, int]) -> Array:
 
 
 def _in_camera(offsets: Offsets, t: Array) -> Array:
-    """Offsets in projector pixels as displacements in the camera's picture, (n, 2)."""
+    """Offsets in projector pixels as displacements in the camera's image, (n, 2)."""
     return np.asarray(np.linalg.solve(offsets.jacobian, t[..., None])[..., 0], np.float64)
 
 

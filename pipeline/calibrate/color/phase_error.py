@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.color.color_planes import Mask, Pictures, eroded
+from pipeline.calibrate.color.color_planes import Images, Mask, eroded
 from pipeline.calibrate.color.color_sequence import FringeSet, check_frames
 from pipeline.calibrate.color.crosstalk import fringe_phasors
-from pipeline.common.errors import PatternError, PictureError
+from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.sequence import Fringe
 from pipeline.pattern.sequence import Sequence as Frames
@@ -32,7 +32,7 @@ class PhaseError:
     """Phase of a single shot less its reference, radians.
 
     Args:
-        rms_rad: over the white area, noise of the pictures included.
+        rms_rad: over the white area, noise of the images included.
         systematic_rad: rms of the error's mean at each phase of the fringe: what colour calibration is to remove.
         mean_rad: the constant part.
         second_rad, third_rad: amplitudes of its parts that go with twice and three times the phase: unequal channels
@@ -54,7 +54,7 @@ def check_sequence(pattern: ColorFringe, *, steps: int = 8) -> Frames:
 
 
 def phase_error(
-    pictures: Sequence[NDArray[np.uint8]],
+    images: Sequence[NDArray[np.uint8]],
     sequence: Frames,
     *,
     color: ColorModel | None = None,
@@ -63,10 +63,10 @@ def phase_error(
     angles: Array | None = None,
     side: str = "left",
 ) -> PhaseError:
-    """Phase error of one camera's pictures of :func:`check_sequence`.
+    """Phase error of one camera's images of :func:`check_sequence`.
 
     Args:
-        pictures: raw, in the order of the sequence.
+        images: raw, in the order of the sequence.
         color: what the calibration knows of the camera; None = nothing but that it has three channels.
         area: (H, W) white pixels; None = where the fringes are strong.
         angles: (3, H, W), :func:`pipeline.decode.chromatic_phase.channel_angles` of this camera's pixels; None = 0.
@@ -74,33 +74,33 @@ def phase_error(
     frames = sequence.frames
     shots = [f for f in frames if isinstance(f, ColorFringe)]
     steps = [(i, f) for i, f in enumerate(frames) if isinstance(f, Fringe)]
-    if len(pictures) != len(frames) or len(shots) != 1 or len(steps) < 5:
+    if len(images) != len(frames) or len(shots) != 1 or len(steps) < 5:
         raise PatternError(
-            f"{len(pictures)} pictures of {len(frames)} frames, {len(shots)} of them a colour fringe and {len(steps)} "
+            f"{len(images)} images of {len(frames)} frames, {len(shots)} of them a colour fringe and {len(steps)} "
             "steps of its reference; expected the frames of check_sequence()"
         )
     names = tuple(type(f).__name__ for f in frames)
-    seen = Pictures(side, pictures, encoding, names)
+    seen = Images(side, images, encoding, names)
     reference = FringeSet(steps[0][1], tuple(i for i, _ in steps), tuple(f.shift for _, f in steps))
     return error_of(seen, frames.index(shots[0]), shots[0], reference, color=color, area=area, angles=angles)
 
 
 def error_of(
-    pictures: Pictures, shot: int, pattern: ColorFringe, reference: FringeSet, *, color: ColorModel | None,
+    images: Images, shot: int, pattern: ColorFringe, reference: FringeSet, *, color: ColorModel | None,
     area: Mask | None = None, angles: Array | None = None,
 ) -> PhaseError:  # fmt: skip
     """Phase error of one frame of a sequence against the steps of another set of its frames."""
     color = ColorModel() if color is None else color
-    truth = fringe_phasors(pictures, reference, (1,))[..., 0]
+    truth = fringe_phasors(images, reference, (1,))[..., 0]
     size = np.abs(truth)
     if area is None:
         area = eroded(size > 0.5 * np.percentile(size, 98), 2)
     if np.count_nonzero(area) < _LEAST_POINTS:
-        raise PictureError(
-            f"{pictures.side} camera: fringes are seen on {np.count_nonzero(area)} pixels only, at least "
+        raise ImageError(
+            f"{images.side} camera: fringes are seen on {np.count_nonzero(area)} pixels only, at least "
             f"{_LEAST_POINTS} are needed; put a white board into the projector's light"
         )
-    levels = (pictures.planes(shot)[area] - color.black) @ color.unmix.T
+    levels = (images.planes(shot)[area] - color.black) @ color.unmix.T
     delta = np.broadcast_to(np.array(pattern.shifts), levels.shape)
     if angles is not None:
         delta = delta + np.moveaxis(angles, 0, -1)[area]

@@ -1,4 +1,4 @@
-"""What the pictures of colour say about the session itself: exposure, gains, light that does not add up."""
+"""What the images of colour say about the session itself: exposure, gains, light that does not add up."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def peak_of(view: View, crosstalk: Array) -> float:
 def additivity_of(view: View, roles: Roles, response: Response, crosstalk: Array) -> float | None:
     """White light over the sum of its colours alone; None when white is clipped. Projectors that add white miss 1."""
     for index, level in roles.white:
-        if view.pictures.clipped(index, view.area).max() > 0.001:
+        if view.images.clipped(index, view.area).max() > 0.001:
             continue
-        white = (view.pictures.planes(index) - view.black)[view.area].mean(axis=0, dtype=np.float64)
+        white = (view.images.planes(index) - view.black)[view.area].mean(axis=0, dtype=np.float64)
         light = response.light(np.full((1, 3), float(level)))[0] / 255
         expected = crosstalk @ (light * view.full[view.area].mean(axis=0, dtype=np.float64))
         return float(white.sum() / expected.sum())

@@ -1,4 +1,4 @@
-"""From the pictures of a colour sequence to everything that a calibration file says about colour."""
+"""From the images of a colour sequence to everything that a calibration file says about colour."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibrate.color.channel_offsets import Offsets, measure_offsets
-from pipeline.calibrate.color.color_planes import Pictures, View, view_of
+from pipeline.calibrate.color.color_planes import Images, View, view_of
 from pipeline.calibrate.color.color_sequence import Roles, roles_of
 from pipeline.calibrate.color.crosstalk import (
     MixSamples,
@@ -29,7 +29,7 @@ from pipeline.calibrate.color.session_quality import (
     projector_quality,
 )
 from pipeline.calibrate.color.tone_response import LevelCurve, level_curve, response_of
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.sequence import Frame, Fringe, GrayBit, Uniform
 from pipeline.pattern.sequence import Sequence as Frames
@@ -80,7 +80,7 @@ def calibrate_color(
     dark: Sequence[Pair] | None = None,
     shown: Response | None = None,
 ) -> ColorSolution:
-    """Black, crosstalk, balance, response and lateral colour from raw pictures of a white board.
+    """Black, crosstalk, balance, response and lateral colour from raw images of a white board.
 
     Args:
         frames: (left, right) of every frame of the sequence, in its order; several passes one after the other are
@@ -88,7 +88,7 @@ def calibrate_color(
         sequence: what was shown, see :func:`pipeline.calibrate.color.color_sequence.color_sequence`.
         calibration: the rig's geometry, for lateral colour, and the black levels known so far; None = no lateral
             colour.
-        dark: pictures with the lenses covered, for the black level; without them it is told from dark marks on the
+        dark: images with the lenses covered, for the black level; without them it is told from dark marks on the
             board, taken from ``calibration``, or bounded by the darkest part of the view.
         shown: the response that the fringes were pre-distorted for; None = shown as they are.
 
@@ -100,23 +100,23 @@ def calibrate_color(
         and with this solution, as the frames were shown).
 
     Raises:
-        PictureError: clipped, dark or unfit pictures, with the camera, the frame and the remedy.
+        ImageError: clipped, dark or unfit images, with the camera, the frame and the remedy.
         PatternError: the sequence lacks something.
     """
     roles = roles_of(sequence)
     if not frames or len(frames) % len(sequence):
-        raise PictureError(
-            f"{len(frames)} pairs of pictures do not make whole passes of the sequence's {len(sequence)} frames; "
+        raise ImageError(
+            f"{len(frames)} pairs of images do not make whole passes of the sequence's {len(sequence)} frames; "
             "a frame is missing: take it again"
         )
     names = tuple(_name(frame) for frame in sequence.frames)
     passes = [frames[i : i + len(sequence)] for i in range(0, len(frames), len(sequence))]
     views = [
-        [view_of(Pictures(side, [pair[i] for pair in once], encoding, names), roles) for once in passes]
+        [view_of(Images(side, [pair[i] for pair in once], encoding, names), roles) for once in passes]
         for i, side in enumerate(SIDES)
     ]
     curves: list[list[LevelCurve]] = [
-        [level_curve(v.pictures, roles, k, v.black, v.full, v.area) for seen in views for v in seen] for k in range(3)
+        [level_curve(v.images, roles, k, v.black, v.full, v.area) for seen in views for v in seen] for k in range(3)
     ]
     response = response_of(curves)
     models, quality = [], projector_quality(response, curves)
@@ -132,7 +132,7 @@ def calibrate_color(
     if calibration is not None and set(roles.single) == set(roles.coarse) == {"x", "y"}:
         try:
             lateral = _lateral(views, models, roles, calibration, response, shown)
-        except PictureError as problem:
+        except ImageError as problem:
             # The rest is worth having without it.
             quality["lateral_problem"] = str(problem)
             advice.append(f"lateral colour was not measured: {problem}")
@@ -154,9 +154,9 @@ def _camera(
     known: Array | None, side: str,
 ) -> tuple[ColorModel, dict[str, Any]]:  # fmt: skip
     """Colour model of one camera without lateral colour, and its quality."""
-    samples: list[MixSamples] = [mix_samples(v.pictures, list(roles.single.values()), v.area) for v in views]
+    samples: list[MixSamples] = [mix_samples(v.images, list(roles.single.values()), v.area) for v in views]
     crosstalk, sigma, scatter = crosstalk_of(samples, side)
-    blacks = [black_level(v.pictures, roles, v.black, v.full, v.area, dark=dark, known=known) for v in views]
+    blacks = [black_level(v.images, roles, v.black, v.full, v.area, dark=dark, known=known) for v in views]
     black = np.mean([level for level, _ in blacks], axis=0)
     balance = np.mean([balance_of(v.full, v.area) for v in views], axis=0)
     off = ~np.eye(3, dtype=bool)
@@ -180,7 +180,7 @@ def _lateral(
     seen: list[list[Offsets]] = [
         [
             measure_offsets(
-                v.pictures, roles, v.area, black=v.black, full=v.full, crosstalk=model.crosstalk,
+                v.images, roles, v.area, black=v.black, full=v.full, crosstalk=model.crosstalk,
                 response=response, shown=shown,
             )
             for v in one
@@ -200,7 +200,7 @@ def _check(
         if not isinstance(pattern, ColorFringe):
             continue
         for side, seen, model in zip(SIDES, views, models, strict=True):
-            both = [error_of(seen[0].pictures, index, pattern, reference, color=c, area=seen[0].area)
+            both = [error_of(seen[0].images, index, pattern, reference, color=c, area=seen[0].area)
                     for c in (None, model)]  # fmt: skip
             quality[side]["phase_error_rad"] = [e.rms_rad for e in both]
 

@@ -1,4 +1,4 @@
-"""Response of the projector's channels: the light of every drive value, from even pictures of a few.
+"""Response of the projector's channels: the light of every drive value, from even images of a few.
 
 On a white board the counts above the black frame are proportional to the light, whatever albedo, distance and
 vignetting are, so each level is one factor against the full one, fitted over all pixels of the white area. Crosstalk
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.color.color_planes import F32, Mask, Pictures
+from pipeline.calibrate.color.color_planes import F32, Images, Mask
 from pipeline.calibrate.color.color_sequence import Roles
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ class LevelCurve:
     sigma: Array
 
 
-def level_curve(pictures: Pictures, roles: Roles, channel: int, black: F32, full: F32, area: Mask) -> LevelCurve:
+def level_curve(images: Images, roles: Roles, channel: int, black: F32, full: F32, area: Mask) -> LevelCurve:
     """Relative light of a channel as one camera sees it.
 
     Args:
@@ -42,7 +42,7 @@ def level_curve(pictures: Pictures, roles: Roles, channel: int, black: F32, full
     dark = black[..., channel][area]
     levels, light, sigma = [0.0], [0.0], [_LEAST_SIGMA]
     for level, index in roles.levels[channel]:
-        answer = (pictures.planes(index)[..., channel][area] - dark).astype(np.float64)
+        answer = (images.planes(index)[..., channel][area] - dark).astype(np.float64)
         share, error = proportion(answer, reference)
         levels.append(float(level))
         light.append(share)
@@ -72,7 +72,7 @@ def response_of(curves: list[list[LevelCurve]]) -> Response:
         rise = light[-1] - light[0]
         if not rise > 0 or np.diff(light).min() < -0.1:
             at = levels[int(np.diff(light).argmin()) + 1]
-            raise PictureError(
+            raise ImageError(
                 f"the light of {name} falls towards drive value {at:.0f}: frames and levels do not belong together, or "
                 "the exposure is no whole number of colour cycles; take the sequence again"
             )

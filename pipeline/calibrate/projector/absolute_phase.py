@@ -1,7 +1,7 @@
-"""Absolute phase of a scene at rest from the pictures of a sequence, in any encoding.
+"""Absolute phase of a scene at rest from the images of a sequence, in any encoding.
 
 Every pixel is solved by itself (see :mod:`pipeline.multi_frame.n_step`): a Bayer mosaic needs no demosaicing where
-fringes are grey. In a three-chip picture the channels are added up first: what crosstalk takes from one channel it
+fringes are grey. In a three-chip image the channels are added up first: what crosstalk takes from one channel it
 gives to another, and grey stays grey.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.errors import PatternError, PictureError
+from pipeline.common.errors import ImageError, PatternError
 from pipeline.decode.noise_model import NoiseModel
 from pipeline.decode.raw_image import BAYER
 from pipeline.multi_frame.n_step import F64, Bools, WrappedPhase, absolute_phase, noise_of, solution_of, wrapped_phase
@@ -27,12 +27,12 @@ _AXES: tuple[Axis, ...] = ("x", "y")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coordinate:
-    """Where on the projector's picture a camera's pixels are lit from, along one axis; all (H, W).
+    """Where on the projector's image a camera's pixels are lit from, along one axis; all (H, W).
 
     Args:
         px: projector column (axis x) or row (axis y), NaN where unknown.
-        sigma_px: one standard deviation from the pictures' noise, NaN likewise.
-        amplitude, mean: of the finest fringe, counts of an 8-bit picture, everywhere.
+        sigma_px: one standard deviation from the images' noise, NaN likewise.
+        amplitude, mean: of the finest fringe, counts of an 8-bit image, everywhere.
         clipped: some sample of the finest fringe is saturated.
     """
 
@@ -76,40 +76,40 @@ def levels(sequence: Sequence, axis: Axis, *, lit: tuple[str, ...] = CHANNELS) -
     return tuple(out)
 
 
-def gray(picture: NDArray[Any], encoding: str, *, channels: tuple[int, ...] = (0, 1, 2)) -> tuple[F64, Bools]:
-    """Counts of an 8-bit picture, (H, W), and where a sample is saturated.
+def gray(image: NDArray[Any], encoding: str, *, channels: tuple[int, ...] = (0, 1, 2)) -> tuple[F64, Bools]:
+    """Counts of an 8-bit image, (H, W), and where a sample is saturated.
 
     Args:
-        picture: raw, (H, W, 3) uint8 for rgb8, (H, W) uint8 for a mosaic or mono8, (H, W) uint16 for mono16.
-        channels: of a three-chip picture whose mean is taken; a mosaic's pixels each have one of their own.
+        image: raw, (H, W, 3) uint8 for rgb8, (H, W) uint8 for a mosaic or mono8, (H, W) uint16 for mono16.
+        channels: of a three-chip image whose mean is taken; a mosaic's pixels each have one of their own.
     """
     known = {"rgb8": (3, np.uint8), "mono8": (2, np.uint8), "mono16": (2, np.uint16)} | dict.fromkeys(
         BAYER, (2, np.uint8)
     )
     if encoding not in known:
-        raise PictureError(f"encoding {encoding!r:.80} is not known; expected one of {', '.join(known)}")
+        raise ImageError(f"encoding {encoding!r:.80} is not known; expected one of {', '.join(known)}")
     dimensions, kind = known[encoding]
-    if picture.ndim != dimensions or picture.dtype != kind or (dimensions == 3 and picture.shape[2] != 3):
-        raise PictureError(
-            f"the picture is {picture.dtype} {picture.shape}, but {encoding} is {np.dtype(kind)} with {dimensions} axes"
+    if image.ndim != dimensions or image.dtype != kind or (dimensions == 3 and image.shape[2] != 3):
+        raise ImageError(
+            f"the image is {image.dtype} {image.shape}, but {encoding} is {np.dtype(kind)} with {dimensions} axes"
         )
     if encoding == "mono16":
-        plane = picture / 257.0
+        plane = image / 257.0
     elif encoding == "rgb8":
         # Plane by plane: sums along an axis of three are several times slower.
-        planes = [picture[..., c] for c in channels]
+        planes = [image[..., c] for c in channels]
         total, clipped = planes[0].astype(np.uint16), planes[0] >= _SATURATION
         for one in planes[1:]:
             total += one
             clipped |= one >= _SATURATION
         return total / float(len(planes)), np.asarray(clipped)
     else:
-        plane = picture.astype(np.float64)
+        plane = image.astype(np.float64)
     return plane, np.asarray(plane >= _SATURATION)
 
 
 def coordinates(
-    pictures: Items[NDArray[Any]],
+    images: Items[NDArray[Any]],
     sequence: Sequence,
     *,
     encoding: str = "rgb8",
@@ -120,27 +120,27 @@ def coordinates(
     certainty: float = 3.0,
     axes: tuple[Axis, ...] = _AXES,
 ) -> tuple[Coordinate, ...]:
-    """Projector column and row of every pixel, from one camera's pictures of a sequence.
+    """Projector column and row of every pixel, from one camera's images of a sequence.
 
     Args:
-        pictures: raw, one for each frame of the sequence.
+        images: raw, one for each frame of the sequence.
         channels: of the camera; lit: of the projector; see :func:`gray` and :func:`levels`.
-        noise: of a sample as :func:`gray` gives it; None = estimated from the pictures (:func:`noise_of`).
+        noise: of a sample as :func:`gray` gives it; None = estimated from the images (:func:`noise_of`).
         min_amplitude, certainty: see :func:`absolute_phase`.
         axes: ``x`` for columns, ``y`` for rows; one result each.
 
     Raises:
-        PatternError: the sequence has no fringes for this; PictureError: a picture does not fit.
+        PatternError: the sequence has no fringes for this; ImageError: an image does not fit.
     """
-    if len(pictures) != len(sequence):
-        raise PictureError(f"{len(pictures)} pictures of a sequence of {len(sequence)} frames; expected one each")
+    if len(images) != len(sequence):
+        raise ImageError(f"{len(images)} images of a sequence of {len(sequence)} frames; expected one each")
     found = {axis: levels(sequence, axis, lit=lit) for axis in axes}
     for axis, ones in found.items():
         if not ones:
             raise PatternError(
                 f"sequence {sequence.name!r} has no three shifts of a fringe along {axis} in {', '.join(lit)}"
             )
-    sets = {axis: [_set(pictures, one, encoding, channels) for one in ones] for axis, ones in found.items()}
+    sets = {axis: [_set(images, one, encoding, channels) for one in ones] for axis, ones in found.items()}
     if noise is None:
         noise = noise_of([one for ones in sets.values() for one in ones])
     return tuple(
@@ -148,26 +148,26 @@ def coordinates(
     )
 
 
-def coordinate(pictures: Items[NDArray[Any]], sequence: Sequence, axis: Axis, **options: Any) -> Coordinate:
+def coordinate(images: Items[NDArray[Any]], sequence: Sequence, axis: Axis, **options: Any) -> Coordinate:
     """One of :func:`coordinates`."""
-    return coordinates(pictures, sequence, axes=(axis,), **options)[0]
+    return coordinates(images, sequence, axes=(axis,), **options)[0]
 
 
 def evenly_lit(
-    pictures: Items[NDArray[Any]], sequence: Sequence, *, lit: tuple[str, ...] = CHANNELS
+    images: Items[NDArray[Any]], sequence: Sequence, *, lit: tuple[str, ...] = CHANNELS
 ) -> NDArray[np.float32]:
-    """The scene without fringes, in the raw pictures' own layout and counts, float32.
+    """The scene without fringes, in the raw images' own layout and counts, float32.
 
-    The mean of the finest fringes of both axes: as good as a white picture of so many exposures, so marks are better
-    found here than in one white picture. Where a sample of the pictures is saturated it is too dark.
+    The mean of the finest fringes of both axes: as good as a white image of so many exposures, so marks are better
+    found here than in one white image. Where a sample of the images is saturated it is too dark.
     """
     finest = [found[-1] for axis in _AXES if (found := levels(sequence, axis, lit=lit))]
-    if not finest or len(pictures) != len(sequence):
-        raise PictureError(f"{len(pictures)} pictures of sequence {sequence.name!r}: no even light comes of them")
-    total = np.zeros(pictures[finest[0].frames[0]].shape, np.float32)
+    if not finest or len(images) != len(sequence):
+        raise ImageError(f"{len(images)} images of sequence {sequence.name!r}: no even light comes of them")
+    total = np.zeros(images[finest[0].frames[0]].shape, np.float32)
     for level in finest:
         for number, share in zip(level.frames, solution_of(np.array(level.shifts))[0], strict=True):
-            total += np.float32(share / len(finest)) * pictures[number]
+            total += np.float32(share / len(finest)) * images[number]
     return total
 
 
@@ -185,10 +185,10 @@ def _coordinate(
     return Coordinate(px, sigma, finest.amplitude, finest.mean, finest.clipped)
 
 
-def _set(pictures: Items[NDArray[Any]], level: Level, encoding: str, channels: tuple[int, ...]) -> WrappedPhase:
-    shape = pictures[level.frames[0]].shape
+def _set(images: Items[NDArray[Any]], level: Level, encoding: str, channels: tuple[int, ...]) -> WrappedPhase:
+    shape = images[level.frames[0]].shape
     for number in level.frames:
-        if pictures[number].shape != shape:
-            raise PictureError(f"picture {number} is {pictures[number].shape}, but others are {shape}")
-    planes = [gray(pictures[number], encoding, channels=channels) for number in level.frames]
+        if images[number].shape != shape:
+            raise ImageError(f"image {number} is {images[number].shape}, but others are {shape}")
+    planes = [gray(images[number], encoding, channels=channels) for number in level.frames]
     return wrapped_phase([plane for plane, _ in planes], level.shifts, [clipped for _, clipped in planes])

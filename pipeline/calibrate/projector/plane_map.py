@@ -1,4 +1,4 @@
-"""A smooth map of a plane into a picture: a homography, and a cubic for what the lens adds.
+"""A smooth map of a plane into an image: a homography, and a cubic for what the lens adds.
 
 It needs no camera model, so it serves before there is one. It is for what changes slowly over a board (slopes, the
 shift of a circle's centroid), not for where a mark is: the mark itself says that better.
@@ -52,7 +52,7 @@ class SmoothMap:
         return np.asarray((mapped(self.matrix, flat) + powers @ self.rest).reshape(points.shape))
 
     def slope(self, points: F64) -> F64:
-        """Jacobians, (..., 2) -> (..., 2, 2), rows: picture, columns: plane."""
+        """Jacobians, (..., 2) -> (..., 2, 2), rows: image, columns: plane."""
         step = _STEP * self.scale * np.eye(2)
         return np.stack([(self(points + d) - self(points - d)) / (2 * _STEP * self.scale) for d in step], axis=-1)
 

@@ -1,4 +1,4 @@
-"""Where the projector's own picture meets the marks of a board, from the absolute phases around them.
+"""Where the projector's own image meets the marks of a board, from the absolute phases around them.
 
 A projector sees nothing, but every white pixel of a camera knows which projector pixel lights it. Around a mark the
 white board gives a smooth map from camera to projector pixels: a homography (the board is flat) and what the lenses add
@@ -42,7 +42,7 @@ _SMALLEST_OUTLIER_PX = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What one camera knows of a view: the board's marks in its picture, and who lights its pixels."""
+    """What one camera knows of a view: the board's marks in its image, and who lights its pixels."""
 
     marks: Marks
     x: Coordinate
@@ -51,7 +51,7 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectorMarks:
-    """Marks of a view on the projector's picture.
+    """Marks of a view on the projector's image.
 
     Args:
         marks: all cameras' answers combined, images of points.
@@ -71,7 +71,7 @@ class ProjectorMarks:
 
 
 def projector_marks(board: Board, seen: Mapping[str, Seen]) -> ProjectorMarks:
-    """Marks of a view on the projector's picture, from one or two cameras.
+    """Marks of a view on the projector's image, from one or two cameras.
 
     Raises:
         TargetError: no camera gives any mark; the message says why.
@@ -91,10 +91,10 @@ def projector_marks(board: Board, seen: Mapping[str, Seen]) -> ProjectorMarks:
 
 
 def marks_by_camera(board: Board, marks: Marks, x: Coordinate, y: Coordinate) -> Marks:
-    """Marks on the projector's picture as one camera has them.
+    """Marks on the projector's image as one camera has them.
 
     Args:
-        marks: in the camera's picture, centroids of circles (with ``areas_px``) or images of points.
+        marks: in the camera's image, centroids of circles (with ``areas_px``) or images of points.
         x, y: projector coordinates of the camera's pixels.
 
     Raises:
@@ -144,7 +144,7 @@ class _Fit:
 
 
 def _points_of_centroids(board: Board, marks: Marks, plane: F64) -> tuple[SmoothMap, F64]:
-    """The map board -> picture, and the images of the marks' own points, (n, 2)."""
+    """The map board -> image, and the images of the marks' own points, (n, 2)."""
     view = SmoothMap.fitted(plane, marks.pixels, marks.sigma_px)
     if marks.areas_px is None or not board.round:
         return view, marks.pixels

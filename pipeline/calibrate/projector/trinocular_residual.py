@@ -95,7 +95,7 @@ class Spread:
 
     Args:
         rms_px: robust, noise and all.
-        systematic_px: root mean square over cells of the projector's picture of the cell's median, the median's own
+        systematic_px: root mean square over cells of the projector's image of the cell's median, the median's own
             noise taken off: what a better projector would remove.
         worst_px: largest median of a cell.
         samples: number of them; wrong: share that lies beyond 5 robust deviations.
@@ -181,7 +181,7 @@ def refine_projector(
         prior: parameters that may change and their standard deviations; see :data:`DEFAULT_PRIOR`, :data:`LENS_PRIOR`.
 
     Raises:
-        CalibrationError: too few samples, too small a part of the projector's picture, or residuals so large that the
+        CalibrationError: too few samples, too small a part of the projector's image, or residuals so large that the
             points themselves are in doubt.
     """
     unknown = set(prior) - set(DEFAULT_PRIOR) - set(LENS_PRIOR)
@@ -254,13 +254,13 @@ def _check(projector: CameraModel, samples: Samples) -> None:
     cells = len(_cells(projector, samples, error)[0])
     if cells < _FEWEST_CELLS:
         raise CalibrationError(
-            f"the points lie in {cells} of {_CELLS * _CELLS} parts of the projector's picture, at least "
+            f"the points lie in {cells} of {_CELLS * _CELLS} parts of the projector's image, at least "
             f"{_FEWEST_CELLS} are needed; show a larger surface"
         )
 
 
 def _cells(projector: CameraModel, samples: Samples, error: F64) -> tuple[F64, F64]:
-    """Median residual of each cell of the projector's picture (of each axis apart), and its standard deviation."""
+    """Median residual of each cell of the projector's image (of each axis apart), and its standard deviation."""
     where = np.floor(_CELLS * (projector.project(samples.points) + 0.5) / projector.size)
     cell = (np.clip(where, 0, _CELLS - 1) @ [_CELLS, 1]).astype(np.int64) + _CELLS**2 * samples.axis
     order = np.argsort(cell, kind="stable")

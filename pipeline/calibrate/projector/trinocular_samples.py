@@ -1,6 +1,6 @@
 """Points and the projector coordinates observed there, for the trinocular residual.
 
-Two sources: a cloud of the single-shot measurement with the phases of its left picture, and the absolute phases of a
+Two sources: a cloud of the single-shot measurement with the phases of its left image, and the absolute phases of a
 scene at rest in both cameras. In the second the cameras' pixels are matched by what lit them, both coordinates at once,
 so nothing of the projector's geometry is used.
 """
@@ -43,7 +43,7 @@ def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, ev
     does not feel but this residual does.
 
     Args:
-        cloud: of the pair; phases: of its left picture, before the decoder has another one.
+        cloud: of the pair; phases: of its left image, before the decoder has another one.
         every: step of the pixels taken, in both directions; beyond the decoder's window they err independently.
     """
     part = np.s_[every // 2 :: every, every // 2 :: every]
@@ -64,7 +64,7 @@ class PairSampler:
 
     Args:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
-        encoding: of the raw pictures.
+        encoding: of the raw images.
         settings: of the reconstruction.
         every: see :func:`samples_of_cloud`.
     """
@@ -87,8 +87,8 @@ class PairSampler:
     def __call__(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Samples:
         """Samples of a pair of raw images, as :class:`pipeline.reconstruct.reconstructor.Reconstructor` takes them."""
         cloud = self._made.reconstruct(left, right)
-        picture = checked(left, "left", self._made.encoding, self._made.calibration.left.size)
-        return samples_of_cloud(cloud, self._view.decode(picture), self._made.pattern, every=self._every)
+        image = checked(left, "left", self._made.encoding, self._made.calibration.left.size)
+        return samples_of_cloud(cloud, self._view.decode(image), self._made.pattern, every=self._every)
 
 
 def samples_of_phases(
@@ -100,7 +100,7 @@ def samples_of_phases(
 ) -> Samples:
     """Of a scene at rest under a sequence: projector columns and rows (x, y) of both cameras' pixels.
 
-    Each place is fitted in 5 x 5 pixels, in the left picture to have its projector coordinates, in the right one to
+    Each place is fitted in 5 x 5 pixels, in the left image to have its projector coordinates, in the right one to
     find where the same coordinates are.
 
     Args:
@@ -110,7 +110,7 @@ def samples_of_phases(
     there = _stacked(right)
     for name, field, device in (("left", light, calibration.left), ("right", there, calibration.right)):
         if field.shape[:2] != device.size[::-1]:
-            raise CalibrationError(f"{name} phases are {field.shape[:2]}, the camera's picture is {device.size[::-1]}")
+            raise CalibrationError(f"{name} phases are {field.shape[:2]}, the camera's image is {device.size[::-1]}")
     rows, columns = light.shape[:2]
     v, u = (index.ravel() for index in np.mgrid[every // 2 : rows : every, every // 2 : columns : every])
     place, _, fine = _fits(light, u, v)

@@ -1,1 +1,1 @@
-"""Calibration targets: what is printed on them, and where their marks are in a picture."""
+"""Calibration targets: what is printed on them, and where their marks are in an image."""

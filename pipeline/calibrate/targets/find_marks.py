@@ -1,4 +1,4 @@
-"""Marks of a known board in a picture: the door to all finders."""
+"""Marks of a known board in an image: the door to all finders."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pipeline.calibrate.targets.localise.gray_image import to_grey
 __all__ = ["Found", "find_marks"]
 
 
-def find_marks(picture: NDArray[Any], board: Board, *, refine: bool = True, channel: int | None = None) -> Found:
+def find_marks(image: NDArray[Any], board: Board, *, refine: bool = True, channel: int | None = None) -> Found:
     """Find the marks of a board.
 
     Args:
-        picture: (H, W) or (H, W, 3), uint8, uint16 or float32; fringe light off.
+        image: (H, W) or (H, W, 3), uint8, uint16 or float32; fringe light off.
         board: what is printed on the board; dark on light or light on dark.
         refine: fit every mark for its best place and its standard deviation; False is faster and good to some tenths
             of a pixel, for following a board live; it neither refuses blur (see ``sharpness_px``) nor looks for a
@@ -36,7 +36,7 @@ def find_marks(picture: NDArray[Any], board: Board, *, refine: bool = True, chan
         TargetError: nothing of the board, only some marks, another size, two boards, too blurred, saturated, mirrored;
             the message says which and what to do.
     """
-    grey = to_grey(picture, channel=channel)
+    grey = to_grey(image, channel=channel)
     if board.round:
         return find_circles(grey, board, refine=refine)
     if board.kind == "chessboard":

@@ -1,4 +1,4 @@
-"""Marks of a board that were located in one device's picture."""
+"""Marks of a board that were located in one device's image."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """Marks found in one picture, in any order; for a projector, where its own picture meets the marks.
+    """Marks found in one image, in any order; for a projector, where its own image meets the marks.
 
     Args:
         ids: (n,) numbers of the marks, see :class:`pipeline.calibrate.targets.board.board.Board`; none twice.
         pixels: (n, 2) u, v. For circles this is the centroid of the circle's image, not the image of its centre.
-        sigma_px: (n,) expected standard deviation of each coordinate from the picture's noise.
+        sigma_px: (n,) expected standard deviation of each coordinate from the image's noise.
         areas_px: (n,) areas of the circles' images where ``pixels`` are their centroids, so that whoever fits a model
             must predict centroids; None where they are images of points (corners; a projector's marks).
     """

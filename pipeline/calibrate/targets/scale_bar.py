@@ -1,11 +1,11 @@
-"""The two ends of a bar of known length: the only two circles of their size in a picture."""
+"""The two ends of a bar of known length: the only two circles of their size in an image."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.apps.calibration.images.image_files import Picture
+from daemon.apps.calibration.images.image_files import Image
 from pipeline.calibrate.targets.detect.disc_candidates import find_discs
 from pipeline.calibrate.targets.localise.ellipse_fit import fit_ellipses
 from pipeline.calibrate.targets.localise.gray_image import to_grey
@@ -19,13 +19,13 @@ _SURROUNDINGS = 0.5
 _MOST_CANDIDATES = 200
 
 
-def two_circles(picture: Picture, name: str) -> NDArray[np.float64]:
+def two_circles(image: Image, name: str) -> NDArray[np.float64]:
     """Centres (2, 2) of the two circles, pixels; both dark on light, or both light on dark.
 
     Raises:
         TargetError: there are not two that stand out from everything else.
     """
-    grey = to_grey(picture)
+    grey = to_grey(image)
     best = 0
     for dark in (True, False):
         discs = find_discs(grey.values, dark=dark)

@@ -39,20 +39,20 @@ def _design_rows(mosaic: Any, rows: Any, out: Any) -> None:
 
 
 @serial
-def _first_guess(picture: Any, y: int, mosaic: Any, padded: Any, kept: Any, held: Any) -> Any:
+def _first_guess(image: Any, y: int, mosaic: Any, padded: Any, kept: Any, held: Any) -> Any:
     """First guess of row y, (3 W,) uint16, from the last ones or made now.
 
     Args:
         padded: (3, W + 2 or more) uint16, scratch; kept: (n, 3 W or more) uint16; held: (n,) which rows those are.
     """
-    height, width = picture.shape
+    height, width = image.shape
     slot = y % held.shape[0]
     out = kept[slot, : 3 * width]
     if held[slot] != y:
         held[slot] = y
         for k in range(3):
             i = abs(y + k - 1)
-            padded_row(picture[i if i < height else 2 * height - 2 - i], padded[k, : width + 2])
+            padded_row(image[i if i < height else 2 * height - 2 - i], padded[k, : width + 2])
         rough_row(padded[0], padded[1], padded[2], mosaic[y & 1, 0], mosaic[y & 1, 1], out)
     return out
 
@@ -72,7 +72,7 @@ def _put_back(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any
 
 @parallel
 def decode_bayer(
-    picture: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
+    image: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
     nominal: Any, clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any,
     scale: float, turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any,
     modulation: Any, valid: Any, clipped: Any,
@@ -105,7 +105,7 @@ def decode_bayer(
         start = shared_row(low)
         middle_row, entered = start - 1, start - over
         for y in range(max(low - radius, 0), min(high + radius, height)):
-            levels_of_row(_first_guess(picture, y, mosaic, halo, kept, held), np.float32(1 / EIGHTHS), black, levels)
+            levels_of_row(_first_guess(image, y, mosaic, halo, kept, held), np.float32(1 / EIGHTHS), black, levels)
             if low <= y < high:
                 if middle_row < shared_row(y):
                     middle_row = shared_row(y)
@@ -113,8 +113,8 @@ def decode_bayer(
                         entered += 1
                         keep = 1 if entered > start else 0
                         came, gone = mirrored(entered, height), mirrored(entered - keep * over, height)
-                        advance(_first_guess(picture, came, mosaic, halo, kept, held),
-                                _first_guess(picture, gone, mosaic, halo, kept, held), keep, drops[0], drops[1], once,
+                        advance(_first_guess(image, came, mosaic, halo, kept, held),
+                                _first_guess(image, gone, mosaic, halo, kept, held), keep, drops[0], drops[1], once,
                                 before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
@@ -127,7 +127,7 @@ def decode_bayer(
             if turn_rows > 0:
                 straighten_phasors(turns, turn_rows, y, units[k, :width], units[ring + k, :width])
                 units_of_row(units[k, :width], units[ring + k, :width])
-            found = samples_of_row(picture[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], clip, samples[k],
+            found = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], clip, samples[k],
                                    samples[ring + k])  # fmt: skip
             if low <= y < high:
                 clipped[y] = found

@@ -1,6 +1,6 @@
-"""Decoding of a three-chip picture in one pass over bands of rows.
+"""Decoding of a three-chip image in one pass over bands of rows.
 
-Every row goes through all steps while it is in the processor's first caches; between the raw picture and the results
+Every row goes through all steps while it is in the processor's first caches; between the raw image and the results
 no plane is stored. The bands overlap, so each of them starts on its own: results do not depend on the threads.
 """
 
@@ -40,7 +40,7 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
 
 @parallel
 def decode_rgb(
-    picture: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
+    image: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
     clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any, scale: float,
     turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any, modulation: Any,
     valid: Any, clipped: Any,
@@ -48,7 +48,7 @@ def decode_rgb(
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`.
 
     Args:
-        picture: (H, 3 W) uint8; black: (3,) counts.
+        image: (H, 3 W) uint8; black: (3,) counts.
         rows: (3, 3) design of the channels; solve: its inverse; unmix: (3, 3) inverse crosstalk; ideal: (3, 3) inverse
             of the design without crosstalk; all float32.
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
@@ -80,7 +80,7 @@ def decode_rgb(
         start = shared_row(low)
         middle_row, entered = start - 1, start - over
         for y in range(max(low - reach, 0), min(high + reach, height)):
-            levels_of_row(picture[y], np.float32(1.0), black, levels)
+            levels_of_row(image[y], np.float32(1.0), black, levels)
             if low <= y < high:
                 if middle_row < shared_row(y):
                     middle_row = shared_row(y)
@@ -88,7 +88,7 @@ def decode_rgb(
                         entered += 1
                         keep = 1 if entered > start else 0
                         gone = mirrored(entered - keep * over, height)
-                        advance(picture[mirrored(entered, height)], picture[gone], keep, drops[0], drops[1], once,
+                        advance(image[mirrored(entered, height)], image[gone], keep, drops[0], drops[1], once,
                                 before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
@@ -140,17 +140,17 @@ def decode_rgb(
                              nominal[2], nominal[3], weights[2], w, c, s, a, v)  # fmt: skip
                 quotients_of_row(w, c, s, a, v, re, im, average, variance[i])
                 if clipped[i] > 0:
-                    found = clipped_of_row(picture[i], clip, reach, width - reach, columns)
+                    found = clipped_of_row(image[i], clip, reach, width - reach, columns)
                     for j in columns[:found]:
-                        average[j] = plain_mean(picture[i], j, black, solve)
+                        average[j] = plain_mean(image[i], j, black, solve)
                     units = (unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r])
                     for j in range(0, found, TILE):
-                        fit_clipped(picture, i, columns[j : min(j + TILE, found)], radius, nominal, weights, rows,
+                        fit_clipped(image, i, columns[j : min(j + TILE, found)], radius, nominal, weights, rows,
                                     black, clip, floor, gain, units, tile, re, im, average, variance[i])  # fmt: skip
                 for j in range(reach):
                     for x in (j, width - 1 - j):
                         re[x], im[x], variance[i, x] = zero, zero, inf
-                        average[x] = plain_mean(picture[i], x, black, solve)
+                        average[x] = plain_mean(image[i], x, black, solve)
                 counts_of_row(average, mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, variance[i], smallest, modulation[i], valid[i])
@@ -158,6 +158,6 @@ def decode_rgb(
             if low <= y < high and (y < reach or y >= height - reach):
                 phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                 for x in range(width):
-                    average[x] = plain_mean(picture[y], x, black, solve)
+                    average[x] = plain_mean(image[y], x, black, solve)
                 counts_of_row(average, mean[y])
                 complete_row(phase[y], valid[y], mean[y], traits[y])

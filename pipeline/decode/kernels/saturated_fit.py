@@ -1,4 +1,4 @@
-"""Pixels of a three-chip picture with a clipped sample: the window fit from the samples that are left.
+"""Pixels of a three-chip image with a clipped sample: the window fit from the samples that are left.
 
 The clipped pixels of a row are gathered into tiles, fitted by the full normal equations and put back.
 """
@@ -91,13 +91,13 @@ def _add_channel(
 
 @serial
 def fit_clipped(
-    picture: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, design: Any, black: Any, clip: float,
+    image: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, design: Any, black: Any, clip: float,
     floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any, variance: Any,
 ) -> None:  # fmt: skip
     """Fit up to TILE pixels of row ``i``; results into those elements of re, im, mean, variance (W,).
 
     Args:
-        picture: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
+        image: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
         nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3) of the channels.
         units: unit phasors' re, im of the rows above, here, below.
     """
@@ -113,7 +113,7 @@ def fit_clipped(
     _steps(tile, nominal)
     clear(tile)
     for a in range(-radius, radius + 1):
-        raw = picture[i + a]
+        raw = image[i + a]
         for b in range(-radius, radius + 1):
             _turn(tile, a, b)
             for k in range(3):

@@ -1,4 +1,4 @@
-"""The exact three-step solution of every pixel of a row of a three-chip picture, before any window.
+"""The exact three-step solution of every pixel of a row of a three-chip image, before any window.
 
 Row kernels: straight loops over contiguous float32 rows without branches, which become vector instructions.
 """

@@ -28,7 +28,7 @@ static void receive(Device *device) {
             .width_ns = pulse.width_ns,
             .source = SOURCE_LINE0 + (int)pulse.line,
             .direction = EDGE_RISING,
-            .picture = pulse.picture,
+            .image = pulse.image,
             .judged = pulse.judged,
         };
         add_edge(device, edge);

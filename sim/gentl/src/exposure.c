@@ -31,7 +31,7 @@ static bool describe(Device *device, Frame *frame) {
            frame->y + (uint64_t)frame->height <= device->state->height;
 }
 
-/* Chunks stand behind the picture, each 8 bytes long. */
+/* Chunks stand behind the image, each 8 bytes long. */
 static void add_chunks(const Device *device, Frame *frame, double exposure_us) {
     uint64_t missed = LOAD(device->state->missed);
     const void *value[CHUNKS] = { &frame->timestamp, &frame->frame_id, &exposure_us, &missed };
@@ -48,7 +48,7 @@ static void add_chunks(const Device *device, Frame *frame, double exposure_us) {
 }
 
 /* Starts an exposure. The frame waits in the camera's memory until it is due; chunks and settings are of now. */
-static void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64_t picture) {
+static void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64_t image) {
     State *state = device->state;
     COUNT(state->exposed);
     if (device->frames_to_go > 0) device->frames_to_go--;
@@ -71,7 +71,7 @@ static void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64
     STORE(state->inside, (uint64_t)++device->inside);
     Response response = response_of(device, exposure_ns);
     pthread_mutex_unlock(&device->lock); /* only this thread touches the memory; register access need not wait */
-    frame->overtaken = !take_picture(device, frame, &response, picture);
+    frame->overtaken = !take_image(device, frame, &response, image);
     pthread_mutex_lock(&device->lock);
     follow_light(device, frame->mean);
     if (device->frames_to_go == 0) STORE(state->acquiring, 0);
@@ -81,7 +81,7 @@ void expose_on(Device *device, const Edge *edge) {
     bool by_width = get32(device, R_ExposureMode) == EXPOSURE_TRIGGER_WIDTH && edge->source != SOURCE_SOFTWARE;
     int64_t exposure_ns = by_width ? edge->width_ns : (int64_t)LOAD(device->state->exposure_ns);
     int64_t delay_ns = llround(get_double(device, R_TriggerDelay + 8 * TRIGGER_FRAME) * 1e3);
-    expose(device, edge->t_ns + delay_ns, exposure_ns, edge->picture);
+    expose(device, edge->t_ns + delay_ns, exposure_ns, edge->image);
 }
 
 void free_run(Device *device, int64_t now) {

@@ -30,7 +30,7 @@ enum { EDGE_RISING, EDGE_FALLING, EDGE_ANY };
 
 typedef struct { double scale[3], black, gamma; } Response;  /* of the channels to light */
 
-typedef struct {  /* an exposed picture on its way to the host */
+typedef struct {  /* an exposed image on its way to the host */
     uint8_t *bytes;
     size_t capacity, image_bytes, filled;
     int64_t exposure_ns;
@@ -65,7 +65,7 @@ typedef struct Stream {
     uint8_t registers[S_END];
 } Stream;
 
-typedef struct { int64_t t_ns, width_ns; int source, trigger, direction; uint64_t picture, answer; bool judged; } Edge;
+typedef struct { int64_t t_ns, width_ns; int source, trigger, direction; uint64_t image, answer; bool judged; } Edge;
 
 typedef struct Device {
     Kind kind;
@@ -134,7 +134,7 @@ GC_ERROR write_register(Device *device, uint64_t address, const void *value, siz
 /* sensor.c */
 size_t image_bytes(uint32_t format, uint32_t width, uint32_t height);
 bool format_exists(uint32_t format, uint64_t filter);
-bool take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted);
+bool take_image(Device *device, Frame *frame, const Response *response, uint64_t wanted);
 
 /* response.c */
 Response response_of(const Device *device, int64_t exposure_ns);

@@ -1,4 +1,4 @@
-/* The sensor: light of the shared picture, through the colour filter, as pixels in the format that was asked for. */
+/* The sensor: light of the shared image, through the colour filter, as pixels in the format that was asked for. */
 #include <string.h>
 
 #include "formats.h"
@@ -42,7 +42,7 @@ static uint32_t sample(const Light *light, size_t pixel, uint32_t channel) {
     return sample_of(light->pixels, pixel, channel, light->channels, light->bytes);
 }
 
-/* A row of the picture in 16 bits. `channels` and `bytes` are constants where this is called, for speed. */
+/* A row of the image in 16 bits. `channels` and `bytes` are constants where this is called, for speed. */
 INLINED void expose_row_of(const uint8_t *row, const Format *format, const int channel[2], uint32_t count, uint16_t *out,
                            uint32_t channels, uint32_t bytes) {
     if (format->samples == 3)
@@ -113,9 +113,9 @@ static void expose(const Light *light, const Format *format, Frame *frame, uint1
     }
 }
 
-/* Exposes picture `wanted`, or the newest (0). False if the wanted one was written over: a process that slept through
+/* Exposes image `wanted`, or the newest (0). False if the wanted one was written over: a process that slept through
  * its edge cannot have the light of that moment any more, and must not pass other light off as it. */
-bool take_picture(Device *device, Frame *frame, const Response *response, uint64_t wanted) {
+bool take_image(Device *device, Frame *frame, const Response *response, uint64_t wanted) {
     uint16_t *const *table = response_tables(device, response);
     const Format *format = format_of(frame->format);
     const Image *image = device->image;
@@ -135,7 +135,7 @@ bool take_picture(Device *device, Frame *frame, const Response *response, uint64
             }
             __atomic_thread_fence(__ATOMIC_ACQUIRE);
             if (LOAD(slot->sequence) == 2 * number) {
-                STORE(device->state->picture, number);
+                STORE(device->state->image, number);
                 return true;
             }
         }

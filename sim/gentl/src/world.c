@@ -122,7 +122,7 @@ GC_ERROR take(Device *device) {
     device->image = map_image(device);
     if (device->socket < 0 || !device->image) {
         GC_ERROR error = fail(GC_ERR_IO, "%s: its %s in FRINGED_GENTL_DIR cannot be used: %s", device->id,
-                              device->socket < 0 ? "socket" : "picture", strerror(errno));
+                              device->socket < 0 ? "socket" : "image", strerror(errno));
         release(device);
         return error;
     }

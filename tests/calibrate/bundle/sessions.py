@@ -1,4 +1,4 @@
-"""Made-up sessions with known truth: marks without pictures."""
+"""Made-up sessions with known truth: marks without images."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def session(
     points: np.ndarray | None = None,
     places: list[tuple] | None = None,
 ) -> tuple[list[BoardView], dict[str, tuple[int, int]], dict[str, CameraModel]]:
-    """Views, sizes and the true devices; marks outside a picture are missing."""
+    """Views, sizes and the true devices; marks outside an image are missing."""
     layout = layout or RigLayout()
     truth = layout.calibration()
     models = {name: getattr(truth, name) for name in devices}

@@ -50,7 +50,7 @@ def test_a_board_that_covers_a_corner_only_is_refused():
     shift = DEFAULT_BOARD.points.mean(axis=0)
     places = [(r, t + r @ (shift - middle)) for r, t in placed([*TILTS] * 2)]
     views, sizes, _ = session(small, places=places, devices=("left",))
-    with pytest.raises(CalibrationError, match=r"covers .* of the left picture"):
+    with pytest.raises(CalibrationError, match=r"covers .* of the left image"):
         calibrate(small, views, sizes)
 
 

@@ -17,7 +17,7 @@ def agree(solution, truth, *, intrinsic: float = 1e-6, pose: float = 1e-6) -> No
     for name, model in solution.devices.items():
         wanted = intrinsics_of(truth[name])
         away = np.abs(intrinsics_of(model) - wanted)
-        # k3 of a long lens is the r^6 term of a picture that ends at r = 0.2.
+        # k3 of a long lens is the r^6 term of an image that ends at r = 0.2.
         assert (away[:5] < intrinsic).all() and (away[5:9] < intrinsic).all() and away[9] < 1e-4, (name, away)
         assert np.abs(model.rotation - truth[name].rotation).max() < pose
         assert np.abs(model.translation - truth[name].translation).max() < 1e3 * pose

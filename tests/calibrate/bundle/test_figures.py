@@ -25,7 +25,7 @@ def test_points_lie_on_their_epipolar_lines_and_a_shift_across_them_is_the_dista
     a, b = RIG.left.project(points), RIG.right.project(points)
     assert epipolar_distances(RIG.left, RIG.right, a, b).max() < 1e-9
     away = epipolar_distances(RIG.left, RIG.right, a, b + np.array([0, 0.3]))
-    # The lines are nearly level, so a shift in v is nearly a distance, in both pictures.
+    # The lines are nearly level, so a shift in v is nearly a distance, in both images.
     assert np.abs(away - 0.3).max() < 0.03
 
 

@@ -1,4 +1,4 @@
-"""Numbering that was mixed up is repaired where the geometry tells; mirrored and swapped pictures are refused."""
+"""Numbering that was mixed up is repaired where the geometry tells; mirrored and swapped images are refused."""
 
 from functools import cache
 
@@ -31,7 +31,7 @@ def by_name(board: Board, name: str) -> np.ndarray:
 
 
 def mirrored(view: BoardView, devices, sizes, board=DEFAULT_BOARD) -> BoardView:
-    """As a finder that numbers along the picture's rows sees mirrored pictures of a grid of circles."""
+    """As a finder that numbers along the image's rows sees mirrored images of a grid of circles."""
     permutation = by_name(board, "mirrored left to right")
     marks = dict(view.marks)
     for device in devices:
@@ -87,13 +87,13 @@ def test_several_views_numbered_otherwise_are_repaired():
 def test_swapped_left_and_right_is_refused(with_projector):
     views, sizes, _ = session(sigma=0.03, devices=("left", "right", "projector")[: 2 + with_projector])
     swapped = [BoardView(v.name, v.marks | {"left": v.marks["right"], "right": v.marks["left"]}) for v in views]
-    with pytest.raises(CalibrationError, match="swapped, or both cameras' pictures are mirrored"):
+    with pytest.raises(CalibrationError, match="swapped, or both cameras' images are mirrored"):
         calibrate(DEFAULT_BOARD, swapped, sizes)
 
 
 def test_both_mirrored_is_refused():
     views, sizes, _ = session(sigma=0.03, devices=("left", "right"))
-    with pytest.raises(CalibrationError, match="both cameras' pictures are mirrored"):
+    with pytest.raises(CalibrationError, match="both cameras' images are mirrored"):
         calibrate(DEFAULT_BOARD, [mirrored(v, ("left", "right"), sizes) for v in views], sizes)
 
 
@@ -101,19 +101,19 @@ def test_both_mirrored_is_refused():
 @pytest.mark.parametrize("board", [DEFAULT_BOARD, SQUARE])
 def test_one_camera_mirrored_is_refused_by_name(device, board):
     views, sizes, _ = session(board, sigma=0.03, devices=("left", "right"))
-    with pytest.raises(CalibrationError, match=f"the pictures of {device} are mirrored"):
+    with pytest.raises(CalibrationError, match=f"the images of {device} are mirrored"):
         calibrate(board, [mirrored(v, (device,), sizes, board) for v in views], sizes)
 
 
 def test_a_mirrored_projector_is_refused_by_name():
     views, sizes, _ = session(sigma=0.03)
-    with pytest.raises(CalibrationError, match="the pictures of projector are mirrored"):
+    with pytest.raises(CalibrationError, match="the images of projector are mirrored"):
         calibrate(DEFAULT_BOARD, [mirrored(v, ("projector",), sizes) for v in views], sizes)
 
 
 @pytest.mark.parametrize("devices", [("left",), ("left", "right")])
 def test_a_board_seen_from_behind_is_refused(devices):
-    """Marks that carry their numbers (or an asymmetric grid) show at once that the picture is mirrored."""
+    """Marks that carry their numbers (or an asymmetric grid) show at once that the image is mirrored."""
     views, sizes, _ = session(sigma=0.03, devices=devices)
     behind = [
         BoardView(
@@ -126,7 +126,7 @@ def test_a_board_seen_from_behind_is_refused(devices):
         calibrate(DEFAULT_BOARD, behind, sizes)
 
 
-def test_pictures_paired_in_another_order_are_refused():
+def test_images_paired_in_another_order_are_refused():
     views, sizes, _ = session(sigma=0.03, devices=("left", "right"))
     shifted = [
         BoardView(v.name, {"left": v.marks["left"], "right": views[(k + 1) % 12].marks["right"]})

@@ -49,7 +49,7 @@ def test_single_wrong_marks_are_named(clean, far):
     close(solution, without)
 
 
-def test_a_board_that_moved_between_the_pictures_is_left_out_with_the_reason(clean):
+def test_a_board_that_moved_between_the_images_is_left_out_with_the_reason(clean):
     views, sizes, _, without = clean
     other = session(sigma=0.03, pose_seed=9)[0][4]
     wrong = list(views)
@@ -65,8 +65,8 @@ def test_a_board_that_moved_between_the_pictures_is_left_out_with_the_reason(cle
 
 
 @pytest.mark.parametrize("by_px", [1.0, 4.0])
-def test_a_picture_slightly_displaced_is_found_too(clean, by_px):
-    """A board nudged by half a millimetre between left and right: both pictures alone are perfect."""
+def test_an_image_slightly_displaced_is_found_too(clean, by_px):
+    """A board nudged by half a millimetre between left and right: both images alone are perfect."""
     views, sizes, _, without = clean
     wrong = list(views)
     wrong[6] = moved(wrong[6], "right", np.arange(99), (0.6 * by_px, by_px))
@@ -75,7 +75,7 @@ def test_a_picture_slightly_displaced_is_found_too(clean, by_px):
     close(solution, without, sigmas=2)
 
 
-def test_a_projector_picture_that_does_not_fit_costs_only_itself(clean):
+def test_a_projector_image_that_does_not_fit_costs_only_itself(clean):
     views, sizes, _, _ = clean
     wrong = list(views)
     wrong[6] = moved(wrong[6], "projector", np.arange(99), (40.0, 3.0))
@@ -84,7 +84,7 @@ def test_a_projector_picture_that_does_not_fit_costs_only_itself(clean):
     assert solution.views_used == 12 and ("view_06", "left") in solution.residuals
 
 
-def test_a_picture_with_few_marks_and_an_empty_view_are_named(clean):
+def test_an_image_with_few_marks_and_an_empty_view_are_named(clean):
     views, sizes, _, _ = clean
     few = views[3].marks["right"]
     wrong = [*views, BoardView("empty", {})]

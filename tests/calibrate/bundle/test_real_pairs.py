@@ -23,11 +23,11 @@ def corners(shared_data):
     for side in ("left", "right"):
         rows = []
         for k in range(1, 15):
-            picture = cv2.imread(str(shared_data("chessboard_stereo", f"{side}{k:02d}.jpg")), cv2.IMREAD_GRAYSCALE)
-            ok, rough = cv2.findChessboardCorners(picture, (9, 6))
+            image = cv2.imread(str(shared_data("chessboard_stereo", f"{side}{k:02d}.jpg")), cv2.IMREAD_GRAYSCALE)
+            ok, rough = cv2.findChessboardCorners(image, (9, 6))
             assert ok
             stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
-            rows.append(cv2.cornerSubPix(picture, rough, (5, 5), (-1, -1), stop).reshape(-1, 2))
+            rows.append(cv2.cornerSubPix(image, rough, (5, 5), (-1, -1), stop).reshape(-1, 2))
         found[side] = np.array(rows)
     return found
 

@@ -21,7 +21,7 @@ BOARD = "circles:9x7:24:14"
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_thread() -> Iterator[None]:
-    """OpenCV's threads gain nothing on pictures of this size."""
+    """OpenCV's threads gain nothing on images of this size."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     yield
@@ -47,7 +47,7 @@ def session_folder(tmp_path_factory: pytest.TempPathFactory, board: Board, true_
 
 
 @pytest.fixture
-def pictures(tmp_path: Path, session_folder: Path) -> Path:
+def images(tmp_path: Path, session_folder: Path) -> Path:
     """A copy of the session that may be spoiled."""
     for side in ("L", "R"):
         shutil.copytree(session_folder / side, tmp_path / side)
@@ -72,11 +72,11 @@ def truth_file(tmp_path_factory: pytest.TempPathFactory, true_rig: Cameras) -> P
 
 @pytest.fixture
 def spoil() -> Callable[[Path, Callable[[np.ndarray], np.ndarray]], None]:
-    """Changes the picture in a file."""
+    """Changes the image in a file."""
 
     def change(path: Path, how: Callable[[np.ndarray], np.ndarray]) -> None:
-        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        assert picture is not None
-        drawn.write_png(path, np.ascontiguousarray(how(picture)))
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        drawn.write_png(path, np.ascontiguousarray(how(image)))
 
     return change

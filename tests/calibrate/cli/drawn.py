@@ -1,4 +1,4 @@
-"""Pictures of printed boards as cameras and a projector of a known rig see them: exact geometry, quick, no renderer.
+"""Images of printed boards as cameras and a projector of a known rig see them: exact geometry, quick, no renderer.
 
 Every pixel is the mean of four rays to the board's plane, blurred a little more, with noise. Distances in mm.
 """
@@ -45,7 +45,7 @@ def rig(size: tuple[int, int] = SIZE) -> Cameras:
 def poses(
     board: Board, count: int = 12, seed: int = 0, *, tilt_deg: float = 35.0
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Places of a good session, board to world: tilted to all sides, moved towards the pictures' edges."""
+    """Places of a good session, board to world: tilted to all sides, moved towards the images' edges."""
     rng = np.random.default_rng(seed)
     middle = (board.points.min(axis=0) + board.points.max(axis=0)) / 2
     out = []
@@ -74,7 +74,7 @@ def draw(
     noise: float = 0.8,
     blur: float = 0.6,
 ) -> np.ndarray:
-    """One picture, (H, W) uint8. With ``light`` (h, w), 0..1, the projector shows that picture, else even white."""
+    """One image, (H, W) uint8. With ``light`` (h, w), 0..1, the projector shows that image, else even white."""
     albedo, at = _geometry(device, board, pose, projector if light is not None else None)
     shade = albedo
     if light is not None and at is not None:
@@ -128,8 +128,8 @@ def write_pairs(
     for side, device in (("L", cameras.left), ("R", cameras.right)):
         (folder / side).mkdir(parents=True, exist_ok=True)
         for k, pose in enumerate(places):
-            picture = draw(device, board, pose, seed=1000 * seed + 2 * k + (side == "R"))
-            write_png(folder / side / f"{k:02d}.png", picture)
+            image = draw(device, board, pose, seed=1000 * seed + 2 * k + (side == "R"))
+            write_png(folder / side / f"{k:02d}.png", image)
 
 
 def write_capture(
@@ -149,13 +149,13 @@ def write_capture(
         place.mkdir(exist_ok=True)
         for side, device in (("left", cameras.left), ("right", cameras.right)):
             for n, frame in enumerate(sequence.frames):
-                light = frame.picture()[..., 1] / 255.0 if isinstance(frame, Uniform) else frame.light()[..., 1] / 255.0
-                picture = draw(
+                light = frame.image()[..., 1] / 255.0 if isinstance(frame, Uniform) else frame.light()[..., 1] / 255.0
+                image = draw(
                     device, board, pose, seed=100_000 * seed + 1000 * k + 2 * n + (side == "right"), light=light,
                     projector=cameras.projector,
                 )  # fmt: skip
-                write_png(place / f"{side}_{n:02d}.png", picture)
+                write_png(place / f"{side}_{n:02d}.png", image)
 
 
-def write_png(path: Path, picture: np.ndarray) -> None:
-    assert cv2.imwrite(str(path), picture[..., ::-1] if picture.ndim == 3 else picture)
+def write_png(path: Path, image: np.ndarray) -> None:
+    assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)

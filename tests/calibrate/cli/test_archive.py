@@ -29,7 +29,7 @@ def files(folder: Path) -> dict[str, bytes]:
     [
         ({"rms_stereo_px": 0.07}, "the marks' reprojection error would grow from 0.050 to 0.070 px"),
         ({"epipolar_px": 0.06}, "the epipolar error would grow from 0.040 to 0.060 px"),
-        ({"coverage_right": 0.5}, "the marks would cover 50 % instead of 80 % of the right picture"),
+        ({"coverage_right": 0.5}, "the marks would cover 50 % instead of 80 % of the right image"),
         ({"rms_stereo_px": None}, "its errors are known, those of the new one are not"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Each kind of bad input gets a sentence of its own that names the pictures, and no file is touched."""
+"""Each kind of bad input gets a sentence of its own that names the images, and no file is touched."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ OLD = b"fringed_calibration: 1\n# a calibration that must stay as it is\n"
 def every(folder: Path, how: Change, *, sides: str = "LR") -> None:
     for side in sides:
         for path in sorted((folder / side).iterdir()):
-            picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-            drawn.write_png(path, np.ascontiguousarray(how(picture)))
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            drawn.write_png(path, np.ascontiguousarray(how(image)))
 
 
 def one(folder: Path, name: str, how: Change) -> None:
-    picture = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
-    drawn.write_png(folder / name, np.ascontiguousarray(how(picture)))
+    image = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+    drawn.write_png(folder / name, np.ascontiguousarray(how(image)))
 
 
 def alike(folder: Path) -> None:
@@ -38,7 +38,7 @@ def alike(folder: Path) -> None:
 
 
 def shifted(folder: Path) -> None:
-    """The right pictures belong to the views after."""
+    """The right images belong to the views after."""
     paths = sorted((folder / "R").iterdir())
     data = [path.read_bytes() for path in paths]
     for path, moved in zip(paths, data[1:] + data[:1], strict=True):
@@ -48,33 +48,33 @@ def shifted(folder: Path) -> None:
 CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     "blurred": (
         lambda f: every(f, lambda p: cv2.GaussianBlur(p, (0, 0), 5)),
-        r"L/00.png: picture too blurred",
+        r"L/00.png: image too blurred",
     ),
     "very blurred": (
         lambda f: every(f, lambda p: cv2.GaussianBlur(p, (0, 0), 9)),
-        r"L/00.png: picture too blurred",
+        r"L/00.png: image too blurred",
     ),
     "empty": (
         lambda f: every(f, lambda p: np.full_like(p, 90)),
-        r"L/00.png: no marks found: the picture shows nothing of the board circles:9x7:24:14",
+        r"L/00.png: no marks found: the image shows nothing of the board circles:9x7:24:14",
     ),
     "right camera mirrored": (
         lambda f: every(f, lambda p: p[:, ::-1], sides="R"),
-        r"R/\*.png: the pictures of (left|right) are mirrored",
+        r"R/\*.png: the images of (left|right) are mirrored",
     ),
     "both mirrored": (
         lambda f: every(f, lambda p: p[:, ::-1]),
-        r"L/\*.png.*: .*left and right are swapped, or both cameras' pictures are mirrored",
+        r"L/\*.png.*: .*left and right are swapped, or both cameras' images are mirrored",
     ),
     "two boards": (
         lambda f: every(f, lambda p: np.hstack([p, p])),
-        r"L/00.png: the picture shows two boards",
+        r"L/00.png: the image shows two boards",
     ),
     "views all alike": (alike, r"the 10 views are all alike"),
     "views of other moments": (shifted, r"contradict each other: only .* views agree"),
     "counts differ": (
         lambda f: (f / "R" / "03.png").unlink(),
-        r"--left .*L/\*.png names 10 pictures and --right .*R/\*.png names 9",
+        r"--left .*L/\*.png names 10 images and --right .*R/\*.png names 9",
     ),
     "sizes differ": (
         lambda f: one(f, "R/04.png", lambda p: p[:-20]),
@@ -82,12 +82,12 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "cut off": (
         lambda f: (f / "L/02.png").write_bytes((f / "L/02.png").read_bytes()[:2000]),
-        r"L/02.png: the picture is damaged or cut off",
+        r"L/02.png: the image is damaged or cut off",
     ),
     "empty file": (lambda f: (f / "L/02.png").write_bytes(b""), r"L/02.png: the file is empty"),
-    "no picture": (
+    "no image": (
         lambda f: (f / "R/05.png").write_text("this is a text"),
-        r"R/05.png: not a picture that can be read; expected a PNG, JPEG, TIFF or BMP",
+        r"R/05.png: not an image that can be read; expected a PNG, JPEG, TIFF or BMP",
     ),
     "too small": (
         lambda f: one(f, "L/00.png", lambda p: p[:40, :40]),
@@ -116,52 +116,52 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_pictures_are_refused(pictures: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+def test_bad_images_are_refused(images: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
     spoil, message = CASES[case]
-    spoil(pictures)
-    left, right = str(pictures / "L" / "*.png"), str(pictures / "R" / "*.png")
-    told = refused(pictures, capsys, "cameras", "--left", left, "--right", right, "--board", BOARD)
+    spoil(images)
+    left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
+    told = refused(images, capsys, "cameras", "--left", left, "--right", right, "--board", BOARD)
     assert re.search(message, told), told
 
 
-def test_swapped_cameras_are_told(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    left, right = str(pictures / "L" / "*.png"), str(pictures / "R" / "*.png")
-    told = refused(pictures, capsys, "cameras", "--left", right, "--right", left, "--board", BOARD)
+def test_swapped_cameras_are_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
+    told = refused(images, capsys, "cameras", "--left", right, "--right", left, "--board", BOARD)
     assert "left and right are swapped" in told
 
 
-def test_the_wrong_board_is_told(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    left, right = str(pictures / "L" / "*.png"), str(pictures / "R" / "*.png")
-    told = refused(pictures, capsys, "cameras", "--left", left, "--right", right, "--board", "circles:8x6:24")
-    assert "L/00.png: wrong board: the picture shows a grid of 9x7 marks and 8x6 was told" in told
+def test_the_wrong_board_is_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
+    told = refused(images, capsys, "cameras", "--left", left, "--right", right, "--board", "circles:8x6:24")
+    assert "L/00.png: wrong board: the image shows a grid of 9x7 marks and 8x6 was told" in told
 
 
-def test_pictures_of_one_camera_for_both_are_told(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    left = str(pictures / "L" / "*.png")
-    told = refused(pictures, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
+def test_images_of_one_camera_for_both_are_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = str(images / "L" / "*.png")
+    told = refused(images, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
     assert "named by both --left and --right" in told
 
 
-def test_a_pattern_without_files_is_told(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    left = str(pictures / "nothing" / "*.png")
-    told = refused(pictures, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
+def test_a_pattern_without_files_is_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = str(images / "nothing" / "*.png")
+    told = refused(images, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
     assert "no file has such a name" in told
 
 
-def test_a_projector_without_fringes_is_told(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    left, right = str(pictures / "L" / "*.png"), str(pictures / "R" / "*.png")
-    told = refused(pictures, capsys, "projector", "--left", left, "--right", right, "--board", BOARD)
+def test_a_projector_without_fringes_is_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
+    told = refused(images, capsys, "projector", "--left", left, "--right", right, "--board", BOARD)
     assert "no sequence with fringes in both directions" in told
 
 
-def test_some_bad_pictures_are_left_out_and_named(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    one(pictures, "L/01.png", lambda p: cv2.GaussianBlur(p, (0, 0), 5))
-    one(pictures, "R/06.png", lambda p: np.full_like(p, 90))
-    left, right = str(pictures / "L" / "*.png"), str(pictures / "R" / "*.png")
-    out = str(pictures / "new.yaml")
+def test_some_bad_images_are_left_out_and_named(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one(images, "L/01.png", lambda p: cv2.GaussianBlur(p, (0, 0), 5))
+    one(images, "R/06.png", lambda p: np.full_like(p, 90))
+    left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
+    out = str(images / "new.yaml")
     assert run(["calibrate", "cameras", "--left", left, "--right", right, "--board", BOARD, "--out", out]) == 0
     told = capsys.readouterr()
-    assert re.search(r"left out: .*L/01.png: picture too blurred", told.err)
+    assert re.search(r"left out: .*L/01.png: image too blurred", told.err)
     assert re.search(r"left out: .*R/06.png: no marks found", told.err)
-    page = (pictures / "new.report.html").read_text()
-    assert "picture too blurred" in page
+    page = (images / "new.report.html").read_text()
+    assert "image too blurred" in page

@@ -22,16 +22,16 @@ ENDS[1] = ENDS[0] + LENGTH * np.array([0.96, 0.0, 0.28])
 
 
 def balls(device: CameraModel, seed: int, *, count: int = 2, light: bool = False) -> np.ndarray:
-    """Small balls, drawn as discs around the pictures of their centres, 16 rays a pixel."""
+    """Small balls, drawn as discs around the images of their centres, 16 rays a pixel."""
     width, height = device.size
     v, u = (np.mgrid[0 : 4 * height, 0 : 4 * width] + 0.5) / 4 - 0.5
     shade = np.ones((4 * height, 4 * width))
     for at in [*device.project(ENDS), *device.project(ENDS + np.array([0, 60, 0]))][:count]:
         shade[(u - at[0]) ** 2 + (v - at[1]) ** 2 < 7.3**2] = 0.1
     shade = 1.1 - shade if light else shade
-    picture = 10 + 180 * shade.reshape(height, 4, width, 4).mean(axis=(1, 3))
-    picture = cv2.GaussianBlur(picture, (0, 0), 0.7) + np.random.default_rng(seed).normal(0, 1, picture.shape)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    image = 10 + 180 * shade.reshape(height, 4, width, 4).mean(axis=(1, 3))
+    image = cv2.GaussianBlur(image, (0, 0), 0.7) + np.random.default_rng(seed).normal(0, 1, image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize("light", [False, True])

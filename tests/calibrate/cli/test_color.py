@@ -45,7 +45,7 @@ def write_session(folder: Path, rig: Cameras, sequence: Sequence) -> None:
     for side, device in (("left", rig.left), ("right", rig.right)):
         at = lit(device, rig.projector)
         for n, frame in enumerate(sequence.frames):
-            light = (np.ascontiguousarray(frame.picture()) / 255.0) ** GAMMA
+            light = (np.ascontiguousarray(frame.image()) / 255.0) ** GAMMA
             seen = cv2.remap(light.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
             counts = BLACK + 175 * seen @ MIX[side].T + rng.normal(0, 0.7, seen.shape)
             drawn.write_png(place / f"{side}_{n:02d}.png", np.clip(np.rint(counts), 0, 255).astype(np.uint8))

@@ -1,4 +1,4 @@
-"""Pictures of every kind are read alike, from files, folders and takes; what cannot be read is named."""
+"""Images of every kind are read alike, from files, folders and takes; what cannot be read is named."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.apps.calibration.images.image_files import read_picture, unpacked
-from daemon.apps.calibration.images.image_size import picture_size
+from daemon.apps.calibration.images.image_files import read_image, unpacked
+from daemon.apps.calibration.images.image_size import image_size
 from daemon.apps.calibration.views.open_source import CaptureFolder, View, open_source, white_frame
 from daemon.apps.calibration.views.take_source import TakeSource
 from daemon.recording.write.part_writer import PartWriter
@@ -32,42 +32,42 @@ def quiet(done: int, of: int) -> None:
 
 @pytest.mark.parametrize("shape", [(90, 120), (90, 120, 3)])
 @pytest.mark.parametrize(("suffix", "depth"), [("png", 8), ("png", 16), ("tiff", 8), ("tiff", 16), ("bmp", 8)])
-def test_a_lossless_picture_is_read_as_it_was_written(
+def test_a_lossless_image_is_read_as_it_was_written(
     tmp_path: Path, suffix: str, depth: int, shape: tuple[int, ...]
 ) -> None:
-    picture = RNG.integers(0, 1 << depth, shape).astype(np.uint8 if depth == 8 else np.uint16)
+    image = RNG.integers(0, 1 << depth, shape).astype(np.uint8 if depth == 8 else np.uint16)
     path = tmp_path / f"p.{suffix}"
-    drawn.write_png(path, picture)
-    assert picture_size(path.read_bytes()) == (120, 90)
-    np.testing.assert_array_equal(read_picture(path), picture)
+    drawn.write_png(path, image)
+    assert image_size(path.read_bytes()) == (120, 90)
+    np.testing.assert_array_equal(read_image(path), image)
 
 
 def test_a_jpeg_is_read_in_the_order_of_its_colours(tmp_path: Path) -> None:
-    picture = np.full((80, 100, 3), (200, 90, 30), np.uint8)
-    drawn.write_png(tmp_path / "p.jpg", picture)
-    assert picture_size((tmp_path / "p.jpg").read_bytes()) == (100, 80)
-    assert np.abs(read_picture(tmp_path / "p.jpg").astype(int) - picture).max() < 4
+    image = np.full((80, 100, 3), (200, 90, 30), np.uint8)
+    drawn.write_png(tmp_path / "p.jpg", image)
+    assert image_size((tmp_path / "p.jpg").read_bytes()) == (100, 80)
+    assert np.abs(read_image(tmp_path / "p.jpg").astype(int) - image).max() < 4
 
 
 def test_transparency_is_left_out(tmp_path: Path) -> None:
-    picture = RNG.integers(0, 256, (70, 80, 4)).astype(np.uint8)
-    assert cv2.imwrite(str(tmp_path / "p.png"), picture)
-    np.testing.assert_array_equal(read_picture(tmp_path / "p.png"), picture[..., 2::-1])
+    image = RNG.integers(0, 256, (70, 80, 4)).astype(np.uint8)
+    assert cv2.imwrite(str(tmp_path / "p.png"), image)
+    np.testing.assert_array_equal(read_image(tmp_path / "p.png"), image[..., 2::-1])
 
 
-def test_a_picture_that_would_unpack_to_gigabytes_is_refused_by_its_head(tmp_path: Path) -> None:
+def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_head(tmp_path: Path) -> None:
     drawn.write_png(tmp_path / "p.png", np.zeros((70, 80), np.uint8))
     data = bytearray((tmp_path / "p.png").read_bytes())
     data[16:24] = (60_000).to_bytes(4, "big") * 2
     (tmp_path / "p.png").write_bytes(data)
     with pytest.raises(SourceError, match=r"p.png: 60000 x 60000 pixels; expected"):
-        read_picture(tmp_path / "p.png")
+        read_image(tmp_path / "p.png")
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from([b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"II*\0", b"MM\0*", b"BM", b""]), st.binary(max_size=200))
 def test_the_head_of_any_file_is_read_without_an_error(head: bytes, rest: bytes) -> None:
-    size = picture_size(head + rest)
+    size = image_size(head + rest)
     assert size is None or len(size) == 2
 
 
@@ -76,8 +76,8 @@ def test_the_head_of_any_file_is_read_without_an_error(head: bytes, rest: bytes)
 def test_a_mosaic_of_even_colour_becomes_that_colour(encoding: str, kind: type) -> None:
     color = np.array([200, 100, 50])
     raw = color[np.tile(np.array(BAYER[encoding]), (16, 16))].astype(kind)
-    picture = unpacked(raw, encoding).astype(np.float64)
-    np.testing.assert_allclose(picture[8, 8] / picture[8, 8].sum(), color / color.sum(), atol=1e-3)
+    image = unpacked(raw, encoding).astype(np.float64)
+    np.testing.assert_allclose(image[8, 8] / image[8, 8].sum(), color / color.sum(), atol=1e-3)
 
 
 def take_of(folder: Path, path: Path, *, first: int, lost: tuple[int, ...] = ()) -> None:
@@ -91,9 +91,9 @@ def take_of(folder: Path, path: Path, *, first: int, lost: tuple[int, ...] = ())
         for n in range(len(described["sequence"]["frames"])):
             if trigger not in lost:
                 number = (first + trigger) % (1 << 32)
-                pictures = [read_picture(place / f"{side}_{n:02d}.png") for side in SIDES]
+                images = [read_image(place / f"{side}_{n:02d}.png") for side in SIDES]
                 writer.write(
-                    *(Frame(s, number, trigger, trigger, "mono8", p) for s, p in zip(SIDES, pictures, strict=True))
+                    *(Frame(s, number, trigger, trigger, "mono8", p) for s, p in zip(SIDES, images, strict=True))
                 )
             trigger += 1
     writer.finish()
@@ -144,7 +144,7 @@ def test_marks_are_looked_for_in_the_brightest_even_frame() -> None:
         (lambda f: [shutil.rmtree(p) for p in f.glob("view_*")], r"no folder view_00"),
         (
             lambda f: drawn.write_png(f / "view_00" / "left_00.png", np.zeros((320, 400, 3), np.uint8)),
-            r"left_00.png: colour picture of uint8, which is not mono8",
+            r"left_00.png: colour image of uint8, which is not mono8",
         ),
         (
             lambda f: drawn.write_png(f / "view_02" / "left_01.png", np.zeros((300, 400), np.uint8)),
@@ -162,6 +162,6 @@ def test_what_is_wrong_with_a_capture_folder_is_named(
         list(CaptureFolder(folder).views(quiet))
 
 
-def test_a_folder_without_pictures_says_how_they_are_named(tmp_path: Path) -> None:
+def test_a_folder_without_images_says_how_they_are_named(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"holds neither capture.json with views nor a take"):
         open_source(tmp_path)

@@ -1,4 +1,4 @@
-"""The commands on pictures: what is written is the rig that took them, and the report can be read."""
+"""The commands on images: what is written is the rig that took them, and the report can be read."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def cameras_command(folder: Path, *more: str) -> list[str]:
 
 
 def field_error_px(found: CameraModel, true: CameraModel, *, near: float = 900, far: float = 1100) -> float:
-    """Largest difference of where points inside the middle of the picture are seen."""
+    """Largest difference of where points inside the middle of the image are seen."""
     v, u = np.mgrid[0.15:0.85:9j, 0.15:0.85:9j]
     pixels = np.stack([u * true.size[0], v * true.size[1]], axis=-1)
     rays = np.concatenate([true.normalise(pixels), np.ones((9, 9, 1))], axis=-1)
@@ -51,10 +51,10 @@ def report_is_whole(path: Path, *words: str) -> None:
 
 
 def test_cameras_are_calibrated_as_the_manual_writes_it(
-    pictures: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
+    images: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, report = pictures / "calibration.yaml", pictures / "report.html"
-    assert invoke(cameras_command(pictures, "--out", str(out), "--report", str(report))) == 0
+    out, report = images / "calibration.yaml", images / "report.html"
+    assert invoke(cameras_command(images, "--out", str(out), "--report", str(report))) == 0
     told = capsys.readouterr()
     assert "10 views used, 0 left out" in told.out
     file = read_cameras(out)
@@ -74,25 +74,25 @@ def test_cameras_are_calibrated_as_the_manual_writes_it(
     assert abs(file.cameras.baseline_mm - true_rig.baseline_mm) < 5 * sigma["baseline_mm"]
     assert quality["epipolar_px"] < 0.05
     report_is_whole(report, "Coverage", "Residuals", "translation_x", "std. dev.", "Errors of every view", "00, left")
-    assert sorted(path.name for path in pictures.iterdir()) == ["L", "R", "calibration.yaml", "report.html"]
+    assert sorted(path.name for path in images.iterdir()) == ["L", "R", "calibration.yaml", "report.html"]
 
 
-def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(pictures: Path) -> None:
-    out = pictures / "calibration.yaml"
-    command = cameras_command(pictures, "--out", str(out))
+def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(images: Path) -> None:
+    out = images / "calibration.yaml"
+    command = cameras_command(images, "--out", str(out))
     assert invoke(command) == 0
     first = out.read_bytes()
     assert invoke(command) == 0
-    kept = list(pictures.glob("calibration.2*.yaml"))
+    kept = list(images.glob("calibration.2*.yaml"))
     assert [path.read_bytes() for path in kept] == [first]
-    report_is_whole(pictures / "calibration.report.html", "Before: 2", "in std. dev.")
+    report_is_whole(images / "calibration.report.html", "Before: 2", "in std. dev.")
 
 
 def test_projector_and_cameras_are_solved_together(
-    pictures: Path, capture_folder: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
+    images: Path, capture_folder: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = pictures / "calibration.yaml"
-    command = cameras_command(pictures, "--views", str(capture_folder), "--out", str(out))
+    out = images / "calibration.yaml"
+    command = cameras_command(images, "--views", str(capture_folder), "--out", str(out))
     command[1] = "projector"
     assert invoke(command) == 0
     assert "projector 0.0" in capsys.readouterr().out
@@ -115,11 +115,11 @@ def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
 ) -> None:
     out = tmp_path / "calibration.yaml"
     command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
-    monkeypatch.setattr("daemon.apps.calibration.report.report.MOST_PICTURES", 4)
+    monkeypatch.setattr("daemon.apps.calibration.report.report.MOST_IMAGES", 4)
     assert invoke(command) == 0
     page = (tmp_path / "calibration.report.html").read_text()
     assert page.count("<image") == 4
-    assert "The worst views are shown, 6 pictures are not." in page
+    assert "The worst views are shown, 6 images are not." in page
     file = read_cameras(out)
     assert file.cameras.projector is None
     assert file.cameras.baseline_mm == pytest.approx(true_rig.baseline_mm, rel=1e-3)
@@ -148,16 +148,16 @@ def test_the_real_chessboard_pairs_are_calibrated(tmp_path: Path, shared_data: C
 
 
 def test_the_calibration_measures_the_true_distances(
-    pictures: Path, capsys: pytest.CaptureFixture[str], truth_file: Path
+    images: Path, capsys: pytest.CaptureFixture[str], truth_file: Path
 ) -> None:
-    out = pictures / "calibration.yaml"
-    assert invoke(cameras_command(pictures, "--out", str(out))) == 0
+    out = images / "calibration.yaml"
+    assert invoke(cameras_command(images, "--out", str(out))) == 0
     capsys.readouterr()
     view = [
         "--left",
-        str(pictures / "L" / "04.png"),
+        str(images / "L" / "04.png"),
         "--right",
-        str(pictures / "R" / "04.png"),
+        str(images / "R" / "04.png"),
         "--board",
         BOARD,
         "--json",
@@ -205,8 +205,8 @@ def test_a_rig_that_changed_is_found_out(
     assert re.search(complaint, told.err)
 
 
-def test_usage_errors_are_told(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert invoke(["calibrate", "cameras", "--left", str(pictures / "L" / "*.png"), "--board", BOARD]) == 2
+def test_usage_errors_are_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert invoke(["calibrate", "cameras", "--left", str(images / "L" / "*.png"), "--board", BOARD]) == 2
     assert "--left and --right belong together" in capsys.readouterr().err
     assert invoke(["calibrate", "cameras", "--board", BOARD]) == 2
-    assert "give a rig.yaml to calibrate live, or pictures" in capsys.readouterr().err
+    assert "give a rig.yaml to calibrate live, or images" in capsys.readouterr().err

@@ -34,7 +34,7 @@ def rig():
 
 @dataclass
 class Bench:
-    """Pictures of a board; counts are ``black + albedo (gain mix (light + glow + ambient))``."""
+    """Images of a board; counts are ``black + albedo (gain mix (light + glow + ambient))``."""
 
     gamma: tuple = (2.2, 2.2, 2.2)
     mix: np.ndarray = field(default_factory=lambda: MIX)
@@ -64,7 +64,7 @@ class Bench:
         pixels = np.stack([u, v], axis=-1)
         camera = (rig().left, rig().right)[side]
         away = np.zeros((3, *pixels.shape)) if self.lateral is None else self.lateral.at(camera, pixels)
-        drive = frame.picture(shown)
+        drive = frame.image(shown)
         out = np.empty((*pixels.shape[:2], 3))
         for k in range(3):
             light = 255 * (drive[..., k] / 255.0) ** self.gamma[k]
@@ -79,7 +79,7 @@ class Bench:
             out[..., k] = spline(line, at[..., first])
         return out
 
-    def picture(self, frame, side, seed=0, shown=None, exposure=1.0, cap=False):
+    def image(self, frame, side, seed=0, shown=None, exposure=1.0, cap=False):
         light = self.light(frame, side, shown) + self.ambient
         counts = exposure * self.albedo()[..., None] * (light @ (self.mix[side] * np.array(self.gain)).T)
         counts = (0 if cap else 1) * counts + self.black
@@ -93,7 +93,7 @@ class Bench:
 
     def shoot(self, sequence, *, seed=0, shown=None, **more):
         return [
-            tuple(self.picture(frame, side, 1000 * seed + i, shown, **more) for side in (0, 1))
+            tuple(self.image(frame, side, 1000 * seed + i, shown, **more) for side in (0, 1))
             for i, frame in enumerate(sequence.frames)
         ]
 
@@ -104,7 +104,7 @@ def projected(pixels, side):
 
 
 def spline(line, at):
-    """A line of projector pixels, joined by quadratic splines as the pixels of a picture are by their blur."""
+    """A line of projector pixels, joined by quadratic splines as the pixels of an image are by their blur."""
     j = np.clip(np.rint(at).astype(int), 1, len(line) - 2)
     f = at - j
     return 0.5 * (0.5 - f) ** 2 * line[j - 1] + (0.75 - f * f) * line[j] + 0.5 * (0.5 + f) ** 2 * line[j + 1]

@@ -58,7 +58,7 @@ def test_sizes_of_the_sequence_are_bounded(options):
         color_sequence(SIZE, **options)
 
 
-def test_pictures_of_one_colour_are_dark_in_the_others():
+def test_images_of_one_colour_are_dark_in_the_others():
     for frame in color_sequence(SIZE, levels=3).frames:
         if getattr(frame, "channels", None) == ("red",):
-            assert not np.asarray(frame.picture())[..., 1:].any()
+            assert not np.asarray(frame.image())[..., 1:].any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibrate.color import calibrate_color, check_sequence, color_sequence, phase_error
-from sim.render.render_pair import render_pictures
+from sim.render.render_pair import render_images
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
@@ -16,7 +16,7 @@ OPTICS = Optics(gamma=2.2, crosstalk=0.12, precorrected=False)
 def shoot(sequence, seed, response=None):
     scene = build("plane")
     return [
-        render_pictures(LAYOUT, scene, frame.picture(response), OPTICS, seed=seed + i)
+        render_images(LAYOUT, scene, frame.image(response), OPTICS, seed=seed + i)
         for i, frame in enumerate(sequence.frames)
     ]
 

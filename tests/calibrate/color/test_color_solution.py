@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.calibrate.color import calibrate_color, check_sequence, color_sequence, phase_error
 from pipeline.calibrate.color.crosstalk import black_from_marks
-from pipeline.common.errors import PatternError, PictureError
+from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration, from_mapping, to_mapping
 from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Lateral, Registration
@@ -57,11 +57,11 @@ def test_marks_in_view_do_not_matter_and_tell_the_black_level():
 
 def test_covered_lenses_tell_the_black_level():
     bench, sequence = Bench(), color_sequence(PROJECTOR, levels=5, lateral=False)
-    dark = [tuple(bench.picture(sequence.frames[0], side, 77, cap=True) for side in (0, 1))]
+    dark = [tuple(bench.image(sequence.frames[0], side, 77, cap=True) for side in (0, 1))]
     found = calibrate_color(bench.shoot(sequence), sequence, dark=dark)
     assert found.quality["right"]["black_from"] == "lens cap"
     assert np.abs(found.right.black - 4.0).max() < 0.05
-    with pytest.raises(PictureError, match="cover the lens"):
+    with pytest.raises(ImageError, match="cover the lens"):
         bright = [tuple(np.full_like(p, 40) for p in dark[0])]
         calibrate_color(bench.shoot(sequence), sequence, dark=bright)
 
@@ -114,7 +114,7 @@ def test_unequal_gains_are_corrected_too():
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
 def test_red_and_blue_are_found_where_they_are(encoding):
-    """The sum of what camera and projector do is what matters, and what the pictures tell."""
+    """The sum of what camera and projector do is what matters, and what the images tell."""
     _, found = solved(lateral=LATERAL, registration=REGISTRATION, encoding=encoding)
     v, u = np.mgrid[8 : CAMERA[1] : 16, 8 : CAMERA[0] : 16].astype(float)
     pixels = np.stack([u, v], axis=-1)
@@ -159,7 +159,7 @@ def test_where_lateral_colour_cannot_be_measured_the_rest_still_is():
             for pair in bench.shoot(sequence)]  # fmt: skip
     found = calibrate_color(dark, sequence, calibration=rig())
     assert found.left.lateral is None
-    assert "fill the picture" in found.quality["lateral_problem"]
+    assert "fill the image" in found.quality["lateral_problem"]
     assert np.abs(found.left.crosstalk - MIX[0]).max() < 0.01
 
 
@@ -181,46 +181,46 @@ def test_what_was_found_goes_through_a_calibration_file():
     assert np.array_equal(again.response.curves, found.response.curves)
 
 
-def sequence_and_pictures(**options):
+def sequence_and_images(**options):
     sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
     return sequence, Bench(**options).shoot(sequence)
 
 
-def test_clipped_pictures_are_refused_with_camera_frame_and_colour():
+def test_clipped_images_are_refused_with_camera_frame_and_colour():
     sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
-    with pytest.raises(PictureError, match=r"left camera, frame \d+ \(even light 255 0 0\).* in red .*shorten"):
+    with pytest.raises(ImageError, match=r"left camera, frame \d+ \(even light 255 0 0\).* in red .*shorten"):
         calibrate_color(Bench().shoot(sequence, exposure=1.8), sequence)
 
 
-def test_dark_pictures_are_refused():
+def test_dark_images_are_refused():
     sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
-    with pytest.raises(PictureError, match=r"left camera: full red light gives .* lengthen the exposure"):
+    with pytest.raises(ImageError, match=r"left camera: full red light gives .* lengthen the exposure"):
         calibrate_color(Bench().shoot(sequence, exposure=0.1), sequence)
 
 
 def test_swapped_colours_are_told():
     swapped = MIX[:, ::-1]
-    sequence, frames = sequence_and_pictures(mix=swapped + 0.3 * np.eye(3), gain=(0.6, 0.6, 0.6))
-    with pytest.raises(PictureError, match="colours of camera or projector are swapped"):
+    sequence, frames = sequence_and_images(mix=swapped + 0.3 * np.eye(3), gain=(0.6, 0.6, 0.6))
+    with pytest.raises(ImageError, match="colours of camera or projector are swapped"):
         calibrate_color(frames, sequence)
 
 
 def test_a_missing_frame_is_told():
-    sequence, frames = sequence_and_pictures()
-    with pytest.raises(PictureError, match="do not make whole passes"):
+    sequence, frames = sequence_and_images()
+    with pytest.raises(ImageError, match="do not make whole passes"):
         calibrate_color(frames[:-1], sequence)
 
 
-def test_pictures_of_another_encoding_are_refused():
-    sequence, frames = sequence_and_pictures()
-    with pytest.raises(PictureError, match="is no bayer_rggb8 picture"):
+def test_images_of_another_encoding_are_refused():
+    sequence, frames = sequence_and_images()
+    with pytest.raises(ImageError, match="is no bayer_rggb8 image"):
         calibrate_color(frames, sequence, encoding="bayer_rggb8")
 
 
 def test_a_check_needs_its_frames():
     check = check_sequence(PATTERN)
-    pictures = [p[0] for p in Bench().shoot(check)]
+    images = [p[0] for p in Bench().shoot(check)]
     with pytest.raises(PatternError, match="expected the frames of check_sequence"):
-        phase_error(pictures[:-1], check)
-    with pytest.raises(PictureError, match="fringes are seen on 0 pixels"):
-        phase_error(pictures, check, area=np.zeros(CAMERA[::-1], bool))
+        phase_error(images[:-1], check)
+    with pytest.raises(ImageError, match="fringes are seen on 0 pixels"):
+        phase_error(images, check, area=np.zeros(CAMERA[::-1], bool))

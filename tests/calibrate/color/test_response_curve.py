@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from pipeline.calibrate.color.tone_response import LevelCurve, isotonic, monotone_cubic, response_of
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 
 values = arrays.arrays(np.float64, st.integers(2, 30), elements=st.floats(-10, 10))
 
@@ -60,5 +60,5 @@ def test_two_cameras_are_weighed_by_their_noise():
 def test_light_that_falls_is_refused():
     levels = np.array([0.0, 85, 170, 255])
     curve = LevelCurve(levels, np.array([0, 0.8, 0.4, 1]), np.full(4, 1e-3))
-    with pytest.raises(PictureError, match="red falls towards drive value 170"):
+    with pytest.raises(ImageError, match="red falls towards drive value 170"):
         response_of([[curve]] * 3)

@@ -27,7 +27,7 @@ class Flip:
 class Bench:
     """Time, light, triggers and pairing.
 
-    Each camera's picture holds the level of the light during its exposure, or MIXED if that changed meanwhile.
+    Each camera's image holds the level of the light during its exposure, or MIXED if that changed meanwhile.
 
     Args:
         latency_ms: from flip to light; told_ms: what the projector says of it, None = nothing.
@@ -77,10 +77,10 @@ class Bench:
     def open(self) -> ProjectorInfo:
         return ProjectorInfo("bench", (4, 2), 60.0)
 
-    def show(self, picture: Any) -> None:
+    def show(self, image: Any) -> None:
         self.shown += 1
         flip_ns = self.now_ns + round(MS * self.random.uniform(0, self.show_ms))
-        self.changes.append((flip_ns + self.latency_ns, int(picture[0, 0, 0])))
+        self.changes.append((flip_ns + self.latency_ns, int(image[0, 0, 0])))
         self.last_flip = Flip(flip_ns)
         self.pass_until(flip_ns + round(MS * self.random.uniform(0, self.show_ms)))
 
@@ -130,7 +130,7 @@ class Bench:
         self.due.append((here_ns, frame))
 
 
-def picture(level: int) -> Any:
+def image(level: int) -> Any:
     return np.full((2, 4, 3), level, np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""A lit rig with a board in a simulated hand; its pictures carry numbers instead of marks."""
+"""A lit rig with a board in a simulated hand; its images carry numbers instead of marks."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ class Hand:
         self._world.close()
 
 
-class HandPictures:
-    """Light, side and pose in the first pixels of pictures of the true size."""
+class HandImages:
+    """Light, side and pose in the first pixels of images of the true size."""
 
     def __init__(self, projector: FreeProjector) -> None:
         self.projector, self.hand = projector, None
 
     def pair(self, index: int) -> tuple[Any, Any]:  # noqa: ARG002 - the protocol's
-        pictures = []
+        images = []
         for side in (0, 1):
             width, height = SIZES[("left", "right")[side]]
-            picture = np.full((height // 8, width // 8, 3), min(self.projector.level, 250), np.uint8)
-            picture[0, 0] = (self.hand.pose, side, 77)  # type: ignore[attr-defined]
-            picture.setflags(write=False)
-            pictures.append(picture)
-        return pictures[0], pictures[1]
+            image = np.full((height // 8, width // 8, 3), min(self.projector.level, 250), np.uint8)
+            image[0, 0] = (self.hand.pose, side, 77)  # type: ignore[attr-defined]
+            image.setflags(write=False)
+            images.append(image)
+        return images[0], images[1]
 
 
 @dataclass
@@ -67,20 +67,20 @@ class HandDevices:
 
 def hand_devices(rate_hz: float = 200.0) -> HandDevices:
     plain, projector, _ = devices(rate_hz)
-    pictures = HandPictures(projector)
+    images = HandImages(projector)
     width, height = SIZES["left"]
-    world = SimWorld(pictures, projector, (width // 8, height // 8), "rgb8", rate_hz=rate_hz, exposure_us=500.0)  # type: ignore[arg-type]
+    world = SimWorld(images, projector, (width // 8, height // 8), "rgb8", rate_hz=rate_hz, exposure_us=500.0)  # type: ignore[arg-type]
     hand = Hand(world)
-    pictures.hand = hand  # type: ignore[assignment]
+    images.hand = hand  # type: ignore[assignment]
     return HandDevices(world.cameras, projector, hand, plain)
 
 
-def find(picture: Any, board: Board) -> Seen:
+def find(image: Any, board: Board) -> Seen:
     """The marks that the numbers stand for."""
     assert board == BOARD
-    if picture[1, 1].max() < DARK:
+    if image[1, 1].max() < DARK:
         raise TargetError("too dark")
-    pose, side, check = (int(value) for value in picture[0, 0])
+    pose, side, check = (int(value) for value in image[0, 0])
     assert check == 77
     return Seen(VIEWS[pose].marks[("left", "right")[side]])
 

@@ -17,7 +17,7 @@ from tests.daemon.rigs import SMALL, open_rig_size
 
 
 class FreeProjector:
-    """Shows every picture at once, and says so."""
+    """Shows every image at once, and says so."""
 
     latency_s = 0.0
 
@@ -29,10 +29,10 @@ class FreeProjector:
     def open(self) -> ProjectorInfo:
         return ProjectorInfo("free", self.size, 0.0)
 
-    def show(self, picture: Any) -> None:
+    def show(self, image: Any) -> None:
         if self.trouble:
             raise DriverError(self.trouble)
-        self.level = int(picture[0, 0].max())
+        self.level = int(image[0, 0].max())
         self.shown.append(self.level)
 
     def problem(self) -> str:
@@ -43,22 +43,22 @@ class FreeProjector:
 
 
 class Lit:
-    """Pictures as bright as what is projected."""
+    """Images as bright as what is projected."""
 
     def __init__(self, size: tuple[int, int], projector: FreeProjector) -> None:
         self._size, self._projector = size, projector
 
     def pair(self, index: int) -> tuple[Any, Any]:  # noqa: ARG002 - the protocol's
-        picture = np.full((*self._size[::-1], 3), self._projector.level, np.uint8)
-        picture.setflags(write=False)
-        return picture, picture
+        image = np.full((*self._size[::-1], 3), self._projector.level, np.uint8)
+        image.setflags(write=False)
+        return image, image
 
 
 def devices(rate_hz: float = 200.0) -> tuple[RigDevices, FreeProjector, SimWorld]:
     """The rig, giving triggers in real time."""
     options = SMALL | {"rate_hz": rate_hz}
     size = open_rig_size(options)
-    plain = open_rig(options, Path(), pictures=Lit(size, FreeProjector((1, 1))))
+    plain = open_rig(options, Path(), images=Lit(size, FreeProjector((1, 1))))
     projector = FreeProjector(plain.options.layout.projector_size)
     world = SimWorld(Lit(size, projector), projector, size, "rgb8", rate_hz=rate_hz, exposure_us=500.0)  # type: ignore[arg-type]
     made = RigDevices(world.cameras, projector, world, plain.options, plain.calibration, plain.pattern, plain.volume)

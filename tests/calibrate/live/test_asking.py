@@ -81,7 +81,7 @@ def test_a_capture_that_was_cancelled_in_the_daemon_is_no_failure_of_the_devices
         made.shoot(SEQUENCE)
 
 
-def test_a_file_with_fewer_pictures_than_asked_for_is_refused(tmp_path: Path) -> None:
+def test_a_file_with_fewer_images_than_asked_for_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     writer = TakeWriter(
         path, session="s", device="d", calibration_data=b"", pattern=SEQUENCE.as_mapping(), volume={}, min_free_bytes=0
@@ -91,7 +91,7 @@ def test_a_file_with_fewer_pictures_than_asked_for_is_refused(tmp_path: Path) ->
     writer.offer(PairItem(*frames))
     writer.close()
     made, _ = shooter({"job": 7, "of": 1, "outcome": "done", "file": str(path)})
-    with pytest.raises(DaemonError, match="1 of 1 pictures are there, numbered from 3"):
+    with pytest.raises(DaemonError, match="1 of 1 images are there, numbered from 3"):
         made.shoot(SEQUENCE)
 
 

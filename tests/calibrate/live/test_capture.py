@@ -1,4 +1,4 @@
-"""Captures through a running daemon: right pictures, bounded, and measuring goes on afterwards whatever happened."""
+"""Captures through a running daemon: right images, bounded, and measuring goes on afterwards whatever happened."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Bench:
 
     @property
     def fringe(self) -> int:
-        return int(self.service.rig.pattern.picture(self.service.rig.calibration.response)[0, 0].max())
+        return int(self.service.rig.pattern.image(self.service.rig.calibration.response)[0, 0].max())
 
 
 @contextmanager
@@ -121,7 +121,7 @@ def test_each_pair_of_the_take_shows_its_frame_and_nothing_of_it_is_measured(ben
     assert shown == {bench.fringe}, "sinks get pairs under the fringe alone"
 
 
-def test_while_it_holds_the_status_says_why_nothing_is_measured_and_the_last_picture_stays(bench: Bench) -> None:
+def test_while_it_holds_the_status_says_why_nothing_is_measured_and_the_last_image_stays(bench: Bench) -> None:
     first = bench.call("calibrate.capture", frames=bench.frames(77), hold_s=30)["job"]
     bench.ended()
     assert bench.call("calibrate.status")["state"] == "holding"
@@ -129,9 +129,9 @@ def test_while_it_holds_the_status_says_why_nothing_is_measured_and_the_last_pic
     shown, clouds = list(bench.projector.shown), bench.service.worker.clouds
     assert bench.call("calibrate.capture", frames=bench.frames(77), hold_s=30)["job"] == first + 1
     assert bench.ended()["outcome"] == "done"
-    assert bench.projector.shown == shown, "the picture that is there already is not shown again"
+    assert bench.projector.shown == shown, "the image that is there already is not shown again"
     assert bench.service.worker.clouds == clouds
-    with pytest.raises(RpcError, match="showing pictures for a capture"):
+    with pytest.raises(RpcError, match="showing images for a capture"):
         bench.call("pattern.show", name="fringe")
     assert bench.call("calibrate.cancel")["job"] == first + 1
     bench.measures_again()
@@ -164,7 +164,7 @@ def test_a_capture_whose_client_died_is_given_up(bench: Bench, monkeypatch: pyte
 
 
 def test_a_projector_that_fails_ends_the_capture_with_its_words(bench: Bench) -> None:
-    bench.projector.trouble = "no picture: the cable is out"
+    bench.projector.trouble = "no image: the cable is out"
     bench.call("calibrate.capture", frames=bench.frames(1, 2))
     told = bench.ended()
     assert told["outcome"] == "failed" and "the cable is out" in told["problem"]

@@ -12,15 +12,15 @@ SIZE = (64, 48)
 
 
 def shots(left: int, right: int, *, encoding: str = "rgb8", dtype: type = np.uint8) -> Shots:
-    """A white board that fills a third of the picture, as bright as told under each channel's full light."""
+    """A white board that fills a third of the image, as bright as told under each channel's full light."""
     pairs = []
     for channel in range(3):
         pair = []
         for level in (left, right):
-            picture = np.zeros((*SIZE[::-1], 3) if encoding == "rgb8" else SIZE[::-1], dtype)
-            board = picture[8:40, 10:40]
+            image = np.zeros((*SIZE[::-1], 3) if encoding == "rgb8" else SIZE[::-1], dtype)
+            board = image[8:40, 10:40]
             board[...] = np.eye(3, dtype=dtype)[channel] * level if encoding == "rgb8" else level
-            pair.append(picture)
+            pair.append(image)
         pairs.append((pair[0], pair[1]))
     return Shots(encoding, tuple(pairs))
 
@@ -37,7 +37,7 @@ def test_a_good_exposure_is_passed(encoding: str) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
-def test_clipped_and_dark_pictures_are_told_with_the_camera_and_the_remedy(encoding: str) -> None:
+def test_clipped_and_dark_images_are_told_with_the_camera_and_the_remedy(encoding: str) -> None:
     assert exposure_problem(shots(255, 200, encoding=encoding)).startswith("left camera: 100% of the white are clipped")
     assert "right camera: full red light gives 20 counts; expose for longer" in exposure_problem(
         shots(200, 20, encoding=encoding)

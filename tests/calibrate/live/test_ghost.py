@@ -58,7 +58,7 @@ def test_the_first_ghost_is_in_the_middle_and_of_a_usual_size() -> None:
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(u=st.floats(-0.5, 1.5), v=st.floats(-0.5, 1.5), tilt=st.floats(-45, 45), distance_mm=st.floats(400.0, 3000.0))
-def test_an_outline_is_brought_into_the_picture_and_one_that_is_in_it_stays(
+def test_an_outline_is_brought_into_the_image_and_one_that_is_in_it_stays(
     u: float, v: float, tilt: float, distance_mm: float
 ) -> None:
     corners = outline(BOARD, Pose(tilt, 10.0, (u, v), 1.0, ""), SIZE, distance_mm=distance_mm)

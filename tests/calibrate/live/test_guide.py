@@ -101,7 +101,7 @@ def with_daemon(tmp_path: Path, made: HandDevices) -> Iterator[Shooter]:
             yield shooter
         wait_until(lambda: not capture.active)
         clouds = service.worker.clouds
-        # The simulated cameras' pictures have another size than the calibration, which does not keep pairs from coming.
+        # The simulated cameras' images have another size than the calibration, which does not keep pairs from coming.
         wait_until(lambda: service.worker.clouds > clouds)
     finally:
         service.ask_stop()
@@ -143,11 +143,11 @@ def test_a_session_runs_by_itself_from_the_first_pose_to_a_folder_that_can_be_so
     assert [view.name for view in views] == ["view_00", "view_01", "view_02"]
     for pose, view in enumerate(views):
         light = []
-        for side, pictures in enumerate((view.left, view.right)):
-            assert [tuple(picture[0, 0]) for picture in pictures] == [(pose, side, 77)] * 4
-            light.append([int(picture[1, 1].max()) for picture in pictures])
-        first = [int(frame.picture()[0, 0].max()) for frame in sequence.frames]
-        assert light == [first, first], "every picture shows its frame"
+        for side, images in enumerate((view.left, view.right)):
+            assert [tuple(image[0, 0]) for image in images] == [(pose, side, 77)] * 4
+            light.append([int(image[1, 1].max()) for image in images])
+        first = [int(frame.image()[0, 0].max()) for frame in sequence.frames]
+        assert light == [first, first], "every image shows its frame"
 
 
 def test_the_devices_are_dark_and_closed_afterwards(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_a_camera_that_does_not_come_is_named(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_raw_pictures_are_kept_bit_by_bit(dtype: type) -> None:
+def test_raw_images_are_kept_bit_by_bit(dtype: type) -> None:
     grey = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, (40, 50), dtype)
     assert (cv2.imdecode(np.frombuffer(png(grey), np.uint8), cv2.IMREAD_UNCHANGED) == grey).all()
 
@@ -218,6 +218,6 @@ def test_a_terminal_and_a_log_tell_the_same(tmp_path: Path, capsys: pytest.Captu
             )  # fmt: skip
     told = capsys.readouterr().err
     assert "a new pose: hold the board still\nhold still\n" in told
-    assert "picture 4 of 4\n" in told and "view 3 of 3 is taken; nothing is missing\n" in told
+    assert "image 4 of 4\n" in told and "view 3 of 3 is taken; nothing is missing\n" in told
     assert "3 of 3 views" in told
     assert json.loads((tmp_path / "bars" / "capture.json").read_text())["encoding"] == "rgb8"

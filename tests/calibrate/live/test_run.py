@@ -1,4 +1,4 @@
-"""From a rig file to folders: who shows the pictures, what is asked for, and how a session ends."""
+"""From a rig file to folders: who shows the images, what is asked for, and how a session ends."""
 
 from __future__ import annotations
 

@@ -118,10 +118,10 @@ def test_a_pose_like_one_before_is_refused_and_told_which_to_show() -> None:
     ("flaws", "told"),
     [
         ({"sharpness_px": 5.0}, "left camera: blurred"),
-        ({"saturated": 0.2}, "left camera: 20% of the picture is clipped"),
+        ({"saturated": 0.2}, "left camera: 20% of the image is clipped"),
     ],
 )
-def test_pictures_that_would_spoil_the_calibration_are_not_taken(flaws: dict[str, float], told: str) -> None:
+def test_images_that_would_spoil_the_calibration_are_not_taken(flaws: dict[str, float], told: str) -> None:
     session, clock = made(), Clock()
     for _ in range(10):
         said = session.look(sight(VIEWS[0], clock.next(), **flaws))
@@ -140,7 +140,7 @@ def test_the_board_must_stand_still_during_a_whole_sequence() -> None:
     session, clock = made(frames=22), Clock()
     assert held(session, VIEWS[0], clock).state is State.CHECKING
     told = session.look(sight(VIEWS[0], clock.next(), shift=0.8))
-    assert told.accepted is None and "moved by 0.80 px before all pictures were taken" in told.text
+    assert told.accepted is None and "moved by 0.80 px before all images were taken" in told.text
     assert session.state is State.LOOKING and session.refused == 1 and not session.views
     assert held(session, VIEWS[0], clock).state is State.CHECKING
     assert "is gone before" in session.look(Sight(clock.next())).text

@@ -1,4 +1,4 @@
-"""The pair that is handed out always shows the picture that was asked for, whatever the devices do."""
+"""The pair that is handed out always shows the image that was asked for, whatever the devices do."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting, settling_ns
 from drivers.errors import DriverError
-from tests.calibrate.live.bench import MS, Bench, level, picture
+from tests.calibrate.live.bench import MS, Bench, image, level
 
 
 def shooting(bench: Bench, **options: object) -> Shooting:
@@ -29,7 +29,7 @@ def shooting(bench: Bench, **options: object) -> Shooting:
     levels=st.lists(st.integers(1, 250), min_size=1, max_size=12),
     seed=st.integers(0, 10_000),
 )
-def test_every_pair_shows_the_picture_asked_for_and_both_frames_are_of_one_trigger(
+def test_every_pair_shows_the_image_asked_for_and_both_frames_are_of_one_trigger(
     latency_ms: float,
     known: bool,
     period_ms: float,
@@ -52,7 +52,7 @@ def test_every_pair_shows_the_picture_asked_for_and_both_frames_are_of_one_trigg
         jitter_us=jitter_us,
         seed=seed,
     )
-    taken = list(shooting(bench, patience_s=60.0).each(picture(value) for value in levels))
+    taken = list(shooting(bench, patience_s=60.0).each(image(value) for value in levels))
     assert len(taken) == len(levels)
     for value, pair in zip(levels, taken, strict=True):
         assert pair.left.trigger == pair.right.trigger
@@ -61,24 +61,24 @@ def test_every_pair_shows_the_picture_asked_for_and_both_frames_are_of_one_trigg
     assert numbers == sorted(set(numbers)), "no pair is handed out twice"
 
 
-def test_counting_frames_instead_of_reading_times_would_take_wrong_pictures() -> None:
+def test_counting_frames_instead_of_reading_times_would_take_wrong_images() -> None:
     """The bench can tell: the first pair after the flip, which is what a naive capture takes, is often wrong."""
     bench = Bench(latency_ms=40.0, period_ms=20.0)
     wrong = 0
     for value in range(1, 21):
-        bench.show(picture(value))
+        bench.show(image(value))
         pair = bench.get(1.0)
         wrong += pair is None or level(pair) != {value}
     assert wrong == 20
 
 
-def test_a_picture_that_is_shown_already_is_left_alone_and_its_pairs_are_new() -> None:
+def test_an_image_that_is_shown_already_is_left_alone_and_its_pairs_are_new() -> None:
     bench = Bench()
     shoot = shooting(bench)
-    shoot.show(picture(9))
+    shoot.show(image(9))
     first = shoot.pair()
     now_ns = bench.now_ns
-    shoot.show(picture(9))
+    shoot.show(image(9))
     second = shoot.pair()
     assert bench.shown == 1 and first.seq < second.seq and second.left.t_exposure_ns >= now_ns
 
@@ -86,57 +86,57 @@ def test_a_picture_that_is_shown_already_is_left_alone_and_its_pairs_are_new() -
 def test_an_unknown_latency_costs_time_and_no_truth() -> None:
     fast, slow = Bench(told_ms=20.0), Bench(told_ms=None)
     for bench in (fast, slow):
-        list(shooting(bench).each([picture(1), picture(2)]))
+        list(shooting(bench).each([image(1), image(2)]))
     assert slow.now_ns - fast.now_ns > 400 * MS
 
 
 def test_a_clock_that_was_set_back_costs_one_attempt() -> None:
     bench = Bench()
     shoot = shooting(bench, patience_s=1.0)
-    shoot.show(picture(1))
+    shoot.show(image(1))
     shoot._lit_ns += 3_600_000_000_000
     with pytest.raises(DriverError, match="were exposed too early"):
         shoot.pair()
     assert bench.monotonic_ns() < 3_000 * MS
-    shoot.show(picture(1))
+    shoot.show(image(1))
     assert level(shoot.pair()) == {1}
 
 
 def test_cameras_that_see_no_trigger_are_told() -> None:
     bench = Bench(lost=1.0)
     shoot = shooting(bench, patience_s=1.0)
-    shoot.show(picture(1))
-    with pytest.raises(DriverError, match=r"no pair of pictures came within 1 s \(0 were exposed too early\)"):
+    shoot.show(image(1))
+    with pytest.raises(DriverError, match=r"no pair of images came within 1 s \(0 were exposed too early\)"):
         shoot.pair()
 
 
 def test_a_projector_in_trouble_or_started_again_spoils_what_was_captured_meanwhile() -> None:
     bench = Bench()
     shoot = shooting(bench)
-    shoot.show(picture(1))
-    bench.trouble = "no picture: the window is gone"
+    shoot.show(image(1))
+    bench.trouble = "no image: the window is gone"
     with pytest.raises(DriverError, match=r"the window is gone; what was captured meanwhile does not count"):
         shoot.pair()
     bench.trouble = ""
-    shoot.show(picture(1))
-    assert bench.shown == 2, "after trouble the picture is shown again"
+    shoot.show(image(1))
+    assert bench.shown == 2, "after trouble the image is shown again"
     bench.counted["restarts"] += 1
     with pytest.raises(DriverError, match="started again"):
-        shoot.show(picture(2))
-    shoot.show(picture(2))
+        shoot.show(image(2))
+    shoot.show(image(2))
     assert level(shoot.pair()) == {2}
 
 
 def test_a_cancelled_capture_ends() -> None:
     bench = Bench()
     shoot = shooting(bench, cancelled=lambda: bench.now_ns > 0)
-    shoot.show(picture(1))
+    shoot.show(image(1))
     with pytest.raises(CaptureCancelledError):
         shoot.pair()
 
 
-def test_a_projector_that_cannot_show_other_pictures_is_refused() -> None:
+def test_a_projector_that_cannot_show_other_images_is_refused() -> None:
     bench = Bench()
-    bench.fixed_picture = True  # type: ignore[attr-defined]
+    bench.fixed_image = True  # type: ignore[attr-defined]
     with pytest.raises(DriverError, match="cannot be told to show another"):
         shooting(bench)

@@ -25,36 +25,36 @@ def scene(*, taken: int = 0) -> Scene:
     for view in VIEWS[:taken]:
         held(session, view, clock)
     now = sight(VIEWS[taken], clock.next())
-    picture = np.full((SIZES["left"][1], SIZES["left"][0], 3), 90, np.uint8)
-    return Scene({"left": picture, "right": picture}, now, session.look(now), session)
+    image = np.full((SIZES["left"][1], SIZES["left"][0], 3), 90, np.uint8)
+    return Scene({"left": image, "right": image}, now, session.look(now), session)
 
 
-def test_pictures_marks_coverage_outline_and_figures_reach_the_file(tmp_path: Path) -> None:
+def test_images_marks_coverage_outline_and_figures_reach_the_file(tmp_path: Path) -> None:
     file = tmp_path / "x.rrd"
     with file_recording(file) as recording:
         shown = Shown(recording)
         shown.seen(scene(taken=2))
         shown.close()
     entities = logged.entities(file)
-    sides = {f"/pictures/{side}{part}" for side in ("left", "right") for part in ("", "/marks", "/covered")}
+    sides = {f"/images/{side}{part}" for side in ("left", "right") for part in ("", "/marks", "/covered")}
     figures = {f"/figures/{name}/{side}" for name in ("sharpness_px", "saturated") for side in ("left", "right")}
-    assert sides | figures | {"/pictures/left/next", "/now", "/advice"} <= entities
-    (marks,) = logged.rows(file, "/pictures/left/marks", "Points2D:positions", "look").values()
+    assert sides | figures | {"/images/left/next", "/now", "/advice"} <= entities
+    (marks,) = logged.rows(file, "/images/left/marks", "Points2D:positions", "look").values()
     scale = viewer_module.WIDTH_PX / SIZES["left"][0]
     assert np.allclose(np.asarray(marks.tolist()), VIEWS[2].marks["left"].pixels * scale, atol=1e-3)
-    (covered,) = logged.rows(file, "/pictures/right/covered", "Points2D:positions", "look").values()
+    (covered,) = logged.rows(file, "/images/right/covered", "Points2D:positions", "look").values()
     assert len(covered) == sum(len(view.marks["right"]) for view in VIEWS[:2])
 
 
 def test_a_look_without_marks_is_shown_too(tmp_path: Path) -> None:
     session = Session(BOARD, SIZES, limits=LIMITS)
     empty = Sight(1.0, {}, {"left": "no circles", "right": "no circles"})
-    picture = np.zeros((820, 1024), np.uint16)
+    image = np.zeros((820, 1024), np.uint16)
     with file_recording(tmp_path / "x.rrd") as recording:
         shown = Shown(recording)
-        shown.seen(Scene({"left": picture, "right": picture}, empty, session.look(empty), session))
+        shown.seen(Scene({"left": image, "right": image}, empty, session.look(empty), session))
         shown.close()
-    assert "/pictures/left" in logged.entities(tmp_path / "x.rrd")
+    assert "/images/left" in logged.entities(tmp_path / "x.rrd")
 
 
 class Hanging:
@@ -119,7 +119,7 @@ def test_the_words_say_what_there_is_and_what_is_missing() -> None:
     assert "**1 of 4 views**" in text and "\n\nnext: " in text and "- " in text
 
 
-def test_large_and_deep_pictures_are_shown_small() -> None:
+def test_large_and_deep_images_are_shown_small() -> None:
     small, scale = shrunk(np.full((820, 1280), 60_000, np.uint16))
     assert small.shape == (410, 640) and small.dtype == np.uint8 and small[0, 0] == 60_000 >> 8 and scale == 0.5
     same, one = shrunk(np.zeros((10, 20, 3), np.uint8))

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pipeline.calibrate.projector.absolute_phase import coordinate, evenly_lit, gray, levels
-from pipeline.common.errors import PatternError, PictureError
+from pipeline.common.errors import ImageError, PatternError
 from pipeline.decode.noise_model import NoiseModel
 from pipeline.decode.raw_image import BAYER, mosaic_of
 from pipeline.multi_frame.n_step import absolute_phase, noise_of, unwrapped, wrapped_phase
@@ -20,7 +20,7 @@ SEQUENCE = projector_sequence(SIZE)
 
 
 def _columns(n: int = 4000, seed: int = 3) -> NDArray[np.float64]:
-    """Places all over the picture, (n,), also within the first and the last column."""
+    """Places all over the image, (n,), also within the first and the last column."""
     rng = np.random.default_rng(seed)
     return np.concatenate([[-0.4, 0.0, SIZE[0] - 1.0, SIZE[0] - 0.6], rng.uniform(-0.45, SIZE[0] - 0.55, n - 4)])
 
@@ -41,8 +41,8 @@ def _sets(at: NDArray[np.float64], gain: float = 0.7, ambient: float = 9.0, sigm
     return sets, [level.periods for level in found]
 
 
-def _pictures(at: NDArray[np.float64], *, gamma: float = 1.0, noise: float = 0.0, seed: int = 0) -> list[NDArray]:
-    """Grey counts (rows, n) of all frames at projector column ``at``, row 40 + row of the picture."""
+def _images(at: NDArray[np.float64], *, gamma: float = 1.0, noise: float = 0.0, seed: int = 0) -> list[NDArray]:
+    """Grey counts (rows, n) of all frames at projector column ``at``, row 40 + row of the image."""
     rng = np.random.default_rng(seed)
     rows = 40.3 + np.arange(6.0)
     out = []
@@ -85,7 +85,7 @@ def test_the_scatter_of_the_phase_is_the_one_that_is_told() -> None:
         assert (error / one.sigma(NoiseModel(4.0, 0.0))).std() == pytest.approx(1.0, abs=0.02)
 
 
-def test_shot_noise_counts_at_the_brightness_of_each_picture() -> None:
+def test_shot_noise_counts_at_the_brightness_of_each_image() -> None:
     true = np.repeat(np.linspace(-3, 3, 9), 20000)
     rng = np.random.default_rng(5)
     shifts = 2 * np.pi * np.arange(3) / 3
@@ -99,13 +99,13 @@ def test_shot_noise_counts_at_the_brightness_of_each_picture() -> None:
 
 def test_noise_is_found_in_what_two_sets_means_differ_by() -> None:
     at = np.tile(_columns(4000), 10)
-    pictures = _pictures(at, gamma=2.2)
+    images = _images(at, gamma=2.2)
     rng = np.random.default_rng(2)
     albedo = rng.uniform(0.2, 1.2, len(at))
     sets = []
     for axis in ("x", "y"):
         level = levels(SEQUENCE, axis)[-1]
-        planes = [albedo * pictures[n] for n in level.frames]
+        planes = [albedo * images[n] for n in level.frames]
         noisy = [plane + np.sqrt(0.6 + 0.025 * plane) * rng.standard_normal(plane.shape) for plane in planes]
         sets.append(wrapped_phase(noisy, level.shifts))
     noise = noise_of(sets)
@@ -138,8 +138,8 @@ def test_a_pixel_between_two_periods_is_left_unknown() -> None:
 
 def test_a_bent_response_does_not_move_the_fine_phase() -> None:
     at = _columns()
-    got = coordinate([np.rint(p).astype(np.uint8) for p in _pictures(at)], SEQUENCE, "x", encoding="mono8")
-    bent = coordinate([(257 * p).astype(np.uint16) for p in _pictures(at, gamma=2.2)], SEQUENCE, "x", encoding="mono16")
+    got = coordinate([np.rint(p).astype(np.uint8) for p in _images(at)], SEQUENCE, "x", encoding="mono8")
+    bent = coordinate([(257 * p).astype(np.uint16) for p in _images(at, gamma=2.2)], SEQUENCE, "x", encoding="mono16")
     assert bent.good.mean() > 0.999
     assert np.nanstd(got.px - at) < 0.02
     assert np.nanmax(np.abs(bent.px - at)) < 0.003
@@ -151,7 +151,7 @@ def test_every_encoding_gives_both_coordinates(encoding: str) -> None:
     rng = np.random.default_rng(0)
     tint = np.array([0.8, 1.0, 0.6])
     raw = []
-    for counts in _pictures(at, noise=0.5):
+    for counts in _images(at, noise=0.5):
         colored = counts[..., None] * tint
         if encoding == "mono16":
             raw.append(np.rint(counts * 257).astype(np.uint16))
@@ -174,15 +174,15 @@ def test_every_encoding_gives_both_coordinates(encoding: str) -> None:
 def test_crosstalk_takes_nothing_from_grey_fringes() -> None:
     at = _columns(600)
     mix = np.eye(3) + 0.12 * np.array([[0, 0.9, 0.3], [1.0, 0, 0.8], [0.2, 1.1, 0]])
-    pictures = [0.6 * p for p in _pictures(at)]
-    mixed = [np.rint(np.repeat(p[..., None], 3, axis=2) @ mix.T).astype(np.uint8) for p in pictures]
+    images = [0.6 * p for p in _images(at)]
+    mixed = [np.rint(np.repeat(p[..., None], 3, axis=2) @ mix.T).astype(np.uint8) for p in images]
     assert np.nanstd(coordinate(mixed, SEQUENCE, "x").px - at) < 0.02
 
 
 def test_saturated_and_dark_pixels_are_unknown() -> None:
     at = _columns(400)
-    pictures = [np.rint(p).astype(np.uint8) for p in _pictures(at)]
-    bright = [p.copy() for p in pictures]
+    images = [np.rint(p).astype(np.uint8) for p in _images(at)]
+    bright = [p.copy() for p in images]
     for p in bright:
         p[2] = np.minimum(p[2] * 1.9, 255)
         p[3] = p[3] // 40
@@ -194,15 +194,15 @@ def test_saturated_and_dark_pixels_are_unknown() -> None:
     assert not got.good[2, clipped].any()
 
 
-def test_a_scene_without_fringes_comes_of_the_same_pictures() -> None:
+def test_a_scene_without_fringes_comes_of_the_same_images() -> None:
     at = _columns(500)
     shade = np.linspace(0.3, 1.0, 500)
-    pictures = [np.rint(257 * shade * p).astype(np.uint16) for p in _pictures(at, gamma=2.2)]
-    flat = evenly_lit(pictures, SEQUENCE) / (257 * shade)
+    images = [np.rint(257 * shade * p).astype(np.uint16) for p in _images(at, gamma=2.2)]
+    flat = evenly_lit(images, SEQUENCE) / (257 * shade)
     assert flat.shape == (6, 500)
     assert flat.std() < 0.02
-    with pytest.raises(PictureError, match="no even light"):
-        evenly_lit(pictures[:3], SEQUENCE)
+    with pytest.raises(ImageError, match="no even light"):
+        evenly_lit(images[:3], SEQUENCE)
 
 
 def test_only_the_fringes_of_the_asked_channels_count() -> None:
@@ -220,11 +220,11 @@ def test_what_cannot_be_decoded_is_refused_in_words() -> None:
     fine = wrapped_phase([np.zeros((2, 2))] * 3, [0.0, 2.0, 4.0])
     with pytest.raises(PatternError, match="at most 1"):
         absolute_phase([fine], [8.0], NoiseModel(1.0, 0.0))
-    with pytest.raises(PictureError, match="one each"):
+    with pytest.raises(ImageError, match="one each"):
         coordinate([], SEQUENCE, "x")
-    with pytest.raises(PictureError, match="rgb8 is"):
+    with pytest.raises(ImageError, match="rgb8 is"):
         gray(np.zeros((4, 4), np.uint8), "rgb8")
-    with pytest.raises(PictureError, match="not known"):
+    with pytest.raises(ImageError, match="not known"):
         gray(np.zeros((4, 4), np.uint8), "yuv")
     with pytest.raises(PatternError, match="no three shifts"):
         coordinate([np.zeros((4, 4, 3), np.uint8)], Sequence("white", (Uniform(SIZE, (255, 255, 255)),)), "x")

@@ -1,4 +1,4 @@
-"""Marks on the projector's picture: true without noise, as uncertain as told with it, and refused in words."""
+"""Marks on the projector's image: true without noise, as uncertain as told with it, and refused in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From rendered pictures to projector marks: a bent response, crosstalk, blur and noise, none of them known."""
+"""From rendered images to projector marks: a bent response, crosstalk, blur and noise, none of them known."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ MARK_PX = 0.01
 @pytest.fixture(scope="module")
 def view() -> RenderedViews:
     optics = Optics(gamma=2.2, precorrected=False, crosstalk=0.12)
-    return render_views(LAYOUT, BOARD, [POSE], optics, [frame.picture() for frame in SEQUENCE.frames])
+    return render_views(LAYOUT, BOARD, [POSE], optics, [frame.image() for frame in SEQUENCE.frames])
 
 
 def _phases(view: RenderedViews, side: int, seed: int) -> tuple[Coordinate, Coordinate]:
-    pictures = [pair[side] for pair in view.pictures(seed, 0)]
-    x, y = coordinates(pictures, SEQUENCE)
+    images = [pair[side] for pair in view.images(seed, 0)]
+    x, y = coordinates(images, SEQUENCE)
     return x, y
 
 

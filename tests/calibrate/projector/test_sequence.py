@@ -1,4 +1,4 @@
-"""Sequences of pictures: round trips, light, and refusals that name the key."""
+"""Sequences of images: round trips, light, and refusals that name the key."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_description_gives_the_same_sequence_again() -> None:
     assert again.as_mapping() == sequence.as_mapping()
     assert again.frames[:2] == sequence.frames[:2]
     for a, b in zip(again.frames, sequence.frames, strict=True):
-        np.testing.assert_array_equal(a.picture(), b.picture())
+        np.testing.assert_array_equal(a.image(), b.image())
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -43,25 +43,25 @@ def test_the_light_of_a_fringe_follows_its_formula_in_the_lit_channels_alone(axi
     line = light[5, :, 1] if axis == "x" else light[:, 5, 1]
     np.testing.assert_allclose(line, expected)
     assert not light[..., [0, 2]].any()
-    np.testing.assert_array_equal(fringe.picture(), np.rint(light).astype(np.uint8))
+    np.testing.assert_array_equal(fringe.image(), np.rint(light).astype(np.uint8))
 
 
 def test_a_predistorted_fringe_has_the_light_that_was_asked_for() -> None:
     levels = np.arange(256.0)
     response = Response(levels, np.stack([(levels / 255) ** g for g in (2.2, 1.8, 2.4)]))
     fringe = Fringe(SIZE, 4.0, "x", 0.7, 110.0, 90.0, ("red", "blue"))
-    picture = fringe.picture(response)
-    assert np.abs(response.light(picture.astype(np.float64)) - fringe.light()).max() < 1.2
-    assert not picture[..., 1].any()
+    image = fringe.image(response)
+    assert np.abs(response.light(image.astype(np.float64)) - fringe.light()).max() < 1.2
+    assert not image[..., 1].any()
 
 
-def test_an_even_picture_is_sent_as_it_is_described() -> None:
+def test_an_even_image_is_sent_as_it_is_described() -> None:
     levels = np.arange(256.0)
     response = Response(levels, np.stack([(levels / 255) ** 2.2] * 3))
-    picture = Uniform(SIZE, (3, 2, 250)).picture(response)
-    assert picture.shape == (48, 64, 3)
-    assert picture.dtype == np.uint8
-    assert (picture == (3, 2, 250)).all()
+    image = Uniform(SIZE, (3, 2, 250)).image(response)
+    assert image.shape == (48, 64, 3)
+    assert image.dtype == np.uint8
+    assert (image == (3, 2, 250)).all()
 
 
 def test_the_guided_sequences_are_modest_and_cover_both_axes() -> None:

@@ -1,4 +1,4 @@
-"""The map of a board into a picture: exact for homographies, and good enough where a lens bends it."""
+"""The map of a board into an image: exact for homographies, and good enough where a lens bends it."""
 
 from __future__ import annotations
 

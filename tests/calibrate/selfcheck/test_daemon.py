@@ -155,12 +155,12 @@ def test_only_pairs_that_are_due_are_looked_at(tmp_path: Path) -> None:
     assert check.offer(item(clock)) and check.status()["checked"] == 20
 
 
-def test_pictures_that_do_not_fit_are_a_problem_and_no_crash(tmp_path: Path) -> None:
+def test_images_that_do_not_fit_are_a_problem_and_no_crash(tmp_path: Path) -> None:
     clock = SteppedClock()
     check = sink(tmp_path, clock)
     try:
         check.offer(item(clock, encoding="bayer_rggb8"))
-        wait_until(lambda: "left picture is" in check.status()["problem"])
+        wait_until(lambda: "left image is" in check.status()["problem"])
         clock.now_ns += 1_000_000_000
         check.offer(item(clock))
         wait_until(lambda: check.status()["problem"] == "")
@@ -169,7 +169,7 @@ def test_pictures_that_do_not_fit_are_a_problem_and_no_crash(tmp_path: Path) -> 
 
 
 def test_it_is_made_from_rig_yaml(tmp_path: Path) -> None:
-    made = open_rig({"frames": 1, "rate_hz": 0.0, "layout": {"scale": 0.125}}, tmp_path, pictures=_Nothing())
+    made = open_rig({"frames": 1, "rate_hz": 0.0, "layout": {"scale": 0.125}}, tmp_path, images=_Nothing())
     check = open_selfcheck(
         config(tmp_path, "selfcheck: {dir: there, limits: {column_px: 0.1}}\n"), rig_of(made), tmp_path
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.selfcheck import Rig
-from pipeline.common.errors import PictureError
+from pipeline.common.errors import ImageError
 from pipeline.monitor.observe import Observation, Observer, Reading, rehearse
 from pipeline.reconstruct.cloud import Cloud
 from sim.rig.disturbance import Disturbance
@@ -57,7 +57,7 @@ def test_an_undisturbed_rig_reads_nothing(encoding: str) -> None:
 
 @pytest.mark.slow
 def test_a_shifted_lens_moves_the_trinocular_residual_by_its_share() -> None:
-    """0.382 of a shift of the right picture, the rest of one of the left, times the ratio of the focal lengths."""
+    """0.382 of a shift of the right image, the rest of one of the left, times the ratio of the focal lengths."""
     ratio = 4267 / 3413
     assert changes(Disturbance("right", shift_px=(0.2, 0)))["column_px"] == pytest.approx(-0.2 * 0.382 * ratio, rel=0.1)
     assert changes(Disturbance("left", shift_px=(0.2, 0)))["column_px"] == pytest.approx(-0.2 * 0.618 * ratio, rel=0.1)
@@ -110,7 +110,7 @@ def test_no_surface_gives_no_reading() -> None:
     cloud = Cloud(nothing, nothing[..., 0], plane, (plane, plane), np.zeros((height, width), np.int16))
     seen = made.observer.observe(left, right, cloud)
     assert not seen.readings and seen.patches == 0 and seen.lit == 1.0 and seen.known == 0.0
-    with pytest.raises(PictureError):
+    with pytest.raises(ImageError):
         made.observer.observe(left[:-1], right, cloud)
 
 

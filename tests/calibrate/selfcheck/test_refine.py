@@ -59,7 +59,7 @@ def test_what_fits_is_left_alone_and_what_is_far_off_too(rig: Rig) -> None:
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
     with pytest.raises(RefineError, match="at least 2"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken[:1])
-    empty = [tuple(np.full_like(picture, 40) for picture in pair) for pair in taken]
+    empty = [tuple(np.full_like(image, 40) for image in pair) for pair in taken]
     with pytest.raises(RefineError, match="smooth pieces"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", empty)  # type: ignore[arg-type]
 

@@ -1,4 +1,4 @@
-"""Printed boards in the simulator's pictures stand where exact projection puts them."""
+"""Printed boards in the simulator's images stand where exact projection puts them."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from sim.scene.named_scenes import Scene
 from sim.scene.printed_marks import Ink
 from sim.scene.shapes import rectangle, sphere
 
-# Even light from everywhere: the picture is albedo and nothing else.
+# Even light from everywhere: the image is albedo and nothing else.
 EVEN = Optics.ideal(psf_px=0.5, ambient=1.0)
 TILTED = BoardPose((-25.0, 8.0, 30.0), (0.35, -0.6, 0.1))
 
 
-def dark_picture(layout):
+def dark_image(layout):
     return np.zeros((*layout.projector_size[::-1], 3), np.uint8)
 
 
 def albedo_seen(layout, board, pose, optics=EVEN):
-    """Both pictures as a share of the paper's brightness."""
-    rendered = board_scene.render_views(layout, board, [pose], optics, [dark_picture(layout)])
+    """Both images as a share of the paper's brightness."""
+    rendered = board_scene.render_views(layout, board, [pose], optics, [dark_image(layout)])
     paper = 255 * board_scene.PAPER_ALBEDO
     gains = [optics.gain(camera) for camera in (0, 1)]
     return [counts.mean(axis=-1) / (paper * gain) for counts, gain in zip(rendered.counts[0][0], gains, strict=True)]
@@ -74,8 +74,8 @@ def test_the_centroid_of_a_tilted_circle_is_not_the_image_of_its_centre(quarter)
     # A conic's own algebra (Heikkila and Silven, 1997) agrees where there is no distortion.
     exact, exact_areas = board_scene.true_centroids(pinhole, board, rotation, place)
     for k in (0, 49, 98):
-        to_picture = pinhole.matrix @ np.stack([rotation[:, 0], rotation[:, 1], rotation @ board.points[k] + place], 1)
-        conic = np.linalg.inv(to_picture).T @ np.diag([1, 1, -(10.0**2)]) @ np.linalg.inv(to_picture)
+        to_image = pinhole.matrix @ np.stack([rotation[:, 0], rotation[:, 1], rotation @ board.points[k] + place], 1)
+        conic = np.linalg.inv(to_image).T @ np.diag([1, 1, -(10.0**2)]) @ np.linalg.inv(to_image)
         assert exact[k] == pytest.approx(np.linalg.solve(conic[:2, :2], -conic[:2, 2]), abs=1e-8)
     assert exact_areas == pytest.approx(areas, rel=0.05)
 
@@ -83,7 +83,7 @@ def test_the_centroid_of_a_tilted_circle_is_not_the_image_of_its_centre(quarter)
 @pytest.mark.parametrize(
     "text", ["circles:11x9:32:20", "acircles:5x9:60", "chessboard:9x6:34", "charuco:10x7:32:23:DICT_4X4_100"]
 )
-def test_pictures_of_boards_do_not_depend_on_the_number_of_rays(text):
+def test_images_of_boards_do_not_depend_on_the_number_of_rays(text):
     board, layout = parse_board(text), RigLayout().scaled(0.125)
     few, many = (albedo_seen(layout, board, TILTED, replace(EVEN, psf_px=0.7, supersampling=s))[0] for s in (4, 8))
     inner = cv2.erode((few > 0.01).astype(np.uint8), np.ones((5, 5))) > 0
@@ -113,9 +113,9 @@ def test_markers_are_read_as_what_they_are_and_not_mirrored(quarter):
     board = parse_board("charuco:10x7:32:23:DICT_4X4_100")
     facing = BoardPose((0.0, 0.0, 20.0), (0.1, -0.2, 0.05))
     seen, _ = albedo_seen(quarter, board, facing)
-    picture = np.clip(255 * seen, 0, 255).astype(np.uint8)
+    image = np.clip(255 * seen, 0, 255).astype(np.uint8)
     corners, ids, _, markers = cv2.aruco.CharucoDetector(charuco(board)).detectBoard(
-        cv2.resize(picture, None, fx=3, fy=3)
+        cv2.resize(image, None, fx=3, fy=3)
     )
     assert len(markers) > 25
     assert len(ids) > 40
@@ -130,19 +130,19 @@ def test_the_back_of_a_board_is_white(quarter):
 
 def test_the_stage_and_the_renderer_show_the_same_board(quarter):
     optics = board_scene.fine(Optics())
-    picture = quarter.pattern().picture()
-    rendered = board_scene.render_views(quarter, DEFAULT_BOARD, [TILTED], optics, [picture])
-    expected = render_pair.render_counts(quarter, board_scene.board_scene(DEFAULT_BOARD, TILTED), picture, optics)
+    image = quarter.pattern().image()
+    rendered = board_scene.render_views(quarter, DEFAULT_BOARD, [TILTED], optics, [image])
+    expected = render_pair.render_counts(quarter, board_scene.board_scene(DEFAULT_BOARD, TILTED), image, optics)
     for ours, theirs in zip(rendered.counts[0][0], expected, strict=True):
         assert np.abs(ours - theirs).max() < 0.05
 
 
 def test_a_seed_is_a_noise_of_its_own(quarter):
     views = board_scene.render_views(quarter, DEFAULT_BOARD, [BoardPose(), TILTED])
-    first, again, other = (views.pictures(seed, 1)[0][0] for seed in (1, 1, 2))
+    first, again, other = (views.images(seed, 1)[0][0] for seed in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
-    (left, _), (same, _) = views.pictures(1, 0)[0], views.pictures(1, 0)[0]
+    (left, _), (same, _) = views.images(1, 0)[0], views.images(1, 0)[0]
     assert np.array_equal(left, same)
     assert first.max() < 255
 
@@ -193,7 +193,7 @@ def test_poses_of_a_session_are_those_of_a_good_one(quarter):
 
 
 @pytest.mark.parametrize("text", ["circles:11x9:32:20", "acircles:5x9:60", "charuco:10x7:32:23:DICT_4X4_100"])
-def test_every_mark_of_a_session_is_in_every_picture(text, quarter):
+def test_every_mark_of_a_session_is_in_every_image(text, quarter):
     board, rig = parse_board(text), quarter.calibration()
     covered = np.zeros((4, 4), bool)
     for pose in session_poses(12, 1, quarter, board):

@@ -28,8 +28,8 @@ def test_a_session_for_the_projector_is_a_capture_folder_with_its_truth(tmp_path
     for view in range(2):
         for k in range(len(frames)):
             for side in ("left", "right"):
-                picture = cv2.imread(str(folder / f"view_{view:02d}" / f"{side}_{k:02d}.png"), cv2.IMREAD_UNCHANGED)
-                assert picture.shape == (*layout.camera_size[::-1], 3)
+                image = cv2.imread(str(folder / f"view_{view:02d}" / f"{side}_{k:02d}.png"), cv2.IMREAD_UNCHANGED)
+                assert image.shape == (*layout.camera_size[::-1], 3)
         assert not (folder / f"view_{view:02d}" / f"left_{len(frames):02d}.png").exists()
     true = calibration.from_mapping(json.loads((folder / "truth_calibration.json").read_text()))
     assert true.right.translation == pytest.approx(layout.calibration().right.translation)
@@ -44,14 +44,14 @@ def test_a_session_for_the_projector_is_a_capture_folder_with_its_truth(tmp_path
     assert np.abs(np.array(views[1]["centroids"]["left"]) - marks["left"]).max() < 0.5
 
 
-def test_plain_pictures_are_paired_by_their_numbers(tmp_path):
+def test_plain_images_are_paired_by_their_numbers(tmp_path):
     assert session.main([str(tmp_path), *SMALL, "--plain", "--encoding", "mono16"]) == 0
     assert sorted(path.name for path in tmp_path.glob("*.png")) == [
         "left_00.png", "left_01.png", "right_00.png", "right_01.png",
     ]  # fmt: skip
-    picture = cv2.imread(str(tmp_path / "left_01.png"), cv2.IMREAD_UNCHANGED)
-    assert picture.dtype == np.uint16
-    assert 20_000 < picture.max() < 65_535
+    image = cv2.imread(str(tmp_path / "left_01.png"), cv2.IMREAD_UNCHANGED)
+    assert image.dtype == np.uint16
+    assert 20_000 < image.max() < 65_535
 
 
 def test_a_session_for_the_colours_is_one_view_of_a_white_board(tmp_path):
@@ -65,10 +65,10 @@ def test_a_session_for_the_colours_is_one_view_of_a_white_board(tmp_path):
     assert white.max() < 255
 
 
-def test_white_pictures_are_as_bright_as_they_may_be(tmp_path):
+def test_white_images_are_as_bright_as_they_may_be(tmp_path):
     assert session.main([str(tmp_path), *SMALL, "gamma=1.0"]) == 0
-    picture = cv2.imread(str(tmp_path / "view_00" / "left_00.png"))
-    assert 120 < picture.max() < 255
+    image = cv2.imread(str(tmp_path / "view_00" / "left_00.png"))
+    assert 120 < image.max() < 255
 
 
 @pytest.mark.parametrize(

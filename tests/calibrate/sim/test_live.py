@@ -41,19 +41,19 @@ def opened():
         rig.close()
 
 
-def shot(rig, picture=None):
-    """Both pictures of one trigger under a picture."""
-    if picture is not None:
-        rig.projector.show(picture)
+def shot(rig, image=None):
+    """Both images of one trigger under an image."""
+    if image is not None:
+        rig.projector.show(image)
     rig.trigger.step()
     return [rig.cameras[side].read(0.0).image for side in ("left", "right")]
 
 
-def pictures_of(rig):
+def images_of(rig):
     """White, black, a fringe along each axis, and noise."""
     columns, rows = rig.options.layout.projector_size
     even = np.zeros((rows, columns, 3), np.uint8)
-    fringes = [ColorFringe((columns, rows), 9.0, axis).picture() for axis in ("x", "y")]
+    fringes = [ColorFringe((columns, rows), 9.0, axis).image() for axis in ("x", "y")]
     random = np.random.default_rng(3).integers(0, 256, even.shape, dtype=np.uint8)
     return [even + np.uint8(180), even, *fringes, random]
 
@@ -64,12 +64,12 @@ def test_cameras_see_what_the_projector_shows(encoding, opened):
         {**OPTIONS, "encoding": encoding, "optics": {"noise": 0.0, "gamma": 2.2, "color_shift_px": [0.3, 0, 0]}}
     )
     options = rig.options
-    for picture in pictures_of(rig):
-        expected = render_pair.render_pictures(
-            options.layout, scene_of(options), picture, options.optics, encoding=encoding
+    for image in images_of(rig):
+        expected = render_pair.render_images(
+            options.layout, scene_of(options), image, options.optics, encoding=encoding
         )
         step = 257 if encoding == "mono16" else 1
-        for ours, theirs in zip(shot(rig, picture), expected, strict=True):
+        for ours, theirs in zip(shot(rig, image), expected, strict=True):
             assert ours.dtype == theirs.dtype
             assert ours.shape == theirs.shape
             assert np.abs(ours.astype(int) - theirs).max() <= step
@@ -81,11 +81,11 @@ def test_devices_of_a_live_rig_keep_their_protocols(opened):
     assert all(isinstance(camera, Camera) for camera in rig.cameras.values())
     with pytest.raises(SettingRefused, match="does not fit"):
         rig.projector.show(np.zeros((8, 8, 3), np.uint8))
-    bright = shot(rig, pictures_of(rig)[0])[0].max()
+    bright = shot(rig, images_of(rig)[0])[0].max()
     rig.projector.close()
     assert shot(rig)[0].max() < 0.2 * bright
     with pytest.raises(DriverError, match=r"show.. while closed"):
-        rig.projector.show(pictures_of(rig)[0])
+        rig.projector.show(images_of(rig)[0])
     assert rig.projector.problem() == ""
 
 
@@ -94,15 +94,15 @@ def test_a_projector_that_nobody_opened_shows_the_pattern():
     for camera in rig.cameras.values():
         camera.open()
         camera.start()
-    pattern = rig.options.layout.pattern().picture()
-    expected = render_pair.render_pictures(rig.options.layout, scene_of(rig.options), pattern, rig.options.optics)
+    pattern = rig.options.layout.pattern().image()
+    expected = render_pair.render_images(rig.options.layout, scene_of(rig.options), pattern, rig.options.optics)
     assert np.abs(shot(rig)[0].astype(int) - expected[0]).max() <= 1
     rig.close()
 
 
 def test_every_trigger_has_a_noise_of_its_own_and_the_right_one(opened):
     rig = opened({**OPTIONS, "scene": "plane", "optics": {}, "seed": 5})
-    grey = pictures_of(rig)[0]
+    grey = images_of(rig)[0]
     first, second = (np.stack(shot(rig, grey)).astype(float) for _ in range(2))
     counts = render_pair.render_counts(rig.options.layout, scene_of(rig.options), grey, rig.options.optics)
     from sim.render.sensor import noise_variance
@@ -110,7 +110,7 @@ def test_every_trigger_has_a_noise_of_its_own_and_the_right_one(opened):
     variance = np.stack([noise_variance(part, rig.options.optics) for part in counts])
     difference = second - first
     assert abs(difference.mean()) < 0.02
-    # Each picture is rounded to whole counts, which adds a twelfth.
+    # Each image is rounded to whole counts, which adds a twelfth.
     assert difference.var() == pytest.approx(2 * (variance.mean() + 1 / 12), rel=0.02)
     assert abs(np.corrcoef((first - np.stack(counts)).ravel(), difference.ravel())[0, 1] + np.sqrt(0.5)) < 0.02
     again = opened({**OPTIONS, "scene": "plane", "optics": {}, "seed": 5})
@@ -119,12 +119,12 @@ def test_every_trigger_has_a_noise_of_its_own_and_the_right_one(opened):
 
 def test_a_moving_scene_goes_round(opened):
     rig = opened({**OPTIONS, "scene": "moving", "frames": 3})
-    white = pictures_of(rig)[0]
+    white = images_of(rig)[0]
     frames = [shot(rig, white)[0] for _ in range(4)]
     assert np.array_equal(frames[0], frames[3])
     assert np.abs(frames[0].astype(int) - frames[1]).max() > 30
     scene = scene_of(rig.options)
-    expected = render_pair.render_pictures(
+    expected = render_pair.render_images(
         rig.options.layout, scene, white, rig.options.optics, t_s=2 * scene.period_s / 3
     )
     assert np.abs(frames[2].astype(int) - expected[0]).max() <= 2
@@ -132,13 +132,13 @@ def test_a_moving_scene_goes_round(opened):
 
 def test_the_board_stays_until_it_is_moved_on_and_stays_at_the_last_pose(opened):
     rig = opened(BOARD)
-    white = pictures_of(rig)[0]
+    white = images_of(rig)[0]
     options, seen = rig.options, []
     for expected_pose in (0, 1, 2, 2):
         assert rig.trigger.pose == expected_pose
         pair, again = shot(rig, white), shot(rig)
         assert np.array_equal(pair[0], again[0])
-        expected = render_pair.render_pictures(
+        expected = render_pair.render_images(
             options.layout, scene_of(options, expected_pose), white, optics_of(options)
         )
         assert np.abs(pair[1].astype(int) - expected[1]).max() <= 1
@@ -152,8 +152,8 @@ def test_the_board_stays_until_it_is_moved_on_and_stays_at_the_last_pose(opened)
 def test_a_loop_of_a_board_shows_its_first_pose(opened, tmp_path):
     loop = opened({**BOARD, "live": False, "frames": 1, "cache_dir": str(tmp_path)})
     live = opened(BOARD)
-    picture = live.options.layout.pattern().picture()
-    for ours, theirs in zip(shot(live, picture), shot(loop, picture), strict=True):
+    image = live.options.layout.pattern().image()
+    for ours, theirs in zip(shot(live, image), shot(loop, image), strict=True):
         assert np.abs(ours.astype(int) - theirs).max() <= 1
     notes = [rig.cameras["left"].note for rig in (live, loop)]
     assert "what the projector shows" in notes[0]
@@ -162,7 +162,7 @@ def test_a_loop_of_a_board_shows_its_first_pose(opened, tmp_path):
 
 def test_a_board_may_move_on_by_itself(opened):
     rig = opened({**BOARD, "hold": 2})
-    white = pictures_of(rig)[0]
+    white = images_of(rig)[0]
     poses, frames = [], []
     for _ in range(7):
         poses.append(rig.trigger.pose)
@@ -184,15 +184,15 @@ def test_a_board_may_move_on_by_itself(opened):
 )
 def test_a_disturbance_changes_what_it_says_and_nothing_else(side, change, opened):
     rig = opened(OPTIONS)
-    picture = pictures_of(rig)[2]
-    before = shot(rig, picture)
+    image = images_of(rig)[2]
+    before = shot(rig, image)
     told = rig.calibration
     rig.trigger.disturb(side, **change)
     after = shot(rig)
     options = rig.options
     true = TrueRig.of(options.layout, options.optics).after(Disturbance(side, **change))
     expected = render_pair.with_noise(
-        render_pair.render_counts(options.layout, scene_of(options), picture, options.optics, rig=true),
+        render_pair.render_counts(options.layout, scene_of(options), image, options.optics, rig=true),
         options.optics, 0, "rgb8",
     )  # fmt: skip
     for camera, name in enumerate(("left", "right")):
@@ -229,8 +229,8 @@ KNOCK = [{"at": 2, "side": "right", "turn_deg": [0, 0.3, 0]}, {"at": 4, "side": 
 def test_scripted_disturbances_come_at_their_triggers_live_and_in_a_loop(opened, tmp_path):
     live = opened({**OPTIONS, "disturb": KNOCK[::-1]})
     loop = opened({**OPTIONS, "live": False, "frames": 2, "disturb": KNOCK, "cache_dir": str(tmp_path)})
-    picture = live.options.layout.pattern().picture()
-    shots = [[shot(rig, picture) for _ in range(6)] for rig in (live, loop)]
+    image = live.options.layout.pattern().image()
+    shots = [[shot(rig, image) for _ in range(6)] for rig in (live, loop)]
     for from_live, from_loop in zip(*shots, strict=True):
         for ours, theirs in zip(from_live, from_loop, strict=True):
             assert np.abs(ours.astype(int) - theirs).max() <= 1
@@ -260,7 +260,7 @@ def test_the_loop_before_a_disturbance_is_the_undisturbed_one(tmp_path):
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_triggers_at_a_rate_see_a_new_picture_after_it_is_shown():
+def test_triggers_at_a_rate_see_a_new_image_after_it_is_shown():
     rig = open_rig({**BOARD, "rate_hz": 200.0})
     try:
         rig.projector.open()
@@ -268,7 +268,7 @@ def test_triggers_at_a_rate_see_a_new_picture_after_it_is_shown():
             camera.open()
             camera.start()
         dark = rig.cameras["left"].read(30.0)
-        rig.projector.show(pictures_of(rig)[0])
+        rig.projector.show(images_of(rig)[0])
         given = rig.trigger.triggers
         frame = dark
         # The trigger that is being given meanwhile may still be dark; the one after it is not.

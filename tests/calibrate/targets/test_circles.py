@@ -1,4 +1,4 @@
-"""Circles of simulated pictures: where they are, how well that is known, and what must not change it."""
+"""Circles of simulated images: where they are, how well that is known, and what must not change it."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
 from pipeline.calibrate.targets.detect.grid_numbering import symmetries
 from pipeline.calibrate.targets.find_marks import find_marks
 
-from .pictures import Pose, camera, centres, clean, noisy, truth
+from .images import Pose, camera, centres, clean, noisy, truth
 
 DEVICE = camera()
 TILTED = Pose(25, -35, 8)
@@ -20,7 +20,7 @@ def tilted():
 
 
 def errors(found, board, device, pose, places=truth):
-    """Found minus true places (n, 2), in that numbering which the board allows and the picture asks for."""
+    """Found minus true places (n, 2), in that numbering which the board allows and the image asks for."""
     expected = places(board, device, pose)
     trials = [found.marks.pixels - expected[np.array(s)][found.marks.ids] for s in symmetries(board)]
     return min(trials, key=lambda error: np.abs(error).max())
@@ -58,8 +58,8 @@ def test_every_circle_is_found_where_the_full_model_has_its_centroid(pose):
 def test_the_standard_deviation_follows_the_noise(tilted, noise):
     error, sigma = [], []
     for seed in range(6):
-        picture = noisy(tilted, seed, full_well=10_000 / noise**2, read_dn=0.8 * noise)
-        found = find_marks(picture, DEFAULT_BOARD)
+        image = noisy(tilted, seed, full_well=10_000 / noise**2, read_dn=0.8 * noise)
+        found = find_marks(image, DEFAULT_BOARD)
         assert len(found.marks) == 99
         error.append(errors(found, DEFAULT_BOARD, DEVICE, TILTED))
         sigma.append(found.marks.sigma_px)
@@ -120,20 +120,20 @@ def test_a_sharp_shadow_over_a_part_of_the_board(tilted, shadow):
     assert np.median(error) < 0.01 and error.max() < 0.1
 
 
-def test_moving_the_picture_by_whole_pixels_moves_the_marks_by_as_much(tilted):
-    picture = noisy(tilted)
-    marks = find_marks(picture, DEFAULT_BOARD).marks
+def test_moving_the_image_by_whole_pixels_moves_the_marks_by_as_much(tilted):
+    image = noisy(tilted)
+    marks = find_marks(image, DEFAULT_BOARD).marks
     for right, down in ((1, 0), (0, 1), (7, 5)):
-        moved = find_marks(np.pad(picture, ((down, 0), (right, 0)), mode="edge"), DEFAULT_BOARD).marks
+        moved = find_marks(np.pad(image, ((down, 0), (right, 0)), mode="edge"), DEFAULT_BOARD).marks
         assert (moved.ids == marks.ids).all()
         assert np.abs(moved.pixels - marks.pixels - (right, down)).max() < 0.003
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.4, 20.0), (3.0, -30.0), (1e-3, 0.0)])
-def test_gain_and_offset_of_the_picture_change_nothing(tilted, gain, offset):
-    picture = noisy(tilted).astype(np.float32)
-    marks = find_marks(picture, DEFAULT_BOARD).marks
-    other = find_marks(picture * np.float32(gain) + np.float32(offset), DEFAULT_BOARD).marks
+def test_gain_and_offset_of_the_image_change_nothing(tilted, gain, offset):
+    image = noisy(tilted).astype(np.float32)
+    marks = find_marks(image, DEFAULT_BOARD).marks
+    other = find_marks(image * np.float32(gain) + np.float32(offset), DEFAULT_BOARD).marks
     assert (other.ids == marks.ids).all()
     assert np.abs(other.pixels - marks.pixels).max() < 0.003
     assert other.sigma_px == pytest.approx(marks.sigma_px, rel=0.25)
@@ -147,13 +147,13 @@ def test_light_circles_on_a_dark_ground(tilted):
 
 
 def test_other_types_and_colour_give_the_same_marks(tilted):
-    picture = noisy(tilted)
-    marks = find_marks(picture, DEFAULT_BOARD).marks
-    colour = np.stack([picture] * 3, axis=2)
-    for other in (picture.astype(np.uint16) * 256, picture.astype(np.float32) / 255, colour):
+    image = noisy(tilted)
+    marks = find_marks(image, DEFAULT_BOARD).marks
+    colour = np.stack([image] * 3, axis=2)
+    for other in (image.astype(np.uint16) * 256, image.astype(np.float32) / 255, colour):
         assert np.abs(find_marks(other, DEFAULT_BOARD).marks.pixels - marks.pixels).max() < 0.003
     clipped = colour.copy()
-    clipped[..., 0] = np.clip(3.0 * picture, 0, 255).astype(np.uint8)
+    clipped[..., 0] = np.clip(3.0 * image, 0, 255).astype(np.uint8)
     found = find_marks(clipped, DEFAULT_BOARD)
     assert np.abs(found.marks.pixels - marks.pixels).max() < 0.003
     assert 0.05 < found.saturated < 0.34
@@ -212,12 +212,12 @@ def test_two_cameras_number_the_board_alike():
 
 
 def test_covered_circles_are_left_out_and_the_others_keep_their_numbers(tilted):
-    picture = noisy(tilted)
-    expected = find_marks(picture, DEFAULT_BOARD).marks
+    image = noisy(tilted)
+    expected = find_marks(image, DEFAULT_BOARD).marks
     for mark in (0, 16, 50, 51):
         u, v = np.round(expected.pixels[expected.ids == mark][0]).astype(int)
-        picture[v - 9 : v + 10, u : u + 12] = 120
-    found = find_marks(picture, DEFAULT_BOARD).marks
+        image[v - 9 : v + 10, u : u + 12] = 120
+    found = find_marks(image, DEFAULT_BOARD).marks
     assert 93 <= len(found) <= 95
     assert not set(found.ids) & {0, 16, 50, 51}
     same = expected.pixels[np.searchsorted(expected.ids, found.ids)]
@@ -225,8 +225,8 @@ def test_covered_circles_are_left_out_and_the_others_keep_their_numbers(tilted):
 
 
 def test_following_live_costs_little_and_is_good_to_a_tenth_of_a_pixel(tilted):
-    picture = noisy(tilted)
-    quick, best = find_marks(picture, DEFAULT_BOARD, refine=False), find_marks(picture, DEFAULT_BOARD)
+    image = noisy(tilted)
+    quick, best = find_marks(image, DEFAULT_BOARD, refine=False), find_marks(image, DEFAULT_BOARD)
     assert (quick.marks.ids == best.marks.ids).all()
     assert np.abs(quick.marks.pixels - best.marks.pixels).max() < 0.1
     assert quick.sharpness_px == pytest.approx(best.sharpness_px, rel=0.1)
@@ -235,7 +235,7 @@ def test_following_live_costs_little_and_is_good_to_a_tenth_of_a_pixel(tilted):
 
 
 @pytest.mark.parametrize(("width", "height", "focal"), [(256, 204, 850.0), (333, 301, 1100.0)])
-def test_small_pictures_and_odd_sizes(width, height, focal):
+def test_small_images_and_odd_sizes(width, height, focal):
     device = camera(width, height, focal)
     for pose in (Pose(), Pose(30, 30, 0, (0, 0, 1500))):
         found = find_marks(noisy(clean(DEFAULT_BOARD, device, pose)), DEFAULT_BOARD)

@@ -1,4 +1,4 @@
-"""Chessboards and ChArUco boards of simulated pictures: where their corners are, and which is which."""
+"""Chessboards and ChArUco boards of simulated images: where their corners are, and which is which."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from pipeline.calibrate.targets.board.board import parse_board
 from pipeline.calibrate.targets.detect.grid_numbering import symmetries
 from pipeline.calibrate.targets.find_marks import find_marks
 
-from .pictures import Pose, camera, clean, noisy, truth
+from .images import Pose, camera, clean, noisy, truth
 
 DEVICE = camera()
 FAR = (0.0, 0.0, 1800.0)
@@ -39,14 +39,14 @@ def test_every_corner_is_found_where_the_full_model_has_it(board, pose):
 
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=str)
-def test_moving_the_picture_and_its_gain_change_nothing(board):
+def test_moving_the_image_and_its_gain_change_nothing(board):
     pose = Pose(20, -25, 8)
-    picture = noisy(clean(board, DEVICE, pose, ss=2))
-    marks = find_marks(picture, board).marks
-    moved = find_marks(np.pad(picture, ((3, 0), (8, 0)), mode="edge"), board).marks
+    image = noisy(clean(board, DEVICE, pose, ss=2))
+    marks = find_marks(image, board).marks
+    moved = find_marks(np.pad(image, ((3, 0), (8, 0)), mode="edge"), board).marks
     assert (moved.ids == marks.ids).all()
     assert np.abs(moved.pixels - marks.pixels - (8, 3)).max() < 0.01
-    scaled = find_marks(picture.astype(np.float32) * 0.01 - 0.3, board).marks
+    scaled = find_marks(image.astype(np.float32) * 0.01 - 0.3, board).marks
     assert np.abs(scaled.pixels - marks.pixels).max() < 0.02
 
 
@@ -70,9 +70,9 @@ def test_a_board_that_looks_the_same_after_a_turn_has_rows_that_run_right_or_dow
 
 def test_a_part_of_a_charuco_board_is_enough():
     pose = Pose(20, -25, 8)
-    picture = noisy(clean(CHARUCO, DEVICE, pose))
-    picture[:, 230:] = 90
-    found = find_marks(picture, CHARUCO)
+    image = noisy(clean(CHARUCO, DEVICE, pose))
+    image[:, 230:] = 90
+    found = find_marks(image, CHARUCO)
     assert 6 <= len(found.marks) < 40
     assert np.abs(errors(found, CHARUCO, pose)).max() < 0.1
 
@@ -80,16 +80,16 @@ def test_a_part_of_a_charuco_board_is_enough():
 def test_corners_whose_markers_cannot_be_read_are_found_all_the_same():
     """The markers of the middle are painted over; the corners of their squares are not."""
     pose = Pose(20, -25, 8)
-    picture = noisy(clean(CHARUCO, DEVICE, pose))
-    whole = find_marks(picture, CHARUCO).marks
+    image = noisy(clean(CHARUCO, DEVICE, pose))
+    whole = find_marks(image, CHARUCO).marks
     rotation, translation = pose.of(CHARUCO)
     for row in range(1, 6):
         for column in range(1, 9):
             if (row + column) % 2:
                 at = np.array([[column - 0.5, row - 0.5, 0]]) * CHARUCO.pitch_mm @ rotation.T + translation
                 u, v = np.round(DEVICE.project(at)[0]).astype(int)
-                picture[v - 10 : v + 11, u - 9 : u + 10] = 150
-    found = find_marks(picture, CHARUCO)
+                image[v - 10 : v + 11, u - 9 : u + 10] = 150
+    found = find_marks(image, CHARUCO)
     assert list(found.marks.ids) == list(whole.ids) == list(range(54))
     assert np.abs(errors(found, CHARUCO, pose)).max() < 0.1
 
@@ -100,17 +100,17 @@ def test_the_drawing_of_older_opencv_versions_is_read():
     from pipeline.calibrate.targets.board.charuco_board import charuco
 
     board = parse_board("charuco:7x6:30:20:DICT_5X5_50")
-    image = charuco(board, legacy=True).generateImage((7 * 40, 6 * 40))
-    picture = cv2.GaussianBlur(cv2.copyMakeBorder(image, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255), (0, 0), 0.8)
-    found = find_marks(picture, board)
+    drawing = charuco(board, legacy=True).generateImage((7 * 40, 6 * 40))
+    image = cv2.GaussianBlur(cv2.copyMakeBorder(drawing, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255), (0, 0), 0.8)
+    found = find_marks(image, board)
     assert len(found.marks) == 30
     assert np.abs(found.marks.pixels - (board.points[:, :2] / 30 * 40 + 79.5)).max() < 0.05
 
 
 def test_following_live():
     for board in (CHESS, CHARUCO):
-        picture = noisy(clean(board, DEVICE, Pose(20, -25, 8)))
-        quick, best = find_marks(picture, board, refine=False), find_marks(picture, board)
+        image = noisy(clean(board, DEVICE, Pose(20, -25, 8)))
+        quick, best = find_marks(image, board, refine=False), find_marks(image, board)
         assert (quick.marks.ids == best.marks.ids).all()
         assert np.abs(quick.marks.pixels - best.marks.pixels).max() < 0.5
         assert best.sharpness_px == pytest.approx(0.76, rel=0.1) and best.contrast > 0.9

@@ -1,4 +1,4 @@
-"""The drawing of a board agrees with its marks, with itself as a picture, and with OpenCV's own drawing."""
+"""The drawing of a board agrees with its marks, with itself as an image, and with OpenCV's own drawing."""
 
 import cv2
 import numpy as np
@@ -19,24 +19,24 @@ BOARDS = [
 
 
 @pytest.mark.parametrize("text", BOARDS)
-def test_the_area_of_black_is_the_same_in_the_list_and_in_the_picture(text):
+def test_the_area_of_black_is_the_same_in_the_list_and_in_the_image(text):
     board = parse_board(text)
     printed, step = shapes(board), 0.37
-    picture, origin = raster(board, step)
+    image, origin = raster(board, step)
     squares = printed.squares
     area = (np.pi * printed.discs[:, 2] ** 2).sum()
     area += ((squares[:, 2] - squares[:, 0]) * (squares[:, 3] - squares[:, 1])).sum()
-    assert (1 - picture.astype(np.float64)).sum() * step**2 == pytest.approx(area, rel=1e-4)
-    assert picture.min() >= 0 and picture.max() == 1
-    assert picture.shape == (np.ceil(printed.height_mm / step), np.ceil(printed.width_mm / step))
+    assert (1 - image.astype(np.float64)).sum() * step**2 == pytest.approx(area, rel=1e-4)
+    assert image.min() >= 0 and image.max() == 1
+    assert image.shape == (np.ceil(printed.height_mm / step), np.ceil(printed.width_mm / step))
     assert origin == pytest.approx([step / 2 - printed.offset_mm[0], step / 2 - printed.offset_mm[1]])
 
 
 @pytest.mark.parametrize("text", ["circles:11x9:32:20", "acircles:4x5:20"])
 def test_each_mark_is_the_centroid_of_its_black(text):
     board, step = parse_board(text), 0.25
-    picture, origin = raster(board, step)
-    black = 1 - picture.astype(np.float64)
+    image, origin = raster(board, step)
+    black = 1 - image.astype(np.float64)
     for x, y, _ in board.points:
         r = board.printed_diameter_mm / 2 + 1
         rows = slice(int((y - r - origin[1]) / step), int((y + r - origin[1]) / step) + 2)
@@ -49,21 +49,21 @@ def test_each_mark_is_the_centroid_of_its_black(text):
 
 def test_the_square_at_the_upper_left_of_mark_0_is_black_and_the_colours_alternate_around_each_mark():
     board, step = parse_board("chessboard:5x4:10"), 1.0
-    picture, origin = raster(board, step)
+    image, origin = raster(board, step)
     for index, (x, y, _) in enumerate(board.points):
         column, row = index % 5, index // 5
         u, v = round((x - origin[0]) / step), round((y - origin[1]) / step)
-        upper_left = picture[v - 4, u - 4]
+        upper_left = image[v - 4, u - 4]
         assert upper_left == (column + row) % 2
-        assert picture[v + 4, u + 4] == upper_left and picture[v - 4, u + 4] == 1 - upper_left
+        assert image[v + 4, u + 4] == upper_left and image[v - 4, u + 4] == 1 - upper_left
 
 
 def test_a_charuco_board_is_drawn_as_opencv_draws_it():
     board = parse_board("charuco:6x5:24:18:DICT_4X4_50")
-    picture, _ = raster(board, 1.0, paper_mm=(6 * 24, 5 * 24))
+    image, _ = raster(board, 1.0, paper_mm=(6 * 24, 5 * 24))
     theirs = charuco(board).generateImage((6 * 24, 5 * 24))
-    assert theirs.shape == picture.shape
-    assert (np.abs(picture * 255.0 - theirs) > 1).mean() < 0.002
+    assert theirs.shape == image.shape
+    assert (np.abs(image * 255.0 - theirs) > 1).mean() < 0.002
 
 
 def test_the_default_board_fits_on_its_sheet_with_the_drawing_in_the_middle():
@@ -86,8 +86,8 @@ def test_refusals_tell_what_to_do():
 
 def test_opencv_reads_the_drawing():
     board = parse_board("charuco:6x5:24:18:DICT_4X4_50")
-    picture, origin = raster(board, 0.5)
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco(board)).detectBoard((picture * 255).astype(np.uint8))
+    image, origin = raster(board, 0.5)
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco(board)).detectBoard((image * 255).astype(np.uint8))
     assert sorted(ids.ravel()) == list(range(20))
     places = corners.reshape(-1, 2) * 0.5 + origin
     assert np.abs(places - board.points[ids.ravel(), :2]).max() < 0.1

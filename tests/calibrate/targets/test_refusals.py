@@ -1,4 +1,4 @@
-"""Each kind of picture that cannot be used has an error of its own, which says what to do."""
+"""Each kind of image that cannot be used has an error of its own, which says what to do."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
 from pipeline.calibrate.targets.find_marks import find_marks
 from pipeline.common.errors import TargetError
 
-from .pictures import Pose, camera, clean, noisy
+from .images import Pose, camera, clean, noisy
 
 DEVICE = camera()
 CHESS, CHARUCO = parse_board("chessboard:9x6:34"), parse_board("charuco:10x7:34:24:DICT_4X4_50")
@@ -32,9 +32,9 @@ def empty(seed=0):
 @pytest.mark.parametrize("board", ALL, ids=str)
 def test_empty(board):
     even = [noisy(np.full((410, 512), 120.0), seed) for seed in range(4)]
-    for picture in (empty(), np.full((410, 512), 90, np.uint8), *even):
-        with pytest.raises(TargetError, match="no marks found: the picture shows nothing of the board"):
-            find_marks(picture, board)
+    for image in (empty(), np.full((410, 512), 90, np.uint8), *even):
+        with pytest.raises(TargetError, match="no marks found: the image shows nothing of the board"):
+            find_marks(image, board)
 
 
 @pytest.mark.parametrize("board", ALL, ids=str)
@@ -45,16 +45,16 @@ def test_too_blurred(board):
 
 @pytest.mark.parametrize("board", ALL[:2], ids=str)
 def test_only_some_marks(board):
-    picture = noisy(clean(board, DEVICE, FAR, ss=2))
-    picture[:, :256] = 100
+    image = noisy(clean(board, DEVICE, FAR, ss=2))
+    image[:, :256] = 100
     rng = np.random.default_rng(0)
-    picture[100:300, 256:400] = rng.integers(80, 120, (200, 144))
+    image[100:300, 256:400] = rng.integers(80, 120, (200, 144))
     with pytest.raises(TargetError, match=r"only \d+ of the \d+ marks .* whole board"):
-        find_marks(picture, board)
+        find_marks(image, board)
 
 
 @pytest.mark.parametrize("board", [ALL[0], CHESS], ids=str)
-def test_a_board_that_runs_out_of_the_picture_is_not_another_board(board):
+def test_a_board_that_runs_out_of_the_image_is_not_another_board(board):
     with pytest.raises(TargetError, match=r"only \d+ of the \d+ marks .* whole board"):
         find_marks(noisy(clean(board, DEVICE, Pose(5, 5, 0, (90, 0, 1400)), ss=2)), board)
 
@@ -72,7 +72,7 @@ def test_a_board_that_runs_out_of_the_picture_is_not_another_board(board):
     ],
 )
 def test_another_size_is_named(shown, told, seen):
-    with pytest.raises(TargetError, match=f"wrong board: the picture shows a grid of {seen} marks"):
+    with pytest.raises(TargetError, match=f"wrong board: the image shows a grid of {seen} marks"):
         find_marks(noisy(clean(parse_board(shown), DEVICE, Pose(10, 20, 5, (0, 0, 1900)), ss=2)), parse_board(told))
 
 
@@ -84,9 +84,9 @@ def test_two_boards(board):
 
 @pytest.mark.parametrize("board", [ALL[1], CHARUCO], ids=str)
 def test_mirrored(board):
-    picture = noisy(clean(board, DEVICE, FAR, ss=2))
-    find_marks(picture, board)
-    for flipped in (picture[:, ::-1], picture[::-1]):
+    image = noisy(clean(board, DEVICE, FAR, ss=2))
+    find_marks(image, board)
+    for flipped in (image[:, ::-1], image[::-1]):
         with pytest.raises(TargetError, match=r"mirrored .* flip"):
             find_marks(flipped, board)
 
@@ -98,7 +98,7 @@ def test_saturated(board):
         find_marks(noisy(light, gain=8.0), board)
 
 
-def test_pictures_of_the_wrong_kind():
+def test_images_of_the_wrong_kind():
     with pytest.raises(TargetError, match="shape"):
         find_marks(np.zeros((3, 100, 100), np.uint8), DEFAULT_BOARD)
     with pytest.raises(TargetError, match="type int64"):

@@ -133,7 +133,7 @@ def test_an_x_server_that_is_not_there_is_a_problem_of_rigs_that_need_it(tmp_pat
     assert found.level == "problem" and ":4711" in found.text
 
 
-def test_programs_that_meddle_with_the_picture_are_named(
+def test_programs_that_meddle_with_the_image_are_named(
     tmp_path: Path, server: XServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from daemon.apps.doctor.rig import display

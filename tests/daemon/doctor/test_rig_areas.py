@@ -211,7 +211,7 @@ def test_an_exposure_that_is_not_set_is_a_warning(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "size"), [("BayerRG8", 1), ("BayerRG12p", 1.5), ("Mono12", 2), ("RGB8", 3)])
-def test_the_bytes_of_a_picture(tmp_path: Path, name: str, size: float) -> None:
+def test_the_bytes_of_an_image(tmp_path: Path, name: str, size: float) -> None:
     trees.known(tmp_path)
     side = f"{{serial: A, pixel_format: {name}, roi: {{width: 100, height: 10}}}}"
     subject = trees.subject(tmp_path, rig=trees.genicam(side, side))

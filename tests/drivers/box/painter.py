@@ -32,12 +32,12 @@ class Painter:
         self._context = self._xcb.generate_id(self._connection)
         self._raw.xcb_create_gc(self._connection, self._context, self._screen.root, 0, None)
 
-    def paint(self, picture: NDArray[np.uint8], x: int = 0, y: int = 0) -> None:
+    def paint(self, image: NDArray[np.uint8], x: int = 0, y: int = 0) -> None:
         """Write (H, W, 3) pixels, R G B, at a place of the screen; they are there on return."""
-        height, width = picture.shape[:2]
+        height, width = image.shape[:2]
         rows = max(1, _MOST_BYTES // (4 * width))
         for first in range(0, height, rows):
-            part = picture[first : first + rows]
+            part = image[first : first + rows]
             pixels = np.zeros((*part.shape[:2], 4), np.uint8)
             pixels[..., :3] = part[..., ::-1]
             cookie = self._raw.xcb_put_image_checked(

@@ -14,7 +14,7 @@ from sim.box.xserver import XServer
 from tests.drivers.box.painter import Painter
 
 
-def random_picture(width: int, height: int, seed: int = 0) -> np.ndarray:
+def random_image(width: int, height: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
@@ -26,13 +26,13 @@ def test_every_byte_of_an_output_and_none_of_its_neighbour(server: XServer) -> N
     painter = Painter(server.display)
     with Grabber(server.display, "DUMMY0") as desktop, Grabber(server.display, "DUMMY1") as projector:
         for seed in range(3):
-            left, right = random_picture(320, 240, seed), random_picture(160, 128, seed + 10)
+            left, right = random_image(320, 240, seed), random_image(160, 128, seed + 10)
             painter.paint(left)
             painter.paint(right, x=320)
             assert np.array_equal(desktop.grab(), left)
             assert np.array_equal(projector.grab(), right)
         kept, before = projector.grab(), right.copy()
-        painter.paint(random_picture(160, 128, 99), x=320)
+        painter.paint(random_image(160, 128, 99), x=320)
         projector.grab()
         assert np.array_equal(kept, before)
         with Grabber(server.display, Rectangle(10, 20, 64, 48)) as part:
@@ -49,10 +49,10 @@ def test_a_server_that_dies_is_named_and_found_again(server: XServer) -> None:
     with pytest.raises(DisplayLost, match="no X server takes a connection"):
         grabber.grab()
     server.restart()
-    picture = random_picture(160, 128)
+    image = random_image(160, 128)
     painter = Painter(server.display)
-    painter.paint(picture, x=320)
-    assert np.array_equal(grabber.grab(), picture)
+    painter.paint(image, x=320)
+    assert np.array_equal(grabber.grab(), image)
     grabber.close()
     painter.close()
 

@@ -20,27 +20,27 @@ SIZE = 16, 8
 
 class FakeScreen:
     def __init__(self) -> None:
-        self.picture = np.full((SIZE[1], SIZE[0], 3), 7, np.uint8)
+        self.image = np.full((SIZE[1], SIZE[0], 3), 7, np.uint8)
         self.lost = False
 
     def grab(self):
         if self.lost:
             raise DisplayLost("display :7: the X server is gone")
-        return self.picture
+        return self.image
 
 
 class FakeStage:
-    """Counts are the picture's mean and the instant; the noise is the seed."""
+    """Counts are the image's mean and the instant; the noise is the seed."""
 
     def __init__(self) -> None:
         self.lit = 0
 
-    def counts(self, picture, instant=0):
+    def counts(self, image, instant=0):
         self.lit += 1
-        one = np.full((2, 2), picture.mean() + 100 * instant, np.float32)
+        one = np.full((2, 2), image.mean() + 100 * instant, np.float32)
         return one, one + 1
 
-    def pictures(self, counts, seed):
+    def images(self, counts, seed):
         return tuple((1000 * seed + part).astype(np.uint16) for part in counts)
 
 
@@ -50,8 +50,8 @@ class FakeCable:
         self.frames, self.calls = [], []
         self.busy_s = 0.0
 
-    def show(self, picture):
-        self.light = picture.copy()
+    def show(self, image):
+        self.light = image.copy()
 
     def pulse(self, t_ns):
         self.frames.append((t_ns, self.light))
@@ -75,13 +75,13 @@ class Bench:
         return self.cables[side].frames
 
 
-def test_both_cameras_get_one_edge_of_the_same_time_under_the_picture_shown() -> None:
+def test_both_cameras_get_one_edge_of_the_same_time_under_the_image_shown() -> None:
     bench = Bench(instants=3)
     for value in (7, 7, 200, 7):
-        bench.screen.picture = np.full_like(bench.screen.picture, value)
+        bench.screen.image = np.full_like(bench.screen.image, value)
         shown = bench.world.step()
         assert {bench.frames(side)[-1][0] for side in SIDES} == {shown.t_ns}
-        assert shown.picture == digest(bench.screen.picture)
+        assert shown.image == digest(bench.screen.image)
         for offset, side in enumerate(SIDES):
             light = bench.frames(side)[-1][1]
             assert (light == 1000 * shown.index + value + 100 * shown.instant + offset).all()
@@ -95,14 +95,14 @@ def test_edges_keep_their_distance() -> None:
     assert min(b - a for a, b in itertools.pairwise(times)) >= 3_000_000
 
 
-def test_a_picture_that_comes_back_is_not_lit_again() -> None:
-    bench = Bench(lit_pictures=2)
+def test_an_image_that_comes_back_is_not_lit_again() -> None:
+    bench = Bench(lit_images=2)
     for value in (1, 2, 1, 2, 2, 1):
-        bench.screen.picture = np.full_like(bench.screen.picture, value)
+        bench.screen.image = np.full_like(bench.screen.image, value)
         bench.world.step()
     assert bench.stage.lit == 2
     for value in (3, 1, 2):
-        bench.screen.picture = np.full_like(bench.screen.picture, value)
+        bench.screen.image = np.full_like(bench.screen.image, value)
         bench.world.step()
     assert bench.stage.lit == 4
 
@@ -116,7 +116,7 @@ def test_without_a_display_the_scene_is_dark_until_it_is_back() -> None:
     assert (bench.frames("left")[-1][1] == 1000).all()
     bench.screen.lost = False
     assert not bench.world.step().dark and bench.world.display_problem == ""
-    bench.screen.picture = np.full((4, 4, 3), 9, np.uint8)
+    bench.screen.image = np.full((4, 4, 3), 9, np.uint8)
     assert bench.world.step().dark and "shows 4 x 4" in bench.world.display_problem
     assert bench.world.ledger.dark == 2
 
@@ -165,7 +165,7 @@ def test_a_camera_that_is_gone_is_not_waited_for() -> None:
 
 def test_running_ends_when_told_and_does_not_make_up_for_lateness() -> None:
     bench, stop = Bench(), threading.Event()
-    bench.screen.grab = lambda: (time.sleep(0.005), bench.screen.picture)[1]
+    bench.screen.grab = lambda: (time.sleep(0.005), bench.screen.image)[1]
     thread = threading.Thread(target=bench.world.run, args=(1000, stop))
     thread.start()
     deadline = time.monotonic() + 30
@@ -181,10 +181,10 @@ def test_running_ends_when_told_and_does_not_make_up_for_lateness() -> None:
 
 def test_the_ledger_remembers_the_last_triggers_and_counts_all() -> None:
     ledger = Ledger(keep=3)
-    pictures = [np.full((2, 2), k, np.uint8) for k in range(5)]
+    images = [np.full((2, 2), k, np.uint8) for k in range(5)]
     none = dict.fromkeys(SIDES, FaultKind.NONE)
-    for k, picture in enumerate(pictures):
-        ledger.note(Shown(k, 0, b"", False, 0, none, dict.fromkeys(SIDES, digest(picture))))
-    found = [ledger.exposure_of("left", picture) for picture in pictures]
+    for k, image in enumerate(images):
+        ledger.note(Shown(k, 0, b"", False, 0, none, dict.fromkeys(SIDES, digest(image))))
+    found = [ledger.exposure_of("left", image) for image in images]
     assert [shown and shown.index for shown in found] == [None, None, 2, 3, 4]
     assert ledger.counts == {("left", FaultKind.NONE): 5, ("right", FaultKind.NONE): 5}

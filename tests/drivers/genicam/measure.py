@@ -1,6 +1,6 @@
 """What a camera costs, in a process of its own and in a thread: ``python -m tests.drivers.genicam.measure``.
 
-For each way of driving one emulated camera at 30 pictures a second: from the pulse to the frame in the reader's hands
+For each way of driving one emulated camera at 30 images a second: from the pulse to the frame in the reader's hands
 less exposure and readout (which the emulated camera takes in real time), the processor time of the driver's threads
 (the emulated camera's own thread is left out), and how much later than asked another thread of the reader's process
 wakes from sleeps of 1 ms.

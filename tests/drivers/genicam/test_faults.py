@@ -46,10 +46,10 @@ def start(camera: Camera, cable: Cable) -> None:
 
 
 def pulses(cable: Cable, count: int) -> list[int]:
-    """Pulses that the camera takes, each with its own grey picture; their times."""
+    """Pulses that the camera takes, each with its own grey image; their times."""
     times = []
     for _ in range(count):
-        number = cable.state().picture
+        number = cable.state().image
         width, height = cable.size
         cable.show(np.full((height, width), (number * 7 + 1) % 256, np.uint8))
         times.append(time.monotonic_ns())
@@ -110,7 +110,7 @@ def test_incomplete_frames_are_dropped_and_counted_once(running: tuple[Cable, Ca
     found = pending(camera)
     assert [frame.trigger for frame in found] == [0, 1, 5, 6]
     for frame in found:
-        assert len(np.unique(frame.image)) == 1, "half a picture was delivered"
+        assert len(np.unique(frame.image)) == 1, "half an image was delivered"
     until(lambda: counter(camera, "incomplete") == 3)
     pulses(cable, 1)
     assert pending(camera)[0].trigger == 7
@@ -264,7 +264,7 @@ def test_what_nobody_reads_is_dropped_and_counted(running: tuple[Cable, Camera])
 
 
 def test_pairs_survive_everything_that_happens_to_single_frames(make: Make, rig: Rig) -> None:
-    """Drops, half pictures and an unplugged camera: every pair is of one exposure, and pairs come back."""
+    """Drops, half images and an unplugged camera: every pair is of one exposure, and pairs come back."""
     rng = np.random.default_rng(11)
     cameras = {"left": make("A1"), "right": make("A2")}
     for camera, cable in zip(cameras.values(), rig, strict=True):

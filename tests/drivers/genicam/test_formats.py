@@ -75,11 +75,11 @@ def test_widths_and_padding(pixels: PixelFormat, width: int, padding: int) -> No
 
 
 def test_colours_keep_their_places() -> None:
-    picture = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    assert (converted(picture.tobytes(), BY_NAME["RGB8"], WIDTH, HEIGHT) == picture).all()
-    assert (converted(picture.tobytes(), BY_NAME["BGR8"], WIDTH, HEIGHT) == picture[..., ::-1]).all()
-    lines = b"".join(line.tobytes() + b"\xee" * 4 for line in picture)
-    assert (converted(lines, BY_NAME["RGB8"], WIDTH, HEIGHT, 4) == picture).all()
+    image = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    assert (converted(image.tobytes(), BY_NAME["RGB8"], WIDTH, HEIGHT) == image).all()
+    assert (converted(image.tobytes(), BY_NAME["BGR8"], WIDTH, HEIGHT) == image[..., ::-1]).all()
+    lines = b"".join(line.tobytes() + b"\xee" * 4 for line in image)
+    assert (converted(lines, BY_NAME["RGB8"], WIDTH, HEIGHT, 4) == image).all()
 
 
 @pytest.mark.parametrize("pixels", BY_CODE.values(), ids=lambda pixels: pixels.name)

@@ -90,7 +90,7 @@ def test_a_camera_that_vanished_can_be_opened_again_in_the_same_process(program:
     """)
 
 
-def test_pictures_are_copies(program: Program) -> None:
+def test_images_are_copies(program: Program) -> None:
     program("""
         import numpy as np
         camera = make(buffers=3)

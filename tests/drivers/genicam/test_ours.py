@@ -1,4 +1,4 @@
-"""The whole driver on emulated triggered cameras: settings, pictures to the byte, triggers, what it tells of itself."""
+"""The whole driver on emulated triggered cameras: settings, images to the byte, triggers, what it tells of itself."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def shot(cable: Cable, camera: Camera, **pulse: Any) -> Frame:
     return frame
 
 
-def picture(cable: Cable, seed: int = 0, *, colour: bool = True) -> Any:
+def image(cable: Cable, seed: int = 0, *, colour: bool = True) -> Any:
     width, height = cable.size
     shape = (height, width, 3) if colour else (height, width)
     shown = np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
@@ -58,7 +58,7 @@ def until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
 
 
 def mosaic(shown: Any, pattern: str = "RG") -> Any:
-    """What a sensor with that filter sees of a colour picture."""
+    """What a sensor with that filter sees of a colour image."""
     channels = {"RG": (0, 1, 1, 2), "GR": (1, 0, 2, 1), "GB": (1, 2, 0, 1), "BG": (2, 1, 1, 0)}[pattern]
     out = np.empty(shown.shape[:2], shown.dtype)
     for k, channel in enumerate(channels):
@@ -66,7 +66,7 @@ def mosaic(shown: Any, pattern: str = "RG") -> Any:
     return out
 
 
-def test_pictures_are_exact_and_belong_to_their_pulse(make: Make, rig: Rig) -> None:
+def test_images_are_exact_and_belong_to_their_pulse(make: Make, rig: Rig) -> None:
     cable, camera = rig[0], make()
     info = camera.open()
     assert (info.serial, info.size, info.encoding, info.exposure_us, info.notes) == (
@@ -78,7 +78,7 @@ def test_pictures_are_exact_and_belong_to_their_pulse(make: Make, rig: Rig) -> N
     )
     camera.start()
     for k in range(20):
-        shown = picture(cable, k)
+        shown = image(cable, k)
         at = time.monotonic_ns()
         real = time.time_ns()
         frame = shot(cable, camera, t_ns=at)
@@ -98,7 +98,7 @@ def test_each_format_that_the_camera_has(make: Make, rig: Rig, name: str) -> Non
         assert "Packed" in name or name == "Mono14", "the emulated camera has all others"
         return
     camera.start()
-    shown = picture(cable, 1)
+    shown = image(cable, 1)
     frame = shot(cable, camera)
     pixels = BY_NAME[name]
     assert frame.encoding == info.encoding == pixels.encoding
@@ -120,19 +120,19 @@ def test_each_filter(world: Path, ours: Path, opened: Make, pattern: Any) -> Non
         camera = opened({"producer": str(ours), "serial": "B", "pixel_format": f"Bayer{pattern}8"})
         camera.open()
         camera.start()
-        shown = picture(cable)
+        shown = image(cable)
         frame = shot(cable, camera)
         assert frame.encoding == BY_NAME[f"Bayer{pattern}8"].encoding
         assert (frame.image == mosaic(shown, pattern)).all()
 
 
-def test_a_region_is_cut_out_of_the_picture(make: Make, rig: Rig) -> None:
+def test_a_region_is_cut_out_of_the_image(make: Make, rig: Rig) -> None:
     cable, camera = rig[0], make(roi={"x": 8, "y": 4, "width": 32, "height": 20})
     info = camera.open()
     assert info.size == (32, 20)
     assert info.notes == ()
     camera.start()
-    shown = picture(cable)
+    shown = image(cable)
     assert (shot(cable, camera).image == mosaic(shown)[4:24, 8:40]).all()
 
 
@@ -147,7 +147,7 @@ def test_a_region_off_the_steps_keeps_the_bayer_pattern_and_tells(make: Make, ri
         "roi.y 5 became 4",
     }
     camera.start()
-    shown = picture(cable)
+    shown = image(cable)
     assert (shot(cable, camera).image == mosaic(shown)[4:24, 8:40]).all()
 
 

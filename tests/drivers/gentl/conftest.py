@@ -51,6 +51,6 @@ def cable(directory: Path) -> Iterator[Callable[..., Cable]]:
 
 
 @pytest.fixture
-def picture() -> NDArray[np.uint8]:
-    """A colour picture in which every byte may have any value."""
+def image() -> NDArray[np.uint8]:
+    """A colour image in which every byte may have any value."""
     return np.random.default_rng(7).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)

@@ -264,15 +264,15 @@ def test_an_acquisition_of_so_many_frames_ends_by_itself(producer: Path, cable: 
         assert (state.delivered, state.ignored, state.acquiring) == (frames, 5 - frames, False)
 
 
-def test_a_camera_without_triggers_runs_free(producer: Path, cable: Cables, picture: NDArray[np.uint8]) -> None:
+def test_a_camera_without_triggers_runs_free(producer: Path, cable: Cables, image: NDArray[np.uint8]) -> None:
     camera = cable(real_time=True)
-    camera.show(picture)
+    camera.show(image)
     with opened(producer, "CAM0") as (host,):
         host.set(ExposureTime=1000.0, PixelFormat="RGB8", AcquisitionFrameRateEnable=True, AcquisitionFrameRate=200.0)
         host.start()
         shots = host.shots(5)
         assert [shot.frame_id for shot in shots] == list(range(5))
-        assert all(shot.bytes == picture.tobytes() for shot in shots)
+        assert all(shot.bytes == image.tobytes() for shot in shots)
         gaps_ns = np.diff([shot.timestamp for shot in shots])
         assert gaps_ns.min() >= 5 * MS
 

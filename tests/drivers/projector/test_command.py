@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from drivers.projector import pictures
+from drivers.projector import images
 from sim.box.xserver import XServer
 from tests.drivers.projector import x
 
@@ -46,13 +46,13 @@ def test_list_tells_each_output_in_a_line(run: Run) -> None:
     assert "DUMMY2: nothing plugged in" in run("list", "--all").stdout
 
 
-def test_the_test_picture_stands_until_it_is_interrupted(server: XServer) -> None:
+def test_the_test_image_stands_until_it_is_interrupted(server: XServer) -> None:
     held = subprocess.Popen(
         command("test", "--output", "DUMMY1"), env=server.environment(), stdout=subprocess.PIPE, text=True
     )
-    wanted = pictures.alignment((320, 256))
+    wanted = images.alignment((320, 256))
     try:
-        x.until(lambda: np.array_equal(x.grab(server, 1), wanted), "the picture is on the output")
+        x.until(lambda: np.array_equal(x.grab(server, 1), wanted), "the image is on the output")
         held.send_signal(signal.SIGINT)
         said, _ = held.communicate(timeout=30)
     finally:
@@ -65,8 +65,8 @@ def test_the_test_picture_stands_until_it_is_interrupted(server: XServer) -> Non
 def test_a_png_of_the_right_size_is_shown_from_a_rig_file_that_is_not_complete(
     server: XServer, run: Run, tmp_path: Path
 ) -> None:
-    picture = x.noise(server, 1)
-    cv2.imwrite(str(tmp_path / "picture.png"), picture[..., ::-1])
+    image = x.noise(server, 1)
+    cv2.imwrite(str(tmp_path / "image.png"), image[..., ::-1])
     rig = tmp_path / "rig.yaml"
     look = f"import sys; sys.path[:0] = {sys.path!r}; from tests.drivers.projector import x; import numpy as np"
     saved = "s = type('S', (), {'heads': (x.DESKTOP, x.PROJECTOR), 'display': sys.argv[1]})()"
@@ -75,21 +75,21 @@ def test_a_png_of_the_right_size_is_shown_from_a_rig_file_that_is_not_complete(
         "projector:\n  driver: pyglet\n  options:\n    output: DUMMY1\n"
         f"    hook: {{show: [[{sys.executable!r}, '-c', {code!r}, {server.display!r}]], timeout_s: 60.0}}\n"
     )
-    done = run("show", str(tmp_path / "picture.png"), "--rig", str(rig), "--seconds", "0.1")
+    done = run("show", str(tmp_path / "image.png"), "--rig", str(rig), "--seconds", "0.1")
     assert done.returncode == 0 and done.stderr == ""
-    assert np.array_equal(np.load(tmp_path / "seen.npy"), picture)
+    assert np.array_equal(np.load(tmp_path / "seen.npy"), image)
 
 
-def test_pictures_that_are_not_exact_are_refused(run: Run, tmp_path: Path) -> None:
+def test_images_that_are_not_exact_are_refused(run: Run, tmp_path: Path) -> None:
     small, deep, clear = (
         np.zeros((8, 8, 3), np.uint8),
         np.zeros((256, 320), np.uint16),
         np.zeros((256, 320, 4), np.uint8),
     )
-    for name, picture in (("small.png", small), ("deep.png", deep), ("clear.png", clear), ("lossy.jpg", small)):
-        cv2.imwrite(str(tmp_path / name), picture)
+    for name, image in (("small.png", small), ("deep.png", deep), ("clear.png", clear), ("lossy.jpg", small)):
+        cv2.imwrite(str(tmp_path / name), image)
     for name, complaint in (
-        ("small.png", "picture (8, 8, 3) uint8 does not fit output DUMMY1, expected (256, 320, 3)"),
+        ("small.png", "image (8, 8, 3) uint8 does not fit output DUMMY1, expected (256, 320, 3)"),
         ("deep.png", "uint16 (256, 320); expected 8 bits"),
         ("clear.png", "uint8 (256, 320, 4); expected 8 bits"),
         ("lossy.jpg", "expected an 8-bit PNG"),
@@ -124,15 +124,15 @@ def test_off_runs_the_commands_of_an_external_projector(run: Run, tmp_path: Path
 
 
 @pytest.mark.parametrize("size", [(320, 256), (321, 257), (1280, 800), (912, 1140)])
-def test_the_alignment_picture_shows_each_edge_and_each_level(size: tuple[int, int]) -> None:
-    picture = pictures.alignment(size)
+def test_the_alignment_image_shows_each_edge_and_each_level(size: tuple[int, int]) -> None:
+    image = images.alignment(size)
     width, height = size
-    assert picture.shape == (height, width, 3) and picture.dtype == np.uint8
-    assert all((edge == 255).all() for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]))
-    border = picture[1:15, 1:-1, 0].astype(int)
+    assert image.shape == (height, width, 3) and image.dtype == np.uint8
+    assert all((edge == 255).all() for edge in (image[0], image[-1], image[:, 0], image[:, -1]))
+    border = image[1:15, 1:-1, 0].astype(int)
     middle = np.abs(np.diff(border, axis=1)) == 255
     assert middle.mean() > 0.95, "neighbours differ by everything: any scaling shows"
-    grey = picture[(picture == picture[..., :1]).all(axis=2)][:, 0]
+    grey = image[(image == image[..., :1]).all(axis=2)][:, 0]
     assert len(set(grey.tolist())) >= 250, "nearly every level, even where the cross hairs take a few"
-    for color in pictures.COLORS:
-        assert (picture == color).all(axis=2).any()
+    for color in images.COLORS:
+        assert (image == color).all(axis=2).any()

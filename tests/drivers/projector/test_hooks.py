@@ -74,7 +74,7 @@ def test_a_hook_that_fails_while_showing_is_a_problem_and_while_opening_an_error
         open_external({**options, "hook": {"open": [["false"]]}}, tmp_path).open()
 
 
-def test_an_external_projector_takes_pictures_of_its_size_only(tmp_path: Path) -> None:
+def test_an_external_projector_takes_images_of_its_size_only(tmp_path: Path) -> None:
     projector = open_external({"size": [6, 4]}, tmp_path)
     with pytest.raises(DriverError, match="open"):
         projector.show(BLACK)

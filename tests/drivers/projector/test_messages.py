@@ -39,23 +39,23 @@ def test_what_is_sent_comes_back(pair: Pair) -> None:
     assert messages.receive_in_window(pair[1]) == (setup, None)
 
 
-def test_pictures_come_whole_and_read_only(pair: Pair) -> None:
-    pictures = list(np.random.default_rng(0).integers(0, 256, (3, 5, 7, 3), dtype=np.uint8))
-    memfd = messages.pack_pictures([pictures[0], np.asfortranarray(pictures[1]), pictures[2]])
+def test_images_come_whole_and_read_only(pair: Pair) -> None:
+    images = list(np.random.default_rng(0).integers(0, 256, (3, 5, 7, 3), dtype=np.uint8))
+    memfd = messages.pack_images([images[0], np.asfortranarray(images[1]), images[2]])
     show = Show(serial=1, count=3, width=7, height=5)
     messages.send(pair[0], show, memfd)
     os.close(memfd)
     received = messages.receive_in_window(pair[1])
     assert received is not None and received[0] == show and received[1] is not None
-    taken = messages.unpack_pictures(received[1], show)
-    assert np.array_equal(taken, pictures) and not taken.flags.writeable
+    taken = messages.unpack_images(received[1], show)
+    assert np.array_equal(taken, images) and not taken.flags.writeable
 
 
 @pytest.mark.parametrize(("count", "width", "height"), [(1, 7, 5), (2, 7, 6), (65, 1, 1), (0, 7, 5), (1, 9000, 1)])
-def test_pictures_of_another_size_than_told_are_refused(count: int, width: int, height: int) -> None:
-    memfd = messages.pack_pictures([np.zeros((5, 7, 3), np.uint8)] * 2)
+def test_images_of_another_size_than_told_are_refused(count: int, width: int, height: int) -> None:
+    memfd = messages.pack_images([np.zeros((5, 7, 3), np.uint8)] * 2)
     with pytest.raises(ValueError, match="are not in the"):
-        messages.unpack_pictures(memfd, Show(serial=1, count=count, width=width, height=height))
+        messages.unpack_images(memfd, Show(serial=1, count=count, width=width, height=height))
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(memfd)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import DriverError, SettingRefused
-from drivers.projector import OutputProjector, pictures
+from drivers.projector import OutputProjector, images
 from sim.box.xserver import Head, XServer
 from tests.drivers.projector import x
 
@@ -21,7 +21,7 @@ OUTPUTS = pytest.mark.parametrize("head", [0, 1], ids=["DUMMY0", "DUMMY1"])
 
 
 @OUTPUTS
-def test_every_picture_is_on_its_output_byte_for_byte(server: XServer, projector: Make, head: int) -> None:
+def test_every_image_is_on_its_output_byte_for_byte(server: XServer, projector: Make, head: int) -> None:
     size, other = server.heads[head], x.grab(server, 1 - head)
     shown = projector(server, output=f"DUMMY{head}")
     info = shown.open()
@@ -30,10 +30,10 @@ def test_every_picture_is_on_its_output_byte_for_byte(server: XServer, projector
     assert not x.grab(server, head).any(), "an open projector is black"
     ramp = np.zeros((size.height, size.width, 3), np.uint8)
     ramp[:, :256] = np.arange(256)[:, None]
-    for picture in (x.noise(server, head), ramp, pictures.alignment(info.size), pictures.plain(info.size, 255)):
-        shown.show(picture)
+    for image in (x.noise(server, head), ramp, images.alignment(info.size), images.plain(info.size, 255)):
+        shown.show(image)
         assert shown.problem() == ""
-        assert np.array_equal(x.grab(server, head), picture)
+        assert np.array_equal(x.grab(server, head), image)
     assert np.array_equal(x.grab(server, 1 - head), other), "the other output is left alone"
     shown.close()
     assert not x.grab(server, head).any()
@@ -97,29 +97,29 @@ def test_flips_are_told_by_the_vertical_blank(server: XServer, projector: Make) 
     assert shown.measured_refresh_hz == pytest.approx(60, rel=0.05)  # of the dummy driver's own timer
 
 
-def test_a_sequence_goes_on_by_itself_and_its_last_picture_stays(server: XServer, projector: Make) -> None:
+def test_a_sequence_goes_on_by_itself_and_its_last_image_stays(server: XServer, projector: Make) -> None:
     shown = projector(server)
     shown.open()
     sequence = [x.noise(server, 1, seed) for seed in range(3)]
     shown.show_sequence(sequence, hold_frames=2)
-    x.until(lambda: np.array_equal(x.grab(server, 1), sequence[2]), "the last picture is out")
+    x.until(lambda: np.array_equal(x.grab(server, 1), sequence[2]), "the last image is out")
     shown.show_sequence(sequence, hold_frames=15, loop=True)
-    for picture in [*sequence, sequence[0]]:
-        x.until(lambda wanted=picture: np.array_equal(x.grab(server, 1), wanted), "each picture comes, again and again")
+    for image in [*sequence, sequence[0]]:
+        x.until(lambda wanted=image: np.array_equal(x.grab(server, 1), wanted), "each image comes, again and again")
     shown.show(sequence[1])
     assert np.array_equal(x.grab(server, 1), sequence[1]) and shown.problem() == ""
 
 
-def test_pictures_that_do_not_fit_are_refused(server: XServer, projector: Make) -> None:
+def test_images_that_do_not_fit_are_refused(server: XServer, projector: Make) -> None:
     shown = projector(server)
-    picture = x.noise(server, 1)
+    image = x.noise(server, 1)
     with pytest.raises(DriverError, match=r"open\(\) comes first"):
-        shown.show(picture)
+        shown.show(image)
     shown.open()
-    for wrong in (picture[:-1], picture[..., 0], picture.astype(np.uint16)):
+    for wrong in (image[:-1], image[..., 0], image.astype(np.uint16)):
         with pytest.raises(SettingRefused, match=r"does not fit output DUMMY1, expected \(256, 320, 3\) uint8"):
             shown.show(wrong)
     for count, hold_frames in ((0, 1), (65, 1), (1, 0)):
         with pytest.raises(SettingRefused, match="expected 1 to 64"):
-            shown.show_sequence([picture] * count, hold_frames=hold_frames)
+            shown.show_sequence([image] * count, hold_frames=hold_frames)
     assert shown.problem() == ""

@@ -1,4 +1,4 @@
-"""Whatever dies, the driver says so, starts it again and shows the last picture; and it leaves nothing behind."""
+"""Whatever dies, the driver says so, starts it again and shows the last image; and it leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ CYCLES = 12
 
 
 def opened(server: XServer, shown: OutputProjector) -> np.ndarray:
-    picture = x.noise(server, 1)
+    image = x.noise(server, 1)
     shown.open()
-    shown.show(picture)
-    assert shown.problem() == "" and np.array_equal(x.grab(server, 1), picture)
-    return picture
+    shown.show(image)
+    assert shown.problem() == "" and np.array_equal(x.grab(server, 1), image)
+    return image
 
 
 def watch(shown: OutputProjector) -> tuple[list[str], Callable[[], None]]:
@@ -48,8 +48,8 @@ def watch(shown: OutputProjector) -> tuple[list[str], Callable[[], None]]:
     return said, end
 
 
-def recovers(server: XServer, shown: OutputProjector, picture: np.ndarray, harm: Callable[[], None], word: str) -> None:
-    """After some harm the problem is told with that word, and then the picture is there again, by another window."""
+def recovers(server: XServer, shown: OutputProjector, image: np.ndarray, harm: Callable[[], None], word: str) -> None:
+    """After some harm the problem is told with that word, and then the image is there again, by another window."""
     first, (said, end) = shown.window_pid, watch(shown)
     try:
         harm()
@@ -57,26 +57,26 @@ def recovers(server: XServer, shown: OutputProjector, picture: np.ndarray, harm:
         x.until(lambda: not shown.problem(), "all is well again")
     finally:
         end()
-    assert np.array_equal(x.grab(server, 1), picture)
+    assert np.array_equal(x.grab(server, 1), image)
     assert shown.window_pid != first and not Path(f"/proc/{first}").exists()
     assert shown.counted["restarts"] >= 1
 
 
-def test_a_killed_window_comes_back_with_its_picture(server: XServer, projector: Make) -> None:
+def test_a_killed_window_comes_back_with_its_image(server: XServer, projector: Make) -> None:
     shown = projector(server)
-    picture = opened(server, shown)
-    recovers(server, shown, picture, lambda: os.kill(shown.window_pid, signal.SIGKILL), "signal 9")
+    image = opened(server, shown)
+    recovers(server, shown, image, lambda: os.kill(shown.window_pid, signal.SIGKILL), "signal 9")
 
 
 def test_a_hung_window_is_replaced(server: XServer, projector: Make) -> None:
     shown = projector(server, hung_s=4.0)
-    picture = opened(server, shown)
-    recovers(server, shown, picture, lambda: os.kill(shown.window_pid, signal.SIGSTOP), "does not answer")
+    image = opened(server, shown)
+    recovers(server, shown, image, lambda: os.kill(shown.window_pid, signal.SIGSTOP), "does not answer")
 
 
 def test_a_defect_of_ours_costs_one_window_and_not_the_light(server: XServer, projector: Make) -> None:
     shown = projector(server)
-    picture = opened(server, shown)
+    image = opened(server, shown)
     supervisor = shown._supervisor
     assert supervisor is not None
     usual, defects = supervisor._after_show, iter([ZeroDivisionError("a defect")])
@@ -87,51 +87,51 @@ def test_a_defect_of_ours_costs_one_window_and_not_the_light(server: XServer, pr
             raise error
 
     supervisor._after_show = fails_once
-    recovers(server, shown, picture, lambda: shown.show(picture), "ZeroDivisionError")
+    recovers(server, shown, image, lambda: shown.show(image), "ZeroDivisionError")
 
 
 def test_a_destroyed_window_comes_back(server: XServer, projector: Make) -> None:
     shown = projector(server)
-    picture = opened(server, shown)
+    image = opened(server, shown)
 
     def destroy() -> None:
         with x.client(server) as display:
             x.top_window(display).destroy()
             display.sync()
 
-    recovers(server, shown, picture, destroy, "destroyed by another program")
+    recovers(server, shown, image, destroy, "destroyed by another program")
 
 
 def test_a_window_taken_off_the_screen_comes_back(server: XServer, projector: Make) -> None:
     shown = projector(server)
-    picture = opened(server, shown)
+    image = opened(server, shown)
 
     def unmap() -> None:
         with x.client(server) as display:
             x.top_window(display).unmap()
             display.sync()
 
-    recovers(server, shown, picture, unmap, "taken off the screen")
+    recovers(server, shown, image, unmap, "taken off the screen")
 
 
 def test_an_x_server_that_dies_is_told_and_used_again(own_server: XServer, projector: Make) -> None:
     shown = projector(own_server)
-    picture = opened(own_server, shown)
+    image = opened(own_server, shown)
     own_server.kill()
     x.until(lambda: "X server" in shown.problem(), "the server's end is told")
     x.until(lambda: "no connection" in shown.problem(), "it is tried again")
     own_server.restart()
     x.until(lambda: not shown.problem(), "all is well again")
-    assert np.array_equal(x.grab(own_server, 1), picture)
+    assert np.array_equal(x.grab(own_server, 1), image)
 
 
-def test_a_picture_wanted_while_the_server_is_gone_is_shown_later(own_server: XServer, projector: Make) -> None:
+def test_an_image_wanted_while_the_server_is_gone_is_shown_later(own_server: XServer, projector: Make) -> None:
     shown = projector(own_server, show_timeout_s=2.0)
     opened(own_server, shown)
     own_server.kill()
     wanted = x.noise(own_server, 1, seed=5)
     shown.show(wanted)
-    assert "no picture" in shown.problem() and shown.last_flip is None
+    assert "no image" in shown.problem() and shown.last_flip is None
     own_server.restart()
     x.until(lambda: not shown.problem(), "all is well again")
     assert np.array_equal(x.grab(own_server, 1), wanted)
@@ -178,11 +178,11 @@ def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make) 
         children = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
         return len(list(Path("/proc/self/fd").iterdir())), len(children), threading.active_count()
 
-    picture, before = x.noise(server, 1), None
+    image, before = x.noise(server, 1), None
     for cycle in range(CYCLES):
         shown = projector(server)
         shown.open()
-        shown.show(picture)
+        shown.show(image)
         if cycle % 4 == 1:
             os.kill(shown.window_pid, signal.SIGKILL)
             x.until(lambda shown=shown: not shown.problem(), "all is well again")

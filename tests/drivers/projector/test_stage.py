@@ -96,26 +96,26 @@ def test_a_gamma_table_that_is_bent_while_running_is_a_problem_or_mended(own_ser
 
 
 def test_another_mode_is_a_problem_until_it_is_undone(own_server: XServer, projector: Make) -> None:
-    shown, picture = projector(own_server), x.noise(own_server, 1)
+    shown, image = projector(own_server), x.noise(own_server, 1)
     shown.open()
-    shown.show(picture)
+    shown.show(image)
     x.set_mode(own_server, "DUMMY1", "640x480")
     x.until(lambda: "is 640x480 but the projector's own resolution" in shown.problem(), "the mode is told")
     x.set_mode(own_server, "DUMMY1", None)
     x.until(lambda: "switched off" in shown.problem(), "the output is told")
     x.set_mode(own_server, "DUMMY1", own_server.heads[1].mode)
     x.until(lambda: not shown.problem(), "all is well")
-    x.until(lambda: np.array_equal(x.grab(own_server, 1), picture), "the picture is back")
+    x.until(lambda: np.array_equal(x.grab(own_server, 1), image), "the image is back")
 
 
 def test_a_window_that_is_moved_or_covered_comes_back(own_server: XServer, projector: Make) -> None:
-    shown, picture = projector(own_server), x.noise(own_server, 1)
+    shown, image = projector(own_server), x.noise(own_server, 1)
     shown.open()
-    shown.show(picture)
+    shown.show(image)
     with x.client(own_server) as display:
         x.top_window(display).configure(x=11, y=7)
         display.sync()
-        x.until(lambda: np.array_equal(x.grab(own_server, 1), picture), "the window is back in its place")
+        x.until(lambda: np.array_equal(x.grab(own_server, 1), image), "the window is back in its place")
         screen = display.screen()
         other = screen.root.create_window(
             700, 10, 100, 100, 0, screen.root_depth, background_pixel=0xFFFFFF, override_redirect=True
@@ -123,7 +123,7 @@ def test_a_window_that_is_moved_or_covered_comes_back(own_server: XServer, proje
         other.map()
         other.configure(stack_mode=X.Above)
         display.sync()
-        x.until(lambda: np.array_equal(x.grab(own_server, 1), picture), "the window is on top again")
+        x.until(lambda: np.array_equal(x.grab(own_server, 1), image), "the window is on top again")
     x.until(lambda: not shown.problem(), "all is well")
 
 

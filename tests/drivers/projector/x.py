@@ -103,6 +103,6 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 
 def noise(server: XServer, head: int, seed: int = 0) -> NDArray[np.uint8]:
-    """A picture of an output's size in which every pixel is different."""
+    """An image of an output's size in which every pixel is different."""
     size = server.heads[head]
     return np.random.default_rng(seed).integers(0, 256, (size.height, size.width, 3), dtype=np.uint8)

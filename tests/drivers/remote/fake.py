@@ -1,4 +1,4 @@
-"""A camera for the process tests: its pictures tell their number, and it fails on command."""
+"""A camera for the process tests: its images tell their number, and it fails on command."""
 
 from __future__ import annotations
 

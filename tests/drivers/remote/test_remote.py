@@ -96,7 +96,7 @@ def test_frames_arrive_whole_in_order_and_read_only(camera: Any, encoding: str, 
             frame.image[0] = 1
 
 
-def test_kept_pictures_are_never_overwritten_and_slots_come_back(camera: Any) -> None:
+def test_kept_images_are_never_overwritten_and_slots_come_back(camera: Any) -> None:
     remote = camera(frames=600, pause_s=0.001)
     remote.open()
     remote.start()
@@ -114,14 +114,14 @@ def test_kept_pictures_are_never_overwritten_and_slots_come_back(camera: Any) ->
             assert (image == number % 251).all()
     counters = remote.health().counters
     assert counters["shared"] > 3 * QUICK.slots, "slots do not come back"
-    assert counters["copied"] > 0, "more pictures were kept than there are slots"
+    assert counters["copied"] > 0, "more images were kept than there are slots"
     remote.close()
     gc.collect()
     for number, image in kept:
         assert (image == number % 251).all(), "the memory went with the process"
 
 
-def test_pictures_given_back_are_never_copied(camera: Any) -> None:
+def test_images_given_back_are_never_copied(camera: Any) -> None:
     remote = camera(frames=300)
     remote.open()
     remote.start()
@@ -134,7 +134,7 @@ def test_pictures_given_back_are_never_copied(camera: Any) -> None:
     assert remote.health().counters["copied"] == 0
 
 
-def test_pictures_may_die_in_any_thread(camera: Any) -> None:
+def test_images_may_die_in_any_thread(camera: Any) -> None:
     remote = camera(frames=2000)
     remote.open()
     remote.start()

@@ -24,17 +24,17 @@ def test_what_is_written_is_read() -> None:
     writer = RingWriter(4, 100)
     reader = RingReader(writer.fd, 4, writer.slot_bytes)
     writer.slot(2, (5, 10), np.dtype(np.uint16))[...] = 1234
-    assert (reader.picture(2, (5, 10), wide=True) == 1234).all()
-    assert not reader.picture(2, (5, 10), wide=True).flags.writeable
+    assert (reader.image(2, (5, 10), wide=True) == 1234).all()
+    assert not reader.image(2, (5, 10), wide=True).flags.writeable
     os.close(writer.fd)
 
 
 @pytest.mark.parametrize(("index", "shape"), [(-1, (2, 2)), (4, (2, 2)), (0, (4096, 2)), (0, (-1, -1))])
-def test_pictures_that_cannot_be_are_refused(index: int, shape: tuple[int, ...]) -> None:
+def test_images_that_cannot_be_are_refused(index: int, shape: tuple[int, ...]) -> None:
     writer = RingWriter(4, 100)
     reader = RingReader(writer.fd, 4, writer.slot_bytes)
     with pytest.raises(DriverError):
-        reader.picture(index, shape, wide=False)
+        reader.image(index, shape, wide=False)
     os.close(writer.fd)
 
 

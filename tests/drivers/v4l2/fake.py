@@ -88,7 +88,7 @@ class FakeKernel:
     def expose(
         self, data: bytes, *, flags: int = 0, timestamp_ns: int | None = None, used: int | None = None, skip: int = 0
     ) -> bool:
-        """The sensor gives a picture; False when there was no buffer for it. ``skip`` lets numbers be missing."""
+        """The sensor gives an image; False when there was no buffer for it. ``skip`` lets numbers be missing."""
         self.sequence = (self.sequence + skip) % 2**32
         number, self.sequence = self.sequence, (self.sequence + 1) % 2**32
         if not self.streaming or not self.queued:

@@ -32,7 +32,7 @@ def test_a_frame_comes_as_it_was_exposed() -> None:
     assert counted(camera) == {"received": 1}
 
 
-def test_a_frame_keeps_its_picture_when_its_buffer_is_filled_again() -> None:
+def test_a_frame_keeps_its_image_when_its_buffer_is_filled_again() -> None:
     kernel = FakeKernel(grant=2)
     camera = started(kernel)
     kernel.expose(GREY)
@@ -106,14 +106,14 @@ def test_every_frame_is_received_or_counted_with_a_reason(events: list[str]) -> 
 def test_a_corrupt_jpeg_is_counted_and_passed_over() -> None:
     import cv2
 
-    picture = np.full((16, 32, 3), (10, 200, 90), np.uint8)
-    data = cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
+    image = np.full((16, 32, 3), (10, 200, 90), np.uint8)
+    data = cv2.imencode(".jpg", image[..., ::-1])[1].tobytes()
     kernel = FakeKernel({"MJPG": [(32, 16)]})
     camera = started(kernel)
     kernel.expose(data[:80])
     kernel.expose(data)
     frame = camera.read(0)
-    assert frame is not None and frame.encoding == "rgb8" and np.abs(frame.image.astype(int) - picture).max() < 5
+    assert frame is not None and frame.encoding == "rgb8" and np.abs(frame.image.astype(int) - image).max() < 5
     assert counted(camera) == {"received": 1, "corrupt_jpeg": 1}
 
 

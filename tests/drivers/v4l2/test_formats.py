@@ -20,7 +20,7 @@ SIZE = (24, 10)
 
 
 def encoded(code: str, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """What a camera of this format sends for a picture: (H, bytes of a row)."""
+    """What a camera of this format sends for an image: (H, bytes of a row)."""
     form = formats.FORMATS[code]
     height = rgb.shape[0]
     if form.encoding == "rgb8":
@@ -89,7 +89,7 @@ def test_padding_of_rows_changes_nothing(form: formats.PixelFormat, seed: int, p
 
 
 @pytest.mark.parametrize("form", UNCOMPRESSED, ids=lambda form: form.fourcc)
-def test_the_picture_is_a_copy_of_its_own(form: formats.PixelFormat) -> None:
+def test_the_image_is_a_copy_of_its_own(form: formats.PixelFormat) -> None:
     memory = bytearray(encoded(form.fourcc, constant((200, 100, 50))).tobytes())
     image = form.convert(memoryview(memory), formats.Layout(SIZE, len(memory) // SIZE[1]))
     before = image.copy()
@@ -98,7 +98,7 @@ def test_the_picture_is_a_copy_of_its_own(form: formats.PixelFormat) -> None:
 
 
 @pytest.mark.parametrize("form", UNCOMPRESSED, ids=lambda form: form.fourcc)
-def test_one_byte_too_few_is_no_picture(form: formats.PixelFormat) -> None:
+def test_one_byte_too_few_is_no_image(form: formats.PixelFormat) -> None:
     data = encoded(form.fourcc, constant((1, 2, 3))).tobytes()
     with pytest.raises(formats.CorruptFrame) as caught:
         form.convert(memoryview(data)[:-1], formats.Layout(SIZE, len(data) // SIZE[1]))

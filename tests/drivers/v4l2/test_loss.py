@@ -116,7 +116,7 @@ def test_a_camera_of_another_program_is_said_to_be_so() -> None:
     ("capabilities", "said"),
     [
         (v.CAP_VIDEO_CAPTURE_MPLANE | v.CAP_STREAMING, "multi-planar"),
-        (v.CAP_STREAMING, "gives no pictures"),
+        (v.CAP_STREAMING, "gives no images"),
         (v.CAP_VIDEO_CAPTURE, "cannot map"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Small rendered sets: a quarter of the standard rig each way, every picture with a noise of its own."""
+"""Small rendered sets: a quarter of the standard rig each way, every image with a noise of its own."""
 
 import functools
 from math import pi
@@ -34,11 +34,11 @@ def made(mode, encoding="rgb8", optics=OPTICS, **options):
 
 @functools.cache
 def taken(mode, encoding="rgb8", scene="mixed", optics=OPTICS):
-    """Left and right pictures of a scene at rest."""
+    """Left and right images of a scene at rest."""
     stage = Stage(LAYOUT, build(scene), optics, encoding=encoding)
     response = LAYOUT.calibration_for(optics).response if optics.precorrected else None
     return _sides(
-        stage.pictures(stage.counts(np.ascontiguousarray(frame.picture(response))), 10 + k)
+        stage.images(stage.counts(np.ascontiguousarray(frame.image(response))), 10 + k)
         for k, frame in enumerate(sequence(mode).frames)
     )
 
@@ -50,14 +50,14 @@ def truth(scene="mixed"):
 
 @functools.cache
 def in_motion(mode, speed_m_s):
-    """Left and right pictures of a plane that moves away from the rig, each taken at its own time."""
+    """Left and right images of a plane that moves away from the rig, each taken at its own time."""
     motion = Motion(swing_mm=(0.0, 0.0, 400.0))
     shape = plane().placed((0, 0, 0), albedo=0.8, motion=motion)
     scene = Scene("moving plane", (shape,), period_s=2 * pi * 0.4 / speed_m_s)
     pairs = []
     for k, frame in enumerate(sequence(mode).frames):
         stage = Stage(LAYOUT, scene, OPTICS, instants_s=(k / RATE_HZ,))
-        pairs.append(stage.pictures(stage.counts(np.ascontiguousarray(frame.picture())), 10 + k))
+        pairs.append(stage.images(stage.counts(np.ascontiguousarray(frame.image())), 10 + k))
     return _sides(pairs)
 
 

@@ -60,7 +60,7 @@ def test_a_bit_is_two_levels_of_light():
     assert set(np.unique(light[..., 0])) == {8.0, 192.0}
     assert not light[..., 1].any()
     response = Response(np.arange(256.0), np.tile((np.arange(256) / 255) ** 2.2, (3, 1)))
-    sent = response.light(bit.picture(response).astype(float))
+    sent = response.light(bit.image(response).astype(float))
     assert np.abs(sent - light).max() < 1.5
     assert (replace(bit, inverted=True).light()[..., 0] == 200 - light[..., 0]).all()
     assert GrayBit((3, 16), 0, 1, axis="y").light()[:8].max() == 8.0

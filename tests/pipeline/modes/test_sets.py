@@ -1,9 +1,9 @@
-"""Sets of pictures become clouds that are true, by every mode and every kind of camera."""
+"""Sets of images become clouds that are true, by every mode and every kind of camera."""
 
 import numpy as np
 import pytest
 
-from pipeline.common.errors import CalibrationError, PatternError, PictureError
+from pipeline.common.errors import CalibrationError, ImageError, PatternError
 from pipeline.common.settings import Settings
 from pipeline.multi_frame.set_reconstructor import SetReconstructor
 from pipeline.pattern.mode_sequences import MODES, mode_sequence
@@ -48,7 +48,7 @@ def test_what_moves_is_unknown_rather_than_wrong(mode, speed_m_s):
     assert reconstructor.reconstruct(*taken(mode)).points > 0.5 * cloud.gray.size
 
 
-def test_two_colours_measure_with_pictures_of_one_instant():
+def test_two_colours_measure_with_images_of_one_instant():
     cloud = made("two_color").reconstruct(*in_motion("two_color", 0.1))
     known = np.isfinite(cloud.xyz[..., 2])
     assert known.mean() > 0.8
@@ -111,13 +111,13 @@ def test_a_projector_that_was_moved_is_found_again():
     assert score(cloud.xyz, truth()).reconstructed > 0.88
 
 
-def test_pictures_that_do_not_fit_are_refused_by_name():
+def test_images_that_do_not_fit_are_refused_by_name():
     reconstructor, (lefts, rights) = made("heterodyne"), taken("heterodyne")
-    with pytest.raises(PictureError, match="11 right pictures of a set of 12"):
+    with pytest.raises(ImageError, match="11 right images of a set of 12"):
         reconstructor.reconstruct(lefts, rights[1:])
-    with pytest.raises(PictureError, match="left picture 3 of the set is uint16"):
+    with pytest.raises(ImageError, match="left image 3 of the set is uint16"):
         reconstructor.reconstruct([*lefts[:3], lefts[3].astype(np.uint16), *lefts[4:]], rights)
-    with pytest.raises(PictureError, match="1 left pictures of a set of 2"):
+    with pytest.raises(ImageError, match="1 left images of a set of 2"):
         made("two_color").reconstruct(lefts[:1], rights[:1])
 
 
@@ -125,9 +125,9 @@ def test_what_cannot_be_measured_with_is_refused():
     calibration, volume = LAYOUT.calibration_for(OPTICS), LAYOUT.volume()
     with pytest.raises(CalibrationError, match=r"pattern\.size"):
         SetReconstructor(calibration, mode_sequence("gray", (640, 480), periods=40), volume)
-    with pytest.raises(PictureError, match="encoding 'yuv'"):
+    with pytest.raises(ImageError, match="encoding 'yuv'"):
         SetReconstructor(calibration, sequence("gray"), volume, encoding="yuv")
-    with pytest.raises(PictureError, match="no three colours"):
+    with pytest.raises(ImageError, match="no three colours"):
         SetReconstructor(calibration, sequence("two_color"), volume, encoding="mono8")
     with pytest.raises(PatternError, match="one fringe"):
         from pipeline.pattern.sequence import Sequence
@@ -137,6 +137,6 @@ def test_what_cannot_be_measured_with_is_refused():
 
 def test_an_empty_scene_gives_no_points():
     for mode in MODES:
-        dark = [np.full_like(picture, 5) for picture in taken(mode)[0]]
+        dark = [np.full_like(image, 5) for image in taken(mode)[0]]
         cloud = made(mode).reconstruct(dark, dark)
         assert cloud.points == cloud.moved == 0

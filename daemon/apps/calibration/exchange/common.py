@@ -89,13 +89,13 @@ def named(name: str) -> Iterator[None]:
 
 
 def fewer_terms(device: CameraModel, *, k3: bool) -> tuple[CameraModel, float]:
-    """The device without skew, and without k3 unless asked for, fitted to its picture.
+    """The device without skew, and without k3 unless asked for, fitted to its image.
 
     Pixels are linear in fx, cx and in their products with the coefficients; the fit keeps the focal lengths and
     the principal point and finds the coefficients.
 
     Returns:
-        The device, and the largest distance in pixels between its picture and the true one.
+        The device, and the largest distance in pixels between its image and the true one.
     """
     bare = device.matrix.copy()
     bare[0, 1] = 0.0
@@ -123,4 +123,4 @@ def lost(side: str, error_px: float, form: str, terms: str) -> list[str]:
     """The sentence about terms that a format cannot hold; none where nothing was lost."""
     if error_px == 0.0:
         return []
-    return [f"{side}: {form} holds no {terms}; without, its picture differs by up to {error_px:.3f} px"]
+    return [f"{side}: {form} holds no {terms}; without, its image differs by up to {error_px:.3f} px"]

@@ -123,7 +123,7 @@ def _size(values: dict[str, Array], number: int, name: str, size: tuple[int, int
     if "image_width" in values and "image_height" in values:
         return int(values["image_width"][0]), int(values["image_height"][0])
     if size is None:
-        raise SourceError(f"{name}: it does not tell the size of the pictures; give --size WIDTHxHEIGHT")
+        raise SourceError(f"{name}: it does not tell the size of the images; give --size WIDTHxHEIGHT")
     return size
 
 

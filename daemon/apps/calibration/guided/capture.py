@@ -1,4 +1,4 @@
-"""Pictures of a sequence as the cameras gave them, and who can take them."""
+"""Images of a sequence as the cameras gave them, and who can take them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def unheard(done: int, of: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shots:
-    """One pair of raw pictures a frame of a sequence.
+    """One pair of raw images a frame of a sequence.
 
     Args:
         encoding: as of :class:`drivers.protocols.Frame`.
@@ -30,13 +30,13 @@ class Shots:
 
     @property
     def sizes(self) -> dict[str, tuple[int, int]]:
-        """(width, height) of each camera's pictures."""
+        """(width, height) of each camera's images."""
         left, right = self.pairs[0]
         return {"left": (left.shape[1], left.shape[0]), "right": (right.shape[1], right.shape[0])}
 
 
 class Shooter(Protocol):
-    """Shows pictures on the projector and takes pairs that surely show them."""
+    """Shows images on the projector and takes pairs that surely show them."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -64,4 +64,4 @@ class Shooter(Protocol):
         """Let the simulated hand move the board on; False once it has shown all its poses, or where there is none."""
 
     def close(self) -> None:
-        """Let go of everything; the last picture does not stay."""
+        """Let go of everything; the last image does not stay."""

@@ -16,7 +16,7 @@ from daemon.recording.read.take_reader import TakeReader
 from pipeline.pattern.sequence import Sequence
 
 HOLD_S = 20.0
-"""So long the daemon keeps the last picture between two captures; longer pauses only cost the time to begin again."""
+"""So long the daemon keeps the last image between two captures; longer pauses only cost the time to begin again."""
 _POLL_S = 0.03
 _LONGEST_SILENCE_S = 120.0
 
@@ -113,5 +113,5 @@ def _read(path: Path, frames: int) -> Shots:
         numbers = [pair.sequence for pair in pairs]
         if numbers != list(range(frames)):
             first = numbers[0] if numbers else 0
-            raise DaemonError(f"{path}: {len(pairs)} of {frames} pictures are there, numbered from {first}")
+            raise DaemonError(f"{path}: {len(pairs)} of {frames} images are there, numbered from {first}")
     return Shots(pairs[0].encoding, tuple((pair.left, pair.right) for pair in pairs))

@@ -31,7 +31,7 @@ class DeviceShooter:
     Args:
         devices: cameras and projector as :func:`daemon.rig.open_rig.open_devices` gives them, closed; closed again at
             the end.
-        config: of the rig, for its pairing. response: of the projector, for pictures that are given as light.
+        config: of the rig, for its pairing. response: of the projector, for images that are given as light.
 
     Raises:
         DriverError: no projector. DaemonError: a camera does not come.
@@ -91,7 +91,7 @@ class DeviceShooter:
         """A pair for each frame, see :class:`daemon.apps.calibration.guided.capture.Shooter`."""
         pairs: list[Pair] = []
         try:
-            for pair in self._shooting.each(frame.picture(self._response) for frame in sequence.frames):
+            for pair in self._shooting.each(frame.image(self._response) for frame in sequence.frames):
                 pairs.append(pair)
                 progress(len(pairs), len(sequence))
         except DriverError as error:
@@ -105,7 +105,7 @@ class DeviceShooter:
         if getattr(self._devices.projector, "latency_s", None) is not None:
             return ()
         return (
-            "the projector's latency is not known, so every picture is waited for the longer; "
+            "the projector's latency is not known, so every image is waited for the longer; "
             "`fringed projector latency RIG --write` measures it",
         )
 

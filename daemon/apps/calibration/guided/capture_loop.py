@@ -10,7 +10,7 @@ from typing import Protocol
 from daemon.apps.calibration.guided.capture import Progress, Shooter, Shots
 from daemon.apps.calibration.guided.session_folder import SessionFolder
 from daemon.apps.calibration.guided.session_state import Found, Limits, Session, Sight, State, Told
-from daemon.apps.calibration.images.image_files import Picture, unpacked
+from daemon.apps.calibration.images.image_files import Image, unpacked
 from daemon.apps.calibration.views.open_source import white_frame
 from daemon.common.errors import DaemonError
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
@@ -21,7 +21,7 @@ from pipeline.common.errors import TargetError
 from pipeline.pattern.sequence import Sequence
 
 Probe = tuple[Sequence, Callable[[Shots], str]]
-Find = Callable[[Picture, Board], Found]
+Find = Callable[[Image, Board], Found]
 _MOST_LOOKS, _MOST_STEADY = 20, 4
 """A simulated hand leaves a pose that became no view after more looks, and after more times the steady time."""
 MOST_FAILURES = 5
@@ -30,9 +30,9 @@ MOST_FAILURES = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What there is to show after a look: pictures by camera, what was found in them, and what to do."""
+    """What there is to show after a look: images by camera, what was found in them, and what to do."""
 
-    pictures: dict[str, Picture]
+    images: dict[str, Image]
     sight: Sight
     told: Told
     session: Session
@@ -81,12 +81,12 @@ def guide(
 ) -> Outcome:
     """Capture a sequence at pose after pose of the board.
 
-    Between the captures the brightest even picture of the sequence is shown, on which the marks are found. Every view
+    Between the captures the brightest even image of the sequence is shown, on which the marks are found. Every view
     is on the disk as soon as it is accepted, so whatever ends the session, nothing of it is lost.
 
     Args:
         folder: of this session, new. find: finds the marks.
-        probe: pictures that are taken before each capture, and what says what is wrong with them.
+        probe: images that are taken before each capture, and what says what is wrong with them.
         stopped: asked between looks.
 
     Raises:
@@ -112,16 +112,16 @@ def guide(
             continue
         failures = 0
         session = session or Session(board, shots.sizes, limits=limits, frames=len(sequence))
-        pictures, sight = sighted(shots, 0, board, find, clock)
+        images, sight = sighted(shots, 0, board, find, clock)
         told = session.look(sight)
-        watcher.seen(Scene(pictures, sight, told, session))
+        watcher.seen(Scene(images, sight, told, session))
         if told.capture:
             problem = _problem(shooter, probe)
             if problem:
                 told = session.failed(problem)
             else:
                 pending, told = _capture(shooter, sequence, session, board, find, clock, watcher.capturing)
-            watcher.seen(Scene(pictures, sight, told, session))
+            watcher.seen(Scene(images, sight, told, session))
         if told.accepted is not None and pending is not None:
             kept.add(pending)
             pending = None
@@ -137,7 +137,7 @@ def guide(
                 if not shooter.next_pose():
                     break
     if session is None:
-        return Outcome(folder, 0, False, "no picture came")
+        return Outcome(folder, 0, False, "no image came")
     complete = kept.views >= session.limits.wanted and not session.missing
     return Outcome(folder, kept.views, complete, "; ".join(session.missing))
 
@@ -167,17 +167,17 @@ def _capture(
     return shots, session.captured(sighted(shots, white_frame(sequence), board, find, clock)[1])
 
 
-def sighted(shots: Shots, frame: int, board: Board, find: Find, clock: Clock) -> tuple[dict[str, Picture], Sight]:
-    """Both cameras' pictures of one frame, and the marks in them."""
+def sighted(shots: Shots, frame: int, board: Board, find: Find, clock: Clock) -> tuple[dict[str, Image], Sight]:
+    """Both cameras' images of one frame, and the marks in them."""
     t_s = clock.monotonic_ns() / 1e9
-    pictures: dict[str, Picture] = {
+    images: dict[str, Image] = {
         side: unpacked(raw, shots.encoding) for side, raw in zip(SIDES, shots.pairs[frame], strict=True)
     }
     found: dict[str, Found] = {}
     problems: dict[str, str] = {}
-    for side, picture in pictures.items():
+    for side, image in images.items():
         try:
-            found[side] = find(picture, board)
+            found[side] = find(image, board)
         except TargetError as error:
             problems[side] = str(error).rstrip(".")
-    return pictures, Sight(t_s, found, problems)
+    return images, Sight(t_s, found, problems)

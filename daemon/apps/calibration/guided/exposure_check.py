@@ -16,11 +16,11 @@ def full_light(size: tuple[int, int]) -> Sequence:
 
 def exposure_problem(shots: Shots) -> str:
     """What is wrong with the exposure under :func:`full_light`; empty when all is well."""
-    for side, pictures in zip(("left", "right"), zip(*shots.pairs, strict=True), strict=True):
+    for side, images in zip(("left", "right"), zip(*shots.pairs, strict=True), strict=True):
         for k, name in enumerate(CHANNELS):
-            if pictures[k].dtype != np.uint8 or shots.encoding == "mono8":
+            if images[k].dtype != np.uint8 or shots.encoding == "mono8":
                 return f"the cameras send {shots.encoding}; colours need rgb8 or a mosaic of 8 bits"
-            plane = planes_of(pictures[k], shots.encoding)[..., k]
+            plane = planes_of(images[k], shots.encoding)[..., k]
             top = float(np.percentile(plane, 98))
             if top < LEAST_PEAK:
                 return (

@@ -1,4 +1,4 @@
-"""Where the board's outline would be in the left picture at a pose that is wished for."""
+"""Where the board's outline would be in the left image at a pose that is wished for."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ USUAL_FOCAL = 3.0
 """Focal length in image widths; :mod:`pipeline.calibrate.bundle.quality.view_coverage` assumes it for a single view."""
 _MARGIN = 0.03
 _USUAL_SHARE = 0.6
-"""Part of the picture's width that the board fills where nothing is known yet."""
+"""Part of the image's width that the board fills where nothing is known yet."""
 
 
 def outline(board: Board, pose: Pose, size: tuple[int, int], *, distance_mm: float | None = None) -> Array:
     """Corners of the marks' rectangle, first one again at the end, (5, 2), px; with a usual focal length.
 
     Args:
-        pose: wished for. size: (width, height) of the picture.
+        pose: wished for. size: (width, height) of the image.
         distance_mm: usual distance so far, as :mod:`pipeline.calibrate.bundle.quality.view_coverage` tells it; None =
             nothing was seen yet.
     """
@@ -40,7 +40,7 @@ def outline(board: Board, pose: Pose, size: tuple[int, int], *, distance_mm: flo
 
 
 def within(corners: Array, size: tuple[int, int]) -> Array:
-    """An outline moved, and made smaller where that is not enough, until all of it is in the picture."""
+    """An outline moved, and made smaller where that is not enough, until all of it is in the image."""
     room = np.array(size) * (1 - 2 * _MARGIN)
     extent = np.ptp(corners, axis=0)
     middle = (corners.max(axis=0) + corners.min(axis=0)) / 2

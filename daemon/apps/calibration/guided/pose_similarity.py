@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.calibrate.bundle.quality.view_coverage import Look
 
 PLACE, SIZE, TURN, TILT_DEG = 0.05, 0.03, 0.05, 6.0
-"""Poses that differ by less in all of these are alike: place as a share of the picture, size (relative), foreshortening
+"""Poses that differ by less in all of these are alike: place as a share of the image, size (relative), foreshortening
 (relative), tilt about either axis."""
 
 

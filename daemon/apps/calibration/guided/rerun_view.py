@@ -1,9 +1,9 @@
-"""A session in the Rerun viewer: pictures with the marks, what is covered, the pose to show next, and figures.
+"""A session in the Rerun viewer: images with the marks, what is covered, the pose to show next, and figures.
 
-    pictures/left, right                 what the camera sees, at most 640 pixels wide
-    pictures/.../marks                   found now: green where the look is good, orange where it is not
-    pictures/.../covered                 marks of all views taken
-    pictures/left/next                   outline of the board at the pose to show next
+    images/left, right                 what the camera sees, at most 640 pixels wide
+    images/.../marks                   found now: green where the look is good, orange where it is not
+    images/.../covered                 marks of all views taken
+    images/left/next                   outline of the board at the pose to show next
     figures/sharpness_px/..., saturated/..., motion_px
     advice                               words
 
@@ -76,7 +76,7 @@ class Shown:
                 try:
                     self._log(scene)
                 except Exception:  # a viewer's trouble is not the session's
-                    log.exception("the viewer does not take a picture")
+                    log.exception("the viewer does not take an image")
             elif self._closing.is_set():
                 return
 
@@ -87,16 +87,16 @@ class Shown:
         again = self._covered != len(session.views)
         self._covered = len(session.views)
         good = scene.told.steady > 0 or scene.told.accepted is not None
-        for side, picture in scene.pictures.items():
-            small, scale = shrunk(picture)
-            self._recording.log(f"pictures/{side}", rr.Image(small))
+        for side, image in scene.images.items():
+            small, scale = shrunk(image)
+            self._recording.log(f"images/{side}", rr.Image(small))
             found = scene.sight.found.get(side)
             pixels = found.marks.pixels * scale if found is not None else np.zeros((0, 2))
-            self._points(f"pictures/{side}/marks", pixels, _GOOD if good else _POOR, 2.5)
+            self._points(f"images/{side}/marks", pixels, _GOOD if good else _POOR, 2.5)
             if again:
                 taken = [view.marks[side].pixels * scale for view in session.views if side in view.marks]
                 covered = np.concatenate(taken) if taken else np.zeros((0, 2))
-                self._points(f"pictures/{side}/covered", covered, _COVERED, 1.5)
+                self._points(f"images/{side}/covered", covered, _COVERED, 1.5)
             if found is not None:
                 self._figure(f"sharpness_px/{side}", found.sharpness_px)
                 self._figure(f"saturated/{side}", found.saturated)
@@ -114,7 +114,7 @@ class Shown:
         wished = outline(session.board, session.advice.next_pose, size, distance_mm=session.usual_distance_mm)
         wished = within(wished, size)
         strips = self._rr.LineStrips2D([wished * scale], colors=[_NEXT], radii=[2.0])
-        self._recording.log("pictures/left/next", strips)
+        self._recording.log("images/left/next", strips)
 
     def _advice(self, scene: Scene) -> None:
         self._recording.log("advice", self._rr.TextDocument(advice_text(scene), media_type="text/markdown"))
@@ -141,9 +141,9 @@ def advice_text(scene: Scene) -> str:
     return "\n\n".join(line for line in lines if line)
 
 
-def shrunk(picture: NDArray[Any]) -> tuple[NDArray[np.uint8], float]:
-    """8-bit picture of at most 640 pixels of width, and its scale."""
-    small: Any = picture if picture.dtype == np.uint8 else (picture >> 8).astype(np.uint8)
+def shrunk(image: NDArray[Any]) -> tuple[NDArray[np.uint8], float]:
+    """8-bit image of at most 640 pixels of width, and its scale."""
+    small: Any = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8)
     scale = min(1.0, WIDTH_PX / small.shape[1])
     if scale < 1:
         size = (WIDTH_PX, max(1, round(small.shape[0] * scale)))
@@ -182,7 +182,7 @@ def _opened(kind: Kind, stack: ExitStack, say: Callable[[str], None]) -> Shown |
 def _blueprint() -> Any:
     import rerun.blueprint as rrb
 
-    pictures = rrb.Horizontal(*(rrb.Spatial2DView(origin=f"pictures/{side}", name=side) for side in ("left", "right")))
+    images = rrb.Horizontal(*(rrb.Spatial2DView(origin=f"images/{side}", name=side) for side in ("left", "right")))
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="now", name="now"),
         rrb.TextDocumentView(origin="advice", name="views"),
@@ -196,7 +196,7 @@ def _blueprint() -> Any:
     ]  # fmt: skip
     lower = rrb.Horizontal(words, *figures, column_shares=[2, 1, 1, 1])
     return rrb.Blueprint(
-        rrb.Vertical(pictures, lower, row_shares=[0.65, 0.35]),
+        rrb.Vertical(images, lower, row_shares=[0.65, 0.35]),
         rrb.TimePanel(state="collapsed", timeline="look", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),

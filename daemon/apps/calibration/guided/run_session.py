@@ -1,4 +1,4 @@
-"""A guided session from a rig file to capture folders: finds out who can show pictures, and asks for what is needed."""
+"""A guided session from a rig file to capture folders: finds out who can show images, and asks for what is needed."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def phases(what: What, size: tuple[int, int], *, views: int) -> list[Phase]:
     from pipeline.calibrate.color import color_sequence
 
     color = Phase("color", color_sequence(size), once, (full_light(size), exposure_problem))
-    # Colours first: at the beginning the board faces the rig, and fills the pictures best.
+    # Colours first: at the beginning the board faces the rig, and fills the images best.
     return [color] if what == "color" else [color, Phase("board", projector_sequence(size), still)]
 
 
@@ -178,7 +178,7 @@ def open_shooter(
             f"the daemon at {config.control.endpoint} (version {hello.get('version')}) cannot capture; stop it, or "
             "start it anew with this version"
         )
-    say(f"the running daemon {hello.get('device')} is asked for the pictures")
+    say(f"the running daemon {hello.get('device')} is asked for the images")
     client.close()
     return DaemonShooter(ControlClient(config.control.endpoint, timeout_s=10.0), cancelled=stopped)
 

@@ -1,4 +1,4 @@
-"""A session on disk: every accepted view as pictures, so that it can be solved again without any hardware."""
+"""A session on disk: every accepted view as images, so that it can be solved again without any hardware."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SessionFolder:
         self._sequence = sequence
 
     def add(self, shots: Shots) -> Path:
-        """Write a view; the folder of its pictures, which is there only once all of them are."""
+        """Write a view; the folder of its images, which is there only once all of them are."""
         if self.views == 0:
             self.path.mkdir(parents=True, exist_ok=True)
             described = {"encoding": shots.encoding, "sequence": self._sequence.as_mapping()}
@@ -43,17 +43,17 @@ class SessionFolder:
         unfinished = self.path / f".{place.name}"
         unfinished.mkdir(exist_ok=True)
         for number, pair in enumerate(shots.pairs):
-            for side, picture in zip(("left", "right"), pair, strict=True):
-                (unfinished / f"{side}_{number:02d}.png").write_bytes(png(picture))
+            for side, image in zip(("left", "right"), pair, strict=True):
+                (unfinished / f"{side}_{number:02d}.png").write_bytes(png(image))
         unfinished.rename(place)
         self.views += 1
         return place
 
 
-def png(picture: Pixels) -> bytes:
-    """A PNG file of a raw picture: grey (H, W) or red, green, blue (H, W, 3), 8 or 16 bits."""
-    ordered = picture[..., ::-1] if picture.ndim == 3 else picture
+def png(image: Pixels) -> bytes:
+    """A PNG file of a raw image: grey (H, W) or red, green, blue (H, W, 3), 8 or 16 bits."""
+    ordered = image[..., ::-1] if image.ndim == 3 else image
     done, data = cv2.imencode(".png", np.ascontiguousarray(ordered), [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:
-        raise DaemonError(f"a picture of {picture.shape} {picture.dtype} cannot be written as PNG")
+        raise DaemonError(f"an image of {image.shape} {image.dtype} cannot be written as PNG")
     return bytes(data)

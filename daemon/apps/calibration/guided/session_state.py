@@ -4,7 +4,7 @@
        ^                                      |                          |            |
        +-------------- moved -----------------+--------- failed ---------+-- it moved-+
 
-``checking`` is there for sequences of several pictures: the look after the last of them tells whether the board stood
+``checking`` is there for sequences of several images: the look after the last of them tells whether the board stood
 still all the time.
 """
 
@@ -115,8 +115,8 @@ class Session:
     """Decides when to capture, and when there is enough.
 
     Args:
-        board: what is shown; sizes: (width, height) of each camera's pictures.
-        frames: pictures of the sequence; a view of more than one is checked after the capture.
+        board: what is shown; sizes: (width, height) of each camera's images.
+        frames: images of the sequence; a view of more than one is checked after the capture.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class Session:
         return Told(self.state, "capturing: do not move the board", capture=True, steady=1.0, motion_px=motion)
 
     def captured(self, sight: Sight) -> Told:
-        """The sequence was captured; ``sight`` is that of its white picture."""
+        """The sequence was captured; ``sight`` is that of its white image."""
         problem = self._problem(sight) or self._too_like(sight)
         if problem:
             return self.failed(problem)
@@ -189,7 +189,7 @@ class Session:
         moved = moved_px(pending, sight.marks)
         if moved is None or moved > self.limits.steady_px:
             how = "is gone" if moved is None else f"moved by {moved:.2f} px"
-            return self.failed(f"the board {how} before all pictures were taken; hold it still until the next pose")
+            return self.failed(f"the board {how} before all images were taken; hold it still until the next pose")
         return self._accept(pending)
 
     def _accept(self, marks: dict[str, Marks]) -> Told:
@@ -215,9 +215,7 @@ class Session:
             if len(found.marks) < _LEAST_MARKS:
                 return f"{side} camera: only {len(found.marks)} marks are seen, show at least {_LEAST_MARKS}"
             if found.saturated > self.limits.saturated:
-                return (
-                    f"{side} camera: {found.saturated:.0%} of the picture is clipped; close the aperture or tilt away"
-                )
+                return f"{side} camera: {found.saturated:.0%} of the image is clipped; close the aperture or tilt away"
             if found.sharpness_px > self.limits.blurred_px:
                 return (
                     f"{side} camera: blurred (edges of {found.sharpness_px:.1f} px, limit {self.limits.blurred_px:g}); "
@@ -245,7 +243,7 @@ def moved_px(before: Mapping[str, Marks], after: Mapping[str, Marks]) -> float |
     """How far the marks moved in the camera where that is most; None if there are too few to tell.
 
     The median over the marks of the same number. Boards that look alike after half a turn may be numbered the other way
-    round in the next picture; then what counts is how far the worst marks but 5 % are from any mark of the other look.
+    round in the next image; then what counts is how far the worst marks but 5 % are from any mark of the other look.
     """
     worst = 0.0
     for side, marks in before.items():

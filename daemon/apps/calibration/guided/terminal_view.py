@@ -32,7 +32,7 @@ class Lines:
     def capturing(self, done: int, of: int) -> None:
         """Every fourth part of a long sequence."""
         if of > 1 and (done * 4) // of > ((done - 1) * 4) // of:
-            self._say(f"picture {done} of {of}")
+            self._say(f"image {done} of {of}")
 
     def trouble(self, text: str) -> None:
         """Say it."""
@@ -76,7 +76,7 @@ class Bars:
 
     def capturing(self, done: int, of: int) -> None:
         """The sequence's bar."""
-        self._bars.update(self._now, completed=done, total=of, name="pictures", description=f"{done} of {of}")
+        self._bars.update(self._now, completed=done, total=of, name="images", description=f"{done} of {of}")
 
     def trouble(self, text: str) -> None:
         """In the place of the instruction."""

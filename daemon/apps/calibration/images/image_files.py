@@ -1,4 +1,4 @@
-"""Pictures from files: bounded, 8 or 16 bits, grey or red-green-blue."""
+"""Images from files: bounded, 8 or 16 bits, grey or red-green-blue."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.apps.calibration.images.image_size import picture_size
+from daemon.apps.calibration.images.image_size import image_size
 from daemon.common.bounded import read_at_most
 
-Picture = NDArray[Any]
+Image = NDArray[Any]
 
 FILE_LIMIT = 1 << 28
 LEAST_SIDE, MOST_SIDE = 64, 16384
 MOST_PIXELS = 1 << 27
-MOST_PICTURES = 1000
+MOST_IMAGES = 1000
 
 
-def read_picture(path: Path) -> Picture:
+def read_image(path: Path) -> Image:
     """The pixels of a PNG, JPEG, TIFF or BMP file, (H, W) or (H, W, 3) red, green, blue, uint8 or uint16.
 
     Raises:
@@ -31,9 +31,9 @@ def read_picture(path: Path) -> Picture:
     data = read_at_most(path, FILE_LIMIT, SourceError)
     if not data:
         raise SourceError(f"{path}: the file is empty")
-    size = picture_size(data)
+    size = image_size(data)
     if size is None:
-        raise SourceError(f"{path}: not a picture that can be read; expected a PNG, JPEG, TIFF or BMP file")
+        raise SourceError(f"{path}: not an image that can be read; expected a PNG, JPEG, TIFF or BMP file")
     width, height = size
     if min(size) < LEAST_SIDE or max(size) > MOST_SIDE or width * height > MOST_PIXELS:
         raise SourceError(
@@ -43,18 +43,18 @@ def read_picture(path: Path) -> Picture:
     return _pixels(path, data, size)
 
 
-def _pixels(path: Path, data: bytes, size: tuple[int, int]) -> Picture:
+def _pixels(path: Path, data: bytes, size: tuple[int, int]) -> Image:
     try:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
-        picture = None
-    if picture is None or picture.shape[1::-1] != size:
-        raise SourceError(f"{path}: the picture is damaged or cut off; copy or take it again")
-    if picture.dtype not in (np.uint8, np.uint16):
-        raise SourceError(f"{path}: pixels of type {picture.dtype}; expected 8 or 16 bits")
-    if picture.ndim == 2:
-        return picture
-    return np.ascontiguousarray(picture[..., 2::-1])  # blue-green-red in OpenCV; a fourth channel is transparency
+        image = None
+    if image is None or image.shape[1::-1] != size:
+        raise SourceError(f"{path}: the image is damaged or cut off; copy or take it again")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise SourceError(f"{path}: pixels of type {image.dtype}; expected 8 or 16 bits")
+    if image.ndim == 2:
+        return image
+    return np.ascontiguousarray(image[..., 2::-1])  # blue-green-red in OpenCV; a fourth channel is transparency
 
 
 def matching(pattern: str, what: str) -> list[Path]:
@@ -63,8 +63,8 @@ def matching(pattern: str, what: str) -> list[Path]:
     found = [path for path in found if path.is_file()]
     if not found:
         raise SourceError(f"{what} {pattern}: no file has such a name")
-    if len(found) > MOST_PICTURES:
-        raise SourceError(f"{what} {pattern}: {len(found)} files, at most {MOST_PICTURES} are read; name fewer")
+    if len(found) > MOST_IMAGES:
+        raise SourceError(f"{what} {pattern}: {len(found)} files, at most {MOST_IMAGES} are read; name fewer")
     return found
 
 
@@ -76,21 +76,21 @@ _DEMOSAIC = {
 }
 
 
-def unpacked(raw: Picture, encoding: str) -> Picture:
-    """A sensor's picture as grey or red-green-blue pixels; a mosaic is demosaiced, which is enough to find marks."""
+def unpacked(raw: Image, encoding: str) -> Image:
+    """A sensor's image as grey or red-green-blue pixels; a mosaic is demosaiced, which is enough to find marks."""
     code = _DEMOSAIC.get(encoding)
     if code is None:
         return raw
-    if raw.dtype == np.float32:  # a mean of pictures; OpenCV demosaics integers only
+    if raw.dtype == np.float32:  # a mean of images; OpenCV demosaics integers only
         return np.asarray(cv2.cvtColor(np.clip(np.rint(raw * 256), 0, 65535).astype(np.uint16), code))
     return np.asarray(cv2.cvtColor(raw, code))
 
 
-def as_raw(picture: Picture, encoding: str, name: str) -> Picture:
-    """The pixels of a file that holds a sensor's picture; SourceError unless they are what ``encoding`` says."""
+def as_raw(image: Image, encoding: str, name: str) -> Image:
+    """The pixels of a file that holds a sensor's image; SourceError unless they are what ``encoding`` says."""
     depth = np.uint16 if encoding == "mono16" else np.uint8
     dimensions = 3 if encoding == "rgb8" else 2
-    if picture.dtype != depth or picture.ndim != dimensions:
-        kind = "colour" if picture.ndim == 3 else "grey"
-        raise SourceError(f"{name}: {kind} picture of {picture.dtype}, which is not {encoding} as capture.json says")
-    return picture
+    if image.dtype != depth or image.ndim != dimensions:
+        kind = "colour" if image.ndim == 3 else "grey"
+        raise SourceError(f"{name}: {kind} image of {image.dtype}, which is not {encoding} as capture.json says")
+    return image

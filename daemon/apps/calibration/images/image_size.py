@@ -1,4 +1,4 @@
-"""Width and height in the head of a picture file, so that nothing is unpacked before its size is known."""
+"""Width and height in the head of an image file, so that nothing is unpacked before its size is known."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import struct
 _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
-def picture_size(data: bytes) -> tuple[int, int] | None:
+def image_size(data: bytes) -> tuple[int, int] | None:
     """(width, height) of a PNG, JPEG, TIFF or BMP; None if it is none of them or cut off in its head."""
     try:
         if data.startswith(b"\x89PNG\r\n\x1a\n"):

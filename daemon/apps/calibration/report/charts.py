@@ -1,4 +1,4 @@
-"""The report's drawings as inline SVG; coordinates of pictures are pixels, (0, 0) the centre of the first one."""
+"""The report's drawings as inline SVG; coordinates of images are pixels, (0, 0) the centre of the first one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COLORS = {"left": BLUE, "right": "#b0541a", "projector": "#6a3fa0"}
 
 
 def vector_scale(misfits: Sequence[Array], width: int) -> float:
-    """A round factor by which residuals are drawn, so that most are some hundredths of the picture's width."""
+    """A round factor by which residuals are drawn, so that most are some hundredths of the image's width."""
     lengths = np.concatenate([np.linalg.norm(misfit, axis=1) for misfit in misfits] or [np.empty(0)])
     if not len(lengths) or not (long := float(np.quantile(lengths, 0.95))) > 0:
         return 1.0
@@ -27,19 +27,19 @@ def vector_scale(misfits: Sequence[Array], width: int) -> float:
     return float(power * max(n for n in (1, 2, 5) if n * power <= raw * (1 + 1e-9)))
 
 
-def view_picture(
+def view_image(
     size: tuple[int, int], jpeg: bytes, used: Array, misfit: Array, left_out: Array, *, scale: float, color: str
 ) -> str:
     """A view with its marks, and from each a line to where the model would have it, drawn ``scale`` times as long.
 
     Args:
-        size: (width, height) of the picture, pixels; jpeg: the picture, of any size.
+        size: (width, height) of the image, pixels; jpeg: the image, of any size.
         used, misfit: (n, 2) marks and measured minus predicted; left_out: (m, 2) marks that were not used.
     """
     width, height = size
     thin = width / 300
     href = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}" if jpeg else ""
-    picture = f'<image href="{href}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>' if jpeg else ""
+    image = f'<image href="{href}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>' if jpeg else ""
     ends = used - scale * misfit
     dots = "".join(f"M{u:.1f} {v:.1f}h0" for u, v in used)
     lines = "".join(f"M{u:.1f} {v:.1f}L{x:.1f} {y:.1f}" for (u, v), (x, y) in zip(used, ends, strict=True))
@@ -51,7 +51,7 @@ def view_picture(
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-0.5 -0.5 {width} {height}" role="img">'
-        f'<rect x="-0.5" y="-0.5" width="{width}" height="{height}" fill="#10151b"/>{picture}'
+        f'<rect x="-0.5" y="-0.5" width="{width}" height="{height}" fill="#10151b"/>{image}'
         f'<path d="{dots}" stroke="{color}" stroke-width="{2.6 * thin:.2f}" stroke-linecap="round" fill="none"/>'
         f'<path d="{lines}" stroke="#ff4d3d" stroke-width="{1.1 * thin:.2f}" fill="none"/>'
         f'<path d="{crosses}" stroke="{AMBER}" stroke-width="{1.3 * thin:.2f}" fill="none"/></svg>'

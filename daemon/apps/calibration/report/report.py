@@ -9,7 +9,7 @@ from html import escape
 
 import numpy as np
 
-from daemon.apps.calibration.report.charts import COLORS, coverage_map, histogram, vector_scale, view_bars, view_picture
+from daemon.apps.calibration.report.charts import COLORS, coverage_map, histogram, vector_scale, view_bars, view_image
 from daemon.apps.calibration.views.detect_marks import Seen
 from daemon.common.html_page import Card, figure, items, page, table
 from pipeline.calibrate.bundle import Solution
@@ -17,8 +17,8 @@ from pipeline.calibrate.bundle.quality.solution_figures import INTRINSICS, POSE,
 from pipeline.rig.calibration import Cameras
 
 _EMPTY = np.empty((0, 2))
-MOST_PICTURES = 60
-"""Pictures in a report; each takes some 50 kilobytes."""
+MOST_IMAGES = 60
+"""Images in a report; each takes some 50 kilobytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,8 @@ class Report:
 
     Args:
         title, created, board, sources: for the head of the page.
-        solution: with its residuals; seen: the pictures.
-        coverage: share of each device's picture that saw marks.
+        solution: with its residuals; seen: the images.
+        coverage: share of each device's image that saw marks.
         cameras: as they are written to the file; before: those of the file that was there, ``before_name`` its date.
         notes: sentences about what was done; advice: sentences about what would make it better.
     """
@@ -63,7 +63,7 @@ def report_html(report: Report) -> bytes:
         ("Coverage", _coverage(solution)),
         ("Residuals", _residuals(solution)),
         ("Parameters", _parameters(report)),
-        ("Pictures", _pictures(report)),
+        ("Images", _images(report)),
     ]
     return page(report.title, [line for line in lines if line], _cards(report), sections)
 
@@ -110,7 +110,7 @@ def _left_out(report: Report) -> str:
         rows.append((rejection.view, rejection.device or "all", marks, why))
     rows += [("", "", "", problem) for problem in report.problems]
     if not rows:
-        return "<p>Nothing: every mark of every picture was used.</p>"
+        return "<p>Nothing: every mark of every image was used.</p>"
     return table(("view", "device", "marks", "why"), rows, text=range(4))
 
 
@@ -191,7 +191,7 @@ def _table(report: Report, before: Mapping[str, float], heading: str, names: Seq
     return f"<div><h3>{escape(heading)}</h3>{table(head, rows, out=out)}</div>"
 
 
-def _pictures(report: Report) -> str:
+def _images(report: Report) -> str:
     scale = _common_scale(report.solution)
     out = []
     shown, rest = _worst(report)
@@ -203,23 +203,23 @@ def _pictures(report: Report) -> str:
             marks = seen.found.marks
             kept = np.isin(marks.ids, residuals.ids) if residuals is not None else np.zeros(len(marks), np.bool_)
             left_out = marks.pixels[~kept] if residuals is None or len(used) < len(marks) else _EMPTY
-        svg = view_picture(seen.size, seen.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
+        svg = view_image(seen.size, seen.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
         out.append(figure(svg, _caption(seen, used, misfit)))
     text = (
         f"Green: marks used; red lines: from each to where the calibrated model puts it, drawn {scale:g} times as "
         "long; amber crosses: marks left out."
     )
-    text += f" The worst views are shown, {rest} pictures are not." if rest else ""
+    text += f" The worst views are shown, {rest} images are not." if rest else ""
     return f'<p>{text}</p><div class="grid">{"".join(out)}</div>'
 
 
 def _worst(report: Report) -> tuple[list[Seen], int]:
-    """The pictures to show, in order: all of them, or the ones of the worst views; and how many are not shown."""
-    if len(report.seen) <= MOST_PICTURES:
+    """The images to show, in order: all of them, or the ones of the worst views; and how many are not shown."""
+    if len(report.seen) <= MOST_IMAGES:
         return list(report.seen), 0
     errors = {view.name: max(view.rms.values(), default=np.inf) for view in view_figures(report.solution)}
     views = sorted({seen.view for seen in report.seen}, key=lambda name: -errors.get(name, np.inf))
-    chosen = set(views[: MOST_PICTURES // 2])
+    chosen = set(views[: MOST_IMAGES // 2])
     shown = [seen for seen in report.seen if seen.view in chosen]
     return shown, len(report.seen) - len(shown)
 

@@ -53,8 +53,8 @@ def present(path: Path) -> CamerasFile | None:
 def better_reasons(new: Mapping[str, Any], old: CamerasFile, *, loses_projector: bool) -> list[str]:
     """Why the old calibration is better than the new one, in words; empty if it is not.
 
-    Compared are the errors in pixels and the share of the pictures in which marks were seen: errors fall when the
-    marks keep to the middle of the picture, so that neither says enough alone. What the old file does not tell is
+    Compared are the errors in pixels and the share of the images in which marks were seen: errors fall when the
+    marks keep to the middle of the image, so that neither says enough alone. What the old file does not tell is
     not compared, but a calibration of known quality is better than one that tells none.
     """
     before = old.mapping.get("quality")
@@ -67,9 +67,7 @@ def better_reasons(new: Mapping[str, Any], old: CamerasFile, *, loses_projector:
     for side in ("left", "right"):
         was, now = _number(before, f"coverage_{side}"), _number(new, f"coverage_{side}")
         if was is not None and now is not None and now < was - COVERAGE_BY:
-            reasons.append(
-                f"the marks would cover {100 * now:.0f} % instead of {100 * was:.0f} % of the {side} picture"
-            )
+            reasons.append(f"the marks would cover {100 * now:.0f} % instead of {100 * was:.0f} % of the {side} image")
     for side in ("left", "right"):
         was, now = _phase_error(before, side), _phase_error(new, side)
         if was is not None and now is not None and now > max(WORSE_BY * was, was + FLOOR_RAD):

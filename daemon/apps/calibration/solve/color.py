@@ -1,4 +1,4 @@
-"""The colour step: pictures of a white board under even and striped light, into a calibration that has its geometry."""
+"""The colour step: images of a white board under even and striped light, into a calibration that has its geometry."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daemon.apps.calibration.solve.solve import with_colors as _with_colors
 from daemon.apps.calibration.views.open_source import Progress, Source
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
 from pipeline.calibrate.color import ColorSolution, calibrate_color
-from pipeline.common.errors import PatternError, PictureError
+from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.sequence import Sequence as Frames
 from pipeline.pattern.sequence import Uniform
 from pipeline.rig.calibration import Calibration, Cameras
@@ -60,7 +60,7 @@ def colored(path: Path, sources: Sequence[Source], progress: Progress) -> Colore
 
     Raises:
         CalibrationError: the file has no projector yet.
-        SourceError, PictureError, PatternError: what is wrong with the pictures.
+        SourceError, ImageError, PatternError: what is wrong with the images.
     """
     file = read_calibration(path)
     solution = solved(sources, progress, file.calibration)
@@ -97,7 +97,7 @@ def solved(sources: Sequence[Source], progress: Progress, calibration: Calibrati
             raise SourceError(f"{source.name}: another sequence than {sources[0].name}; colours need one and the same")
         for view in source.views(progress):
             if encoding and view.encoding != encoding:
-                raise SourceError(f"{view.files[0]}: {view.encoding}, the pictures before are {encoding}")
+                raise SourceError(f"{view.files[0]}: {view.encoding}, the images before are {encoding}")
             encoding = view.encoding
             if len(pairs) < MOST_PASSES * len(sequence):
                 pairs += list(zip(view.left, view.right, strict=True))
@@ -105,7 +105,7 @@ def solved(sources: Sequence[Source], progress: Progress, calibration: Calibrati
         raise SourceError(f"{names}: no view has all frames of the sequence")
     try:
         return calibrate_color(pairs, sequence, encoding=encoding, calibration=calibration)
-    except (PictureError, PatternError) as error:
+    except (ImageError, PatternError) as error:
         raise type(error)(f"{names}: {error}") from error
 
 

@@ -22,7 +22,7 @@ def with_old_colors(new: Cameras, old: CamerasFile | None) -> tuple[Cameras, lis
     notes = []
     sides = ("left", "right")
     if any(getattr(before, side).size != getattr(new, side).size for side in sides):
-        return new, ["the pictures have another size than before: the old colours are not taken over"]
+        return new, ["the images have another size than before: the old colours are not taken over"]
     if any(_measured(color) for color in (before.left_color, before.right_color)):
         new = replace(new, left_color=before.left_color, right_color=before.right_color)
         notes.append("the colours of the old file stay; run fringed calibrate color if the light or the lenses changed")

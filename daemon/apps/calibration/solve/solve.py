@@ -38,7 +38,7 @@ class Calibrated:
         cameras: with the projector, if that was a part of it; solution: with residuals and standard deviations.
         board, sources: what was looked at; looked: what was seen.
         quality: for the file; notes: what was done; advice: what would make it better; sentences.
-        coverage: share of each device's picture that saw marks; before: the file that it is compared with.
+        coverage: share of each device's image that saw marks; before: the file that it is compared with.
     """
 
     cameras: Cameras
@@ -62,10 +62,10 @@ def solved(
     options: Options | None = None,
     before: CamerasFile | None = None,
 ) -> Calibrated:
-    """Both cameras from pictures of a board; with ``fringes`` the projector too, from the sequences among the sources.
+    """Both cameras from images of a board; with ``fringes`` the projector too, from the sequences among the sources.
 
     Raises:
-        SourceError, TargetError, CalibrationError: what is wrong with the pictures, and what to do.
+        SourceError, TargetError, CalibrationError: what is wrong with the images, and what to do.
     """
     looked = (look_with_projector if fringes else look)(sources, board, progress)
     return calibrated(board, looked, [source.name for source in sources], options=options, before=before)
@@ -84,7 +84,7 @@ def calibrated(
     require(looked, options.least_views)
     absent = {"left", "right"} - looked.sizes.keys()
     if absent:
-        raise TargetError(f"no pictures of the {min(absent)} camera: a rig has two")
+        raise TargetError(f"no images of the {min(absent)} camera: a rig has two")
     try:
         solution = calibrate(board, looked.views, looked.sizes, options=options)
     except CalibrationError as error:
@@ -169,7 +169,7 @@ def _not_found(looked: Looked) -> str:
     if not count:
         return ""
     first = looked.problems[0]
-    return f" (in {count} of {len(looked.seen)} pictures no marks were found, as in {first.file}: {first.problem})"
+    return f" (in {count} of {len(looked.seen)} images no marks were found, as in {first.file}: {first.problem})"
 
 
 def _refined(solution: Solution, options: Options) -> list[str]:

@@ -1,4 +1,4 @@
-"""Looks for the marks in every picture of a source; what cannot be used is remembered with its reason."""
+"""Looks for the marks in every image of a source; what cannot be used is remembered with its reason."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import cv2
 import numpy as np
 
-from daemon.apps.calibration.images.image_files import Picture, unpacked
+from daemon.apps.calibration.images.image_files import Image, unpacked
 from daemon.apps.calibration.views.open_source import Source, View, white_frame
 from pipeline.calibrate.projector.absolute_phase import Coordinate, evenly_lit
 from pipeline.calibrate.targets.board.board import Board
@@ -24,7 +24,7 @@ from pipeline.pattern.sequence import Sequence
 Progress = Callable[[int, int], None]
 THUMBNAIL_PX = 520
 BLURRED_PX = 4.0
-"""Sigma of a picture's strongest edges from where on nothing else is said about it."""
+"""Sigma of an image's strongest edges from where on nothing else is said about it."""
 _JPEG_QUALITY = 72
 
 Phases: TypeAlias = tuple[Coordinate, Coordinate]
@@ -32,7 +32,7 @@ Phases: TypeAlias = tuple[Coordinate, Coordinate]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """One picture after the search.
+    """One image after the search.
 
     Args:
         view: its name; device: ``left`` or ``right``; file: what errors call it.
@@ -52,10 +52,10 @@ class Seen:
 
 @dataclass(slots=True)
 class Looked:
-    """All pictures of one or several sources.
+    """All images of one or several sources.
 
     Args:
-        views: those with marks in at least one picture, in order; seen: all pictures; sizes: by device.
+        views: those with marks in at least one image, in order; seen: all images; sizes: by device.
         left_out: views that the source could not give whole.
         phases: some views' projector coordinates (x, y) of all pixels, left and right.
     """
@@ -68,35 +68,34 @@ class Looked:
 
     @property
     def problems(self) -> list[Seen]:
-        """Pictures in which the marks were not found."""
+        """Images in which the marks were not found."""
         return [seen for seen in self.seen if seen.found is None]
 
     def add(self, view: View, frame: int, board: Board, sequence: Sequence | None = None) -> dict[str, Marks]:
-        """Search both pictures of a view; the marks of those where they were found.
+        """Search both images of a view; the marks of those where they were found.
 
         Args:
             view: with all its frames, or the one that is looked at.
-            frame: number of the picture to look at.
-            sequence: of fringes; their mean is looked at instead, which has less noise than one white picture.
+            frame: number of the image to look at.
+            sequence: of fringes; their mean is looked at instead, which has less noise than one white image.
         """
         marks: dict[str, Marks] = {}
         name = self._free_name(view.name)
-        for device, file, pictures in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
-            if not pictures:
+        for device, file, images in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
+            if not images:
                 continue
-            raw = pictures[frame] if sequence is None else evenly_lit(pictures, sequence)
-            picture = unpacked(raw, view.encoding)
-            size = (picture.shape[1], picture.shape[0])
+            raw = images[frame] if sequence is None else evenly_lit(images, sequence)
+            image = unpacked(raw, view.encoding)
+            size = (image.shape[1], image.shape[0])
             known = self.sizes.setdefault(device, size)
             if known != size:
                 raise TargetError(
-                    f"{file}: {size[0]} x {size[1]} pixels, but the {device} pictures before have "
-                    f"{known[0]} x {known[1]}"
+                    f"{file}: {size[0]} x {size[1]} pixels, but the {device} images before have {known[0]} x {known[1]}"
                 )
-            found, problem = _found(picture, board)
+            found, problem = _found(image, board)
             if found is not None:
                 marks[device] = found.marks
-            self.seen.append(Seen(name, device, file, size, thumbnail(picture), found, problem))
+            self.seen.append(Seen(name, device, file, size, thumbnail(image), found, problem))
         if marks:
             self.views.append(BoardView(name, marks))
         return marks
@@ -107,10 +106,10 @@ class Looked:
 
 
 def look(sources: Items[Source], board: Board, progress: Progress) -> Looked:
-    """Find the marks in all views of all sources, on the brightest even picture of each view.
+    """Find the marks in all views of all sources, on the brightest even image of each view.
 
     Raises:
-        SourceError: pictures that cannot be read. What can be read but not used is in :attr:`Looked.problems`.
+        SourceError: images that cannot be read. What can be read but not used is in :attr:`Looked.problems`.
     """
     looked = Looked()
     for source in sources:
@@ -121,7 +120,7 @@ def look(sources: Items[Source], board: Board, progress: Progress) -> Looked:
 
 
 def require(looked: Looked, least: int) -> None:
-    """TargetError unless marks were found in ``least`` views; it names the first pictures and their reasons."""
+    """TargetError unless marks were found in ``least`` views; it names the first images and their reasons."""
     if len(looked.views) >= least:
         return
     problems = looked.problems
@@ -132,15 +131,15 @@ def require(looked: Looked, least: int) -> None:
             "20 to 40 degrees about both axes"
         )
     first = problems[0]
-    more = f" The marks were found in {len(looked.seen) - len(problems)} of {len(looked.seen)} pictures."
+    more = f" The marks were found in {len(looked.seen) - len(problems)} of {len(looked.seen)} images."
     others = [seen for seen in problems[1:] if seen.problem != first.problem][:2]
     also = "".join(f" {seen.file}: {seen.problem}." for seen in others)
     raise TargetError(f"{first.file}: {first.problem}.{also}{more}")
 
 
-def thumbnail(picture: Picture) -> bytes:
-    """A small JPEG of a picture, at most 520 pixels wide."""
-    grey = picture[..., ::-1] if picture.ndim == 3 else picture
+def thumbnail(image: Image) -> bytes:
+    """A small JPEG of an image, at most 520 pixels wide."""
+    grey = image[..., ::-1] if image.ndim == 3 else image
     if grey.dtype != np.uint8:
         most = float(np.quantile(grey, 0.999)) if grey.dtype == np.uint16 else 255.0
         grey = np.clip(grey * (255.0 / max(most, 1.0)), 0, 255).astype(np.uint8)
@@ -153,12 +152,12 @@ def thumbnail(picture: Picture) -> bytes:
     return bytes(data) if done else b""
 
 
-def _found(picture: Picture, board: Board) -> tuple[Found | None, str]:
+def _found(image: Image, board: Board) -> tuple[Found | None, str]:
     try:
-        return find_marks(picture, board), ""
+        return find_marks(image, board), ""
     except TargetError as error:
-        # In a picture out of focus some marks melt together, and what is found then is misleading.
-        sigma = edge_sigma_px(to_grey(picture))
+        # In an image out of focus some marks melt together, and what is found then is misleading.
+        sigma = edge_sigma_px(to_grey(image))
         if sigma > BLURRED_PX and "saturated" not in str(error):
             error = too_blurred(sigma, BLURRED_PX)
         return None, str(error).rstrip(".")

@@ -1,4 +1,4 @@
-"""Looks for the marks of a board on the projector's picture: by the fringes that fall around them."""
+"""Looks for the marks of a board on the projector's image: by the fringes that fall around them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pipeline.calibrate.projector.absolute_phase import coordinates, levels
 from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.marks import BoardView, Marks
-from pipeline.common.errors import PictureError, TargetError
+from pipeline.common.errors import ImageError, TargetError
 from pipeline.pattern import sequence as sequences
 
 MOST_DENSE = 4
@@ -63,7 +63,7 @@ def add_with_fringes(looked: Looked, view: View, sequence: sequences.Sequence, b
     try:
         seen = _seen(marks, view, sequence)
         found = projector_marks(board, seen).marks
-    except (TargetError, PictureError) as error:
+    except (TargetError, ImageError) as error:
         looked.left_out.append(f"{name}, projector: {error}")
         return
     looked.views[-1] = BoardView(name, {**marks, "projector": found})
@@ -74,8 +74,8 @@ def add_with_fringes(looked: Looked, view: View, sequence: sequences.Sequence, b
 
 def _seen(marks: dict[str, Marks], view: View, sequence: sequences.Sequence) -> dict[str, Seen]:
     seen = {}
-    for device, pictures in (("left", view.left), ("right", view.right)):
+    for device, images in (("left", view.left), ("right", view.right)):
         if device in marks:
-            x, y = coordinates(pictures, sequence, encoding=view.encoding)
+            x, y = coordinates(images, sequence, encoding=view.encoding)
             seen[device] = Seen(marks[device], x, y)
     return seen

@@ -112,5 +112,5 @@ def of_rig(path: Path, progress: Callable[[int, int], None], *, timeout_s: float
     if failed:
         raise failed[0]
     if len(keep.pairs) < 2:
-        raise SourceError(f"{path}: the rig gave {len(keep.pairs)} pairs of pictures within {timeout_s:.0f} s")
+        raise SourceError(f"{path}: the rig gave {len(keep.pairs)} pairs of images within {timeout_s:.0f} s")
     return Scene(rig.pattern, rig.volume, encoding_of(keep.encodings, str(path)), keep.pairs)

@@ -1,4 +1,4 @@
-"""Where views of a board come from: picture files by pattern, a capture folder, a take."""
+"""Where views of a board come from: image files by pattern, a capture folder, a take."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.apps.calibration.images.image_files import MOST_PICTURES, Picture, as_raw, matching, read_picture
+from daemon.apps.calibration.images.image_files import MOST_IMAGES, Image, as_raw, matching, read_image
 from daemon.common.bounded import read_at_most
 from pipeline.common.errors import PatternError
 from pipeline.pattern import sequence as sequences
@@ -25,19 +25,19 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One place of the board: a picture of each camera, or one for every frame of a sequence.
+    """One place of the board: an image of each camera, or one for every frame of a sequence.
 
     Args:
         name: short, for tables: ``view_03`` or ``left03.jpg``.
-        files: what errors call the pictures of the left and the right camera.
+        files: what errors call the images of the left and the right camera.
         left, right: as the sensor gave them, in ``encoding``; one of them may be empty (only one camera was told).
         encoding: ``rgb8``, ``bayer_rggb8`` ..., ``mono8``, ``mono16``; ``rgb8`` also for 16-bit colour.
     """
 
     name: str
     files: tuple[str, str]
-    left: tuple[Picture, ...]
-    right: tuple[Picture, ...]
+    left: tuple[Image, ...]
+    right: tuple[Image, ...]
     encoding: str
 
 
@@ -52,8 +52,8 @@ class Source(Protocol):
         ...
 
 
-class PicturePairs:
-    """Pictures named by a pattern for each camera, sorted and paired by their order.
+class ImagePairs:
+    """Images named by a pattern for each camera, sorted and paired by their order.
 
     Args:
         left, right: such as ``L/*.png``.
@@ -69,23 +69,23 @@ class PicturePairs:
         self._left, self._right = matching(left, "--left"), matching(right, "--right")
         if len(self._left) != len(self._right):
             raise SourceError(
-                f"--left {left} names {len(self._left)} pictures and --right {right} names {len(self._right)}: "
+                f"--left {left} names {len(self._left)} images and --right {right} names {len(self._right)}: "
                 "every view needs one of each camera"
             )
         same = set(self._left) & set(self._right)
         if same:
-            raise SourceError(f"{min(same)}: named by both --left and --right; each camera has its own pictures")
+            raise SourceError(f"{min(same)}: named by both --left and --right; each camera has its own images")
 
     def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
         """Every pair of files; ``only`` changes nothing, a pair is one frame."""
         del only
         sizes = Sizes()
         for done, (left, right) in enumerate(zip(self._left, self._right, strict=True)):
-            pictures = read_picture(left), read_picture(right)
-            sizes.check("left", str(left), pictures[0])
-            sizes.check("right", str(right), pictures[1])
-            kind = "rgb8" if pictures[0].ndim == 3 else f"mono{8 * pictures[0].itemsize}"
-            yield View(left.stem, (str(left), str(right)), (pictures[0],), (pictures[1],), kind)
+            images = read_image(left), read_image(right)
+            sizes.check("left", str(left), images[0])
+            sizes.check("right", str(right), images[1])
+            kind = "rgb8" if images[0].ndim == 3 else f"mono{8 * images[0].itemsize}"
+            yield View(left.stem, (str(left), str(right)), (images[0],), (images[1],), kind)
             progress(done + 1, len(self._left))
 
 
@@ -109,8 +109,8 @@ class CaptureFolder:
         self._folders = sorted(path for path in folder.glob("view_*") if path.is_dir())
         if not self._folders:
             raise SourceError(f"{folder}: no folder view_00 or any other view in it")
-        if len(self._folders) > MOST_PICTURES:
-            raise SourceError(f"{folder}: {len(self._folders)} views, at most {MOST_PICTURES} are read")
+        if len(self._folders) > MOST_IMAGES:
+            raise SourceError(f"{folder}: {len(self._folders)} views, at most {MOST_IMAGES} are read")
 
     def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
         """Every view; SourceError for a frame that is not there."""
@@ -118,30 +118,30 @@ class CaptureFolder:
         count = len(self.sequence) if self.sequence is not None else 1
         numbers = range(count) if only is None else (only,)
         for done, folder in enumerate(self._folders):
-            pictures: dict[str, tuple[Picture, ...]] = {}
+            images: dict[str, tuple[Image, ...]] = {}
             for side in SIDES:
                 paths = [folder / f"{side}_{number:02d}.png" for number in numbers]
-                pictures[side] = tuple(as_raw(read_picture(path), self._encoding, str(path)) for path in paths)
-                for path, picture in zip(paths, pictures[side], strict=True):
-                    sizes.check(side, str(path), picture)
+                images[side] = tuple(as_raw(read_image(path), self._encoding, str(path)) for path in paths)
+                for path, image in zip(paths, images[side], strict=True):
+                    sizes.check(side, str(path), image)
             files = tuple(str(folder / f"{side}_{numbers[0]:02d}.png") for side in SIDES)
-            yield View(folder.name, (files[0], files[1]), pictures["left"], pictures["right"], self._encoding)
+            yield View(folder.name, (files[0], files[1]), images["left"], images["right"], self._encoding)
             progress(done + 1, len(self._folders))
 
 
 class Sizes:
-    """That all pictures of a camera have one size."""
+    """That all images of a camera have one size."""
 
     def __init__(self) -> None:
         self._first: dict[str, tuple[str, tuple[int, ...]]] = {}
 
-    def check(self, side: str, name: str, picture: Picture) -> None:
-        """SourceError if a picture is not as large as the first one of its camera."""
-        first, shape = self._first.setdefault(side, (name, picture.shape))
-        if picture.shape[:2] != shape[:2]:
+    def check(self, side: str, name: str, image: Image) -> None:
+        """SourceError if an image is not as large as the first one of its camera."""
+        first, shape = self._first.setdefault(side, (name, image.shape))
+        if image.shape[:2] != shape[:2]:
             raise SourceError(
-                f"{name}: {picture.shape[1]} x {picture.shape[0]} pixels, but {first} has {shape[1]} x {shape[0]}; "
-                f"all pictures of the {side} camera must be of one size"
+                f"{name}: {image.shape[1]} x {image.shape[0]} pixels, but {first} has {shape[1]} x {shape[0]}; "
+                f"all images of the {side} camera must be of one size"
             )
 
 
@@ -150,7 +150,7 @@ def open_source(path: Path) -> Source:
     if path.is_dir() and (path / CAPTURE).exists():
         return CaptureFolder(path)
     if path.is_dir() and not any(path.glob("*.mcap*")):
-        raise SourceError(f"{path}: holds neither {CAPTURE} with views nor a take; plain pictures are named by --left")
+        raise SourceError(f"{path}: holds neither {CAPTURE} with views nor a take; plain images are named by --left")
     from daemon.apps.calibration.views.take_source import TakeSource
 
     return TakeSource(path)
@@ -162,12 +162,12 @@ def white_frame(sequence: Sequence | None) -> int:
         return 0
     even = [(sum(f.color), -n) for n, f in enumerate(sequence.frames) if isinstance(f, Uniform)]
     if not even or max(even)[0] == 0:
-        raise SourceError(f"sequence {sequence.name}: it has no even picture with light, marks cannot be found in it")
+        raise SourceError(f"sequence {sequence.name}: it has no even image with light, marks cannot be found in it")
     return -max(even)[1]
 
 
 def described_sequence(data: Any, name: str) -> Sequence | None:
-    """The sequence of a pattern description; None for a description of a single picture, or for none."""
+    """The sequence of a pattern description; None for a description of a single image, or for none."""
     if not isinstance(data, Mapping) or data.get("kind") != "sequence":
         return None
     try:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.apps.calibration.images.image_files import MOST_PICTURES
+from daemon.apps.calibration.images.image_files import MOST_IMAGES
 from daemon.apps.calibration.views.open_source import Progress, View, described_sequence
 from daemon.recording.read.take_reader import TakePair, TakeReader
 
@@ -48,8 +48,8 @@ class TakeSource:
                 if place // count != number:
                     yield from self._finished(group, number, count, only)
                     group, number, views = {}, place // count, views + 1
-                if views > MOST_PICTURES:
-                    raise SourceError(f"{self.name}: more than {MOST_PICTURES} views; record the board at rest only")
+                if views > MOST_IMAGES:
+                    raise SourceError(f"{self.name}: more than {MOST_IMAGES} views; record the board at rest only")
                 if only is None or place % count == only:
                     group[place % count] = pair
             yield from self._finished(group, number, count, only)

@@ -1,4 +1,4 @@
-"""How the cameras' pictures come to the machine: which kinds of transport there are, and how much comes."""
+"""How the cameras' images come to the machine: which kinds of transport there are, and how much comes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def wanted(subject: Subject, kind: str) -> bool | None:
     return kind in kinds if kinds else (False if subject.genicam else None)
 
 
-def picture_size(subject: Subject, side: Side) -> Size | None:
-    """(width, height) of a camera's pictures as far as the files tell."""
+def image_size(subject: Subject, side: Side) -> Size | None:
+    """(width, height) of a camera's images as far as the files tell."""
     if subject.simulation is not None:
         width, height = subject.simulation.layout.camera_size
         return int(width), int(height)
@@ -35,7 +35,7 @@ def picture_size(subject: Subject, side: Side) -> Size | None:
 
 
 def pixel_bytes(subject: Subject, side: Side) -> float:
-    """Bytes a pixel as the camera sends them; 1, as Bayer pictures have, where nothing is said."""
+    """Bytes a pixel as the camera sends them; 1, as Bayer images have, where nothing is said."""
     options = subject.cameras.get(side)
     name = (
         subject.simulation.encoding
@@ -51,8 +51,8 @@ def pixel_bytes(subject: Subject, side: Side) -> float:
 
 
 def frame_bytes(subject: Subject) -> list[int]:
-    """Bytes of a left and of a right picture; empty where a size is not known."""
-    sizes = [picture_size(subject, side) for side in SIDES]
+    """Bytes of a left and of a right image; empty where a size is not known."""
+    sizes = [image_size(subject, side) for side in SIDES]
     return [
         round(size[0] * size[1] * pixel_bytes(subject, side))
         for side, size in zip(SIDES, sizes, strict=True)

@@ -42,7 +42,7 @@ def check(subject: Subject) -> Iterator[Finding]:
 def need_mb(subject: Subject) -> float:
     """A rough need: the program itself, the pipeline's arrays, the frames that wait."""
     config = subject.config
-    size = data_rate.picture_size(subject, "left") or (1024, 820)
+    size = data_rate.image_size(subject, "left") or (1024, 820)
     waiting = 8 + (config.recording.queue + config.pipeline.queue if config is not None else 61)
     frames = (sum(data_rate.frame_bytes(subject)) or 2 * size[0] * size[1]) * waiting
     base = BASE_MB + (DEVICES_MB if subject.uses("genicam") or subject.uses("x11") else 0.0)

@@ -80,7 +80,7 @@ def age(file: CalibrationFile, now_s: float | None = None) -> Finding:
 def cameras(subject: Subject, file: CalibrationFile) -> Iterator[Finding]:
     """Sizes, and serial numbers where the file has them, against rig.yaml and the cameras that are seen."""
     for side in SIDES:
-        size = data_rate.picture_size(subject, side)
+        size = data_rate.image_size(subject, side)
         problem = size_problem(side, size, file.calibration) if size is not None else ""
         if problem:
             yield area.problem(f"camera {side}", *_split(problem))
@@ -154,7 +154,7 @@ def volume(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
     if made is None:
         return
     parts = {depth: seen(calibration, depth) for depth in (made.near_mm, made.far_mm)}
-    text = f"{made.near_mm:g} to {made.far_mm:g} mm; of the left picture all three see "
+    text = f"{made.near_mm:g} to {made.far_mm:g} mm; of the left image all three see "
     text += " and ".join(f"{100 * part:.0f} % at {depth:g} mm" for depth, part in parts.items())
     if min(parts.values()) < _SEEN_LEAST:
         yield area.warning("volume", text, "set volume.near_mm and far_mm to where both cameras and the projector look")
@@ -175,7 +175,7 @@ def layout(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
 
 
 def seen(calibration: Calibration, depth_mm: float) -> float:
-    """The part of the left picture that the right camera and the projector see too, if all lay at that depth."""
+    """The part of the left image that the right camera and the projector see too, if all lay at that depth."""
     width, height = calibration.left.size
     x, y = np.meshgrid(np.linspace(0, width - 1, 17), np.linspace(0, height - 1, 17))
     rays = calibration.left.normalise(np.stack([x, y], axis=-1).reshape(-1, 2))

@@ -20,12 +20,12 @@ area = Area("display")
 MEDDLERS = {
     "redshift": "colours the screen at night",
     "gammastep": "colours the screen at night",
-    "xscreensaver": "covers the picture when nobody types",
-    "light-locker": "covers the picture when nobody types",
-    "xss-lock": "covers the picture when nobody types",
-    "gnome-screensav": "covers the picture when nobody types",
+    "xscreensaver": "covers the image when nobody types",
+    "light-locker": "covers the image when nobody types",
+    "xss-lock": "covers the image when nobody types",
+    "gnome-screensav": "covers the image when nobody types",
 }
-"""Programs that spoil the picture, by their short names; what they do."""
+"""Programs that spoil the image, by their short names; what they do."""
 
 
 def check(subject: Subject) -> Iterator[Finding]:
@@ -95,7 +95,7 @@ def surroundings(subject: Subject, name: str) -> Iterator[Finding]:
         text = "the session is Wayland: X programs reach the screen through its compositor, flips cannot be trusted"
         yield _judged("wayland", text, 'choose an "Xorg" session at login', certain)
     if screen.compositor:
-        text = "a compositing manager runs: it may show pictures a frame late"
+        text = "a compositing manager runs: it may show images a frame late"
         yield _judged(
             "compositor", text, "switch compositing off in the desktop's settings, or use a bare X server", certain
         )

@@ -20,7 +20,7 @@ class Light:
     """Looks at pairs of one rig.
 
     Args:
-        calibration, pattern: tell how wide the fringes are in the pictures.
+        calibration, pattern: tell how wide the fringes are in the images.
     """
 
     def __init__(self, calibration: Calibration, pattern: ColorFringe) -> None:

@@ -20,7 +20,7 @@ def offsets(state: State, data: Observations, diameter_mm: float) -> Array:
     result = np.zeros((len(data), 2))
     if diameter_mm <= 0:
         return result
-    for where, model, rotation, translation in _pictures(state, data):
+    for where, model, rotation, translation in _images(state, data):
         points = state.points[data.mark[where]]
         result[where] = circle_projection.offsets(model, rotation, translation, points, diameter_mm / 2)
     result[~np.isfinite(data.area)] = 0.0
@@ -28,16 +28,16 @@ def offsets(state: State, data: Observations, diameter_mm: float) -> Array:
 
 
 def diameter_mm(state: State, data: Observations) -> float:
-    """The diameter that explains the measured areas best (median over the pictures); 0 without areas."""
+    """The diameter that explains the measured areas best (median over the images); 0 without areas."""
     found = [
         circle_projection.diameter_mm(data.area[where], model, rotation, translation, state.points[data.mark[where]])
-        for where, model, rotation, translation in _pictures(state, data)
+        for where, model, rotation, translation in _images(state, data)
     ]
     return float(np.median(found)) if found else 0.0
 
 
-def _pictures(state: State, data: Observations) -> Iterator[tuple[slice, CameraModel, Array, Array]]:
-    """Where the marks of each picture with circles are, its device, and the board's pose to the device."""
+def _images(state: State, data: Observations) -> Iterator[tuple[slice, CameraModel, Array, Array]]:
+    """Where the marks of each image with circles are, its device, and the board's pose to the device."""
     models = [state.model(k, "device", (1, 1)) for k in range(state.devices)]
     for device, view, where in data.groups():
         if np.isfinite(data.area[where]).any():

@@ -1,6 +1,6 @@
 """Levenberg-Marquardt on the normal equations, with a robust loss.
 
-The normal equations are summed picture by picture; they have about 36 unknowns for three devices and 6 a view, which a
+The normal equations are summed image by image; they have about 36 unknowns for three devices and 6 a view, which a
 dense Cholesky factorisation solves in a millisecond.
 """
 
@@ -75,7 +75,7 @@ def cost_of(state: State, data: Observations, offsets: Array, free: Freedom, los
 def normal_equations(
     state: State, data: Observations, offsets: Array, free: Freedom, loss: str, scale: float
 ) -> tuple[Array, Array, dict[tuple[int, int], Array]]:
-    """Matrix (p, p) and right side (p,) for the free unknowns, and each picture's own (22, 22) part.
+    """Matrix (p, p) and right side (p,) for the free unknowns, and each image's own (22, 22) part.
 
     The unknowns are the columns of ``free.basis``, then the views, then the marks if they move.
     """

@@ -62,7 +62,7 @@ class Observations:
         return self.some(chosen if view is None else chosen & (self.view == view))
 
     def groups(self) -> list[tuple[int, int, slice]]:
-        """(device, view, where) of every picture that has marks."""
+        """(device, view, where) of every image that has marks."""
         if not len(self):
             return []
         key = self.view * 64 + self.device
@@ -77,7 +77,7 @@ class Observations:
         return replace(self, sigma=sigma)
 
     def renumbered(self, device: int, view: int, permutation: Index) -> Observations:
-        """Mark m of that picture becomes mark ``permutation[m]``."""
+        """Mark m of that image becomes mark ``permutation[m]``."""
         chosen = (self.device == device) & (self.view == view)
         return replace(self, mark=np.where(chosen, permutation[self.mark], self.mark))
 

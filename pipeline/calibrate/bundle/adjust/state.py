@@ -66,7 +66,7 @@ class State:
         )
 
     def scaled(self, factor: float) -> State:
-        """The same pictures of a world that is larger by a factor."""
+        """The same images of a world that is larger by a factor."""
         return replace(
             self,
             translations=self.translations * factor,

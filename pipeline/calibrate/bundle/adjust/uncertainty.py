@@ -38,7 +38,7 @@ def full_covariance(state: State, data: Observations, offsets: Array, free: Free
     """Covariance of all unknowns (devices, views, marks), and the redundancy of each device, (d,).
 
     The redundancy is how many of a device's coordinates are left to judge its noise (Foerstner, 1979): two a mark less
-    the trace of its picture's part of the normal matrix times the covariance.
+    the trace of its image's part of the normal matrix times the covariance.
     """
     matrix, _, blocks = normal_equations(state, data, offsets, free, "squared", 1.0)
     reduced = inverse(matrix)

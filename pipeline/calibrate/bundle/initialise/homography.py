@@ -1,4 +1,4 @@
-"""Plane-to-picture homographies, and what they tell: focal length and pose (Zhang, 2000)."""
+"""Plane-to-image homographies, and what they tell: focal length and pose (Zhang, 2000)."""
 
 from __future__ import annotations
 
@@ -74,5 +74,5 @@ def pose(h: Array, matrix: Array) -> tuple[Array, Array]:
 
 
 def seen_from_front(h: Array) -> bool:
-    """Whether the board's printed side looks at the device; otherwise picture or numbering are mirrored."""
+    """Whether the board's printed side looks at the device; otherwise image or numbering are mirrored."""
     return bool(np.linalg.det(h) > 0)

@@ -51,7 +51,7 @@ def place(
     """Relative poses by the vote of the views; renumber or leave out views that contradict it.
 
     Raises:
-        CalibrationError: pictures are mirrored or swapped, or fewer than half of the views agree.
+        CalibrationError: images are mirrored or swapped, or fewer than half of the views agree.
     """
     known = symmetries(board)
     placed = Placed(data, [(np.eye(3), np.zeros(3))], [{v: m.pose(v) for v in m.seen} for m in monos], [])
@@ -89,7 +89,7 @@ def _face_up(
         return
     if len(behind) * 2 > len(own.seen):
         raise CalibrationError(
-            f"the pictures of {device} show the board from behind ({len(behind)} of {len(own.seen)} views): they are "
+            f"the images of {device} show the board from behind ({len(behind)} of {len(own.seen)} views): they are "
             "mirror images, or the marks are numbered from the wrong side; switch off the camera's flip, or correct "
             "the board's description"
         )
@@ -129,14 +129,14 @@ def _refuse_contradiction(
     if flipped is not None and 2 * len(flipped.agreeing) > shared and len(flipped.agreeing) > len(found.agreeing) + 1:
         culprit = second if flipped.translation[0] < 0 or second == "projector" else first
         raise CalibrationError(
-            f"the pictures of {culprit} are mirrored, left to right: {len(flipped.agreeing)} of {shared} views agree "
+            f"the images of {culprit} are mirrored, left to right: {len(flipped.agreeing)} of {shared} views agree "
             f"when they are turned over, {len(found.agreeing)} as they are; switch off the flip of {culprit}"
         )
     worst = max(found.turns_deg, key=lambda view: found.turns_deg[view])
     raise CalibrationError(
         f"{first} and {second} contradict each other: only {len(found.agreeing)} of {shared} views agree on how they "
         f"stand to each other (worst {views[worst].name}: off by {found.turns_deg[worst]:.1f} degrees); do the "
-        "pictures of a pair belong together (same order of the files), and did the board hold still?"
+        "images of a pair belong together (same order of the files), and did the board hold still?"
     )
 
 
@@ -161,7 +161,7 @@ def _repair(
         reason = (
             f"the board stood differently for {devices[number]} and {devices[reference]}: off by "
             f"{found.turns_deg[view]:.1f} degrees and {found.shifts[view]:.1%} of the distance; it moved between the "
-            "pictures, or marks are wrong"
+            "images, or marks are wrong"
         )
         # A third device may agree with the reference; without one nobody knows which of the two is wrong.
         third = any(view in placed.poses[k] for k in range(len(devices)) if k not in (number, reference))
@@ -182,7 +182,7 @@ def _leave_out(placed: Placed, views: Sequence[BoardView], options: Options) -> 
     if placed.left_out > options.most_views * len(views):
         raise CalibrationError(
             f"{placed.left_out} of {len(views)} views do not fit the others (limit {options.most_views:.0%}): "
-            f"{'; '.join(map(str, gone[:4]))}; are board, order of the pictures and numbering right?"
+            f"{'; '.join(map(str, gone[:4]))}; are board, order of the images and numbering right?"
         )
     if len(np.unique(placed.data.view)) < options.least_views:
         raise CalibrationError(
@@ -196,7 +196,7 @@ def _refuse_swapped(right: Pose) -> None:
     centre = -turn.T @ shift
     if centre[0] < -0.3 * np.linalg.norm(centre):
         raise CalibrationError(
-            f"the right camera comes out {abs(centre[0]):.1f} mm to the left of the left one: either the pictures of "
-            "left and right are swapped, or both cameras' pictures are mirrored (which looks the same to the "
+            f"the right camera comes out {abs(centre[0]):.1f} mm to the left of the left one: either the images of "
+            "left and right are swapped, or both cameras' images are mirrored (which looks the same to the "
             "geometry); exchange them, or switch off the flip of both"
         )

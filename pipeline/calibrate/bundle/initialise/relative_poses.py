@@ -42,7 +42,7 @@ class Vote:
 def relative(reference: Pose, pose: Pose, symmetry: Symmetry, *, flipped: bool = False) -> Pose:
     """From the reference device to the other, if the other's marks are renumbered by the symmetry.
 
-    With ``flipped`` the other device's picture is a mirror image, left to right.
+    With ``flipped`` the other device's image is a mirror image, left to right.
     """
     r, t = pose
     # The other device saw mark m where mark permutation[m] is: X_old = turn^T (X_new - shift).

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _GRID = (0.6, 1.2, 2.4, 4.8, 9.6)
-"""Focal lengths that are tried, in widths of the picture: field angles from 80 to 6 degrees."""
+"""Focal lengths that are tried, in widths of the image: field angles from 80 to 6 degrees."""
 _ENOUGH = 40
 _NO_DISTORTION = ("skew", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 _STAGES: tuple[tuple[str, ...], ...] = (_NO_DISTORTION, ("skew", "k2", "p1", "p2", "k3"), ("skew", "p1", "p2", "k3"))
@@ -53,7 +53,7 @@ def mono(
 ) -> Mono:
     """Calibrate one device from its own marks.
 
-    Without a start the focal length comes from Zhang's closed form with the principal point at the picture's centre,
+    Without a start the focal length comes from Zhang's closed form with the principal point at the image's centre,
     and from a coarse grid, because the closed form is fragile for long focal lengths; each is adjusted with the centre
     held, the best goes on, and principal point and distortion are freed in stages.
 
@@ -67,7 +67,7 @@ def mono(
         start: known intrinsics.
 
     Raises:
-        CalibrationError: no picture of the device can be used.
+        CalibrationError: no image of the device can be used.
     """
     zeros = np.zeros(len(data), dtype=np.int64)
     data = Observations(zeros, data.view, data.mark, data.pixels, data.sigma, data.area, data.ids)
@@ -99,7 +99,7 @@ def mono(
 
 
 def _thinned(data: Observations) -> Observations:
-    """At most :data:`_ENOUGH` marks a picture, evenly taken: first values need no more."""
+    """At most :data:`_ENOUGH` marks an image, evenly taken: first values need no more."""
     keep = np.zeros(len(data), dtype=bool)
     for _, _, where in data.groups():
         count = where.stop - where.start
@@ -144,8 +144,8 @@ def _search(
             break
     if best is None:
         raise CalibrationError(
-            f"{name}: no focal length between 0.2 and 40 picture widths explains the views; are board, numbering and "
-            "picture size right? Show the board tilted by 20 to 40 degrees"
+            f"{name}: no focal length between 0.2 and 40 image widths explains the views; are board, numbering and "
+            "image size right? Show the board tilted by 20 to 40 degrees"
         )
     return best
 

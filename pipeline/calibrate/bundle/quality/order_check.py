@@ -40,7 +40,7 @@ class OrderCheck:
         merit: 0 (blind) to 1 (golden ratio).
         weakest: the wrong order that is hardest to notice, in periods.
         residual_rad: its phase residual on a plane.
-        orders: candidates in the volume at the middle of the left picture.
+        orders: candidates in the volume at the middle of the left image.
         advice: text for a person.
     """
 

@@ -19,7 +19,7 @@ def rms(misfit: Array) -> float:
 
 
 def epipolar_distances(left: CameraModel, right: CameraModel, in_left: Array, in_right: Array) -> Array:
-    """Distances (2 n,) of undistorted pixels from the epipolar lines of their partners, in both pictures.
+    """Distances (2 n,) of undistorted pixels from the epipolar lines of their partners, in both images.
 
     Pixels are undistorted with each camera's own matrix kept, as OpenCV's ``undistortPoints`` with ``P`` does.
 
@@ -56,7 +56,7 @@ def epipolar_px(left: CameraModel, right: CameraModel, data: Observations, offse
 
 
 def difference_px(one: CameraModel, other: CameraModel, *, turned: bool = True) -> Array:
-    """How far two models of one device put the same ray apart, (rows, columns, 2) px, on a grid over the picture.
+    """How far two models of one device put the same ray apart, (rows, columns, 2) px, on a grid over the image.
 
     Args:
         one: whose pixels are looked at.

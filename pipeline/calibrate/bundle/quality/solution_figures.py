@@ -56,10 +56,10 @@ def _epipolar(solution: Solution, name: str, pose: tuple[Array, Array]) -> float
         if residuals is None:
             return float("nan")
         points = solution.devices[device].project(world)
-        # The adjustment may have renumbered the marks: a mark is the one whose picture is nearest to its prediction.
+        # The adjustment may have renumbered the marks: a mark is the one whose image is nearest to its prediction.
         predicted = residuals.pixels - residuals.misfit
         marks = np.linalg.norm(predicted[:, None] - points[None], axis=2).argmin(axis=1)
-        # The picture of the mark's point, moved by what was measured beside the prediction: no centroid any more.
+        # The image of the mark's point, moved by what was measured beside the prediction: no centroid any more.
         places.append(dict(zip(marks.tolist(), points[marks] + residuals.misfit, strict=True)))
     both = sorted(places[0].keys() & places[1].keys())
     if not both:
@@ -88,7 +88,7 @@ def device_values(device: CameraModel) -> dict[str, float]:
 
 
 def quality_of(solution: Solution, *, board: str, coverage: Mapping[str, float]) -> dict[str, Any]:
-    """The ``quality`` part of the calibration file; ``coverage``: share of each device's picture that saw marks."""
+    """The ``quality`` part of the calibration file; ``coverage``: share of each device's image that saw marks."""
     quality: dict[str, Any] = dict(solution.quality())
     quality |= {f"coverage_{device}": round(share, 3) for device, share in coverage.items()}
     quality["board"] = board

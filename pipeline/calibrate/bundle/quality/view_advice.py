@@ -24,7 +24,7 @@ GOOD_VIEWS = 10
 GOOD_TILT_DEG = 20.0
 """Wanted to both sides about both axes."""
 GOOD_COVERAGE = 0.85
-"""Share of the cells of each camera's picture that hold marks in some view."""
+"""Share of the cells of each camera's image that hold marks in some view."""
 GOOD_DISTANCES = 1.08
 """Furthest over nearest distance."""
 LEAST_TILT_DEG = 8.0
@@ -46,9 +46,9 @@ class Pose:
     """A place where the board should be shown next.
 
     Args:
-        tilt_x_deg: about the picture's x axis; positive: the lower edge is further away.
-        tilt_y_deg: about the picture's y axis; positive: the right edge is further away.
-        place: (u, v) of the board's middle in the left picture, shares from 0 to 1.
+        tilt_x_deg: about the image's x axis; positive: the lower edge is further away.
+        tilt_y_deg: about the image's y axis; positive: the right edge is further away.
+        place: (u, v) of the board's middle in the left image, shares from 0 to 1.
         distance: of the usual distance so far (1 = the same).
         text: the same for a person.
     """
@@ -66,9 +66,9 @@ class Advice:
 
     Args:
         views: how many can be used.
-        tilt_x_deg, tilt_y_deg: (least, largest) tilt about the picture's axes.
+        tilt_x_deg, tilt_y_deg: (least, largest) tilt about the image's axes.
         largest_tilt_deg: of all views, about any axis, as seen from between the cameras.
-        coverage: by device, share of its picture's cells that hold marks.
+        coverage: by device, share of its image's cells that hold marks.
         cells: by device, (rows, columns) of booleans as nested tuples, for a map.
         distances: furthest over nearest.
         missing: sentences; empty: nothing is missing.
@@ -185,7 +185,7 @@ def _wanted(
     for name, share in coverage.items():
         if share < GOOD_COVERAGE:
             where = _empty_corners(_cells(cameras[name]))
-            wishes.append(f"views that reach {where} of the {name} picture ({share:.0%} of it covered)")
+            wishes.append(f"views that reach {where} of the {name} image ({share:.0%} of it covered)")
     if max(distance) / min(distance) < GOOD_DISTANCES:
         wishes.append(
             f"views nearer and further away by 5 to 10 % (distances differ by {max(distance) / min(distance) - 1:.0%})"
@@ -230,7 +230,7 @@ def _degenerate(together: dict[int, Look], coverage: dict[str, float]) -> str:
     for name, share in coverage.items():
         if 0 < share < LEAST_COVERAGE:
             return (
-                f"the board covers {share:.0%} of the {name} picture in all views together (limit "
+                f"the board covers {share:.0%} of the {name} image in all views together (limit "
                 f"{LEAST_COVERAGE:.0%}): the lens outside is unknown; show it nearer, or at more places"
             )
     return ""
@@ -275,8 +275,8 @@ def _place_words(right: int, down: int) -> str:
     words = [{-1: "upper", 1: "lower"}.get(down, ""), {-1: "left", 1: "right"}.get(right, "")]
     where = " ".join(filter(None, words))
     if not where:
-        return "in the middle of the picture"
-    return f"towards the {where} {'corner' if ' ' in where else 'edge'} of the picture"
+        return "in the middle of the image"
+    return f"towards the {where} {'corner' if ' ' in where else 'edge'} of the image"
 
 
 def _distance_words(away: int) -> str:

@@ -16,20 +16,20 @@ from pipeline.rig.camera_model import CameraModel
 Array = NDArray[np.float64]
 
 CELLS = (6, 5)
-"""Columns and rows of the cells in which the coverage of a picture is counted."""
+"""Columns and rows of the cells in which the coverage of an image is counted."""
 _USUAL_FOCAL = 3.0
-"""Focal length in picture widths where the views do not tell it yet."""
+"""Focal length in image widths where the views do not tell it yet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """The board in one picture.
+    """The board in one image.
 
     Args:
-        place: (u, v) of the middle of its marks as shares of the picture, 0 to 1.
-        size: square root of the share of the picture that its marks enclose.
+        place: (u, v) of the middle of its marks as shares of the image, 0 to 1.
+        size: square root of the share of the image that its marks enclose.
         tilt_deg: angle between line of sight and board normal, from foreshortening alone: no focal length enters.
-        tilt_x_deg, tilt_y_deg: about the picture's x axis (positive: lower edge further away) and y axis (positive:
+        tilt_x_deg, tilt_y_deg: about the image's x axis (positive: lower edge further away) and y axis (positive:
             right edge further away); their signs come from perspective.
         turn: (2, 2) foreshortening relative to the best similarity, which tells tilts apart without their signs.
         distance_mm: to the middle of the marks, with the focal length that was assumed.

@@ -40,7 +40,7 @@ class Board:
         columns, rows: of circles, of inner corners (chessboard), or of squares (charuco).
         pitch_mm: distance of neighbours in a row of circles, or side of a square. In ``acircles`` rows are half a
             pitch apart, and odd rows begin half a pitch further right (OpenCV's asymmetric grid).
-        diameter_mm: of a circle; 0 = not told, then it is measured in the pictures.
+        diameter_mm: of a circle; 0 = not told, then it is measured in the images.
         marker_mm, dictionary: of ``charuco``: side of a marker, name such as ``DICT_4X4_100``.
     """
 

@@ -1,4 +1,4 @@
-"""The drawing of a board: black shapes on white paper, as a list and as a picture.
+"""The drawing of a board: black shapes on white paper, as a list and as an image.
 
 Both are in the board's frame (mm, origin at mark 0, see :mod:`pipeline.calibrate.targets.board.board`), so that the
 printer, the simulator and the finder speak of the same places.
@@ -72,7 +72,7 @@ def shapes(board: Board, *, paper_mm: tuple[float, float] | None = None) -> Prin
 def raster(
     board: Board, step_mm: float, *, paper_mm: tuple[float, float] | None = None
 ) -> tuple[NDArray[np.float32], tuple[float, float]]:
-    """The sheet as a picture: the share of white in every pixel.
+    """The sheet as an image: the share of white in every pixel.
 
     Args:
         board: any kind.
@@ -88,7 +88,7 @@ def raster(
     """
     printed = shapes(board, paper_mm=paper_mm)
     if not step_mm > 0 or printed.width_mm * printed.height_mm > _MOST_PIXELS * step_mm**2:
-        raise TargetError(f"board {board}: a picture with pixels of {step_mm:g} mm has too many; take larger pixels")
+        raise TargetError(f"board {board}: an image with pixels of {step_mm:g} mm has too many; take larger pixels")
     width, height = (int(np.ceil(side / step_mm - 1e-9)) for side in (printed.width_mm, printed.height_mm))
     black = np.zeros((height, width), dtype=np.float32)
     to_edges = np.asarray(printed.offset_mm)
@@ -128,8 +128,8 @@ def _markers(board: Board) -> Array:
     side = board.marker_mm / cells
     found = []
     for number, corners in zip(described.getIds().ravel(), described.getObjPoints(), strict=True):
-        picture = cv2.aruco.generateImageMarker(markers, int(number), cells)
-        edges = np.diff((picture == 0).astype(np.int8), axis=1, prepend=0, append=0)
+        image = cv2.aruco.generateImageMarker(markers, int(number), cells)
+        edges = np.diff((image == 0).astype(np.int8), axis=1, prepend=0, append=0)
         row, first = np.nonzero(edges > 0)
         last = np.nonzero(edges < 0)[1]
         origin = np.asarray(corners)[0, :2] - board.pitch_mm
@@ -146,7 +146,7 @@ def _covered(start: float, stop: float, size: int) -> tuple[slice, Array]:
 
 
 def _add_disc(black: NDArray[np.float32], x: float, y: float, radius: float) -> None:
-    """Add the share of each pixel that a disc covers; coordinates in pixels from the picture's upper left edge."""
+    """Add the share of each pixel that a disc covers; coordinates in pixels from the image's upper left edge."""
     height, width = black.shape
     left, right = max(int(np.floor(x - radius)), 0), min(int(np.ceil(x + radius)), width)
     top, bottom = max(int(np.floor(y - radius)), 0), min(int(np.ceil(y + radius)), height)

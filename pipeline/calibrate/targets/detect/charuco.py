@@ -1,4 +1,4 @@
-"""The corners of a ChArUco board in a picture; part of it is enough, because its markers tell which corner is which."""
+"""The corners of a ChArUco board in an image; part of it is enough, because its markers tell which corner is which."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pipeline.calibrate.targets.detect import detection as answers
 from pipeline.calibrate.targets.detect.chessboard import Eight, answer, eight_bit, usable
 from pipeline.calibrate.targets.detect.detection import Found
 from pipeline.calibrate.targets.localise.corner_fit import fit_crossings
-from pipeline.calibrate.targets.localise.gray_image import GreyPicture
+from pipeline.calibrate.targets.localise.gray_image import GrayImage
 from pipeline.common.errors import TargetError
 
 Array = NDArray[np.float64]
@@ -32,48 +32,52 @@ _NEAR_SQUARES = 1.6
 _NEAREST = 16
 
 
-def find_charuco(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
+def find_charuco(image: GrayImage, board: Board, *, refine: bool = True) -> Found:
     """The corners of a ChArUco board; see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
-    image = eight_bit(picture)
-    places, numbers = _markers(image, board)
-    if refine and len(numbers) < _FEW_SHARE * len(charuco(board).getIds()) and image.size < _SMALL:
-        places, numbers = max((places, numbers), _markers(image, board, scale=2), key=lambda found: len(found[1]))
+    eight_bit_image = eight_bit(image)
+    places, numbers = _markers(eight_bit_image, board)
+    if refine and len(numbers) < _FEW_SHARE * len(charuco(board).getIds()) and eight_bit_image.size < _SMALL:
+        places, numbers = max(
+            (places, numbers), _markers(eight_bit_image, board, scale=2), key=lambda found: len(found[1])
+        )
     if len(np.unique(numbers)) + 1 < len(numbers):
         raise answers.two_boards(board)
-    corners, ids = _interpolated(image, board, places, numbers)
+    corners, ids = _interpolated(eight_bit_image, board, places, numbers)
     if len(numbers) >= _LEAST_MARKERS:
         _check_layout(board, places, numbers)
     # The markers begin in the white squares; the fit must not see them.
     reach = min(0.42, 0.9 * 0.5 * (1 - board.marker_mm / board.pitch_mm) * np.sqrt(2))
     if refine:
-        corners, ids = _extended(picture, board, (places, numbers), (corners, ids), reach)
+        corners, ids = _extended(image, board, (places, numbers), (corners, ids), reach)
     if not _spans(ids, board):
-        raise _reason(picture, image, board, len(ids))
+        raise _reason(image, eight_bit_image, board, len(ids))
     at = board.points[ids, :2] / board.pitch_mm
-    fits = fit_crossings(picture, corners, at, reach=reach)
+    fits = fit_crossings(image, corners, at, reach=reach)
     if not refine:
-        return answer(picture, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
+        return answer(image, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
     side = _side(corners, at)
     good = usable(fits, corners, side)
     if good.any() and float(np.median(fits.blur_px[good])) > _BLURRED * side:
         raise answers.too_blurred(float(np.median(fits.blur_px[good])), _BLURRED * side)
     if not _spans(ids[good], board):
-        raise answers.too_few(board, int(good.sum()), picture)
-    return answer(picture, ids[good], fits.centres[good], fits.sigma_px[good], fits)
+        raise answers.too_few(board, int(good.sum()), image)
+    return answer(image, ids[good], fits.centres[good], fits.sigma_px[good], fits)
 
 
-def _markers(image: Eight, board: Board, *, scale: int = 1) -> tuple[list[Any], NDArray[np.int64]]:
+def _markers(eight_bit_image: Eight, board: Board, *, scale: int = 1) -> tuple[list[Any], NDArray[np.int64]]:
     """Corners (1, 4, 2) and numbers of the markers; small ones are read better in a larger copy."""
     detector = cv2.aruco.ArucoDetector(charuco(board).getDictionary())
     if scale > 1:
-        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
-    places, numbers, _ = detector.detectMarkers(image)
+        eight_bit_image = np.asarray(
+            cv2.resize(eight_bit_image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), dtype=np.uint8
+        )
+    places, numbers, _ = detector.detectMarkers(eight_bit_image)
     places = [((place + 0.5) / scale - 0.5).astype(np.float32) for place in places]
     return places, np.empty(0, np.int64) if numbers is None else numbers.ravel().astype(np.int64)
 
 
 def _interpolated(
-    image: Eight, board: Board, places: list[Any], numbers: NDArray[np.int64]
+    eight_bit_image: Eight, board: Board, places: list[Any], numbers: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
     """Corners next to known markers; the drawing of older OpenCV versions is tried second."""
     best = np.empty((0, 2)), np.empty(0, np.int64)
@@ -84,7 +88,7 @@ def _interpolated(
     for legacy in (False, True):
         detector = cv2.aruco.CharucoDetector(charuco(board, legacy=legacy))
         corners, ids, _, _ = detector.detectBoard(
-            image, markerCorners=seen, markerIds=numbers[known].astype(np.int32)[:, None]
+            eight_bit_image, markerCorners=seen, markerIds=numbers[known].astype(np.int32)[:, None]
         )
         if ids is not None and len(ids) > len(best[1]):
             best = corners.reshape(-1, 2).astype(np.float64), ids.ravel().astype(np.int64)
@@ -94,13 +98,13 @@ def _interpolated(
 
 
 def _extended(
-    picture: GreyPicture,
+    image: GrayImage,
     board: Board,
     markers: tuple[list[Any], NDArray[np.int64]],
     found: tuple[Array, NDArray[np.int64]],
     reach: float,
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Also the corners whose markers were not read: predicted from what is near, kept where the picture confirms them.
+    """Also the corners whose markers were not read: predicted from what is near, kept where the image confirms them.
 
     Markers are harder to read than corners to see: where they are small or blurred few are read, and all corners are
     there.
@@ -128,7 +132,7 @@ def _extended(
         if not len(trial):
             break
         whole = np.concatenate([corners, guesses]), np.concatenate([ids, trial])
-        fits = fit_crossings(picture, whole[0], every[whole[1]], reach=reach)
+        fits = fit_crossings(image, whole[0], every[whole[1]], reach=reach)
         good = usable(fits, whole[0], _side(whole[0], every[whole[1]])) & (fits.light_first == white[whole[1]])
         good = good[len(ids) :]
         if not good.any():
@@ -186,8 +190,8 @@ def _check_layout(board: Board, places: list[Any], numbers: NDArray[np.int64]) -
         rows = int(np.ceil(2 * (int(numbers.max()) + 1) / columns))
         raise answers.wrong_size(board, columns - 1, rows - 1)
     raise TargetError(
-        f"the {len(numbers)} markers in the picture do not stand as on the board {board}; tell the board that is used "
-        "and its dictionary, and leave only this board in the picture"
+        f"the {len(numbers)} markers in the image do not stand as on the board {board}; tell the board that is used "
+        "and its dictionary, and leave only this board in the image"
     )
 
 
@@ -200,9 +204,9 @@ def _share(centres: Array, numbers: NDArray[np.int64], columns: int, first: int)
     return 0.0 if plane is None or inliers is None else float(inliers.mean())
 
 
-def _reason(picture: GreyPicture, image: Eight, board: Board, count: int) -> TargetError:
+def _reason(image: GrayImage, eight_bit_image: Eight, board: Board, count: int) -> TargetError:
     if count:
-        return answers.too_few(board, count, picture)
-    if len(_markers(np.ascontiguousarray(image[:, ::-1]), board)[1]) >= _LEAST_MARKERS:
+        return answers.too_few(board, count, image)
+    if len(_markers(np.ascontiguousarray(eight_bit_image[:, ::-1]), board)[1]) >= _LEAST_MARKERS:
         return answers.mirrored(board)
-    return answers.nothing(board, picture)
+    return answers.nothing(board, image)

@@ -1,4 +1,4 @@
-"""The inner corners of a chessboard in a picture: found by OpenCV, numbered and located by a fit of our own."""
+"""The inner corners of a chessboard in an image: found by OpenCV, numbered and located by a fit of our own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pipeline.calibrate.targets.detect import detection as answers
 from pipeline.calibrate.targets.detect.detection import Found
 from pipeline.calibrate.targets.detect.grid_numbering import oriented, symmetries
 from pipeline.calibrate.targets.localise.corner_fit import CornerFits, fit_crossings
-from pipeline.calibrate.targets.localise.gray_image import GreyPicture
+from pipeline.calibrate.targets.localise.gray_image import GrayImage
 from pipeline.calibrate.targets.marks import Marks
 
 Array = NDArray[np.float64]
@@ -28,33 +28,33 @@ _QUICK_SIDE = 1100
 _THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
-def find_chessboard(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
+def find_chessboard(image: GrayImage, board: Board, *, refine: bool = True) -> Found:
     """The inner corners of a chessboard; see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
-    image = eight_bit(picture)
-    corners = _corners(image, board.grid, quick=not refine)
+    eight_bit_image = eight_bit(image)
+    corners = _corners(eight_bit_image, board.grid, quick=not refine)
     if corners is None:
-        raise _reason(picture, image, board)
+        raise _reason(image, eight_bit_image, board)
     at = board.points[:, :2] / board.pitch_mm
     corners = _right_handed(corners, board)
-    fits = fit_crossings(picture, corners, at, reach=_REACH)
+    fits = fit_crossings(image, corners, at, reach=_REACH)
     ids = oriented(np.arange(len(at)), corners, board, _by_colour(fits, board))
     side = shorter_side(corners, board)
     if not refine:
-        return answer(picture, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
+        return answer(image, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
     good = usable(fits, corners, side)
     if good.any() and float(np.median(fits.blur_px[good])) > _BLURRED * side:
         raise answers.too_blurred(float(np.median(fits.blur_px[good])), _BLURRED * side)
     if good.sum() < _LEAST_SHARE * len(at):
-        raise answers.too_few(board, int(good.sum()), picture)
-    if _corners(_without(image, corners, board), board.grid, quick=True) is not None:
+        raise answers.too_few(board, int(good.sum()), image)
+    if _corners(_without(eight_bit_image, corners, board), board.grid, quick=True) is not None:
         raise answers.two_boards(board)
-    return answer(picture, ids[good], fits.centres[good], fits.sigma_px[good], fits)
+    return answer(image, ids[good], fits.centres[good], fits.sigma_px[good], fits)
 
 
-def eight_bit(picture: GreyPicture) -> Eight:
-    """The picture stretched to 8 bit, as OpenCV's finders want it."""
-    low, high = np.quantile(picture.values[::4, ::4], [0.002, 0.998])
-    stretched = (picture.values - low) * (255 / max(float(high - low), 1e-12))
+def eight_bit(image: GrayImage) -> Eight:
+    """The image stretched to 8 bit, as OpenCV's finders want it."""
+    low, high = np.quantile(image.values[::4, ::4], [0.002, 0.998])
+    stretched = (image.values - low) * (255 / max(float(high - low), 1e-12))
     return np.asarray(np.clip(np.round(stretched), 0, 255), dtype=np.uint8)
 
 
@@ -67,15 +67,15 @@ def usable(fits: CornerFits, corners: Array, side: float) -> NDArray[np.bool_]:
     return good
 
 
-def answer(picture: GreyPicture, ids: NDArray[np.int64], pixels: Array, sigma: Array, fits: CornerFits) -> Found:
-    """Marks with what the fits say of the picture."""
+def answer(image: GrayImage, ids: NDArray[np.int64], pixels: Array, sigma: Array, fits: CornerFits) -> Found:
+    """Marks with what the fits say of the image."""
     order = np.argsort(ids)
     marks = Marks(ids[order], pixels[order], sigma[order])
     if not fits.good.any():
-        return Found(marks, float("nan"), float("nan"), picture.saturated)
+        return Found(marks, float("nan"), float("nan"), image.saturated)
     contrast = (fits.contrast / np.maximum(fits.level, 1e-12))[fits.good]
     blur = float(np.median(fits.blur_px[fits.good]))
-    return Found(marks, blur, float(np.clip(np.median(contrast), 0, 1)), picture.saturated)
+    return Found(marks, blur, float(np.clip(np.median(contrast), 0, 1)), image.saturated)
 
 
 def shorter_side(corners: Array, board: Board) -> float:
@@ -87,16 +87,20 @@ def shorter_side(corners: Array, board: Board) -> float:
     return float(np.median(np.minimum(across, down)))
 
 
-def _corners(image: Eight, grid: tuple[int, int], *, quick: bool) -> Array | None:
-    """OpenCV's two finders, the newer first; large pictures are searched in a smaller copy as well."""
-    scale = max(1.0, max(image.shape) / _QUICK_SIDE) if quick else 1.0
-    small = image if scale == 1 else cv2.resize(image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+def _corners(eight_bit_image: Eight, grid: tuple[int, int], *, quick: bool) -> Array | None:
+    """OpenCV's two finders, the newer first; large images are searched in a smaller copy as well."""
+    scale = max(1.0, max(eight_bit_image.shape) / _QUICK_SIDE) if quick else 1.0
+    small = (
+        eight_bit_image
+        if scale == 1
+        else cv2.resize(eight_bit_image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+    )
     ok, corners = cv2.findChessboardCornersSB(small, grid, flags=cv2.CALIB_CB_NORMALIZE_IMAGE if quick else _THOROUGH)
     if not ok:
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         ok, corners = cv2.findChessboardCorners(small, grid, flags=flags | (cv2.CALIB_CB_FAST_CHECK if quick else 0))
-    if not ok and not quick and max(image.shape) > _QUICK_SIDE:
-        return _corners(image, grid, quick=True)
+    if not ok and not quick and max(eight_bit_image.shape) > _QUICK_SIDE:
+        return _corners(eight_bit_image, grid, quick=True)
     if not ok or len(corners) != grid[0] * grid[1]:
         return None
     return (corners.reshape(-1, 2).astype(np.float64) + 0.5) * scale - 0.5
@@ -133,33 +137,37 @@ def _is_quarter(choice: NDArray[np.int64], board: Board) -> bool:
     return bool(abs(int(choice[1]) - int(choice[0])) != 1) if board.columns > 1 else False
 
 
-def _without(image: Eight, corners: Array, board: Board) -> Eight:
-    """The picture with the board painted over, to look for a second one."""
+def _without(eight_bit_image: Eight, corners: Array, board: Board) -> Eight:
+    """The image with the board painted over, to look for a second one."""
     columns, rows = board.grid
     at = board.points[:, :2] / board.pitch_mm
     plane, _ = cv2.findHomography(at, corners, 0)
     edge = np.array([[-1.2, -1.2], [columns + 0.2, -1.2], [columns + 0.2, rows + 0.2], [-1.2, rows + 0.2]])
     outline = cv2.perspectiveTransform(edge[None], plane)[0]
-    painted = image.copy()
-    cv2.fillConvexPoly(painted, np.round(outline).astype(np.int32), int(np.median(image)))
+    painted = eight_bit_image.copy()
+    cv2.fillConvexPoly(painted, np.round(outline).astype(np.int32), int(np.median(eight_bit_image)))
     return painted
 
 
-def _shows_something(picture: GreyPicture) -> bool:
-    """Whether more than noise is there: stretched to 8 bit, OpenCV finds small boards in an even picture's noise."""
-    values = np.asarray(picture.values, dtype=np.float32)
+def _shows_something(image: GrayImage) -> bool:
+    """Whether more than noise is there: stretched to 8 bit, OpenCV finds small boards in an even image's noise."""
+    values = np.asarray(image.values, dtype=np.float32)
     smooth = cv2.GaussianBlur(values, (0, 0), _SMOOTH_PX)
     low, high = np.quantile(smooth[::4, ::4], [0.002, 0.998])
-    # Of white noise the smoothed picture keeps 1 / (2 sqrt(pi) sigma): a range of less than one deviation.
+    # Of white noise the smoothed image keeps 1 / (2 sqrt(pi) sigma): a range of less than one deviation.
     return bool(high - low > _OVER_NOISE * 1.4826 * float(np.median(np.abs(values - smooth))))
 
 
-def _reason(picture: GreyPicture, image: Eight, board: Board) -> Exception:
+def _reason(image: GrayImage, eight_bit_image: Eight, board: Board) -> Exception:
     """Why there is no board: another size, only a part, or nothing."""
-    if not _shows_something(picture):
-        return answers.nothing(board, picture)
-    scale = max(1.0, max(image.shape) / _QUICK_SIDE)
-    small = image if scale == 1 else cv2.resize(image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+    if not _shows_something(image):
+        return answers.nothing(board, image)
+    scale = max(1.0, max(eight_bit_image.shape) / _QUICK_SIDE)
+    small = (
+        eight_bit_image
+        if scale == 1
+        else cv2.resize(eight_bit_image, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+    )
     ok, corners, meta = cv2.findChessboardCornersSBWithMeta(
         small, (3, 3), cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     )
@@ -167,9 +175,9 @@ def _reason(picture: GreyPicture, image: Eight, board: Board) -> Exception:
         rows, columns = (int(count) for count in meta.shape[:2])
         places = corners.reshape(-1, 2) * scale
         smaller = rows * columns < board.columns * board.rows
-        if smaller and answers.runs_out(picture, places, float(np.linalg.norm(places[1] - places[0]))):
-            return answers.too_few(board, len(corners), picture)
+        if smaller and answers.runs_out(image, places, float(np.linalg.norm(places[1] - places[0]))):
+            return answers.too_few(board, len(corners), image)
         if sorted((rows, columns)) != sorted(board.grid):
             return answers.wrong_size(board, max(columns, rows), min(columns, rows))
-        return answers.too_few(board, len(corners), picture)
-    return answers.nothing(board, picture)
+        return answers.too_few(board, len(corners), image)
+    return answers.nothing(board, image)

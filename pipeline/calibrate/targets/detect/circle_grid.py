@@ -1,4 +1,4 @@
-"""The circles of a board in a picture: found, numbered, and each located by a fit."""
+"""The circles of a board in an image: found, numbered, and each located by a fit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pipeline.calibrate.targets.detect.grid_completion import Grid, among_neighb
 from pipeline.calibrate.targets.detect.grid_numbering import clear, extent, match, oriented
 from pipeline.calibrate.targets.detect.grid_topology import Lattice, lattices
 from pipeline.calibrate.targets.localise.ellipse_fit import Fits, fit_ellipses
-from pipeline.calibrate.targets.localise.gray_image import Grey, GreyPicture
+from pipeline.calibrate.targets.localise.gray_image import GrayImage, Grey
 from pipeline.calibrate.targets.marks import Marks
 from pipeline.common.errors import TargetError
 
@@ -36,13 +36,13 @@ _MISFIT_OVER_MEDIAN = 8.0
 _SIGMA_UNREFINED_PX = 0.2
 
 
-def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> Found:
+def find_circles(image: GrayImage, board: Board, *, refine: bool = True) -> Found:
     """The marks of a board of circles; see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
-    grid = _grid(picture, board)
+    grid = _grid(image, board)
     if not refine:
-        return _unrefined(picture, grid)
+        return _unrefined(image, grid)
     grid = completed(grid, board)
-    fits = _fitted(picture, grid.discs, room=room_px(grid, board))
+    fits = _fitted(image, grid.discs, room=room_px(grid, board))
     good = fits.good & (fits.contrast > 0 if grid.dark else fits.contrast < 0)
     if good.any():
         blur = float(np.median(fits.blur_px[good]))
@@ -52,49 +52,49 @@ def find_circles(picture: GreyPicture, board: Board, *, refine: bool = True) -> 
         good &= fits.misfit < _most_misfit(float(np.median(fits.misfit[good])))
         contrast = _relative(fits)
         good &= contrast > 0.4 * np.median(contrast[good])
-        good &= _inside(fits, picture)
+        good &= _inside(fits, image)
         # A start that was predicted, or found, is never far wrong: what moved away is another edge.
         good &= np.linalg.norm(fits.centres - grid.discs.centres, axis=1) < 0.5 * grid.discs.radii
         good[good] = among_neighbours(board.points[grid.ids[good], :2], fits.centres[good])
     if good.sum() < _LEAST_SHARE * len(board.points):
-        raise answers.too_few(board, int(good.sum()), picture)
+        raise answers.too_few(board, int(good.sum()), image)
     marks = Marks(grid.ids, fits.centres, fits.sigma_px, fits.areas_px).some(good)
-    return Found(marks, blur, float(np.clip(np.median(contrast[good]), 0, 1)), picture.saturated)
+    return Found(marks, blur, float(np.clip(np.median(contrast[good]), 0, 1)), image.saturated)
 
 
-def _grid(picture: GreyPicture, board: Board) -> Grid:
-    """Try both polarities and, in large pictures, the coarse levels first; the best failure tells the reason.
+def _grid(image: GrayImage, board: Board) -> Grid:
+    """Try both polarities and, in large images, the coarse levels first; the best failure tells the reason.
 
     Raises:
         TargetError: none of them shows the board alone and whole enough to number its marks.
     """
     best: tuple[int, TargetError, float] | None = None
-    for dark, level, shadow in _attempts(picture):
+    for dark, level, shadow in _attempts(image):
         if shadow and (best is None or best[0] < _LEAST_SEEN * len(board.points)):
             continue
-        discs = find_discs(picture.values, dark=dark, first_level=level)
+        discs = find_discs(image.values, dark=dark, first_level=level)
         if shadow:
-            discs = merged(discs, find_discs(_logarithm(picture.values), dark=dark, first_level=level))
+            discs = merged(discs, find_discs(_logarithm(image.values), dark=dark, first_level=level))
             discs = Discs(discs.centres, discs.shapes, np.ones(len(discs)))
         seen = lattices(discs)
         if not seen:
             continue
-        answer = _numbered(picture, board, discs, seen, dark=dark)
+        answer = _numbered(image, board, discs, seen, dark=dark)
         if isinstance(answer, Grid):
             return answer
         if best is None or len(seen[0]) > best[0]:
             best = len(seen[0]), answer, float(np.median(discs.radii[seen[0].indices]))
-    sigma = answers.edge_sigma_px(picture)
+    sigma = answers.edge_sigma_px(image)
     if best is not None and sigma > max(answers.BLURRED_PX, _BLURRED * best[2]):
         raise answers.too_blurred(sigma, max(answers.BLURRED_PX, _BLURRED * best[2]))
     if best is None or best[0] < max(6, 0.05 * len(board.points)):
-        raise answers.nothing(board, picture)
+        raise answers.nothing(board, image)
     raise best[1]
 
 
-def _attempts(picture: GreyPicture) -> Iterator[tuple[bool, int, bool]]:
+def _attempts(image: GrayImage) -> Iterator[tuple[bool, int, bool]]:
     """Polarity, first level of the pyramid, and whether a sharp shadow is reckoned with; the likely ones first."""
-    levels = (1, 0) if picture.values.size > _LARGE else (0,)
+    levels = (1, 0) if image.values.size > _LARGE else (0,)
     for shadow in (False, True):
         for level in levels:
             for dark in (True, False):
@@ -108,9 +108,7 @@ def _logarithm(values: Grey) -> Grey:
     return np.asarray(np.log(np.maximum(values - floor, 0.005 * (high - low))), dtype=np.float32)
 
 
-def _numbered(
-    picture: GreyPicture, board: Board, discs: Discs, seen: list[Lattice], *, dark: bool
-) -> Grid | TargetError:
+def _numbered(image: GrayImage, board: Board, discs: Discs, seen: list[Lattice], *, dark: bool) -> Grid | TargetError:
     lattice, whole = seen[0], len(board.points)
     found = match(lattice.places, board)
     if len(seen) > 1 and found.hits > 0.5 * whole and match(seen[1].places, board).hits > 0.5 * whole:
@@ -126,9 +124,9 @@ def _numbered(
         return answers.wrong_size(board, columns, rows)
     if found.hits < _LEAST_SHARE * whole or not clear(found, board):
         full = len(lattice) >= 0.95 * columns * rows and len(lattice) >= _BOARD_OF_ITS_OWN * whole
-        if other and full and min(columns, rows) > 2 and not _runs_out(picture, discs, lattice):
+        if other and full and min(columns, rows) > 2 and not _runs_out(image, discs, lattice):
             return answers.wrong_size(board, columns, rows)
-        return answers.too_few(board, found.hits, picture)
+        return answers.too_few(board, found.hits, image)
     named = found.ids >= 0
     chosen = discs.some(lattice.indices[named])
     ids = oriented(found.ids[named], chosen.centres, board)
@@ -142,43 +140,43 @@ def _relative(fits: Fits) -> Array:
     return np.abs(fits.contrast) / np.maximum(light, 1e-12)
 
 
-def _inside(fits: Fits, picture: GreyPicture) -> NDArray[np.bool_]:
-    """Discs that the edge of the picture does not cut."""
-    height, width = picture.values.shape
+def _inside(fits: Fits, image: GrayImage) -> NDArray[np.bool_]:
+    """Discs that the edge of the image does not cut."""
+    height, width = image.values.shape
     half = np.linalg.norm(fits.shapes, axis=2) + 0.5 * fits.blur_px[:, None]
     return ((fits.centres > half) & (fits.centres < np.array([width - 1, height - 1]) - half)).all(axis=1)
 
 
 def _most_misfit(median: float) -> float:
-    """Limit of the residuals: pictures that a camera has sharpened fit badly everywhere, a covered disc alone does."""
+    """Limit of the residuals: images that a camera has sharpened fit badly everywhere, a covered disc alone does."""
     return min(max(_MISFIT_OVER_MEDIAN * median, 0.05), max(_MISFIT, 2.5 * median))
 
 
-def _runs_out(picture: GreyPicture, discs: Discs, lattice: Lattice) -> bool:
+def _runs_out(image: GrayImage, discs: Discs, lattice: Lattice) -> bool:
     centres = discs.centres[lattice.indices]
     step = np.linalg.norm(centres[:, None] - centres, axis=2)
     np.fill_diagonal(step, np.inf)
-    return answers.runs_out(picture, centres, float(np.median(step.min(axis=1))))
+    return answers.runs_out(image, centres, float(np.median(step.min(axis=1))))
 
 
-def _unrefined(picture: GreyPicture, grid: Grid) -> Found:
+def _unrefined(image: GrayImage, grid: Grid) -> Found:
     """Centroids of the thresholded discs: for following a board live; a few discs are fitted for the sharpness."""
     n = len(grid.ids)
     sample = np.unique(np.linspace(0, n - 1, min(n, _SAMPLE)).astype(int))
-    fits = _fitted(picture, grid.discs, sample)
+    fits = _fitted(image, grid.discs, sample)
     blur = contrast = float("nan")
     if fits.good.any():
         blur = float(np.median(fits.blur_px[fits.good]))
         contrast = float(np.clip(np.median(_relative(fits)[fits.good]), 0, 1))
     areas = np.pi * grid.discs.radii**2
     marks = Marks(grid.ids, grid.discs.centres, np.full(n, _SIGMA_UNREFINED_PX), areas)
-    return Found(marks, blur, contrast, picture.saturated)
+    return Found(marks, blur, contrast, image.saturated)
 
 
 def _fitted(
-    picture: GreyPicture, discs: Discs, sample: NDArray[np.int64] | None = None, *, room: Array | None = None
+    image: GrayImage, discs: Discs, sample: NDArray[np.int64] | None = None, *, room: Array | None = None
 ) -> Fits:
     reach = reach_px(discs)
     if sample is not None:
         discs, reach = discs.some(sample), reach[sample]
-    return fit_ellipses(picture.values, discs.centres, discs.shapes, reach=reach, room=room, clip=picture.clip)
+    return fit_ellipses(image.values, discs.centres, discs.shapes, reach=reach, room=room, clip=image.clip)

@@ -1,4 +1,4 @@
-"""Discs in a picture: places that could be a circle of a board, in any size, under any light.
+"""Discs in an image: places that could be a circle of a board, in any size, under any light.
 
 On every level of a pyramid a pixel is compared with the middle of the darkest and brightest pixel around it. Such a
 threshold follows shade and illumination, and it finds discs from about 4 pixels across to half of the window; the next
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.targets.localise.gray_image import Grey, picture_noise
+from pipeline.calibrate.targets.localise.gray_image import Grey, image_noise
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Discs:
     Args:
         centres: (n, 2) u, v, pixels.
         shapes: (n, 2, 2) radius matrices E, pixels: the edge is at ``centre + E w`` for unit vectors w; symmetric.
-        contrast: (n,) difference to the surrounding, in the units of the picture, positive.
+        contrast: (n,) difference to the surrounding, in the units of the image, positive.
     """
 
     centres: Array
@@ -82,7 +82,7 @@ def _on_level(values: Grey, scale: int) -> Discs:
     # In 8 bit the running extremes are many times faster; the threshold does not need more.
     eight = np.asarray(np.round((smooth - low) * (255 / (high - low))), dtype=np.uint8)
     darkest, brightest = cv2.erode(eight, kernel), cv2.dilate(eight, kernel)
-    limit = max(_LEAST_CONTRAST * 255, _NOISE_LIMIT * picture_noise(values) * 255 / (high - low))
+    limit = max(_LEAST_CONTRAST * 255, _NOISE_LIMIT * image_noise(values) * 255 / (high - low))
     middle = np.asarray(cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0), dtype=np.uint8)
     inside = ((eight < middle) & (cv2.subtract(brightest, darkest) > limit)).astype(np.uint8)
     count, components, stats, _ = cv2.connectedComponentsWithStats(inside, connectivity=4)

@@ -1,4 +1,4 @@
-"""Numbered discs: how much of the picture belongs to each, and where the ones that are missing must be."""
+"""Numbered discs: how much of the image belongs to each, and where the ones that are missing must be."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def among_neighbours(at: Array, pixels: Array) -> NDArray[np.bool_]:
 
 
 def _predicted(place: Array, known: Array, pixels: Array) -> Array:
-    """Where a place of the board is in the picture, from the plane through some places; NaN where they tell none."""
+    """Where a place of the board is in the image, from the plane through some places; NaN where they tell none."""
     plane = np.asarray(cv2.findHomography(known, pixels, 0)[0])
     if plane.shape != (3, 3):
         return np.full(2, np.nan)

@@ -1,7 +1,7 @@
 """Which mark of the board is which place of a lattice, and where the numbering begins.
 
 The lattice of what was found is laid over the board's in its four rotations and all shifts; it is never mirrored. A
-board that looks the same after a rotation (a grid of circles after half a turn) is numbered by a rule of the picture,
+board that looks the same after a rotation (a grid of circles after half a turn) is numbered by a rule of the image,
 so that two cameras that see it from about the same side agree: the rows run right, or down where they are upright; on
 a square board, right.
 """
@@ -100,7 +100,7 @@ def clear(found: Match, board: Board) -> bool:
 
 
 def oriented(ids: Places, pixels: Array, board: Board, choices: Sequence[tuple[int, ...]] | None = None) -> Places:
-    """Of the numberings that the board allows the one that obeys the rule of the picture.
+    """Of the numberings that the board allows the one that obeys the rule of the image.
 
     Args:
         ids: (n,) numbers of marks.

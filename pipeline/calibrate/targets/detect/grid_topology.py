@@ -40,7 +40,7 @@ class Lattice:
     """Discs in a lattice.
 
     Args:
-        places: (n, 2) integer places a, b; the step in a, then the step in b turns clockwise in the picture (from
+        places: (n, 2) integer places a, b; the step in a, then the step in b turns clockwise in the image (from
             right to down), so a lattice is never mirrored.
         indices: (n,) of the discs.
     """

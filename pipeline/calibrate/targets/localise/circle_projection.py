@@ -3,7 +3,7 @@
 The image of a circle's centre is not the centroid of the circle's image: perspective makes the near half larger
 (the centre of an ellipse is not the image of the centre), and a lens's distortion moves it once more. Both follow from
 one integral over the disc, ``centroid = int u |J| dA / int |J| dA``, where J is the determinant of the map from the
-board to the picture. The integrand is smooth on the scale of a disc, so a cubature of degree seven
+board to the image. The integrand is smooth on the scale of a disc, so a cubature of degree seven
 (Stroud, 1971, S2 7-1) is exact to far below a thousandth of a pixel.
 """
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.calibrate.targets.localise.corner_kernel import PARAMETERS, fit_corners
 from pipeline.calibrate.targets.localise.ellipse_fit import LEAST_SIGMA_PX
 from pipeline.calibrate.targets.localise.fit_noise import noise_line, together
-from pipeline.calibrate.targets.localise.gray_image import GreyPicture, picture_noise
+from pipeline.calibrate.targets.localise.gray_image import GrayImage, image_noise
 
 Array = NDArray[np.float64]
 
@@ -45,16 +45,16 @@ class CornerFits:
     good: NDArray[np.bool_]
 
 
-def fit_crossings(picture: GreyPicture, corners: Array, at: Array, *, reach: float) -> CornerFits:
+def fit_crossings(image: GrayImage, corners: Array, at: Array, *, reach: float) -> CornerFits:
     """Fit every corner.
 
     Args:
-        picture: grey.
+        image: grey.
         corners: (n, 2) pixels, within about two pixels.
         at: (n, 2) places on the board in squares; they tell how the edges run.
         reach: radius of the pixels to use, as a share of the shorter side of a square; at most 0.45.
     """
-    values, n = picture.values, len(corners)
+    values, n = image.values, len(corners)
     steps = _steps(corners, at)
     side = np.linalg.norm(steps, axis=1).min(axis=1)
     windows = np.clip(reach * side, 2.5, 16.0)
@@ -67,14 +67,14 @@ def fit_crossings(picture: GreyPicture, corners: Array, at: Array, *, reach: flo
     parameters[:, 4] = 1.0
     starts = np.ascontiguousarray(corners, dtype=np.float64)
     first = parameters.copy()
-    noise = np.array([max(picture_noise(values) ** 2, 1e-8 * float(np.ptp(values)) ** 2, 1e-30), 0.0])
-    fit_corners(values, starts, windows, noise, _BLUR, picture.clip, _FIRST_STEPS, parameters, results)
+    noise = np.array([max(image_noise(values) ** 2, 1e-8 * float(np.ptp(values)) ** 2, 1e-30), 0.0])
+    fit_corners(values, starts, windows, noise, _BLUR, image.clip, _FIRST_STEPS, parameters, results)
     good = results[:, 9] > 0
     if good.any():
         noise = _noise(parameters[good], results[good])
         blur = float(np.median(parameters[good, 4])) * _BLUR_ALIKE
         parameters[~good] = first[~good]
-        fit_corners(values, starts, windows, noise, blur, picture.clip, _LAST_STEPS, parameters, results)
+        fit_corners(values, starts, windows, noise, blur, image.clip, _LAST_STEPS, parameters, results)
         good = results[:, 9] > 0
     # In the middle of a black square is nothing but noise; a light one may hold a marker.
     black = np.flatnonzero(good & (parameters[:, 8] < 0))[:_SAMPLE]

@@ -1,4 +1,4 @@
-"""The compiled fit of a blurred crossing of two edges to the picture around a chessboard's corner.
+"""The compiled fit of a blurred crossing of two edges to the image around a chessboard's corner.
 
 Model: ``I = P + Q S + sigma^2 grad Q . grad S``, ``S = erf(d1 / (sqrt(2) sigma)) erf(d2 / (sqrt(2) sigma))`` with the
 planes P (mean of light and dark), Q (half their difference) and the distances d1, d2 to two lines through the corner.
@@ -27,7 +27,7 @@ _SLOPE = 0.05
 
 @serial
 def fit_corners(
-    picture: Any,
+    image: Any,
     starts: Any,
     windows: Any,
     noise: Any,
@@ -40,7 +40,7 @@ def fit_corners(
     """Fit every corner.
 
     Args:
-        picture: (H, W) float32.
+        image: (H, W) float32.
         starts: (n, 2) where to begin.
         windows: (n,) radius of the pixels that are used.
         noise, blur, clip, steps: as :func:`pipeline.calibrate.targets.localise.ellipse_kernel.fit_all`.
@@ -50,25 +50,25 @@ def fit_corners(
             inside.
     """
     for i in range(len(starts)):
-        _fit(picture, starts[i], windows[i], noise, blur, clip, steps, parameters[i], results[i])
+        _fit(image, starts[i], windows[i], noise, blur, clip, steps, parameters[i], results[i])
 
 
 @serial
 def _fit(
-    picture: Any, start: Any, window: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
+    image: Any, start: Any, window: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
 ) -> None:
     out[:] = 0.0
-    height, width = picture.shape
+    height, width = image.shape
     room = window + 1.0
     if start[0] < room or start[1] < room or start[0] > width - 1 - room or start[1] > height - 1 - room:
         return
     if p[5] == 0.0 and p[8] == 0.0:
-        _levels(picture, start, window, p)
+        _levels(image, start, window, p)
     normal, right, row = np.zeros((_N, _N)), np.zeros(_N), np.zeros(_N)
     small = False
     moved = 1e9
     for step in range(steps + 1):
-        if not _normal_equations(picture, start, window, noise, blur, clip, p, normal, right, row, out):
+        if not _normal_equations(image, start, window, noise, blur, clip, p, normal, right, row, out):
             return
         if not decompose(normal, _N):
             return
@@ -91,7 +91,7 @@ def _fit(
 
 
 @serial
-def _levels(picture: Any, start: Any, window: float, p: Any) -> None:
+def _levels(image: Any, start: Any, window: float, p: Any) -> None:
     """Mean, and half the difference of the quadrants where S is positive and negative."""
     plus = minus = 0.0
     n_plus = n_minus = 0
@@ -104,10 +104,10 @@ def _levels(picture: Any, start: Any, window: float, p: Any) -> None:
             if min(abs(d1), abs(d2)) < 1.0:
                 continue
             if d1 * d2 > 0.0:
-                plus += picture[v0 + y, u0 + x]
+                plus += image[v0 + y, u0 + x]
                 n_plus += 1
             else:
-                minus += picture[v0 + y, u0 + x]
+                minus += image[v0 + y, u0 + x]
                 n_minus += 1
     plus, minus = plus / max(n_plus, 1), minus / max(n_minus, 1)
     p[5], p[8] = 0.5 * (plus + minus), 0.5 * (plus - minus)
@@ -133,7 +133,7 @@ def _move(p: Any, step: Any, window: float) -> bool:
 
 @serial
 def _normal_equations(
-    picture: Any,
+    image: Any,
     start: Any,
     window: float,
     noise: Any,
@@ -145,7 +145,7 @@ def _normal_equations(
     row: Any,
     out: Any,
 ) -> bool:
-    height, width = picture.shape
+    height, width = image.shape
     normal[:, :] = 0.0
     right[:] = 0.0
     out[3:9] = 0.0
@@ -171,7 +171,7 @@ def _normal_equations(
             q = p[8] + p[9] * sx + p[10] * sy
             blend = sigma * sigma / window
             model = p[5] + p[6] * sx + p[7] * sy + q * shape + blend * (p[9] * gx + p[10] * gy)
-            value = picture[v, u]
+            value = image[v, u]
             if value >= clip and model >= clip:
                 continue
             residual = value - model

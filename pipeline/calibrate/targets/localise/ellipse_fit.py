@@ -1,6 +1,6 @@
 """Centres of circles' images by maximum likelihood: a blurred ellipse is fitted to the intensities around each.
 
-The weights come from the picture's own noise, dark and bright measured apart (shot noise), so that the covariance of
+The weights come from the image's own noise, dark and bright measured apart (shot noise), so that the covariance of
 the fit is the standard deviation of the centre that the noise really causes; noise of neighbouring pixels that goes
 together (demosaicing) is counted too.
 """
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.targets.localise.ellipse_kernel import PARAMETERS, fit_all
 from pipeline.calibrate.targets.localise.fit_noise import noise_line, together
-from pipeline.calibrate.targets.localise.gray_image import Grey, picture_noise
+from pipeline.calibrate.targets.localise.gray_image import Grey, image_noise
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _FIRST_STEPS, _LAST_STEPS = 14, 6
 _BLUR = np.array([1.0, 1.0])
 """What is known of the edges' sigma before anything was seen: mean and standard deviation, pixels."""
 _BLUR_ALIKE = np.array([1.0, 0.2])
-"""The same in shares of the median over the discs of the picture."""
+"""The same in shares of the median over the discs of the image."""
 
 
 LEAST_SIGMA_PX = 5e-4
@@ -80,7 +80,7 @@ def fit_ellipses(
     starts = np.ascontiguousarray(centres, dtype=np.float64)
     shapes = np.ascontiguousarray(shapes, dtype=np.float64)
     reach = np.ascontiguousarray(reach, dtype=np.float64)
-    noise = np.array([max(picture_noise(values) ** 2, 1e-8 * float(np.ptp(values)) ** 2, 1e-30), 0.0])
+    noise = np.array([max(image_noise(values) ** 2, 1e-8 * float(np.ptp(values)) ** 2, 1e-30), 0.0])
     fit_all(values, starts, shapes, reach, noise, _BLUR, clip, _FIRST_STEPS, parameters, results)
     good = results[:, 9] > 0
     if good.any():

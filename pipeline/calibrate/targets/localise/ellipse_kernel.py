@@ -1,4 +1,4 @@
-"""The compiled fit of a blurred ellipse to the picture around one disc.
+"""The compiled fit of a blurred ellipse to the image around one disc.
 
 Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with the planes P (ground), Q (ground minus
 disc), S = Phi(-(d + kappa sigma^2 / 2) / sigma), d the distance to the ellipse along its normal n, kappa its curvature.
@@ -32,7 +32,7 @@ changes it in proportion to the ground. Decides only where a disc is so small th
 
 @serial
 def fit_all(
-    picture: Any,
+    image: Any,
     starts: Any,
     shapes: Any,
     reach: Any,
@@ -46,7 +46,7 @@ def fit_all(
     """Fit every disc.
 
     Args:
-        picture: (H, W) float32.
+        image: (H, W) float32.
         starts, shapes: (n, 2) and (n, 2, 2) where to begin.
         reach: (n,) pixels beyond the edge that may be used.
         noise: (2,) variance of a sample of intensity I is ``noise[0] + noise[1] * max(I, 0)``.
@@ -59,13 +59,13 @@ def fit_all(
             same outside; 1 where the fit converged.
     """
     for i in range(len(starts)):
-        _fit(picture, starts[i], shapes[i], reach[i], noise, blur, clip, steps, parameters[i], results[i])
+        _fit(image, starts[i], shapes[i], reach[i], noise, blur, clip, steps, parameters[i], results[i])
 
 
 @serial
-def _begin(picture: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
-    """Levels inside and outside; False where the disc is not in the picture."""
-    height, width = picture.shape
+def _begin(image: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
+    """Levels inside and outside; False where the disc is not in the image."""
+    height, width = image.shape
     p[0] = p[1] = 0.0
     p[2], p[3], p[4] = shape[0, 0], shape[0, 1], shape[1, 1]
     p[5] = 0.0
@@ -82,14 +82,14 @@ def _begin(picture: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
             a, b = (p[4] * x - p[3] * y) / determinant, (p[2] * y - p[3] * x) / determinant
             f = np.sqrt(a * a + b * b)
             if f < 0.6:
-                inside += picture[v, u]
+                inside += image[v, u]
                 n_inside += 1
             elif (
                 f > 1.0
                 and (f - 1.0) * np.sqrt(determinant) > min(1.5, 0.5 * reach)
                 and f < 1.0 + reach / np.sqrt(determinant)
             ):
-                outside += picture[v, u]
+                outside += image[v, u]
                 n_outside += 1
     if n_inside < 1 or n_outside < 6:
         return False
@@ -100,11 +100,11 @@ def _begin(picture: Any, start: Any, shape: Any, reach: float, p: Any) -> bool:
 
 @serial
 def _fit(
-    picture: Any, start: Any, shape: Any, reach: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
+    image: Any, start: Any, shape: Any, reach: float, noise: Any, blur: Any, clip: float, steps: int, p: Any, out: Any
 ) -> None:
     out[:] = 0.0
     if not p[5] > 0.0:
-        if not _begin(picture, start, shape, reach, p):
+        if not _begin(image, start, shape, reach, p):
             return
         p[5] = blur[0]
     normal, right, row = np.zeros((_N, _N)), np.zeros(_N), np.zeros(_N)
@@ -112,7 +112,7 @@ def _fit(
     moved = 1e9
     for step in range(steps + 1):
         last = step == steps or small >= 1
-        if not _normal_equations(picture, start, reach, noise, blur, clip, p, normal, right, row, out):
+        if not _normal_equations(image, start, reach, noise, blur, clip, p, normal, right, row, out):
             return
         if not decompose(normal, _N):
             return
@@ -153,7 +153,7 @@ def _move(p: Any, step: Any, most: float) -> bool:
 
 @serial
 def _normal_equations(
-    picture: Any,
+    image: Any,
     start: Any,
     reach: float,
     noise: Any,
@@ -165,7 +165,7 @@ def _normal_equations(
     row: Any,
     out: Any,
 ) -> bool:
-    height, width = picture.shape
+    height, width = image.shape
     normal[:, :] = 0.0
     right[:] = 0.0
     out[3:9] = 0.0
@@ -208,7 +208,7 @@ def _normal_equations(
             sx, sy = (u - start[0]) / radius, (v - start[1]) / radius
             q = p[9] + p[10] * sx + p[11] * sy
             model = p[6] + p[7] * sx + p[8] * sy - q * share + sigma * bell * (nx * p[10] + ny * p[11]) / radius
-            value = picture[v, u]
+            value = image[v, u]
             if value >= clip and model >= clip:
                 continue
             residual = value - model

@@ -1,4 +1,4 @@
-"""The noise of a picture as the residuals of a fit show it."""
+"""The noise of an image as the residuals of a fit show it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def together(values: Grey, centres: Array, halves: Array) -> float:
     A mean over many pixels is that much less certain than the variance of one pixel promises.
 
     Args:
-        values: (H, W) the picture.
+        values: (H, W) the image.
         centres: (n, 2) pixels, middles of blocks in which nothing but noise and a plane of light is expected.
         halves: (n,) half sides of the blocks, pixels; blocks under 4 are not used.
     """

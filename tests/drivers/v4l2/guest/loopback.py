@@ -1,4 +1,4 @@
-"""Two loopback cameras: known pictures written on one end, read by the driver on the other, paired by the daemon."""
+"""Two loopback cameras: known images written on one end, read by the driver on the other, paired by the daemon."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ def test_every_byte_arrives() -> None:
                 image = read(made).image
                 if number == 0 and image.tobytes() == EARLIER:
                     image = read(made).image
-                assert np.array_equal(image, wanted), f"picture {number} is not the one that was written"
+                assert np.array_equal(image, wanted), f"image {number} is not the one that was written"
 
 
-def test_pairs_hold_pictures_of_the_same_moment() -> None:
+def test_pairs_hold_images_of_the_same_moment() -> None:
     settings = PairingSettings(tolerance_ns=10**8, max_wait_ns=60 * 10**9, stale_ns=60 * 10**9)
     pairer, pairs = Pairer(settings), []
     with (
@@ -101,17 +101,17 @@ def test_pairs_hold_pictures_of_the_same_moment() -> None:
 
 def test_jpeg_is_decoded_and_a_broken_one_counted() -> None:
     column = np.linspace(0, 255, SIZE[0]).astype(np.uint8)
-    picture = np.stack(np.broadcast_arrays(column, column[::-1], np.uint8(90)), -1)[None].repeat(SIZE[1], 0)
-    whole = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+    image = np.stack(np.broadcast_arrays(column, column[::-1], np.uint8(90)), -1)[None].repeat(SIZE[1], 0)
+    whole = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
     with output(NODES["left"], "MJPG", 320 * 240) as fd:
         os.write(fd, whole)
         with acquiring(NODES["left"], format="MJPG", size=SIZE) as made:
             os.write(fd, whole)
-            assert np.abs(read(made).image.astype(int) - picture).mean() < 4
+            assert np.abs(read(made).image.astype(int) - image).mean() < 4
             os.write(fd, whole[: len(whole) // 2])
             until(lambda: not made.read(0.1) and made.health().counters["corrupt_jpeg"], "the broken one is counted")
             os.write(fd, whole)
-            assert np.abs(read(made).image.astype(int) - picture).mean() < 4
+            assert np.abs(read(made).image.astype(int) - image).mean() < 4
 
 
 def test_waiting_for_a_frame_lets_other_threads_run() -> None:

@@ -1,4 +1,4 @@
-"""Real pictures that others took: every board is found, and the numbers agree with what is known of them."""
+"""Real images that others took: every board is found, and the numbers agree with what is known of them."""
 
 import cv2
 import numpy as np
@@ -28,13 +28,13 @@ def stored(path):
 def test_all_circle_boards_are_found_near_the_stored_centres(shared_data, folder, name, kind, count, refine):
     """The stored centres are centroids of blobs, which differ from the edges' ellipses by some tenths of a pixel.
 
-    Thresholds alone do worse than a fit where the camera has sharpened the picture (circles2).
+    Thresholds alone do worse than a fit where the camera has sharpened the image (circles2).
     """
     for number in range(1, count + 1):
-        picture = cv2.imread(str(shared_data("circles", folder, f"{name}{number}.png")), cv2.IMREAD_GRAYSCALE)
+        image = cv2.imread(str(shared_data("circles", folder, f"{name}{number}.png")), cv2.IMREAD_GRAYSCALE)
         expected = stored(shared_data("circles", folder, f"{name}_corners{number}.dat"))
         board = Board(kind, expected.shape[1], expected.shape[0], 10.0)
-        marks = find_marks(picture, board, refine=refine).marks
+        marks = find_marks(image, board, refine=refine).marks
         assert len(marks) == expected.size // 2, f"{name}{number}"
         trials = [
             np.linalg.norm(marks.pixels - expected.reshape(-1, 2)[np.array(s)][marks.ids], axis=1)
@@ -45,13 +45,13 @@ def test_all_circle_boards_are_found_near_the_stored_centres(shared_data, folder
 
 
 def test_all_chessboards_are_found_and_calibrate_better_than_opencv_corners(shared_data):
-    """OpenCV's finder with cornerSubPix gives 0.198, 0.210 and 0.219 px on these pictures (see their README)."""
+    """OpenCV's finder with cornerSubPix gives 0.198, 0.210 and 0.219 px on these images (see their README)."""
     board = parse_board("chessboard:9x6:1")
     pixels = {"left": [], "right": []}
     for side, found in pixels.items():
         for number in range(1, 15):
-            picture = cv2.imread(str(shared_data("chessboard_stereo", f"{side}{number:02}.jpg")), cv2.IMREAD_GRAYSCALE)
-            marks = find_marks(picture, board).marks
+            image = cv2.imread(str(shared_data("chessboard_stereo", f"{side}{number:02}.jpg")), cv2.IMREAD_GRAYSCALE)
+            marks = find_marks(image, board).marks
             assert len(marks) == 54
             found.append(marks.pixels.astype(np.float32))
     at = [board.points.astype(np.float32)] * 14

@@ -64,8 +64,8 @@ def expected(name: str, light: NDArray[np.uint16]) -> Samples:
 
 
 @pytest.mark.parametrize("sensor", ["mono", "RG", "GR", "GB", "BG"])
-def test_each_format_decodes_to_the_picture_shown_and_others_are_refused(
-    producer: Path, cable: Cables, picture: NDArray[np.uint8], sensor: str
+def test_each_format_decodes_to_the_image_shown_and_others_are_refused(
+    producer: Path, cable: Cables, image: NDArray[np.uint8], sensor: str
 ) -> None:
     camera = cable(sensor=sensor)
     offered = {
@@ -79,7 +79,7 @@ def test_each_format_decodes_to_the_picture_shown_and_others_are_refused(
         for name in sorted(offered):
             host.set(PixelFormat=name)
             host.start(buffers=3)
-            for light in picture, picture.astype(np.uint16) * 257 ^ 0x5A:
+            for light in image, image.astype(np.uint16) * 257 ^ 0x5A:
                 camera.show(light)
                 wide = light.astype(np.uint16) << 8 if light.dtype == np.uint8 else light
                 np.testing.assert_array_equal(decoded(name, one_shot(host, camera)), expected(name, wide), name)
@@ -105,18 +105,18 @@ def test_grey_light_is_the_same_through_every_filter(producer: Path, cable: Cabl
 @pytest.mark.parametrize("name", ["BayerRG8", "RGB8", "Mono12p"])
 @pytest.mark.parametrize("region", [(16, 4, 0, 0), (24, 10, 20, 6), (16, 4, WIDTH - 16, HEIGHT - 4)])
 def test_a_region_is_the_crop_of_the_whole(
-    producer: Path, cable: Cables, picture: NDArray[np.uint8], name: str, region: tuple[int, int, int, int]
+    producer: Path, cable: Cables, image: NDArray[np.uint8], name: str, region: tuple[int, int, int, int]
 ) -> None:
     width, height, x, y = region
     camera = cable()
-    camera.show(picture)
+    camera.show(image)
     with opened(producer, "CAM0") as (host,):
         host.trigger_on()
         host.set(PixelFormat=name, Width=width, Height=height, OffsetX=x, OffsetY=y)
         host.start()
         shot = one_shot(host, camera)
         assert (shot.size, shot.offset) == ((width, height), (x, y))
-        whole = expected(name, picture.astype(np.uint16) << 8)
+        whole = expected(name, image.astype(np.uint16) << 8)
         np.testing.assert_array_equal(decoded(name, shot), whole[y : y + height, x : x + width])
 
 
@@ -151,22 +151,22 @@ def test_chunks_tell_what_they_are_named_for(producer: Path, cable: Cables) -> N
             assert shot.chunks == wanted | {"TriggersMissed": int(k > 0)}
 
 
-def test_only_enabled_chunks_come(producer: Path, cable: Cables, picture: NDArray[np.uint8]) -> None:
+def test_only_enabled_chunks_come(producer: Path, cable: Cables, image: NDArray[np.uint8]) -> None:
     camera = cable()
-    camera.show(picture)
+    camera.show(image)
     with opened(producer, "CAM0") as (host,):
         host.trigger_on()
         host.set(PixelFormat="RGB8", ChunkModeActive=True, ChunkSelector="FrameID", ChunkEnable=True)
         host.set(ChunkSelector="Timestamp")
         assert host.get("ChunkEnable") is False
-        assert host.get("PayloadSize") == picture.nbytes + 8
+        assert host.get("PayloadSize") == image.nbytes + 8
         host.start()
         assert camera.pulse()
         assert camera.wait_idle(WAIT_S)
         assert camera.state().delivered == 1
 
 
-def test_a_pulse_exposes_the_picture_that_was_shown_when_it_was_given(producer: Path, cable: Cables) -> None:
+def test_a_pulse_exposes_the_image_that_was_shown_when_it_was_given(producer: Path, cable: Cables) -> None:
     """Even if the world has shown others before the camera's process came to it."""
     camera = cable(real_time=True)
     with opened(producer, "CAM0") as (host,):
@@ -182,7 +182,7 @@ def test_a_pulse_exposes_the_picture_that_was_shown_when_it_was_given(producer: 
         assert camera.state().overtaken == 0
 
 
-def test_a_picture_that_was_slept_through_is_lost_and_never_another_in_its_place(producer: Path, cable: Cables) -> None:
+def test_an_image_that_was_slept_through_is_lost_and_never_another_in_its_place(producer: Path, cable: Cables) -> None:
     camera = cable(real_time=True)
     with opened(producer, "CAM0") as (host,):
         host.trigger_on()
@@ -200,7 +200,7 @@ def test_a_picture_that_was_slept_through_is_lost_and_never_another_in_its_place
         assert (shot.bytes[0], state.exposed, state.delivered, state.overtaken) == (SLOTS - 1, 2, 1, 1)
 
 
-def test_no_picture_is_torn_however_fast_they_change(producer: Path, cable: Cables) -> None:
+def test_no_image_is_torn_however_fast_they_change(producer: Path, cable: Cables) -> None:
     camera = cable(real_time=True, size=(256, 256), readout_us=100.0)
     with opened(producer, "CAM0") as (host,):
         host.set(ExposureTime=50.0)
@@ -237,11 +237,11 @@ def test_gain_black_level_and_gamma_change_the_values(producer: Path, cable: Cab
         np.testing.assert_allclose(settings, 255 * np.sqrt(light / 255), atol=1.01)
 
 
-def test_automatics_change_the_picture_until_they_are_off(
-    producer: Path, cable: Cables, picture: NDArray[np.uint8]
+def test_automatics_change_the_image_until_they_are_off(
+    producer: Path, cable: Cables, image: NDArray[np.uint8]
 ) -> None:
     camera = cable(automatic=True)
-    dim = picture // 4 + np.array([0, 0, 9], np.uint8)
+    dim = image // 4 + np.array([0, 0, 9], np.uint8)
     camera.show(dim)
     with opened(producer, "CAM0") as (host,):
         assert host.get("ExposureAuto") == host.get("GainAuto") == host.get("BalanceWhiteAuto") == "Continuous"

@@ -1,4 +1,4 @@
-"""Pictures to set a projector up with: plain ones, a cross, and one that shows every lost or scaled pixel."""
+"""Images to set a projector up with: plain ones, a cross, and one that shows every lost or scaled pixel."""
 
 from __future__ import annotations
 
@@ -18,43 +18,43 @@ def plain(size: tuple[int, int], level: int) -> NDArray[np.uint8]:
 
 def cross(size: tuple[int, int]) -> NDArray[np.uint8]:
     """A white frame and white lines through the middle on black, one pixel wide (two where the side is even)."""
-    picture = plain(size, 0)
-    picture[[0, -1]] = picture[:, [0, -1]] = 255
-    _cross_hairs(picture)
-    return picture
+    image = plain(size, 0)
+    image[[0, -1]] = image[:, [0, -1]] = 255
+    _cross_hairs(image)
+    return image
 
 
 def alignment(size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The test picture: (H, W, 3).
+    """The test image: (H, W, 3).
 
     From outside in: a white frame of one pixel (a side that is cut off is overscan); a border of a 1-pixel checkerboard
     (even grey from afar; moiré or blotches mean scaling or sharpening); a grey ramp across and one down; blocks of red,
     green, blue, white, black and grey; blocks of 1-pixel lines across and down; the cross hairs.
     """
     width, height = size
-    picture = plain(size, 64)
+    image = plain(size, 64)
     rows, columns = np.indices((height, width))
     checkered = ((rows + columns) % 2 * 255).astype(np.uint8)
     border = np.minimum.reduce([rows, columns, height - 1 - rows, width - 1 - columns]) < BORDER
-    picture[border] = checkered[border][:, None]
-    _ramps(picture)
-    _blocks(picture, checkered)
-    _cross_hairs(picture)
-    picture[[0, -1]] = picture[:, [0, -1]] = 255
-    return picture
+    image[border] = checkered[border][:, None]
+    _ramps(image)
+    _blocks(image, checkered)
+    _cross_hairs(image)
+    image[[0, -1]] = image[:, [0, -1]] = 255
+    return image
 
 
-def _ramps(picture: NDArray[np.uint8]) -> None:
+def _ramps(image: NDArray[np.uint8]) -> None:
     """Along the top and the left inside of the border, from 0 to 255."""
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     inside, thick = slice(BORDER, -BORDER), slice(BORDER, 2 * BORDER)
-    picture[thick, inside] = np.linspace(0, 255, width - 2 * BORDER).round().astype(np.uint8)[None, :, None]
-    picture[inside, thick] = np.linspace(0, 255, height - 2 * BORDER).round().astype(np.uint8)[:, None, None]
+    image[thick, inside] = np.linspace(0, 255, width - 2 * BORDER).round().astype(np.uint8)[None, :, None]
+    image[inside, thick] = np.linspace(0, 255, height - 2 * BORDER).round().astype(np.uint8)[:, None, None]
 
 
-def _blocks(picture: NDArray[np.uint8], checkered: NDArray[np.uint8]) -> None:
+def _blocks(image: NDArray[np.uint8], checkered: NDArray[np.uint8]) -> None:
     """Colours in a row above the middle, line patterns in a row below it."""
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     side = max(1, min(width // (2 * len(COLORS)), height // 8))
     rows, columns = np.indices((height, width))
     lines = (checkered, (columns % 2 * 255).astype(np.uint8), (rows % 2 * 255).astype(np.uint8))
@@ -63,11 +63,11 @@ def _blocks(picture: NDArray[np.uint8], checkered: NDArray[np.uint8]) -> None:
         above = slice(height // 3 - side // 2, height // 3 - side // 2 + side)
         below = slice(2 * height // 3 - side // 2, 2 * height // 3 - side // 2 + side)
         across = slice(left, left + side)
-        picture[above, across] = color
-        picture[below, across] = lines[number % len(lines)][below, across][..., None]
+        image[above, across] = color
+        image[below, across] = lines[number % len(lines)][below, across][..., None]
 
 
-def _cross_hairs(picture: NDArray[np.uint8]) -> None:
-    height, width = picture.shape[:2]
-    picture[(height - 1) // 2 : height // 2 + 1] = 255
-    picture[:, (width - 1) // 2 : width // 2 + 1] = 255
+def _cross_hairs(image: NDArray[np.uint8]) -> None:
+    height, width = image.shape[:2]
+    image[(height - 1) // 2 : height // 2 + 1] = 255
+    image[:, (width - 1) // 2 : width // 2 + 1] = 255

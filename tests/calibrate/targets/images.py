@@ -1,4 +1,4 @@
-"""Pictures of boards with known truth: the drawing seen through the full camera model, four samples across a pixel."""
+"""Images of boards with known truth: the drawing seen through the full camera model, four samples across a pixel."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def clean(board, device, pose, *, blur_px=0.7, shade=(0.0, 0.0), light=200.0, da
 
     Args:
         blur_px: sigma of the lens's blur.
-        shade: relative change of the light across the whole picture, right and down.
+        shade: relative change of the light across the whole image, right and down.
     """
     rotation, translation = pose.of(board)
     width, height = device.size
@@ -64,7 +64,7 @@ def clean(board, device, pose, *, blur_px=0.7, shade=(0.0, 0.0), light=200.0, da
 
 
 def noisy(light, seed=0, *, full_well=10_000.0, read_dn=0.8, gain=1.0):
-    """An 8-bit picture: shot noise, read noise, rounding, clipping."""
+    """An 8-bit image: shot noise, read noise, rounding, clipping."""
     rng = np.random.default_rng(seed)
     light = np.clip(light, 0, None) * gain
     sigma = np.sqrt(light * 255 / full_well + read_dn**2)
