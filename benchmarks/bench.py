@@ -18,8 +18,8 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import accuracy, compare, machine, scale, speed
-from benchmarks.cases import CASES
+from benchmarks import accuracy, compare, machine, scale, speed, trust
+from benchmarks.cases import CASES, HARD
 from benchmarks.rendered import OUT
 from benchmarks.tables import Table, as_json, with_block, write_whole
 
@@ -64,12 +64,19 @@ def cases(options: argparse.Namespace) -> Found:
     return [table], figures, promises
 
 
+def trusted(options: argparse.Namespace) -> Found:
+    """Wrong points, false surfaces and error against sigma in hard cases."""
+    chosen = [case for case in HARD if options.case in case.name]
+    return trust.by_case(chosen[: QUICK_CASES if options.quick else None], options.seeds)
+
+
 SECTIONS: dict[str, Callable[[argparse.Namespace], Found]] = {
     "stages": stages,
     "live": live,
     "peers": peers,
     "scale": scaling,
     "accuracy": cases,
+    "trust": trusted,
 }
 
 

@@ -78,3 +78,26 @@ CASES = (
     Case("noise x 4", "mixed", Optics(noise=4.0)),
     Case("gamma 2.2 unknown", "mixed", Optics(gamma=2.2, precorrected=False)),
 )
+
+UNKNOWN = Optics(gamma=2.2, precorrected=False, crosstalk_error=0.10)
+HARD = (
+    Case("standard", "mixed"),
+    Case("rims", "rims"),
+    Case("slots", "slots"),
+    Case("bars", "bars"),
+    Case("steep sides", "steep"),
+    Case("hand before a face", "hand"),
+    Case("gloss and dark parts", "gloss"),
+    Case("beyond the volume", "beyond"),
+    Case("over-exposed 1.8 times", "mixed", Optics(exposure=1.8)),
+    Case("bright, over-exposed", "bright", Optics(exposure=1.8)),
+    Case("projector in the middle", "mixed", layout=MIDDLE),
+    Case("middle, modulated", "mixed", layout=MIDDLE, modulated=True),
+    Case("middle, rims", "rims", layout=MIDDLE),
+    Case("Bayer", "mixed", encoding="bayer_rggb8"),
+    Case("Bayer, realistic", "mixed", Optics.realistic(), encoding="bayer_rggb8"),
+    Case("Bayer, unknown gamma and crosstalk", "mixed", UNKNOWN, encoding="bayer_rggb8"),
+    Case("Bayer, slots", "slots", encoding="bayer_rggb8"),
+    Case("the demo's scene", "moving"),
+)
+"""Scenes and rigs in which wrong points and false surfaces arise; :mod:`benchmarks.trust` measures them."""

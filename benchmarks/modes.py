@@ -30,7 +30,8 @@ from sim.render.projection_transport import Stage
 from sim.render.render_pair import truths
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import Scene, build
+from sim.scene.named_scenes import build
+from sim.scene.scene import Scene
 from sim.scene.shapes import COLORED, Motion, Texture, plane
 
 SINGLE = "single"

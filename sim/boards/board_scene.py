@@ -18,8 +18,8 @@ from sim.render.projection_transport import Counts, Stage
 from sim.render.render_pair import Image, with_noise
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import Scene
 from sim.scene.printed_marks import Ink
+from sim.scene.scene import Scene
 from sim.scene.shapes import Shape, Triple, rectangle
 
 __all__ = [

@@ -29,8 +29,8 @@ from sim.render.sensor import ENCODINGS
 from sim.rig import rig_files
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import Scene
 from sim.scene.named_scenes import build as build_scene
+from sim.scene.scene import Scene
 
 
 def write_capture(

@@ -24,7 +24,7 @@ from sim.devices.options import BOARD_SCENE, SimOptions
 from sim.devices.scene_options import optics_of, scene_of
 from sim.render import render_pair
 from sim.rig.disturbance import TrueRig
-from sim.scene.named_scenes import Scene
+from sim.scene.scene import Scene
 
 # To be raised whenever the same options would give other images.
 RENDER_VERSION = 1

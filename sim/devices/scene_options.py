@@ -11,7 +11,7 @@ from sim.devices.options import BOARD_SCENE, SimOptions
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene import named_scenes
-from sim.scene.named_scenes import Scene
+from sim.scene.scene import Scene
 
 
 def scene_of(options: SimOptions, pose: int = 0) -> Scene:

@@ -23,8 +23,8 @@ from sim.render.render_pair import Image
 from sim.rig.disturbance import TrueRig
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import Scene
 from sim.scene.ray_hits import Surfaces, surfaces
+from sim.scene.scene import Scene
 
 Light = NDArray[np.float32]
 Counts = tuple[Light, Light]
@@ -169,6 +169,7 @@ def _sampled(
         gain = lighting.shade(*surface, lit, lamp, unit, shift, standoff, 0.0)
         dark = lighting.shade(*surface, np.zeros_like(lit), lamp, black, shift, standoff, optics.ambient)
         for part in (gain, dark):
+            now.add_gloss(part, hits, camera.centre, projector.centre)
             now.darken(part, hits, camera.centre, render_pair.angle_of_a_ray(camera, optics))
         uv = np.where(lit[:, None], pixels_of(lamp, hits.points), 0.0).astype(np.float32)
         return tuple(part.reshape(height, columns, -1) for part in (uv, gain, dark))  # type: ignore[return-value]

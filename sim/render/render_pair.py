@@ -24,8 +24,8 @@ from sim.render.lens import packed, pixel_rays
 from sim.rig.disturbance import TrueRig
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import Scene
 from sim.scene.ray_hits import Surfaces, surfaces
+from sim.scene.scene import Scene
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 T = TypeVar("T")
@@ -199,6 +199,7 @@ def _light_at(
         out = lighting.shade(
             now.table, hits.points, hits.normals, hits.which, lit, lamp, light, shift, standoff, optics.ambient
         )
+        now.add_gloss(out, hits, camera.centre, projector.centre)
         now.darken(out, hits, camera.centre, angle_of_a_ray(camera, optics))
         return np.asarray(out.reshape(rows, columns, 3))
 

@@ -6,30 +6,12 @@ They fill the standard field of about 420 x 335 mm and stay inside its volume of
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from sim.scene import hard_scenes
+from sim.scene.scene import SKIN, Scene, board
 from sim.scene.shapes import COLORED, Motion, Shape, Texture, box, cylinder, mesh, plane, rectangle, relief, sphere
-
-SKIN = (0.78, 0.60, 0.50)
-
-
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """Things on the stage; the motion repeats after ``period_s``."""
-
-    name: str
-    shapes: tuple[Shape, ...]
-    period_s: float = 3.0
-
-    @property
-    def moves(self) -> bool:
-        """Whether anything moves."""
-        return any(shape.motion is not None for shape in self.shapes)
-
-    def share(self, t_s: float) -> float:
-        """Where in its period the scene is at a time."""
-        return (t_s / self.period_s) % 1.0
 
 
 def build(name: str, *, seed: int = 0, mesh_file: Path | None = None) -> Scene:
@@ -37,7 +19,7 @@ def build(name: str, *, seed: int = 0, mesh_file: Path | None = None) -> Scene:
     if name == "mesh":
         if mesh_file is None:
             raise ValueError("scene 'mesh' needs a file of a triangle mesh (OBJ, PLY or STL): set sim.mesh")
-        return Scene("mesh", (mesh(Path(mesh_file), 90.0).placed(albedo=0.75), _board(0.6)))
+        return Scene("mesh", (mesh(Path(mesh_file), 90.0).placed(albedo=0.75), board(0.6)))
     if name not in _SCENES:
         raise ValueError(f"scene {name!r} is not known; there are {', '.join(NAMES)}")
     scene = _SCENES[name]()
@@ -48,10 +30,6 @@ def _with_seed(shape: Shape, index: int, seed: int) -> Shape:
     return replace(shape, texture=replace(shape.texture, seed=7919 * seed + 31 * index))
 
 
-def _board(albedo: float | tuple[float, float, float], texture: Texture | None = None) -> Shape:
-    return rectangle(430, 330).placed((0, 0, 68), albedo=albedo, texture=texture)
-
-
 def _plane() -> Scene:
     return Scene("plane", (plane().placed(albedo=0.9),))
 
@@ -60,7 +38,7 @@ def _spheres() -> Scene:
     return Scene(
         "spheres",
         (
-            _board(0.85),
+            board(0.85),
             sphere(48).placed((-95, -40, 15), albedo=0.8),
             sphere(30).placed((15, 60, 5), albedo=0.8),
             sphere(60).placed((115, -25, 0), albedo=0.75),
@@ -83,7 +61,7 @@ def _steps() -> Scene:
         box(150, 22, depth).placed((95, -85 + 24 * i, 68 - depth / 2), albedo=0.7)
         for i, depth in enumerate((5.0, 14.0, 30.0, 55.0, 90.0))
     )
-    return Scene("steps", (_board(0.8), *_steps_at(-150, 0, None, (0.75, 0.75, 0.75)), *low))
+    return Scene("steps", (board(0.8), *_steps_at(-150, 0, None, (0.75, 0.75, 0.75)), *low))
 
 
 def _face() -> Scene:
@@ -109,7 +87,7 @@ def _mixed() -> Scene:
     return Scene(
         "mixed",
         (
-            _board((0.75, 0.72, 0.68), COLORED),
+            board((0.75, 0.72, 0.68), COLORED),
             relief(130, 185, 62).placed((30, 8, 40), albedo=SKIN, texture=COLORED),
             sphere(48).placed((-130, -75, 8), albedo=(0.70, 0.72, 0.62), texture=COLORED),
             sphere(30).placed((-50, -108, 15), albedo=(0.62, 0.66, 0.78), texture=COLORED),
@@ -129,7 +107,7 @@ def _moving() -> Scene:
     return Scene(
         "moving",
         (
-            _board((0.62, 0.66, 0.70), Texture(smooth=0.15, smooth_mm=60.0)),
+            board((0.62, 0.66, 0.70), Texture(smooth=0.15, smooth_mm=60.0)),
             relief(165, 235, 74).placed((5, 0, 22), albedo=SKIN, texture=look, motion=head),
             sphere(34).placed((-145, -20, 10), albedo=(0.75, 0.55, 0.5), texture=look, motion=ball),
             sphere(24).placed((140, 40, 0), albedo=(0.55, 0.62, 0.78), texture=look, motion=small),
@@ -148,5 +126,13 @@ _SCENES: dict[str, Callable[[], Scene]] = {
     "isolated": _isolated,
     "mixed": _mixed,
     "moving": _moving,
+    "rims": hard_scenes.rims,
+    "slots": hard_scenes.slots,
+    "bars": hard_scenes.bars,
+    "steep": hard_scenes.steep,
+    "hand": hard_scenes.hand,
+    "bright": hard_scenes.bright,
+    "gloss": hard_scenes.gloss,
+    "beyond": hard_scenes.beyond_volume,
 }
 NAMES = (*_SCENES, "mesh")

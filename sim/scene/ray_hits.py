@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from sim.scene import ray_intersection
 from sim.scene.mesh import Mesh, load
-from sim.scene.named_scenes import Scene
 from sim.scene.printed_marks import Cells, darken
 from sim.scene.ray_intersection import MESH, Table
+from sim.scene.scene import Scene
 from sim.scene.shapes import table_of
 
 Array = NDArray[np.float64]
@@ -34,6 +34,7 @@ class Surfaces:
     table: Table
     meshes: tuple[tuple[int, Mesh], ...]
     prints: tuple[tuple[int, Cells], ...] = ()
+    glosses: tuple[tuple[int, float, float], ...] = ()
 
     def hits(self, origin: Array, rays: Array) -> Hits:
         """First hits of unit rays (n, 3) from one origin (3,)."""
@@ -69,6 +70,24 @@ class Surfaces:
             pose = self.table.rotation[index], self.table.translation[index]
             darken(light, cells, pose, hits.points, hits.which == index, viewer, spread)
 
+    def add_gloss(self, light: NDArray[np.float32], hits: Hits, viewer: Array, lamp: Array) -> None:
+        """Add the mirror-like reflection of glossy shapes to the light of hits, (n, 3), in place (Blinn, 1977).
+
+        Args:
+            light, hits: of the same rays; viewer, lamp: (3,) centres of the camera and of the projector.
+        """
+        for index, strength, exponent in self.glosses:
+            on = hits.which == index
+            to_lamp, to_viewer = (_unit(centre - hits.points[on]) for centre in (lamp, viewer))
+            normals, half = hits.normals[on], _unit(to_lamp + to_viewer)
+            cosine = np.maximum(np.sum(normals * to_lamp, axis=1), 0.05)
+            mirror = strength * np.maximum(np.sum(normals * half, axis=1), 0.0) ** exponent / cosine
+            light[on] *= (1 + mirror[:, None] / self.table.base[index]).astype(np.float32)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
 
 def surfaces(scene: Scene, t_s: float, stage: tuple[Array, Array]) -> Surfaces:
     """The surfaces of a scene at a time; ``stage`` is (R, t) from stage to world."""
@@ -79,4 +98,5 @@ def surfaces(scene: Scene, t_s: float, stage: tuple[Array, Array]) -> Surfaces:
         if shape.kind == MESH and shape.mesh is not None
     )
     prints = tuple((i, shape.ink.cells()) for i, shape in enumerate(scene.shapes) if shape.ink is not None)
-    return Surfaces(table, meshes, prints)
+    glosses = tuple((i, *shape.gloss) for i, shape in enumerate(scene.shapes) if shape.gloss[0] > 0)
+    return Surfaces(table, meshes, prints, glosses)

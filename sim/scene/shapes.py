@@ -68,6 +68,7 @@ class Shape:
         motion: None = rests.
         mesh: file of a triangle mesh, only for that kind.
         ink: what is printed on its front, only for a rectangle.
+        gloss: strength and exponent of the mirror-like part of the reflection (Blinn, 1977); 0 = matt.
     """
 
     kind: int
@@ -80,6 +81,7 @@ class Shape:
     motion: Motion | None = None
     mesh: Path | None = None
     ink: Ink | None = None
+    gloss: tuple[float, float] = (0.0, 1.0)
 
     def pose(self, share: float) -> tuple[Array, Array]:
         """(R, t) with ``X_stage = R X_shape + t`` at a share of the scene's period."""
@@ -97,10 +99,12 @@ class Shape:
         albedo: Triple | float = 0.8,
         texture: Texture | None = None,
         motion: Motion | None = None,
+        gloss: tuple[float, float] = (0.0, 1.0),
     ) -> Shape:
         """The same shape elsewhere, with a look of its own."""
         color = (albedo,) * 3 if isinstance(albedo, float | int) else albedo
-        return replace(self, at_mm=at_mm, turn=turn, albedo=color, texture=texture or Texture(), motion=motion)
+        texture = texture or Texture()
+        return replace(self, at_mm=at_mm, turn=turn, albedo=color, texture=texture, motion=motion, gloss=gloss)
 
 
 def rectangle(width_mm: float, height_mm: float, *, ink: Ink | None = None) -> Shape:

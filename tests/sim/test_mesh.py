@@ -8,7 +8,7 @@ import pytest
 from sim.render import render_pair
 from sim.rig.optics import Optics
 from sim.scene import named_scenes
-from sim.scene.named_scenes import Scene
+from sim.scene.scene import Scene
 from sim.scene.shapes import mesh, plane, sphere
 
 trimesh = pytest.importorskip("trimesh")

@@ -9,7 +9,7 @@ from sim.render import render_pair, sensor
 from sim.rig.layout import RigLayout
 from sim.rig.optics import WHITE_ALBEDO, Optics
 from sim.scene import named_scenes
-from sim.scene.named_scenes import Scene
+from sim.scene.scene import Scene
 from sim.scene.shapes import Motion, plane, rectangle
 
 

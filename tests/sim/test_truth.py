@@ -12,7 +12,7 @@ from sim.render.ground_truth import phases
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene import named_scenes
-from sim.scene.named_scenes import Scene
+from sim.scene.scene import Scene
 from sim.scene.shapes import COLORED, Motion, box, cylinder, plane, rectangle, relief, sphere
 
 SCENES = ("plane", "spheres", "steps", "face", "isolated", "mixed", "moving")

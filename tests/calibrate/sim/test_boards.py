@@ -17,8 +17,8 @@ from sim.boards.board_poses import BoardPose, middle, session_poses
 from sim.render import render_pair
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import Scene
 from sim.scene.printed_marks import Ink
+from sim.scene.scene import Scene
 from sim.scene.shapes import rectangle, sphere
 
 # Even light from everywhere: the image is albedo and nothing else.

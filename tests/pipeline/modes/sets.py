@@ -12,7 +12,8 @@ from sim.render.projection_transport import Stage
 from sim.render.render_pair import truths
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import Scene, build
+from sim.scene.named_scenes import build
+from sim.scene.scene import Scene
 from sim.scene.shapes import Motion, plane
 
 LAYOUT, OPTICS = RigLayout().scaled(0.25), Optics()

@@ -1,0 +1,149 @@
+"""Scenes in which wrong points arise: rims, slots, thin bars, steep sides, occlusion, gloss, limits of the volume.
+
+Stage coordinates as in :mod:`sim.scene.named_scenes`; the standard field is about 420 x 335 mm, 230 mm deep.
+"""
+
+from __future__ import annotations
+
+from sim.scene.scene import SKIN, Scene, board
+from sim.scene.shapes import COLORED, Shape, Texture, box, cylinder, rectangle, relief, sphere
+
+_STAINS = Texture(smooth=0.2, smooth_mm=30.0, speckle=0.05, speckle_mm=2.5)
+
+
+def rims() -> Scene:
+    """A wall wider than the field, so that each camera sees a strip that the other does not, and blocks at the rims."""
+    return Scene(
+        "rims",
+        (
+            rectangle(900, 700).placed((0, 0, 75), turn=(0.03, 0.05, 0.0), albedo=(0.7, 0.72, 0.68), texture=COLORED),
+            box(60, 130, 70).placed((-205, -60, 20), turn=(0.0, 0.2, 0.0), albedo=0.75, texture=_STAINS),
+            box(60, 110, 40).placed((205, 70, -10), turn=(0.1, -0.2, 0.0), albedo=(0.7, 0.6, 0.6), texture=_STAINS),
+            sphere(38).placed((-195, 95, -20), albedo=0.7, texture=COLORED),
+            sphere(30).placed((195, -90, 10), albedo=(0.6, 0.7, 0.75), texture=COLORED),
+            box(120, 50, 60).placed((0, 160, 20), albedo=0.7, texture=COLORED),
+        ),
+    )
+
+
+def slots() -> Scene:
+    """Plates with slots of 3 to 8 mm, upright, level and inclined, 15 to 70 mm in front of the board."""
+    bars: list[Shape] = []
+    for k in range(9):
+        bars.append(rectangle(5, 110).placed((-185 + 10 * k, -85, 40), albedo=0.75, texture=_STAINS))
+        bars.append(rectangle(8, 100).placed((-20 + 14 * k, -90, 0), albedo=(0.7, 0.65, 0.6), texture=_STAINS))
+        bars.append(rectangle(90, 5).placed((-130, 40 + 11 * k, 53), albedo=0.7, texture=_STAINS))
+        bars.append(rectangle(4, 120).placed((40 + 9 * k, 80, 20), turn=(0.0, 0.0, 0.3), albedo=0.8, texture=_STAINS))
+        bars.append(box(3, 80, 3).placed((135 + 7 * k, -90, 30), albedo=0.75))
+    return Scene("slots", (board((0.72, 0.7, 0.74), COLORED), *bars))
+
+
+def bars() -> Scene:
+    """Round bars of 1 to 8 mm radius at all angles, near and far from the board."""
+    rods = tuple(
+        cylinder(radius, 240).placed(
+            (-170 + 42 * i, 0, 50 - 16 * i), turn=(0.08 * i - 0.3, 0.0, -0.5 + 0.14 * i), albedo=0.7, texture=_STAINS
+        )
+        for i, radius in enumerate((1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0))
+    )
+    level = tuple(
+        cylinder(radius, 330).placed((0, -130 + 75 * i, 45 - 25 * i), turn=(0.0, 0.0, 1.5708), albedo=0.65)
+        for i, radius in enumerate((1.5, 3.0, 5.0, 7.0))
+    )
+    return Scene("bars", (board(0.7, COLORED), *rods, *level))
+
+
+def steep() -> Scene:
+    """Balls and tubes whose sides run along the line of sight, some close to each other."""
+    balls = tuple(
+        sphere(radius).placed((x, y, z), albedo=albedo, texture=COLORED)
+        for radius, x, y, z, albedo in (
+            (55.0, -130, -60, 10.0, (0.7, 0.65, 0.6)),
+            (40.0, -20, -85, 30.0, (0.6, 0.7, 0.65)),
+            (25.0, 45, -95, -20.0, (0.75, 0.7, 0.7)),
+            (70.0, 130, -40, -5.0, (0.65, 0.7, 0.75)),
+            (15.0, -60, 10, -60.0, (0.8, 0.7, 0.6)),
+            (12.0, 20, 20, 55.0, (0.7, 0.7, 0.7)),
+        )
+    )
+    tubes = (
+        cylinder(30, 130).placed((-120, 85, 20), turn=(0.0, 0.0, 0.1), albedo=0.7, texture=_STAINS),
+        cylinder(22, 130).placed((-40, 90, 0), turn=(0.6, 0.0, 0.0), albedo=0.75, texture=_STAINS),
+        cylinder(45, 60).placed((70, 95, 10), turn=(1.2, 0.3, 0.0), albedo=(0.7, 0.62, 0.6), texture=COLORED),
+        cylinder(16, 140).placed((160, 90, -40), turn=(0.2, 0.0, -0.3), albedo=0.7, texture=_STAINS),
+    )
+    return Scene("steep", (board((0.7, 0.68, 0.66), COLORED), *balls, *tubes))
+
+
+def hand() -> Scene:
+    """A hand in front of a face: fingers that hide strips of what is behind from one camera and from the projector."""
+    fingers = tuple(
+        cylinder(9, 105).placed(
+            (-75 + 24 * i, -15 - 9 * (i % 2), -70 + 4 * i),
+            turn=(0.25, 0.0, -0.28 + 0.16 * i),
+            albedo=SKIN,
+            texture=_STAINS,
+        )
+        for i in range(4)
+    )
+    return Scene(
+        "hand",
+        (
+            board((0.66, 0.68, 0.7), COLORED),
+            relief(170, 240, 78).placed((15, 0, 40), albedo=SKIN, texture=_STAINS),
+            *fingers,
+            relief(95, 95, 26, variant="waves").placed(
+                (-40, 75, -62), turn=(0.1, 0.15, 0.0), albedo=SKIN, texture=_STAINS
+            ),
+            cylinder(11, 70).placed((40, 60, -55), turn=(0.2, 0.0, 0.9), albedo=SKIN, texture=_STAINS),
+            cylinder(24, 140).placed((-75, 150, -40), turn=(0.3, 0.0, 0.4), albedo=SKIN, texture=_STAINS),
+        ),
+    )
+
+
+def bright() -> Scene:
+    """A white board and white objects beside darker ones; over-exposed, background and objects are saturated."""
+    return Scene(
+        "bright",
+        (
+            board(0.98),
+            sphere(45).placed((-120, -60, 0), albedo=0.98),
+            relief(130, 180, 60).placed((20, 10, 35), albedo=SKIN, texture=_STAINS),
+            box(70, 70, 50).placed((135, -80, 20), turn=(0.3, 0.5, 0.0), albedo=(0.95, 0.9, 0.4)),
+            sphere(32).placed((-120, 85, 5), albedo=(0.4, 0.5, 0.95), texture=_STAINS),
+            cylinder(18, 120).placed((140, 75, 0), turn=(0.2, 0.0, 0.3), albedo=0.35, texture=_STAINS),
+            box(8, 140, 8).placed((-40, -70, -30), turn=(0.0, 0.3, 0.2), albedo=0.9),
+        ),
+    )
+
+
+def gloss() -> Scene:
+    """Glossy, dark and saturated-colour parts."""
+    return Scene(
+        "gloss",
+        (
+            board((0.45, 0.47, 0.5), _STAINS),
+            sphere(45).placed((-120, -65, 0), albedo=(0.35, 0.3, 0.3), gloss=(0.9, 60.0)),
+            sphere(30).placed((-30, -90, -20), albedo=0.06, gloss=(0.4, 200.0)),
+            cylinder(24, 130).placed((60, -60, 5), turn=(0.2, 0.0, 0.4), albedo=(0.6, 0.12, 0.1), gloss=(0.7, 90.0)),
+            box(70, 80, 60).placed((145, -50, 10), turn=(0.2, 0.55, 0.0), albedo=0.12, gloss=(0.3, 40.0)),
+            relief(110, 150, 50).placed((0, 65, 35), albedo=(0.2, 0.35, 0.6), texture=COLORED, gloss=(0.5, 80.0)),
+            rectangle(80, 70).placed((-135, 70, 10), turn=(0.0, 0.35, 0.0), albedo=0.05),
+            sphere(28).placed((130, 85, 0), albedo=(0.75, 0.7, 0.1), gloss=(1.0, 300.0)),
+        ),
+    )
+
+
+def beyond_volume() -> Scene:
+    """Half of it outside the volume: a wall far behind, an inclined plate through both limits, a rod too near."""
+    return Scene(
+        "beyond volume",
+        (
+            rectangle(1200, 900).placed((0, 0, 420), albedo=0.8, texture=COLORED),
+            rectangle(150, 260).placed((-110, 0, 20), turn=(0.0, 1.15, 0.0), albedo=0.75, texture=_STAINS),
+            rectangle(150, 120).placed((90, -80, 105), turn=(0.7, 0.0, 0.0), albedo=0.75, texture=_STAINS),
+            sphere(40).placed((40, 70, 20), albedo=(0.7, 0.6, 0.55), texture=COLORED),
+            cylinder(12, 300).placed((150, 40, -190), turn=(0.2, 0.0, 0.25), albedo=0.6, texture=_STAINS),
+            sphere(30).placed((120, 90, 150), albedo=0.7, texture=COLORED),
+        ),
+    )
