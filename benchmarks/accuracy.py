@@ -38,5 +38,5 @@ def by_case(cases: Sequence[Case], seeds: int) -> tuple[Table, dict[str, Any], l
 
 
 def _of_seed(case: Case, seed: int) -> Any:
-    shot = rendered.shot(case, seed)
-    return score(case.reconstructor().reconstruct(shot.left, shot.right).xyz, shot.truth_left)
+    pair = rendered.stored_pair(case, seed)
+    return score(case.reconstructor().reconstruct(pair.left, pair.right).xyz, pair.truth_left)

@@ -50,7 +50,7 @@ class Rig:
     optics: Optics
     seed: int = 0
 
-    def shots(self, stage: Stage, sequence: Sequence, calibration: ColorSolution | None, seed: int) -> list[Pair]:
+    def pairs(self, stage: Stage, sequence: Sequence, calibration: ColorSolution | None, seed: int) -> list[Pair]:
         """Both cameras' images of every frame, shown through the inverse of the response that is known."""
         response = None if calibration is None else calibration.response
         return [
@@ -63,16 +63,16 @@ def colors(rig: Rig, geometry: Calibration | None = None) -> ColorSolution:
     """Colours from an even white board."""
     sequence = color_sequence(rig.layout.projector_size)
     stage = Stage(rig.layout, build("plane"), rig.optics)
-    return calibrate_color(rig.shots(stage, sequence, None, 1), sequence, calibration=geometry)
+    return calibrate_color(rig.pairs(stage, sequence, None, 1), sequence, calibration=geometry)
 
 
 def view_of(rig: Rig, board: Board, pose: object, sequence: Sequence, color: ColorSolution, number: int) -> BoardView:
     """One place of the board: marks in both cameras, and where the projector's image meets them."""
     stage = Stage(rig.layout, board_scene(board, pose), fine(rig.optics))  # type: ignore[arg-type]
-    shots = rig.shots(stage, sequence, color, 100 + number)
+    pairs = rig.pairs(stage, sequence, color, 100 + number)
     seen = {}
     for k, side in enumerate(SIDES):
-        images = [pair[k] for pair in shots]
+        images = [pair[k] for pair in pairs]
         x, y = (coordinate(images, sequence, axis) for axis in ("x", "y"))  # type: ignore[arg-type]
         seen[side] = Seen(marks_of(images[0], board), x, y)
     marks = {side: one.marks for side, one in seen.items()}
@@ -108,7 +108,7 @@ def phase_errors(rig: Rig, color: ColorSolution) -> dict[str, tuple[PhaseError, 
     """Before and after, by camera, on a fresh pattern."""
     sequence = check_sequence(replace(rig.layout.pattern(), periods=rig.layout.periods / 2))
     stage = Stage(rig.layout, build("plane"), rig.optics)
-    before, after = rig.shots(stage, sequence, None, 500), rig.shots(stage, sequence, color, 600)
+    before, after = rig.pairs(stage, sequence, None, 500), rig.pairs(stage, sequence, color, 600)
     models = {"left": color.left, "right": color.right}
     return {
         side: (

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmarks import rendered
 from benchmarks.cases import CASES, Case
-from benchmarks.rendered import Shot
+from benchmarks.rendered import StoredPair
 from benchmarks.speed import THREADS, cells, measure, timed
 from benchmarks.tables import Table
 from benchmarks.worker import environment
@@ -60,12 +60,12 @@ def phase_error(absolute: Array, truth: Truth, case: Case) -> PhaseError:
     return best
 
 
-def written(shot: Shot, case: Case, file: Path) -> None:
+def written(pair: StoredPair, case: Case, file: Path) -> None:
     """What the peers read: images, cameras and volume as plain arrays."""
     rig = case.layout.calibration_for(case.optics)
     volume = case.layout.volume()
     np.savez(
-        file, left=shot.left, right=shot.right, periods=case.periods, projector=rig.projector.size,
+        file, left=pair.left, right=pair.right, periods=case.periods, projector=rig.projector.size,
         left_matrix=rig.left.matrix, left_distortion=rig.left.distortion,
         right_matrix=rig.right.matrix, right_distortion=rig.right.distortion,
         rotation=rig.right.rotation, translation=rig.right.translation, volume=(volume.near_mm, volume.far_mm),
@@ -75,22 +75,22 @@ def written(shot: Shot, case: Case, file: Path) -> None:
 def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[tuple[str, bool]]]:
     """The table, plain figures by name, and the promised ratio with whether it is kept."""
     case, threads = CASES[0], THREADS[-1]
-    shot = rendered.shot(case)
-    before = timed(case, [shot], threads, repeats)
-    rows, found = peers(shot, case, threads, repeats, quick=quick)
-    after, ours = measure(case, [shot], threads, repeats)
+    pair = rendered.stored_pair(case)
+    before = timed(case, [pair], threads, repeats)
+    rows, found = peers(pair, case, threads, repeats, quick=quick)
+    after, ours = measure(case, [pair], threads, repeats)
     # Measured before and after the peers: a machine that slows down meanwhile does not favour us.
     own = statistics.median(before.total_ms + after.total_ms)
     table = Table(
         "peers",
-        f"The same images ({case.name}, {shot.left.shape[1]} x {shot.left.shape[0]}), {threads} threads",
+        f"The same images ({case.name}, {pair.left.shape[1]} x {pair.left.shape[0]}), {threads} threads",
         [
             "what", "called", "gives", "ms", "times ours", "within 1 mm %", "wrong %", "rms um", "phase rms rad",
             "period right %",
         ],
         words=("called", "gives"),
     )  # fmt: skip
-    e = phase_error(our_phase(case, shot), shot.truth_left, case)
+    e = phase_error(our_phase(case, pair), pair.truth_left, case)
     table.add(
         "fringed, a pair by itself", "Reconstructor.reconstruct", "depth", f"{own:.1f}", "1",
         *cells(ours), f"{e.rms_rad:.3f}", f"{100 * e.order:.1f}",
@@ -100,9 +100,9 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
         ms = statistics.median(row["ms"])
         figures[row["name"]] = {"ms": ms, "runs_ms": row["ms"], "unwrapping_ms": row.get("unwrapping_ms")}
         if row["gives"] == "depth":
-            judged = (*cells(score(found[f"cloud_{row['key']}"], shot.truth_left)), "", "")
+            judged = (*cells(score(found[f"cloud_{row['key']}"], pair.truth_left)), "", "")
         else:
-            e = phase_error(found[f"absolute_{row['key']}"], shot.truth_left, case)
+            e = phase_error(found[f"absolute_{row['key']}"], pair.truth_left, case)
             judged = ("", "", "", f"{e.rms_rad:.3f}", f"{100 * e.order:.1f}")
         table.add(row["name"], row["called"], row["gives"], f"{ms:.0f}", f"{ms / own:.1f}", *judged)
     chain = next(row for row in rows if row["key"] == "fringes_ski")
@@ -122,14 +122,14 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
 
 
 def peers(
-    shot: Shot, case: Case, threads: int, repeats: int, *, quick: bool
+    pair: StoredPair, case: Case, threads: int, repeats: int, *, quick: bool
 ) -> tuple[list[dict[str, Any]], dict[str, Array]]:
     """What the peers say they did, and what they found."""
     if not PYTHON.exists():
         raise SystemExit("the peers' environment .bench-venv is not there: run `make bench`, or give --no-peers")
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "pair.npz", Path(folder) / "found.npz"
-        written(shot, case, source)
+        written(pair, case, source)
         words = [str(source), str(target), str(repeats), str(threads), *(["quick"] if quick else [])]
         subprocess.run(
             [PYTHON, ROOT / "benchmarks/peers.py", *words], env=environment(threads), timeout=900, check=True
@@ -139,10 +139,10 @@ def peers(
     return json.loads(str(found.pop("rows"))), found
 
 
-def our_phase(case: Case, shot: Shot) -> Array:
+def our_phase(case: Case, pair: StoredPair) -> Array:
     """Absolute phase of the left image as our pipeline has it, NaN where unknown."""
     reconstructor = case.reconstructor()
-    cloud = reconstructor.reconstruct(shot.left, shot.right)
+    cloud = reconstructor.reconstruct(pair.left, pair.right)
     # The decoded phase is no part of a cloud; a benchmark may look inside.
-    wrapped = reconstructor._left.decode(shot.left).phase
+    wrapped = reconstructor._left.decode(pair.left).phase
     return np.where(cloud.order >= 0, wrapped + 2 * np.pi * cloud.order, np.nan)

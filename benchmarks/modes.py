@@ -154,11 +154,11 @@ def _taken(rig: Rig, scene: Scene) -> dict[str, list[tuple[NDArray[Any], NDArray
 
 def _errors(cloud: Cloud, truth: Truth) -> tuple[float, float, float, float]:
     """Points in % of what can be measured; median and 95 % of the error, um; share over the limit, %."""
-    known = np.isfinite(cloud.xyz[..., 2]) & truth.hit
-    share = 100 * float((known & truth.scorable).sum() / max(1, truth.scorable.sum()))
-    if known.sum() < 20:
+    valid = np.isfinite(cloud.xyz[..., 2]) & truth.hit
+    share = 100 * float((valid & truth.scorable).sum() / max(1, truth.scorable.sum()))
+    if valid.sum() < 20:
         return share, float("nan"), float("nan"), 0.0
-    error = np.linalg.norm(cloud.xyz[known] - truth.xyz[known], axis=-1)
+    error = np.linalg.norm(cloud.xyz[valid] - truth.xyz[valid], axis=-1)
     median, most = np.quantile(error, [0.5, 0.95])
     return share, 1e3 * float(median), 1e3 * float(most), 100 * float((error > ERROR_LIMIT_MM).mean())
 

@@ -29,7 +29,7 @@ _SHARED = ("rig/calibration.py", "rig/camera_model.py", "pattern/color_fringe.py
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class StoredPair:
     """A pair of images with the left camera's truth, and the file that they stand in."""
 
     left: NDArray[np.uint8]
@@ -38,7 +38,9 @@ class Shot:
     file: Path
 
 
-def shot(case: Case, seed: int = 0, t_s: float = 0.0, noise: int | None = None, folder: Path | None = None) -> Shot:
+def stored_pair(
+    case: Case, seed: int = 0, t_s: float = 0.0, noise: int | None = None, folder: Path | None = None
+) -> StoredPair:
     """The images of a case, from disk if they are there; textures of ``seed``, and its noise unless one is given."""
     folder = folder or _folder()
     noise = seed if noise is None else noise
@@ -49,7 +51,7 @@ def shot(case: Case, seed: int = 0, t_s: float = 0.0, noise: int | None = None, 
         _keep(file, {"left": pair.left, "right": pair.right} | pair.truth_left.arrays())
     with np.load(file) as arrays:
         truth = Truth(**{item.name: arrays[item.name] for item in fields(Truth)})
-        return Shot(arrays["left"], arrays["right"], truth, file)
+        return StoredPair(arrays["left"], arrays["right"], truth, file)
 
 
 def _keep(file: Path, arrays: dict[str, Any]) -> None:
@@ -88,7 +90,7 @@ def source_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-def moving(frames: int, rate_hz: float) -> tuple[Case, list[Shot]]:
+def moving(frames: int, rate_hz: float) -> tuple[Case, list[StoredPair]]:
     """Successive images of the moving scene, as cameras at this rate take them."""
     case = Case("moving", "moving")
-    return case, [shot(case, t_s=0.4 + i / rate_hz, noise=i) for i in range(frames)]
+    return case, [stored_pair(case, t_s=0.4 + i / rate_hz, noise=i) for i in range(frames)]

@@ -85,9 +85,9 @@ def by_series(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any]]:
 
 
 def _point(case: Case, repeats: int) -> dict[str, Any]:
-    shots = [rendered.shot(case)]
-    timings = {n: timed(case, shots, n, repeats) for n in THREADS[:-1]}
-    timings[THREADS[-1]], found = measure(case, shots, THREADS[-1], repeats)
+    pairs = [rendered.stored_pair(case)]
+    timings = {n: timed(case, pairs, n, repeats) for n in THREADS[:-1]}
+    timings[THREADS[-1]], found = measure(case, pairs, THREADS[-1], repeats)
     width, height = case.layout.camera_size
     best = median(timings[THREADS[-1]])
     return {

@@ -30,7 +30,7 @@ RATE_HZ = 5.0
 WITHIN_S = 5.0
 BEFORE = 12  # undisturbed pairs before each disturbance
 
-KNOCKS: dict[str, Disturbance] = {
+DISTURBANCES: dict[str, Disturbance] = {
     **{
         f"{side} camera, {axis} 0.01 deg": Disturbance(
             side, turn_deg=(0.01 * (k == 0), 0.01 * (k == 1), 0.01 * (k == 2))
@@ -67,12 +67,12 @@ class Rig:
         self.observer = Observer(self.calibration, self.pattern, self.volume, encoding=encoding, patches=patches)
         self.ms: list[float] = []
 
-    def scene(self, *knocks: Disturbance) -> LiveScene:
+    def scene(self, *disturbances: Disturbance) -> LiveScene:
         """The scene as the rig sees it after these disturbances."""
         shown = image_sent(self.pattern, self.options.optics, self.pattern.size)
         made = LiveScene(self.options, LiveProjector(shown))
-        for knock in knocks:
-            made.disturb(knock)
+        for disturbance in disturbances:
+            made.disturb(disturbance)
         return made
 
     def look(self, scene: LiveScene, first: int = 0) -> Iterator[Observation]:
@@ -109,14 +109,14 @@ def undisturbed(
     return watch, alarms, {name: np.array([r.get(name, none).value for r in kept]) for name in names}
 
 
-def disturbed(rig: Rig, scene: LiveScene, knock: Disturbance, watch: Watch) -> tuple[float | None, Watch]:
-    """Seconds from the knock to the report (None: not within the time), and the watch then."""
+def disturbed(rig: Rig, scene: LiveScene, disturbance: Disturbance, watch: Watch) -> tuple[float | None, Watch]:
+    """Seconds from the disturbance to the report (None: not within the time), and the watch then."""
     fresh = Watch(limits_of(SelfCheckLimits()), watch.references)
     for number, seen in enumerate(islice(rig.look(scene, 1 << 20), BEFORE)):
         feed(fresh, number, seen)
     if fresh.drifted:
         raise RuntimeError(f"reported before anything happened: {fresh.drifted}")
-    for number, seen in enumerate(islice(rig.look(rig.scene(knock), BEFORE), round(RATE_HZ * WITHIN_S))):
+    for number, seen in enumerate(islice(rig.look(rig.scene(disturbance), BEFORE), round(RATE_HZ * WITHIN_S))):
         feed(fresh, BEFORE + number, seen)
         if fresh.drifted:
             return (number + 1) / RATE_HZ, fresh
@@ -132,7 +132,7 @@ def main() -> None:
     parser.add_argument("--scene", default="moving")
     parser.add_argument("--encoding", default="rgb8")
     parser.add_argument("--instants", type=int, default=12, help="rendered positions of the scene")
-    parser.add_argument("--only", default="", help="knocks whose name holds this")
+    parser.add_argument("--only", default="", help="disturbances whose name holds this")
     options = parser.parse_args()
     rig = Rig(options.scale, scene=options.scene, encoding=options.encoding, instants=options.instants)
     still = rig.scene()
@@ -144,10 +144,10 @@ def main() -> None:
         limit = watch.found[name].limit
         print(f"{name:22} {np.nanmedian(values):+9.4f} {np.nanstd(values):9.4f} {limit:9.4f}")
     missed = 0
-    for name, knock in KNOCKS.items():
+    for name, disturbance in DISTURBANCES.items():
         if options.only not in name:
             continue
-        after, found = disturbed(rig, still, knock, watch)
+        after, found = disturbed(rig, still, disturbance, watch)
         missed += after is None
         when = "NOT REPORTED" if after is None else f"{after:4.1f} s"
         print(f"{name:28} {when}  {told(found.drifted)}", flush=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmarks import rendered
 from benchmarks.cases import CASES, Case
-from benchmarks.rendered import Shot
+from benchmarks.rendered import StoredPair
 from benchmarks.tables import Table, median_and_worst
 from benchmarks.worker import Job, Timing, run
 from sim.evaluate.score import Score, score
@@ -38,20 +38,22 @@ WAYS: dict[str, dict[str, Any]] = {
 
 
 def timed(
-    case: Case, shots: Sequence[Shot], threads: int, repeats: int, *, clouds: Path | None = None, **options: Any
+    case: Case, pairs: Sequence[StoredPair], threads: int, repeats: int, *, clouds: Path | None = None, **options: Any
 ) -> Timing:
     """Time a case in a process of its own; ``clouds`` is a folder for the points of every shot."""
     calibration, volume = case.layout.calibration_for(case.optics), case.layout.volume()
-    files = tuple(shot.file for shot in shots)
+    files = tuple(pair.file for pair in pairs)
     return run(Job(calibration, case.pattern, volume, case.encoding, files, threads, repeats, clouds=clouds, **options))
 
 
-def measure(case: Case, shots: Sequence[Shot], threads: int, repeats: int, **options: Any) -> tuple[Timing, Score]:
+def measure(
+    case: Case, pairs: Sequence[StoredPair], threads: int, repeats: int, **options: Any
+) -> tuple[Timing, Score]:
     """Time a case and score its clouds: the mean of all shots."""
     with tempfile.TemporaryDirectory() as folder:
-        timing = timed(case, shots, threads, repeats, clouds=Path(folder), **options)
+        timing = timed(case, pairs, threads, repeats, clouds=Path(folder), **options)
         every = options.get("every", 1)
-        scores = [scored(np.load(f"{folder}/{i}.npy"), shot.truth_left, every) for i, shot in enumerate(shots)]
+        scores = [scored(np.load(f"{folder}/{i}.npy"), pair.truth_left, every) for i, pair in enumerate(pairs)]
     return timing, mean_score(scores)
 
 
@@ -79,10 +81,10 @@ def by_stage(repeats: int) -> tuple[Table, Table, dict[str, Timing]]:
     notes = []
     for kind, case in KINDS.items():
         # Whatever must be compiled is compiled here: the memory table is about measuring.
-        shots = [rendered.shot(case)]
-        timed(case, shots, THREADS[-1], 1)
+        pairs = [rendered.stored_pair(case)]
+        timed(case, pairs, THREADS[-1], 1)
         for threads in THREADS:
-            timings[f"{kind}/{threads}"], found = measure(case, shots, threads, repeats)
+            timings[f"{kind}/{threads}"], found = measure(case, pairs, threads, repeats)
         notes.append(f"{kind}: {quality(found)}.")
     title = f"Milliseconds by stage of a pair by itself, median / worst of {repeats}"
     table = stage_table("stages", title, timings)
@@ -96,7 +98,7 @@ def by_stage(repeats: int) -> tuple[Table, Table, dict[str, Timing]]:
 
 def live(repeats: int, frames: int) -> tuple[Table, Table, dict[str, Timing]]:
     """The moving scene in every way: table of stages, table of time beside accuracy, timings by ``way/threads``."""
-    case, shots = rendered.moving(frames, RATE_HZ)
+    case, pairs = rendered.moving(frames, RATE_HZ)
     # One turn forth and back, or more: every frame counts.
     repeats = max(repeats, 2 * frames - 2)
     timings: dict[str, Timing] = {}
@@ -106,10 +108,10 @@ def live(repeats: int, frames: int) -> tuple[Table, Table, dict[str, Timing]]:
         ["way", "ms", "pairs a second", "within 1 mm %", "wrong %", "rms um", "points"],
     )
     for way, options in WAYS.items():
-        timed(case, shots[:1], THREADS[-1], 1, **options)
+        timed(case, pairs[:1], THREADS[-1], 1, **options)
         if "every" not in options and len(THREADS) > 1:
-            timings[f"{way}/1"] = timed(case, shots, 1, repeats, **options)
-        timings[f"{way}/{THREADS[-1]}"], found = measure(case, shots, THREADS[-1], repeats, **options)
+            timings[f"{way}/1"] = timed(case, pairs, 1, repeats, **options)
+        timings[f"{way}/{THREADS[-1]}"], found = measure(case, pairs, THREADS[-1], repeats, **options)
         ms = median(timings[f"{way}/{THREADS[-1]}"])
         accuracy.add(way, f"{ms:.1f}", f"{1e3 / ms:.1f}", *cells(found), f"{found.points}")
     accuracy.notes.append(

@@ -17,7 +17,7 @@ class Settings:
     min_modulation: float = 5.0
     """Fringe amplitude below which a pixel is unknown."""
     saturation: float = 254.0
-    """Counts from which a sample is taken as clipped."""
+    """Counts from which a sample is taken as saturated."""
     window_radius: int = -1
     """Half width of the window that the phase is fitted in, 0 (pointwise, three-chip only), 1 or 2 pixels;
     -1: 1 for three chips, 2 for a mosaic."""

@@ -27,8 +27,8 @@ _INV_TURN = np.float32(1 / (2 * np.pi))
 
 
 @inline
-def turns(a: Any) -> Any:
-    """Nearest whole number of turns, as float32."""
+def whole_turns(a: Any) -> Any:
+    """Nearest whole number of chromatic, as float32."""
     return np.float32(np.rint(a * _INV_TURN))
 
 

@@ -30,7 +30,7 @@ SMALLEST_RAD = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ColorTurns:
+class ChromaticCorrection:
     """What the decoder needs of the channels' angles.
 
     Args:
@@ -45,38 +45,40 @@ class ColorTurns:
     step: int
 
     @staticmethod
-    def none(shifts: Triple) -> ColorTurns:
+    def none(shifts: Triple) -> ChromaticCorrection:
         """Nothing to correct."""
-        return ColorTurns(shifts, np.zeros((2, 12, 1), np.float32), 0)
+        return ChromaticCorrection(shifts, np.zeros((2, 12, 1), np.float32), 0)
 
     @staticmethod
-    def of(shifts: Triple, angles: F64) -> ColorTurns:
+    def of(shifts: Triple, angles: F64) -> ChromaticCorrection:
         """From the channels' angles at every STEP-th row, (3, n, W), the last of them below the image."""
         constant = angles.mean(axis=(1, 2))
         red, green, blue = (float(s) for s in np.array(shifts) + constant)
         rest = np.moveaxis(angles - constant[:, None, None], 0, -1)
         if np.abs(rest).max() < SMALLEST_RAD:
-            return ColorTurns.none((red, green, blue))
+            return ChromaticCorrection.none((red, green, blue))
         base = np.array([red, green, blue])
         full = np.linalg.inv(_light(base)) @ _light(base + rest)
         both = np.stack([full[..., 1:], np.linalg.inv(full)[..., 1:]], axis=-3)
         table = np.moveaxis(both.reshape(*rest.shape[:2], 12), 1, 2)
-        return ColorTurns((red, green, blue), np.ascontiguousarray(table, np.float32), STEP)
+        return ChromaticCorrection((red, green, blue), np.ascontiguousarray(table, np.float32), STEP)
 
 
-def color_turns(calibration: Calibration, pattern: ColorFringe, color: ColorModel, depth_mm: float) -> ColorTurns:
+def chromatic_correction(
+    calibration: Calibration, pattern: ColorFringe, color: ColorModel, depth_mm: float
+) -> ChromaticCorrection:
     """The left camera's table for a pattern (pass ``calibration.swapped()`` for the right one).
 
     Args:
         color: of that camera; depth_mm: middle of the volume along its axis.
     """
-    if color.lateral is None and calibration.registration is None:
-        return ColorTurns.none(pattern.shifts)
+    if color.lateral_chromatic is None and calibration.registration is None:
+        return ChromaticCorrection.none(pattern.shifts)
     width, height = calibration.left.size
     rows = STEP * np.arange((height - 1) // STEP + 2, dtype=np.float64)
     v, u = np.meshgrid(rows, np.arange(width, dtype=np.float64), indexing="ij")
     angles = channel_angles(calibration, pattern, color, depth_mm, np.stack([u, v], axis=-1))
-    return ColorTurns.of(pattern.shifts, angles)
+    return ChromaticCorrection.of(pattern.shifts, angles)
 
 
 def channel_angles(
@@ -92,7 +94,9 @@ def channel_angles(
         return projector.project(np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) * depth_mm)
 
     here = seen(pixels)
-    away = np.zeros((3, *pixels.shape)) if color.lateral is None else color.lateral.at(camera, pixels)
+    away = (
+        np.zeros((3, *pixels.shape)) if color.lateral_chromatic is None else color.lateral_chromatic.at(camera, pixels)
+    )
     angles = []
     for k in range(3):
         place = seen(pixels - away[k])

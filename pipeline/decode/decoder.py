@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
-from pipeline.decode.chromatic_phase import ColorTurns
+from pipeline.decode.chromatic_phase import ChromaticCorrection
 from pipeline.decode.kernels.decode_bayer import decode_bayer
 from pipeline.decode.kernels.decode_rgb import decode_rgb
 from pipeline.decode.kernels.local_mean import BoxMean
 from pipeline.decode.kernels.mosaic_fit import EIGHTHS
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.noise_model import NoiseModel, estimate
-from pipeline.decode.pixel_descriptor import equalised_phase
+from pipeline.decode.pixel_descriptor import normalised_phase
 from pipeline.decode.raw_image import read_only
 from pipeline.rig.calibration import ColorModel
 
@@ -39,32 +39,32 @@ class PhaseMap:
 
     Args:
         phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.decode.packed_phasor`; 0 where unknown.
-        traits: int32, what the order search compares, see :mod:`pipeline.decode.pixel_descriptor`; with the phase from
-            channels divided by their local means, the equalised one.
+        descriptors: int32, what the order search compares, see :mod:`pipeline.decode.pixel_descriptor`; they hold the
+            normalised phase, that of channels divided by their local means.
         variance: float32, variance of the pointwise phase from the image's noise, rad^2.
-        clipped: share of pixels with a clipped sample.
+        saturated: share of pixels with a saturated sample.
         phase: float32, wrapped angle of the pointwise phasor.
         mean, modulation: uint8, A (the fringe-free texture) and B, counts.
         valid: bool, B is enough and the fit had enough samples.
     """
 
     phasor: NDArray[np.int32]
-    traits: NDArray[np.int32]
+    descriptors: NDArray[np.int32]
     mean: NDArray[np.uint8]
     variance: F32
-    clipped: float
+    saturated: float
     phase: F32
     modulation: NDArray[np.uint8]
     valid: NDArray[np.bool_]
 
     @property
-    def phase_eq(self) -> F32:
+    def phase_normalised(self) -> F32:
         """Equalised phase, made anew at every call."""
-        return equalised_phase(self.traits)
+        return normalised_phase(self.descriptors)
 
     def every(self, step: int) -> PhaseMap:
         """Every n-th pixel of every n-th row, copied."""
-        planes: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "clipped"}
+        planes: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "saturated"}
         for name, plane in planes.items():
             planes[name] = np.ascontiguousarray(plane[::step, ::step])
         return replace(self, **planes)
@@ -78,7 +78,7 @@ class Decoder:
         shifts: of the pattern's channels, radians.
         mosaic: (2, 2) channel numbers of a Bayer sensor, or None.
         slopes: expected phase steps per pixel in this camera's image, (x, y) radians; one of them is 0.
-        turns: angles by which lateral colour turns the channels, with the shifts that go with them; None = none.
+        chromatic: correction of lateral chromatic aberration, with the shifts that go with it; None = none.
     """
 
     def __init__(
@@ -89,10 +89,10 @@ class Decoder:
         mosaic: NDArray[np.int64] | None,
         slopes: tuple[float, float],
         settings: Settings,
-        turns: ColorTurns | None = None,
+        chromatic: ChromaticCorrection | None = None,
     ) -> None:
-        turns = ColorTurns.none(shifts) if turns is None else turns
-        shifts, self._turns = turns.shifts, turns
+        chromatic = ChromaticCorrection.none(shifts) if chromatic is None else chromatic
+        shifts, self._chromatic = chromatic.shifts, chromatic
         rows = design(color, shifts)
         self._rows = rows.astype(np.float32)
         self._solve = np.linalg.inv(rows).astype(np.float32)
@@ -123,17 +123,17 @@ class Decoder:
             self._black, self._rows, self._solve, self._unmix, self._ideal, self._weights, self._radius, self._nominal,
             np.float32(self._settings.saturation), np.float32(noise.floor), np.float32(noise.gain),
             np.float32(self._settings.min_modulation), box.along, box.over, box.drops, np.float32(box.scale),
-            self._turns.table, self._turns.step,
-            planes["phasor"], planes["traits"], mean, planes["variance"], planes["phase"],
-            modulation, planes["valid"], planes["clipped"],
+            self._chromatic.table, self._chromatic.step,
+            planes["phasor"], planes["descriptors"], mean, planes["variance"], planes["phase"],
+            modulation, planes["valid"], planes["saturated"],
         )  # fmt: skip
         if self._mosaic is None:
             decode_rgb(image.reshape(height, 3 * width), *common)
         else:
             decode_bayer(image, self._mosaic, *common)
         return PhaseMap(
-            planes["phasor"], planes["traits"], mean, planes["variance"],
-            float(planes["clipped"].sum()) / (height * width), planes["phase"],
+            planes["phasor"], planes["descriptors"], mean, planes["variance"],
+            float(planes["saturated"].sum()) / (height * width), planes["phase"],
             modulation, planes["valid"],
         )  # fmt: skip
 
@@ -141,8 +141,8 @@ class Decoder:
         """The planes that stay with the decoder: fresh ones cost as much as a good part of the decoding."""
         if not self._planes or self._planes["phase"].shape != (height, width):
             single = {k: np.empty((height, width), np.float32) for k in ("variance", "phase")}
-            double = {k: np.empty((height, width), np.int32) for k in ("phasor", "traits")}
-            rest = {"valid": np.empty((height, width), np.bool_), "clipped": np.empty(height, np.int32)}
+            double = {k: np.empty((height, width), np.int32) for k in ("phasor", "descriptors")}
+            rest = {"valid": np.empty((height, width), np.bool_), "saturated": np.empty(height, np.int32)}
             self._planes = {**single, **double, **rest}
         return self._planes
 

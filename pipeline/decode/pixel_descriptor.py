@@ -1,6 +1,6 @@
 """What the order search compares of a pixel, in four bytes: one look-up says it all.
 
-From the highest bit: 12 bits of the pointwise phase and 11 of the equalised one, fractions of a turn that wrap as
+From the highest bit: 12 bits of the pointwise phase and 11 of the normalised one, fractions of a turn that wrap as
 phases do; one bit that says whether the pixel is valid; 8 bits of the mean, counts. The phases are off by 1.5
 milliradians at most, a thirtieth of their noise.
 """
@@ -14,31 +14,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.jit import inline, parallel, prange, serial
-from pipeline.common.tile_math import angle, turns
+from pipeline.common.tile_math import angle, whole_turns
 
 VALID = np.int32(256)
 RADIANS = np.float32(2 * pi / 2**32)
-"""One unit of :func:`phase_units` and :func:`equal_units`: a turn has 2^32 of them, so that differences wrap."""
-_PHASE, _EQUAL, _MEAN = np.int32(-(2**20)), np.int32(-(2**21)), np.int32(255)
+"""One unit of :func:`phase_units` and :func:`normalised_units`: a turn has 2^32 of them, so that differences wrap."""
+_PHASE, _NORMALISED, _MEAN = np.int32(-(2**20)), np.int32(-(2**21)), np.int32(255)
 _TURN, _FINE = np.float32(2 * pi), np.float32(2**28 / (2 * pi))
-_PHASE_STEPS, _EQUAL_STEPS = np.float32(2**12 / (2 * pi)), np.float32(2**11 / (2 * pi))
+_PHASE_STEPS, _NORMALISED_STEPS = np.float32(2**12 / (2 * pi)), np.float32(2**11 / (2 * pi))
 
 
 @inline
 def phase_units(x: Any) -> Any:
-    """The pointwise phase of a pixel's traits."""
+    """The pointwise phase of a pixel's descriptors."""
     return np.int32(x & _PHASE)
 
 
 @inline
-def equal_units(x: Any) -> Any:
-    """The equalised phase of a pixel's traits."""
-    return np.int32(np.int32(x << np.int32(12)) & _EQUAL)
+def normalised_units(x: Any) -> Any:
+    """The normalised phase of a pixel's descriptors."""
+    return np.int32(np.int32(x << np.int32(12)) & _NORMALISED)
 
 
 @inline
 def mean_of(x: Any) -> Any:
-    """The mean of a pixel's traits, counts."""
+    """The mean of a pixel's descriptors, counts."""
     return np.float32(np.int32(x & _MEAN))
 
 
@@ -50,26 +50,26 @@ def units(phase: Any) -> Any:
 
 @inline
 def bias_of(x: Any, phase: Any) -> Any:
-    """Equalised phase of a pixel's traits minus its pointwise phase, -pi .. pi radians."""
-    d = np.float32(equal_units(x)) * RADIANS - phase
-    return d - _TURN * turns(d)
+    """Equalised phase of a pixel's descriptors minus its pointwise phase, -pi .. pi radians."""
+    d = np.float32(normalised_units(x)) * RADIANS - phase
+    return d - _TURN * whole_turns(d)
 
 
 @inline
-def _equal_bits(phase: Any) -> Any:
-    return np.int32(np.int32(np.int32(np.rint(phase * _EQUAL_STEPS)) & np.int32(0x7FF)) << np.int32(9))
+def _normalised_bits(phase: Any) -> Any:
+    return np.int32(np.int32(np.int32(np.rint(phase * _NORMALISED_STEPS)) & np.int32(0x7FF)) << np.int32(9))
 
 
 @serial
-def equal_row(re: Any, im: Any, out: Any) -> None:
-    """Traits (n,) int32 of equalised phasors (n,), with nothing else yet."""
+def normalised_phase_row(re: Any, im: Any, out: Any) -> None:
+    """Descriptors (n,) int32 of normalised phasors (n,), with nothing else yet."""
     for j in range(out.shape[0]):
-        out[j] = _equal_bits(angle(re[j], im[j]))
+        out[j] = _normalised_bits(angle(re[j], im[j]))
 
 
 @serial
 def complete_row(phase: Any, valid: Any, mean: Any, out: Any) -> None:
-    """Add what :func:`equal_row` left out: phase (n,) radians, valid (n,) bool, mean (n,) uint8."""
+    """Add what :func:`normalised_phase_row` left out: phase (n,) radians, valid (n,) bool, mean (n,) uint8."""
     for j in range(out.shape[0]):
         q = np.int32(np.int32(np.rint(phase[j] * _PHASE_STEPS)) << np.int32(20))
         fine = VALID if valid[j] else np.int32(0)
@@ -77,14 +77,14 @@ def complete_row(phase: Any, valid: Any, mean: Any, out: Any) -> None:
 
 
 @parallel
-def traits_without_color(phase: Any, valid: Any, mean: Any, out: Any) -> None:
-    """Traits (H, W) of images in which both phases are the same; the others as in :func:`complete_row`."""
+def descriptors_without_color(phase: Any, valid: Any, mean: Any, out: Any) -> None:
+    """Descriptors (H, W) of images in which both phases are the same; the others as in :func:`complete_row`."""
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = _equal_bits(phase[i, j])
+            out[i, j] = _normalised_bits(phase[i, j])
         complete_row(phase[i], valid[i], mean[i], out[i])
 
 
-def equalised_phase(traits: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Equalised phases of traits, radians."""
-    return np.asarray(((traits << 12) & _EQUAL) * RADIANS, dtype=np.float32)
+def normalised_phase(descriptors: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Equalised phases of descriptors, radians."""
+    return np.asarray(((descriptors << 12) & _NORMALISED) * RADIANS, dtype=np.float32)

@@ -45,63 +45,65 @@ def _continues(
 
 
 @parallel
-def links(absolute: Any, match_u: Any, match_v: Any, slope_x: int, slope_y: int, out: Any) -> None:
+def links(absolute_phase: Any, right_u: Any, right_v: Any, slope_x: int, slope_y: int, out: Any) -> None:
     """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning beside unknown pixels.
 
     Args:
-        absolute: (H, W) int16, absolute phase; match_u, match_v: (H, W) int16, pixel in the right image, all in the
-            steps of :mod:`pipeline.match.match_result`, modulo 16 bits.
+        absolute_phase: (H, W) int16; right_u, right_v: (H, W) int16, pixel in the right image, all in the steps of
+            :mod:`pipeline.match.match_result`, modulo 16 bits.
         slope_x, slope_y: expected change of the phase per pixel, steps.
     """
-    height, width = absolute.shape
+    height, width = absolute_phase.shape
     last = width - 1
     for i in prange(height):
-        a, u, v = absolute[i], match_u[i], match_v[i]
+        a, u, v = absolute_phase[i], right_u[i], right_v[i]
         out[i, :] = _NO
         _continues(a[1:], a[:last], u[1:], u[:last], v[1:], v[:last], slope_x, PIXEL_STEPS, 0, LEFT, out[i, 1:])
         if i > 0:
-            _continues(a, absolute[i - 1], u, match_u[i - 1], v, match_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i])
+            _continues(
+                a, absolute_phase[i - 1], u, right_u[i - 1], v, right_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i]
+            )
 
 
 @serial
-def _joined(known: Any, link: Any, out: Any) -> None:
+def _joined(valid: Any, link: Any, out: Any) -> None:
     """1 where a pixel hangs together with its left neighbour; ``out`` is one longer than the row, its ends are 0."""
-    n = known.shape[0] - 1
-    here, left, bits, into = known[1:], known[:n], link[1:], out[1:]
+    n = valid.shape[0] - 1
+    here, left, bits, into = valid[1:], valid[:n], link[1:], out[1:]
     for j in range(n):
         into[j] = here[j] & left[j] & bits[j]
 
 
 @serial
-def _touching(known: Any, above: Any, link: Any, out: Any) -> None:
+def _touching(valid: Any, above: Any, link: Any, out: Any) -> None:
     """1 where a pixel hangs together with the one above it; ``out`` starts one pixel left of the row, with 0."""
     into = out[1:]
-    for j in range(known.shape[0]):
-        into[j] = known[j] & above[j] & (link[j] >> 1)
+    for j in range(valid.shape[0]):
+        into[j] = valid[j] & above[j] & (link[j] >> 1)
 
 
 @serial
-def _events(known: Any, joined: Any, joined_above: Any, touching: Any, out: Any) -> None:
+def _events(valid: Any, joined: Any, joined_above: Any, touching: Any, out: Any) -> None:
     """Where runs start and stop, and where two runs of adjacent rows begin to touch."""
     nxt, touch, touched = joined[1:], touching[1:], touching
-    for j in range(known.shape[0]):
-        begins = known[j] & ~joined[j]
-        ends = known[j] & ~nxt[j]
+    for j in range(valid.shape[0]):
+        begins = valid[j] & ~joined[j]
+        ends = valid[j] & ~nxt[j]
         # Where both runs go on from pixels that touched already, nothing is new.
         fresh = touch[j] & ~(touched[j] & joined[j] & joined_above[j])
         out[j] = begins | (fresh << 1) | (ends << 2)
 
 
 @parallel
-def find_runs(known: Any, link: Any, start: Any, stop: Any, contact: Any, count: Any) -> None:
+def find_runs(valid: Any, link: Any, start: Any, stop: Any, contact: Any, count: Any) -> None:
     """Runs of every row, and the columns in which they begin to touch runs of the row above.
 
     Args:
-        known: (H, W) uint8, 0 or 1; link: of :func:`links`.
+        valid: (H, W) uint8, 0 or 1; link: of :func:`links`.
         start, stop, contact: (H, W or more) int32, filled from the left of each row.
         count: (2, H) int32, number of runs and of contacts of each row.
     """
-    height, width = known.shape
+    height, width = valid.shape
     words = (width + 7) // 8
     for block in prange((height + _ROWS - 1) // _ROWS):
         event = np.zeros(8 * words, np.uint8)
@@ -111,13 +113,13 @@ def find_runs(known: Any, link: Any, start: Any, stop: Any, contact: Any, count:
         touching = np.zeros(width + 1, np.uint8)
         top = block * _ROWS
         if top > 0:
-            _joined(known[top - 1], link[top - 1], joined[(top + 1) % 2])
+            _joined(valid[top - 1], link[top - 1], joined[(top + 1) % 2])
         for i in range(top, min(top + _ROWS, height)):
             here, above = joined[i % 2], joined[(i + 1) % 2]
-            _joined(known[i], link[i], here)
+            _joined(valid[i], link[i], here)
             if i > 0:
-                _touching(known[i], known[i - 1], link[i], touching)
-            _events(known[i], here, above, touching, event)
+                _touching(valid[i], valid[i - 1], link[i], touching)
+            _events(valid[i], here, above, touching, event)
             runs, contacts = 0, 0
             for word in range(words):
                 if event_words[word] == 0:
@@ -220,9 +222,9 @@ class Surfaces:
         self._parent, self.surface, self._size = (np.empty(height * width, np.int32) for _ in range(3))
         self.sizes = self._size[:0]
 
-    def find(self, known: NDArray[np.uint8], link: NDArray[np.uint8], smallest: int) -> int:
+    def find(self, valid: NDArray[np.uint8], link: NDArray[np.uint8], smallest: int) -> int:
         """Find the surfaces of at least ``smallest`` pixels; their number."""
-        find_runs(known, link, self.start, self.stop, self.contact, self.count)
+        find_runs(valid, link, self.start, self.stop, self.contact, self.count)
         number = unite(
             self.start,
             self.stop,

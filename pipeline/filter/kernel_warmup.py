@@ -11,7 +11,7 @@ from pipeline.match.match_result import PIXEL_STEPS, Points
 _SIDE = 16
 
 
-def rehearse_contest() -> None:
+def warm_up_conflicts() -> None:
     """Let two small surfaces claim the same pixels of another device, in arrays of the kinds that the gates use."""
     shape = (_SIDE, _SIDE)
     v, u = (PIXEL_STEPS * np.indices(shape)).astype(np.uint16)
@@ -22,5 +22,5 @@ def rehearse_contest() -> None:
     contest = Uniqueness(shape, (shape,))
     for by_depth in (False, True):
         values = Values((1000 * label).astype(np.int16), by_depth, np.float32(0), np.float32(1e-3))
-        known = np.ones(shape, np.uint8)
-        contest.apply(known, label, size, u, v, points.depth_mm(1), shape, values, PARAMETER_STEPS // 4, label.size)
+        valid = np.ones(shape, np.uint8)
+        contest.apply(valid, label, size, u, v, points.depth_mm(1), shape, values, PARAMETER_STEPS // 4, label.size)

@@ -17,7 +17,7 @@ _YES, _NO = np.uint8(1), np.uint8(0)
 
 @serial
 def _shift(came: Any, came_known: Any, gone: Any, gone_known: Any, total: Any) -> None:
-    """Column sums of known values after a row came and another went; they start three pixels left of the row."""
+    """Column sums of valid values after a row came and another went; they start three pixels left of the row."""
     into = total[RADIUS:]
     for j in range(came.shape[0]):
         a, b = came[j], gone[j]
@@ -41,7 +41,7 @@ def _across(x: Any, out: Any) -> None:
 
 @serial
 def _agreeing(
-    known: Any, first: Any, second: Any, n: Any, sum1: Any, sum2: Any, window: Any, limit: int, largest: int, out: Any
+    valid: Any, first: Any, second: Any, n: Any, sum1: Any, sum2: Any, window: Any, limit: int, largest: int, out: Any
 ) -> None:  # fmt: skip
     """See :func:`local_outliers`; everything fits into 16 bits, without sign where differences are concerned."""
     for j in range(out.shape[0]):
@@ -52,22 +52,22 @@ def _agreeing(
         near = (from1 < most) | (from2 < most)
         small = np.uint16(first[j] + largest) <= np.uint16(2 * largest)
         small |= np.uint16(second[j] + largest) <= np.uint16(2 * largest)
-        here = known[j]
+        here = valid[j]
         out[j] = here if near & small & (np.uint16(4 * n[j]) >= np.uint16(window[j])) else _NO
 
 
 @parallel
-def local_outliers(known: Any, first: Any, second: Any, limit: int, largest: int, out: Any) -> None:
+def local_outliers(valid: Any, first: Any, second: Any, limit: int, largest: int, out: Any) -> None:
     """Known pixels with a small residual and one that stays near the mean of its 7 x 7 neighbourhood.
 
     Args:
-        known: (H, W) uint8, 0 or 1.
-        first, second: (H, W) int16 residuals, up to 668 steps where known.
-        limit: steps that a residual stays below from the mean of the known neighbours, which must be a quarter of all.
+        valid: (H, W) uint8, 0 or 1.
+        first, second: (H, W) int16 residuals, up to 668 steps where valid.
+        limit: steps that a residual stays below from the mean of the valid neighbours, which must be a quarter of all.
         largest: steps, largest residual; both up to 668.
         out: (H, W) uint8, becomes 1 where all is well, else 0.
     """
-    height, width = known.shape
+    height, width = valid.shape
     for block in prange((height + _ROWS - 1) // _ROWS):
         top = block * _ROWS
         bottom = min(top + _ROWS, height)
@@ -83,8 +83,8 @@ def local_outliers(known: Any, first: Any, second: Any, limit: int, largest: int
         for i in range(first_row, bottom + RADIUS):
             old = i - 2 * RADIUS - 1
             came, gone = min(i, height - 1), max(old, 0)
-            came_known = known[came] if i < height else nothing
-            gone_known = known[gone] if old >= first_row else nothing
+            came_known = valid[came] if i < height else nothing
+            gone_known = valid[gone] if old >= first_row else nothing
             _shift(first[came], came_known, first[gone], gone_known, column1)
             _shift(second[came], came_known, second[gone], gone_known, column2)
             _shift_count(came_known, gone_known, column_n)
@@ -97,7 +97,7 @@ def local_outliers(known: Any, first: Any, second: Any, limit: int, largest: int
             within = min(height, middle + RADIUS + 1) - max(0, middle - RADIUS)
             for j in range(width):
                 window[j] = within * columns[j]
-            _agreeing(known[middle], first[middle], second[middle], n, sum1, sum2, window, limit, largest, out[middle])
+            _agreeing(valid[middle], first[middle], second[middle], n, sum1, sum2, window, limit, largest, out[middle])
 
 
 @serial

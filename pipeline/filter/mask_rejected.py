@@ -13,11 +13,11 @@ _NOWHERE = np.int16(-1)
 
 
 @parallel
-def conceal(known: Any, order: Any, every: int, xyz: Any, sigma: Any, order_out: Any) -> None:
+def conceal(valid: Any, order: Any, every: int, xyz: Any, sigma: Any, order_out: Any) -> None:
     """Unknown points become NaN; the orders of the others are copied.
 
     Args:
-        known: (h, w) uint8, 1 where a point is certain; order: (h, w) int16.
+        valid: (h, w) uint8, 1 where a point is certain; order: (h, w) int16.
         every: pixel (a, b) of those is the cloud's (every a, every b); in between nothing is known.
         xyz: (H, W, 3), sigma: (H, W), float32, changed; order_out: (H, W) int16, written, -1 where unknown.
     """
@@ -32,7 +32,7 @@ def conceal(known: Any, order: Any, every: int, xyz: Any, sigma: Any, order_out:
                 if j % every != 0:
                     xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
         a = i // every
-        here, orders = known[a], order[a]
+        here, orders = valid[a], order[a]
         if every == 1:
             out = order_out[i]
             for j in range(width):

@@ -65,18 +65,18 @@ def _any_shared(number: Any, box: Any, across: int) -> bool:
 
 @parallel
 def list_claims(
-    known: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, box: Any, number: Any,
+    valid: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, box: Any, number: Any,
     entries: Any, pixels: Any, places: Any, surfaces: Any, depths: Any, all_values: Any,
 ) -> None:  # fmt: skip
     """List the pixels that claim shared blocks, by bands of rows.
 
     Args:
-        known: (H, W) uint8; label: (H, W) uint16, one more than the surface; depth: (H, W) mm.
+        valid: (H, W) uint8; label: (H, W) uint16, one more than the surface; depth: (H, W) mm.
         u, v: (H, W) uint16, pixel in the other device of this width and height; values: :class:`Values`.
         box, number: of :mod:`pipeline.filter.uniqueness`.
         entries, pixels, places, surfaces, depths, all_values: the arrays of :class:`Claims`, written.
     """
-    rows, columns = known.shape
+    rows, columns = valid.shape
     down, tiles = box.shape[:2]
     parts = entries.shape[0]
     across = (width + 7) // 8
@@ -95,7 +95,7 @@ def list_claims(
                     for j in range(first, min(first + TILE_COLUMNS, columns)):
                         a, b = np.int32(u[i, j]) // PIXEL_STEPS, np.int32(v[i, j]) // PIXEL_STEPS
                         x, y = a // 8, b // 8
-                        inside = (known[i, j] != 0) & (a < width) & (b < height)
+                        inside = (valid[i, j] != 0) & (a < width) & (b < height)
                         k = number[y * across + x if inside else 0]
                         if k < 0 or not inside:
                             continue
@@ -178,9 +178,9 @@ def _prevails(label: int, depth: float, rival: int, rival_depth: float, size: An
 @parallel
 def arbitrate(
     entries: Any, pixels: Any, places: Any, surface: Any, depth: Any, rivals: Any, near: Any, far: Any,
-    size: Any, share: Any, sure: int, known: Any,
+    size: Any, share: Any, sure: int, valid: Any,
 ) -> None:  # fmt: skip
-    """Forget the contested claims that do not prevail; ``known`` (flat) is changed.
+    """Forget the contested claims that do not prevail; ``valid`` (flat) is changed.
 
     Args:
         entries, pixels, places, surface, depth, rivals: of :class:`Claims`; near, far: of :func:`nearest_and_farthest`.
@@ -200,4 +200,4 @@ def arbitrate(
             wins = (bits & 1) == 0 or _prevails(mine, z, surfaces[a], depths[a], size, share, sure)
             wins = wins and ((bits & 2) == 0 or _prevails(mine, z, surfaces[b], depths[b], size, share, sure))
             if not wins:
-                known[pixels[part, n]] = 0
+                valid[pixels[part, n]] = 0

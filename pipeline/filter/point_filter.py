@@ -15,18 +15,18 @@ from pipeline.filter.local_outliers import drop_mixed_edges, local_outliers
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.uniqueness import PARTS, Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
-from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, Located
+from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult
 
 _NO = np.uint8(0)
 
 
 @parallel
 def _squares(
-    known: Any, first: Any, second: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, size: Any,
+    valid: Any, first: Any, second: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, size: Any,
     small: int, total: Any,
 ) -> None:  # fmt: skip
     """Sums of squared residuals of the surfaces that are not large, (PARTS, surfaces) int64, by bands of rows."""
-    height = known.shape[0]
+    height = valid.shape[0]
     parts = total.shape[0]
     for part in prange(parts):
         for i in range(part * height // parts, (part + 1) * height // parts):
@@ -36,17 +36,17 @@ def _squares(
                     continue
                 for j in range(start[i, t], stop[i, t]):
                     a, b = np.int64(first[i, j]), np.int64(second[i, j])
-                    total[part, k] += min(a * a, b * b) if known[i, j] != 0 else 0
+                    total[part, k] += min(a * a, b * b) if valid[i, j] != 0 else 0
 
 
 @parallel
-def _forget(doubtful: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, known: Any) -> None:
+def _forget(doubtful: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, valid: Any) -> None:
     """Forget the runs of no surface and of doubtful ones."""
-    for i in prange(known.shape[0]):
+    for i in prange(valid.shape[0]):
         for t in range(count[0, i]):
             k = surface[row[i] + t]
             if k < 0 or doubtful[k]:
-                known[i, start[i, t] : stop[i, t]] = _NO
+                valid[i, start[i, t] : stop[i, t]] = _NO
 
 
 class Gates:
@@ -67,40 +67,40 @@ class Gates:
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
-        self._known, self._link = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+        self._valid, self._link = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
         self._label = np.empty(shape, np.uint16)
         self._surfaces = Surfaces(shape)
         self._unique = Uniqueness(shape, (right, projector))
 
-    def certain(self, located: Located, depth_mm: Any, modulation: Any) -> NDArray[np.uint8]:
+    def certain(self, match: MatchResult, depth_mm: Any, modulation: Any) -> NDArray[np.uint8]:
         """1 where a point is certain, else 0, (H, W); valid until the next call.
 
         Args:
-            located: of the left image; depth_mm: (H, W), float32; modulation: (H, W) uint8, counts.
+            match: of the left image; depth_mm: (H, W), float32; modulation: (H, W) uint8, counts.
         """
-        s, known, label, surfaces = self._settings, self._known, self._label, self._surfaces
+        s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
         limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)
-        local_outliers(located.known, located.residual_eq, located.residual, limit, largest, known)
+        local_outliers(match.valid, match.residual_normalised, match.residual, limit, largest, valid)
         connected_components.links(
-            located.absolute, located.match_u.view(np.int16), located.match_v.view(np.int16), *self._slopes, self._link
+            match.absolute_phase, match.right_u.view(np.int16), match.right_v.view(np.int16), *self._slopes, self._link
         )
-        surfaces.find(known, self._link, self._smallest)
+        surfaces.find(valid, self._link, self._smallest)
         surfaces.paint(label)
-        drop_mixed_edges(label, modulation, np.float32(s.edge_modulation), known)
-        self._drop_doubtful(located)
-        by_phase = Values(located.absolute, False, self._base, self._span)
+        drop_mixed_edges(label, modulation, np.float32(s.edge_modulation), valid)
+        self._drop_doubtful(match)
+        by_phase = Values(match.absolute_phase, False, self._base, self._span)
         for u, v, device, values, tolerance in (
-            (located.match_u, located.match_v, self._right, by_phase, int(1.5 / (2 * np.pi) * TURN_STEPS)),
-            (located.source_u, located.source_v, self._projector, by_phase._replace(by_depth=True), self._tolerance),
+            (match.right_u, match.right_v, self._right, by_phase, int(1.5 / (2 * np.pi) * TURN_STEPS)),
+            (match.projector_u, match.projector_v, self._projector, by_phase._replace(by_depth=True), self._tolerance),
         ):
             self._unique.apply(
-                known, label, surfaces.sizes, u, v, depth_mm, device, values, tolerance, 4 * self._smallest
+                valid, label, surfaces.sizes, u, v, depth_mm, device, values, tolerance, 4 * self._smallest
             )
-        surfaces.find(known, self._link, self._smallest)
-        self._drop_doubtful(located)
-        return known
+        surfaces.find(valid, self._link, self._smallest)
+        self._drop_doubtful(match)
+        return valid
 
-    def _drop_doubtful(self, located: Located) -> None:
+    def _drop_doubtful(self, match: MatchResult) -> None:
         """Forget what belongs to no surface, and surfaces that are not large and off the projector's phase as a whole.
 
         A ghost agrees in left and right phase by construction but has no reason to agree with the projector.
@@ -109,12 +109,12 @@ class Gates:
         small, sizes = 20 * self._smallest, f.sizes
         total = np.zeros((PARTS, len(sizes)), np.int64)
         _squares(
-            self._known, located.residual_eq, located.residual, f.start, f.stop, f.count, f.first, f.surface, sizes,
+            self._valid, match.residual_normalised, match.residual, f.start, f.stop, f.count, f.first, f.surface, sizes,
             small, total,
         )  # fmt: skip
         largest = (self._settings.max_surface_error / RESIDUAL_STEP) ** 2
         doubtful = (sizes < small) & (total.sum(axis=0) > largest * sizes)
-        _forget(doubtful, f.start, f.stop, f.count, f.first, f.surface, self._known)
+        _forget(doubtful, f.start, f.stop, f.count, f.first, f.surface, self._valid)
 
 
 def _steps(residual: float) -> int:

@@ -28,10 +28,10 @@ BLOCK_STEPS = 8 * PIXEL_STEPS
 
 
 @serial
-def _masked(known: Any, x: Any, out: Any) -> None:
-    for j in range(known.shape[0]):
+def _masked(valid: Any, x: Any, out: Any) -> None:
+    for j in range(valid.shape[0]):
         here = x[j]
-        out[j] = here if known[j] != 0 else _NOWHERE
+        out[j] = here if valid[j] != 0 else _NOWHERE
 
 
 @serial
@@ -93,18 +93,18 @@ def _claim(owner: Any, block: int, surface: Any) -> None:
 
 @parallel
 def claim_blocks(
-    known: Any, label: Any, u: Any, v: Any, width: int, height: int, box: Any, owner: Any
+    valid: Any, label: Any, u: Any, v: Any, width: int, height: int, box: Any, owner: Any
 ) -> None:  # fmt: skip
     """Note which surface claims which block of the other device.
 
     Args:
-        known: (H, W) uint8; label: (H, W) uint16, one more than the surface.
+        valid: (H, W) uint8; label: (H, W) uint16, one more than the surface.
         u, v: (H, W) uint16, pixel in the other device of this width and height, see :mod:`pipeline.match.match_result`.
         box: (tiles down, tiles across, 4) int32, becomes first and last column, first and last row of the blocks that
-            a tile's known pixels lie in.
+            a tile's valid pixels lie in.
         owner: (PARTS, blocks) int32, becomes the claiming surface, NOBODY or SEVERAL, by bands of rows.
     """
-    rows, columns = known.shape
+    rows, columns = valid.shape
     down, tiles = box.shape[:2]
     across = (width + 7) // 8
     last_x, last_y = (width - 1) // 8, (height - 1) // 8
@@ -121,10 +121,10 @@ def claim_blocks(
             low[:], high[:] = _NOWHERE, _ZERO
             top, bottom = band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)
             for i in range(top, bottom):
-                _masked(known[i], u[i], row)
+                _masked(valid[i], u[i], row)
                 _least_known(row, low_u)
                 _most_known(row, high_u)
-                _masked(known[i], v[i], row)
+                _masked(valid[i], v[i], row)
                 _least_known(row, low_v)
                 _most_known(row, high_v)
                 _least_label(label[i], low)
@@ -150,7 +150,7 @@ def claim_blocks(
                     for i in range(top, bottom):
                         for m in range(j, min(j + TILE_COLUMNS, columns)):
                             x, y = u[i, m] // BLOCK_STEPS, v[i, m] // BLOCK_STEPS
-                            if known[i, m] and x <= last_x and y <= last_y:
+                            if valid[i, m] and x <= last_x and y <= last_y:
                                 _claim(mine, y * across + x, np.int32(label[i, m]) - 1)
 
 
@@ -190,13 +190,13 @@ class Uniqueness:
         self._near, self._far = (np.empty(64 * blocks, np.int32) for _ in range(2))
 
     def apply(
-        self, known: NDArray[np.uint8], label: NDArray[np.uint16], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
+        self, valid: NDArray[np.uint8], label: NDArray[np.uint16], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
         device: tuple[int, int], values: occlusion_conflicts.Values, tolerance: int, sure: int,
     ) -> None:  # fmt: skip
         """Forget what does not prevail in one device.
 
         Args:
-            known: (H, W) 0 or 1, changed in place; label: (H, W) one more than the surface of each known pixel.
+            valid: (H, W) 0 or 1, changed in place; label: (H, W) one more than the surface of each valid pixel.
             size: pixels of each surface.
             u, v: (H, W) uint16, pixel in the device; depth: (H, W) mm.
             device: (width, height) of the device.
@@ -206,12 +206,12 @@ class Uniqueness:
         width, height = device
         blocks = ((width + 7) // 8) * ((height + 7) // 8)
         owner, number, c = self._owner[:, :blocks], self._number[:blocks], self._claims
-        claim_blocks(known, label, u, v, width, height, self._box, owner)
+        claim_blocks(valid, label, u, v, width, height, self._box, owner)
         shared = number_shared(owner, number)
         if not shared:
             return
         occlusion_conflicts.list_claims(
-            known, label, u, v, depth, values, width, height, self._box, number,
+            valid, label, u, v, depth, values, width, height, self._box, number,
             c.entries, c.pixel, c.place, c.surface, c.depth, c.value,
         )  # fmt: skip
         near, far = self._near[: 64 * shared], self._far[: 64 * shared]
@@ -220,5 +220,5 @@ class Uniqueness:
         occlusion_conflicts.contest(c.entries, c.place, c.surface, c.value, near, far, tolerance, c.rival, against)
         share = (against.sum(axis=0) / size).astype(np.float32)
         occlusion_conflicts.arbitrate(
-            c.entries, c.pixel, c.place, c.surface, c.depth, c.rival, near, far, size, share, sure, known.reshape(-1)
+            c.entries, c.pixel, c.place, c.surface, c.depth, c.rival, near, far, size, share, sure, valid.reshape(-1)
         )

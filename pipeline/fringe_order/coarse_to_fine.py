@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, parallel, prange, serial
-from pipeline.common.tile_math import turns
+from pipeline.common.tile_math import whole_turns
 from pipeline.fringe_order.semi_global_aggregation import NONE
 
 _TURN, _ZERO = np.float32(2 * np.pi), np.float32(0)
@@ -24,7 +24,7 @@ _BENT = np.float32(1.0)
 def _way(total: Any, last: Any, worst: Any, first: bool, here: Any, there: Any, slope: Any) -> tuple[Any, Any, Any]:
     """One more pixel of a way: phase passed through, last step less the slope, largest change of the step."""
     d = there - here - slope
-    d -= _TURN * turns(d)
+    d -= _TURN * whole_turns(d)
     change = abs(d - last)
     return total + d + slope, d, worst if first or change < worst else change
 
@@ -32,7 +32,7 @@ def _way(total: Any, last: Any, worst: Any, first: bool, here: Any, there: Any, 
 @inline
 def _agreed(before: Any, after: Any, from_before: Any, from_after: Any) -> Any:
     """The order that both neighbours continue to, else NONE."""
-    one, other = before + np.int32(turns(from_before)), after + np.int32(turns(from_after))
+    one, other = before + np.int32(whole_turns(from_before)), after + np.int32(whole_turns(from_after))
     return np.int16(one) if one == other else np.int16(NONE)
 
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, parallel, prange
-from pipeline.common.tile_math import TILE, clamped, decay, turns
-from pipeline.decode.pixel_descriptor import RADIANS, VALID, bias_of, equal_units, mean_of, phase_units, units
+from pipeline.common.tile_math import TILE, clamped, decay, whole_turns
+from pipeline.decode.pixel_descriptor import RADIANS, VALID, bias_of, mean_of, normalised_units, phase_units, units
 
 UNSEEN = np.float32(0.5)
 RAY = 9
@@ -35,7 +35,7 @@ _PHI, _BIAS, _MEAN, _MOVE = (k * TILE for k in range(4))
 _M0, _M1, _M2, _Q0, _Q1, _R0, _R1 = (k * TILE for k in range(4, 11))
 _U, _FRACTION, _SEEN, _T0, _T1, _COST = (k * TILE for k in range(11, 17))
 SLOTS = 17
-_CELL, _P0, _P1, _PHASE, _EQUAL = (k * TILE for k in range(5))
+_CELL, _P0, _P1, _PHASE, _NORMALISED = (k * TILE for k in range(5))
 INTEGER_SLOTS = 5
 MOVE, COST = _MOVE, _COST
 """Slots that :mod:`pipeline.fringe_order.strip_search` reads."""
@@ -43,14 +43,14 @@ MOVE, COST = _MOVE, _COST
 
 @inline
 def load_nodes(
-    t: Any, k: Any, nodes: Any, pixels: Any, n: int, rays: Any, phase: Any, traits: Any, first: Any, count: Any,
+    t: Any, k: Any, nodes: Any, pixels: Any, n: int, rays: Any, phase: Any, descriptors: Any, first: Any, count: Any,
     labels: int,
 ) -> int:  # fmt: skip
     """Fill the slots of a tile of lattice pixels, their first orders and counts; returns the largest count.
 
     Args:
         nodes, pixels: numbers of the n lattice pixels in the lattice and in the image.
-        rays: (h w RAY), see :data:`RAY`; first, count: (h w); phase, traits: (H W).
+        rays: (h w RAY), see :data:`RAY`; first, count: (h w); phase, descriptors: (H W).
     """
     for j in range(n):
         at = np.uint32(RAY * nodes[j])
@@ -59,11 +59,11 @@ def load_nodes(
         t[_T0 + j], t[_T1 + j] = rays[at + np.uint32(7)], rays[at + np.uint32(8)]
     for j in range(n):
         m = np.uint32(pixels[j])
-        t[_PHI + j], k[_P0 + j] = phase[m], traits[m]
+        t[_PHI + j], k[_P0 + j] = phase[m], descriptors[m]
     for j in range(TILE):
         x = k[_P0 + j]
         t[_BIAS + j] = bias_of(x, t[_PHI + j])
-        k[_PHASE + j], k[_EQUAL + j], t[_MEAN + j] = units(t[_PHI + j]), equal_units(x), mean_of(x)
+        k[_PHASE + j], k[_NORMALISED + j], t[_MEAN + j] = units(t[_PHI + j]), normalised_units(x), mean_of(x)
     for j in range(TILE):
         phi = t[_PHI + j]
         low = np.float32(np.ceil((t[_T0 + j] - phi) * _PER_TURN))
@@ -90,7 +90,7 @@ def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
         t[_T0 + j] = expected[np.uint32(nodes[j])]
     for j in range(TILE):
         change = t[_T0 + j] - t[_PHI + j]
-        ahead = turns(change)
+        ahead = whole_turns(change)
         good = (ahead >= _ZERO) & (ahead < t[_T1 + j]) & (abs(change - _TURN * ahead) < _FASTEST)
         t[_MOVE + j] = ahead if good else -_ONE
         t[_PHI + j] += _TURN * ahead if good else _ZERO
@@ -98,14 +98,14 @@ def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
 
 @inline
 def price(
-    t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, traits: Any,
+    t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, descriptors: Any,
     width: int, height: int, axis: int, inv: Any, texture: Any,
 ) -> None:  # fmt: skip
     """Cost 0 .. about 1.6 (slot _COST) of the candidates ``order`` after the first of a tile of lattice pixels.
 
-    The equalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
+    The normalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
     phases and the texture are compared there; UNSEEN outside the other image or where that has no fringes.
-    ``traits``, flat, are the other image's; ``linear``: the table ``columns`` is a straight line, and need not be
+    ``descriptors``, flat, are the other image's; ``linear``: the table ``columns`` is a straight line, and need not be
     looked up.
     """
     start, stop = columns[0], columns[0] + columns[1] * np.float32(columns.shape[0] - 3)
@@ -155,14 +155,14 @@ def price(
     ahead = np.uint32(step)
     for j in range(TILE):
         place = np.uint32(k[_CELL + j])
-        k[_P0 + j], k[_P1 + j] = traits[place], traits[place + ahead]
+        k[_P0 + j], k[_P1 + j] = descriptors[place], descriptors[place + ahead]
     for j in range(TILE):
         f, p, q = t[_FRACTION + j], k[_P0 + j], k[_P1 + j]
-        plain, equal = phase_units(p), equal_units(p)
-        step, step_equal = np.int32(phase_units(q) - plain), np.int32(equal_units(q) - equal)
-        plain, equal = np.int32(plain - k[_PHASE + j]), np.int32(equal - k[_EQUAL + j])
+        plain, equal = phase_units(p), normalised_units(p)
+        step, step_normalised = np.int32(phase_units(q) - plain), np.int32(normalised_units(q) - equal)
+        plain, equal = np.int32(plain - k[_PHASE + j]), np.int32(equal - k[_NORMALISED + j])
         t[_T0 + j] = (np.float32(plain) + f * np.float32(step)) * RADIANS
-        t[_T1 + j] = (np.float32(equal) + f * np.float32(step_equal)) * RADIANS
+        t[_T1 + j] = (np.float32(equal) + f * np.float32(step_normalised)) * RADIANS
     for j in range(TILE):
         p, q, f = k[_P0 + j], k[_P1 + j], t[_FRACTION + j]
         plain, equal, here = t[_T0 + j], t[_T1 + j], t[_MEAN + j]

@@ -37,7 +37,7 @@ def _projector_places(
 ) -> None:  # fmt: skip
     """Absolute phases, and where in the table of projector coordinates they lie (integer and rest; NaN outside).
 
-    The equalised phase (``bias`` more than the pointwise one) places a pixel; the other does where that falls off the
+    The normalised phase (``bias`` more than the pointwise one) places a pixel; the other does where that falls off the
     table.
     """
     for b in range(absolute.shape[0]):
@@ -80,7 +80,7 @@ def _nearest(place: Any, first: Any, per_step: Any, count: int, out: Any) -> Non
 @parallel
 def cross_check(
     order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
-    traits: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
+    descriptors: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
     other_phase: Any, table: Any, shift: Any, slope_x: Any, slope_y: Any, limit: Any, kept: Any,
 ) -> None:  # fmt: skip
     """Orders (h, w) int16 kept where the other camera, asked from its own side, gives the same absolute phase there.
@@ -88,7 +88,7 @@ def cross_check(
     Args:
         order, kept: (h, w) int16, the second is written; top .. step: place of the lattice in the image.
         lines: (7, h, w), of :class:`pipeline.geometry.ray_tables.RayTable`; axis: 0 = phase grows along u.
-        phase, traits: of this image.
+        phase, descriptors: of this image.
         other_order .. other_phase: the same of the other camera.
         table: even-grid table phase -> projector coordinate; shift: the column correction; all float32.
         slope_x, slope_y: the other image's expected phase steps per pixel.
@@ -114,7 +114,7 @@ def cross_check(
         i = top + down * a
         for b in range(w):
             j = np.uint32(left + step * b)
-            here[b], index[b] = phase[i, j], traits[i, j]
+            here[b], index[b] = phase[i, j], descriptors[i, j]
         for b in range(w):
             bias[b] = bias_of(index[b], here[b])
         _projector_places(order[a], here, bias, first, per_step, last, absolute, index, part)

@@ -114,7 +114,7 @@ class _Lattice:
             self._correction = correction.copy()
         search.search_rows(
             table.top, table.down, table.left, table.step, every, self._rays,
-            here.phase, here.traits, here.valid, there.traits,
+            here.phase, here.descriptors, here.valid, there.descriptors,
             view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
             np.float32(s.switch_penalty),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, parallel, prange
-from pipeline.common.tile_math import decay, turns
+from pipeline.common.tile_math import decay, whole_turns
 
 _TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
 _BROKEN = np.float32(0.15)
@@ -19,7 +19,7 @@ _ZERO, _HALF = np.float32(0), np.float32(0.5)
 def _tie(total: Any, before: Any, here: Any, worst: Any, whole: bool) -> tuple[Any, Any]:
     """Change of order along a continuous surface, and trust 0 .. 1 in it, from the unwrapped way between two pixels."""
     sharp = min(_FOUR * worst * worst, _EIGHT)
-    return turns(before + total - here), decay(sharp) if whole else _BROKEN
+    return whole_turns(before + total - here), decay(sharp) if whole else _BROKEN
 
 
 @inline
@@ -43,7 +43,7 @@ def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any
         total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
         for s in range(step):
             d = phase[m + np.uint32(s + 1)] - phase[m + np.uint32(s)] - slope
-            d -= _TURN * turns(d)
+            d -= _TURN * whole_turns(d)
             worst = max(worst, abs(d - last) if s > 0 else _ZERO)
             last = d
             total += d + slope
@@ -74,7 +74,7 @@ def column_links(
             total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
             for s in range(down):
                 d = phase[top + s + 1, m] - phase[top + s, m] - slope
-                d -= _TURN * turns(d)
+                d -= _TURN * whole_turns(d)
                 worst = max(worst, abs(d - last) if s > 0 else _ZERO)
                 last = d
                 total += d + slope

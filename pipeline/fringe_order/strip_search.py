@@ -26,7 +26,7 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 @parallel
 def search_rows(
     top: int, down: int, left: int, step: int, every: int, rays: Any,
-    phase: Any, traits: Any, valid: Any, other_traits: Any,
+    phase: Any, descriptors: Any, valid: Any, other_descriptors: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
     inv: Any, texture: Any, penalty: Any, settled: Any, expected: Any, turn: int, limit: Any,
     costs: Any, total: Any, first: Any, count: Any,
@@ -36,8 +36,8 @@ def search_rows(
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         rays: (h, w, RAY), see :data:`pipeline.fringe_order.order_candidates.RAY`.
-        phase: (H, W) float32; traits: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`; valid: (H, W) bool.
-        other_traits: the other image's.
+        phase: (H, W) float32; valid: (H, W) bool.
+        descriptors, other_descriptors: (H, W) int32, of both images, see :mod:`pipeline.decode.pixel_descriptor`.
         columns: even-grid table phase -> projector coordinate; linear: it is a straight line; extent: projector pixels
             across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.
@@ -50,12 +50,12 @@ def search_rows(
             written.
     """
     h, w = expected.shape
-    height, width = other_traits.shape
-    pixels_across = traits.shape[1]
+    height, width = other_descriptors.shape
+    pixels_across = descriptors.shape[1]
     flat_rays = rays.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
-    flat_phase, flat_traits, flat_costs = phase.reshape(-1), traits.reshape(-1), costs.reshape(-1)
-    there = other_traits.reshape(-1)
+    flat_phase, flat_descriptors, flat_costs = phase.reshape(-1), descriptors.reshape(-1), costs.reshape(-1)
+    there = other_descriptors.reshape(-1)
     for strip in prange((h + STRIP - 1) // STRIP):
         a0, a1 = strip * STRIP, min(strip * STRIP + STRIP, h)
         t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
@@ -81,7 +81,7 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_traits,
+            load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
                        flat_first, flat_count, labels)  # fmt: skip
             predict(t, part, m, flat_expected)
             price(t, k, 0, columns, linear, correction, extent, there, width, height, axis, inv, texture)
@@ -110,7 +110,7 @@ def search_rows(
         for o in range(0, n, TILE):
             m = min(TILE, n - o)
             part = nodes[o : o + m]
-            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_traits,
+            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
                               flat_first, flat_count, labels)  # fmt: skip
             for j in range(m):
                 base = np.uint32(part[j] * labels)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
-from pipeline.decode.chromatic_phase import color_turns
+from pipeline.decode.chromatic_phase import chromatic_correction
 from pipeline.decode.decoder import Decoder, PhaseMap
 from pipeline.fringe_order import order_propagation
 from pipeline.geometry.ray_tables import DepthScale, RayTable, packed, period_in_image, ray_table
-from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, Located
+from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration, ColorModel
@@ -65,8 +65,8 @@ class View:
         sign = _growth(calibration, depth, axis)
         slope = sign * 2 * np.pi / period
         slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
-        turns = color_turns(calibration, pattern, color, depth.depth(0.5))
-        decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, turns=turns)
+        chromatic = chromatic_correction(calibration, pattern, color, depth.depth(0.5))
+        decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, chromatic=chromatic)
         along = table.along.astype(np.float64)
         far, near = ((along[0] + along[1] * s) / (1 + along[2] * s) for s in table.limits.astype(np.float64))
         phases = pattern.phase
@@ -91,7 +91,7 @@ class View:
         """Orders that the other view confirms, into ``kept``."""
         t, o = self.table, other.table
         order_propagation.cross_check(
-            order, t.top, t.down, t.left, t.step, t.lines, self.first_axis, here.phase, here.traits,
+            order, t.top, t.down, t.left, t.step, t.lines, self.first_axis, here.phase, here.descriptors,
             other_order, o.top, o.down, o.left, o.step, there.phase, self.columns, correction.astype(np.float32),
             np.float32(other.slopes[0]), np.float32(other.slopes[1]), np.float32(self.settings.max_check), kept,
         )  # fmt: skip
@@ -102,17 +102,21 @@ class View:
         slope_x, slope_y = np.float32(self.slopes[0]), np.float32(self.slopes[1])
         order_propagation.spread(order, t.top, t.down, t.left, t.step, here.phase, here.valid, slope_x, slope_y, out)
 
-    def column_differences(self, located: Located, correction: F64) -> tuple[F64, F64, F64]:
+    def column_differences(self, match: MatchResult, correction: F64) -> tuple[F64, F64, F64]:
         """Observed minus calibrated projector coordinate of located points (a subset), and where they are."""
         part = np.s_[::3, ::2]
-        some = located.known[part].astype(bool) & (np.abs(located.residual_eq[part]) < 1.5 / RESIDUAL_STEP)
-        some &= (located.source_u[part] != OUTSIDE) & (located.source_v[part] != OUTSIDE)
-        source = [(plane[part][some] + 0.5) / PIXEL_STEPS - 0.5 for plane in (located.source_u, located.source_v)]
+        some = match.valid[part].astype(bool) & (np.abs(match.residual_normalised[part]) < 1.5 / RESIDUAL_STEP)
+        some &= (match.projector_u[part] != OUTSIDE) & (match.projector_v[part] != OUTSIDE)
+        source = [(plane[part][some] + 0.5) / PIXEL_STEPS - 0.5 for plane in (match.projector_u, match.projector_v)]
         along, across = source[self.first_axis], source[1 - self.first_axis]
-        absolute = along + correction[0] + correction[1] * along + correction[2] * across
+        absolute_phase = along + correction[0] + correction[1] * along + correction[2] * across
         rate = np.gradient(self.phases.astype(np.float64))
-        difference = RESIDUAL_STEP * located.residual_eq[part][some] / np.interp(absolute, np.arange(len(rate)), rate)
-        return absolute - along + difference, along, across
+        difference = (
+            RESIDUAL_STEP
+            * match.residual_normalised[part][some]
+            / np.interp(absolute_phase, np.arange(len(rate)), rate)
+        )
+        return absolute_phase - along + difference, along, across
 
 
 def _even_table(pattern: ColorFringe) -> F64:

@@ -27,36 +27,38 @@ TURN_STEPS = 256
 """Steps per turn of the absolute phase, which is kept modulo 65536 steps (256 fringe orders)."""
 
 
-class Located(NamedTuple):
+class MatchResult(NamedTuple):
     """Points of one pair before the gates, planes of (H, W) on the left camera's pixel grid.
 
-    Where ``known`` is 0 the other planes hold anything, NaN and infinity included: they may never have been written.
+    Where ``valid`` is 0 the other planes hold anything, NaN and infinity included: they may never have been written.
 
     Args:
-        known: uint8, 1 where a match was found, else 0 (bytes serve vector code better than truth values).
-        match_u, match_v: pixel in the right image, uint16 of :data:`PIXEL_STEPS`.
-        source_u, source_v: pixel of the projector that lights the point, likewise.
-        absolute: phase of the left pixel and 2 pi times its order, int16 of :data:`TURN_STEPS`.
-        residual_eq, residual: absolute phase minus the projector's phase at the point, equalised and pointwise,
+        valid: uint8, 1 where a match was found, else 0 (bytes serve vector code better than truth values).
+        right_u, right_v: pixel in the right image, uint16 of :data:`PIXEL_STEPS`.
+        projector_u, projector_v: pixel of the projector that lights the point, likewise.
+        absolute_phase: phase of the left pixel and 2 pi times its order, int16 of :data:`TURN_STEPS`.
+        residual_eq, residual: absolute phase minus the projector's phase at the point, normalised and pointwise,
             int16 of :data:`RESIDUAL_STEP`.
     """
 
-    known: NDArray[np.uint8]
-    match_u: U16
-    match_v: U16
-    source_u: U16
-    source_v: U16
-    absolute: I16
-    residual_eq: I16
+    valid: NDArray[np.uint8]
+    right_u: U16
+    right_v: U16
+    projector_u: U16
+    projector_v: U16
+    absolute_phase: I16
+    residual_normalised: I16
     residual: I16
 
     @staticmethod
-    def empty(shape: tuple[int, int]) -> Located:
+    def empty(shape: tuple[int, int]) -> MatchResult:
         """Planes to be written."""
-        match_u, match_v, source_u, source_v = (np.empty(shape, np.uint16) for _ in range(4))
-        absolute, residual_eq, residual = (np.empty(shape, np.int16) for _ in range(3))
-        known = np.zeros(shape, np.uint8)
-        return Located(known, match_u, match_v, source_u, source_v, absolute, residual_eq, residual)
+        right_u, right_v, projector_u, projector_v = (np.empty(shape, np.uint16) for _ in range(4))
+        absolute_phase, residual_normalised, residual = (np.empty(shape, np.int16) for _ in range(3))
+        valid = np.zeros(shape, np.uint8)
+        return MatchResult(
+            valid, right_u, right_v, projector_u, projector_v, absolute_phase, residual_normalised, residual
+        )
 
 
 class Points(NamedTuple):

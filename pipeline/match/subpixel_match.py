@@ -39,17 +39,17 @@ _PER_TURN = np.float32(TURN_STEPS / (2 * np.pi))
 
 @parallel
 def refine(
-    order: Any, rays_x: Any, rays_y: Any, phase: Any, traits: Any, phasor: Any, variance: Any,
+    order: Any, rays_x: Any, rays_y: Any, phase: Any, descriptors: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
     columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float, every: int,
-    xyz: Any, sigma: Any, known: Any, match_u: Any, match_v: Any, source_u: Any, source_v: Any, absolute: Any,
-    residual_eq: Any, residual: Any,
+    xyz: Any, sigma: Any, valid: Any, right_u: Any, right_v: Any, projector_u: Any, projector_v: Any,
+    absolute_phase: Any, residual_normalised: Any, residual: Any,
 ) -> None:  # fmt: skip
     """Match and locate every pixel that has an order; all arrays float32 unless said.
 
     Args:
         order: (H, W) int16; rays_x, rays_y: (H, W) ideal normalised points of the pixels.
-        traits: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`; phasor, other: (H, W) int32, packed.
+        descriptors: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`; phasor, other: (H, W) int32, packed.
         floor_sq: least squared size of a packed phasor.
         device, projector: packed models of the other camera and the projector; axis: 0 = phase grows along u.
         base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
@@ -57,8 +57,8 @@ def refine(
             linear: both are straight lines.
         correlation: of neighbouring phases' noise in the other image (0 pointwise, more after a window fit).
         xyz, sigma: (every H, every W, 3) and (every H, every W) or a little less, mm; pixel (i, j) is theirs at (every
-            i, every j). Written where known; where not, perhaps.
-        known ... residual: the planes of :class:`pipeline.match.match_result.Located`, written. (One by one: what a
+            i, every j). Written where valid; elsewhere perhaps.
+        valid ... residual: the planes of :class:`pipeline.match.match_result.MatchResult`, written. (One by one: what a
             parallel kernel writes to the members of a tuple can get lost.)
     """
     height, width = order.shape
@@ -86,9 +86,9 @@ def refine(
                 t[OK + j] = _ONE if active else _ZERO
             if found == 0:
                 for j in range(n):
-                    known[i, np.uint32(j0 + j)] = 0
+                    valid[i, np.uint32(j0 + j)] = 0
                 continue
-            _load(t, n, row, phase[i, j0 : j0 + n], traits[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
+            _load(t, n, row, phase[i, j0 : j0 + n], descriptors[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
                   rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
             columns_of(t, k, columns, linear)
             meet(t, projector, axis, correction)
@@ -147,14 +147,14 @@ def refine(
                 t[T1 + j] = t[PHI + j] - t[T0 + j]
                 t[T0 + j] = t[T1 + j] + t[BIAS + j]
             end = j0 + n
-            _store_phases(t, n, absolute[i, j0:end], residual_eq[i, j0:end], residual[i, j0:end])
-            _store_places(t, n, match_u[i, j0:end], match_v[i, j0:end], source_u[i, j0:end], source_v[i, j0:end])
-            _store_points(t, n, variance[i, j0:end], j0, every, xyz[every * i], sigma[every * i], known[i, j0:end])
+            _store_phases(t, n, absolute_phase[i, j0:end], residual_normalised[i, j0:end], residual[i, j0:end])
+            _store_places(t, n, right_u[i, j0:end], right_v[i, j0:end], projector_u[i, j0:end], projector_v[i, j0:end])
+            _store_points(t, n, variance[i, j0:end], j0, every, xyz[every * i], sigma[every * i], valid[i, j0:end])
 
 
 @inline
-def _load(t: Any, n: int, order: Any, phase: Any, traits: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
-    """The left image's side of a tile; slots PHI, BIAS and T0 get the absolute phase, bias, equalised phase."""
+def _load(t: Any, n: int, order: Any, phase: Any, descriptors: Any, phasor: Any, rays_x: Any, rays_y: Any) -> None:
+    """The left image's side of a tile; slots PHI, BIAS and T0 get the absolute phase, bias, normalised phase."""
     for j in range(n):
         t[PHI + j] = phase[j] + _TURN * np.float32(order[j])
     for j in range(n):
@@ -162,7 +162,7 @@ def _load(t: Any, n: int, order: Any, phase: Any, traits: Any, phasor: Any, rays
     for j in range(n):
         t[RE + j], t[IM + j] = real(phasor[j]), imaginary(phasor[j])
     for j in range(n):
-        t[BIAS + j] = bias_of(traits[j], phase[j])
+        t[BIAS + j] = bias_of(descriptors[j], phase[j])
     for j in range(TILE):
         t[T0 + j] = t[PHI + j] + t[BIAS + j]
 
@@ -190,14 +190,14 @@ def _put_back(few: Any, pixels: Any, t: Any) -> None:
 
 
 @inline
-def _store_points(t: Any, n: int, variance: Any, j0: int, every: int, xyz: Any, sigma: Any, known: Any) -> None:
+def _store_points(t: Any, n: int, variance: Any, j0: int, every: int, xyz: Any, sigma: Any, valid: Any) -> None:
     for j in range(n):
         z = _ONE / t[W + j]
         rx, ry = t[RX + j], t[RY + j]
         t[T0 + j] = z
         t[T1 + j] = root((variance[j] + t[VARIANCE + j]) * (rx * rx + ry * ry + _ONE)) / t[SLOPE + j] * z * z
     for j in range(n):
-        known[j] = np.uint8(t[OK + j] > _ZERO)
+        valid[j] = np.uint8(t[OK + j] > _ZERO)
     if every == 1:
         points, sigmas = xyz[j0 : j0 + n], sigma[j0 : j0 + n]
         for j in range(n):
@@ -213,19 +213,19 @@ def _store_points(t: Any, n: int, variance: Any, j0: int, every: int, xyz: Any, 
 
 
 @inline
-def _store_places(t: Any, n: int, match_u: Any, match_v: Any, source_u: Any, source_v: Any) -> None:
+def _store_places(t: Any, n: int, right_u: Any, right_v: Any, projector_u: Any, projector_v: Any) -> None:
     for j in range(n):
-        match_u[j], match_v[j] = _steps_of_pixel(t[X + j]), _steps_of_pixel(t[Y + j])
+        right_u[j], right_v[j] = _steps_of_pixel(t[X + j]), _steps_of_pixel(t[Y + j])
     for j in range(n):
-        source_u[j], source_v[j] = _steps_of_pixel(t[U + j]), _steps_of_pixel(t[V + j])
+        projector_u[j], projector_v[j] = _steps_of_pixel(t[U + j]), _steps_of_pixel(t[V + j])
 
 
 @inline
-def _store_phases(t: Any, n: int, absolute: Any, residual_eq: Any, residual: Any) -> None:
+def _store_phases(t: Any, n: int, absolute_phase: Any, residual_normalised: Any, residual: Any) -> None:
     for j in range(n):
-        residual_eq[j], residual[j] = _steps_of_residual(t[T0 + j]), _steps_of_residual(t[T1 + j])
+        residual_normalised[j], residual[j] = _steps_of_residual(t[T0 + j]), _steps_of_residual(t[T1 + j])
     for j in range(n):
-        absolute[j] = np.int16(np.int32(np.rint(t[PHI + j] * _PER_TURN)))
+        absolute_phase[j] = np.int16(np.int32(np.rint(t[PHI + j] * _PER_TURN)))
 
 
 @inline

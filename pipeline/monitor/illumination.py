@@ -1,4 +1,4 @@
-"""How well two images are lit: clipped samples and fringe amplitude of each colour, from a few lines of pixels.
+"""How well two images are lit: saturated samples and fringe amplitude of each colour, from a few lines of pixels.
 
 Two samples of a fringe of amplitude B and period P that lie s apart differ by ``2 B sin(pi s / P) sin(...)``; where the
 phase takes every value alike, the median of the square of the difference is ``2 (B sin(pi s / P))^2``. Half a period
@@ -30,10 +30,10 @@ class Lighting:
     """Of one image: by channel, red, green, blue (one of a monochrome image).
 
     Args:
-        clipped: share of clipped samples; amplitude: of the fringes, counts, NaN where there is no light.
+        saturated: share of saturated samples; amplitude: of the fringes, counts, NaN where there is no light.
     """
 
-    clipped: tuple[float, ...]
+    saturated: tuple[float, ...]
     amplitude: tuple[float, ...]
 
 
@@ -92,15 +92,15 @@ def _place(mosaic: tuple[tuple[int, int], tuple[int, int]], channel: int, axis: 
 
 
 def _channel(plane: Plane, lit: NDArray[np.bool_], step: int, period_px: float) -> tuple[float, float]:
-    clipped = float(np.count_nonzero(plane >= _WHITE)) / max(1, plane.size)
+    saturated = float(np.count_nonzero(plane >= _WHITE)) / max(1, plane.size)
     apart = max(1, round(period_px / 2 / step))
     width = min(plane.shape[1], lit.shape[1]) - apart
     gain = 2 * np.sin(np.pi * min(0.5, apart * step / period_px))
     if width < 1:
-        return clipped, float("nan")
+        return saturated, float("nan")
     both = lit[:, :width] & lit[:, apart : apart + width]
     squares = np.square(plane[:, apart : apart + width] - plane[:, :width])[both]
     if len(squares) < _ENOUGH:
-        return clipped, float("nan")
+        return saturated, float("nan")
     middle = float(np.partition(squares, len(squares) // 2)[len(squares) // 2])
-    return clipped, float(np.sqrt(2 * middle) / gain)
+    return saturated, float(np.sqrt(2 * middle) / gain)

@@ -71,7 +71,7 @@ def _row_sums(values: Any, cosine: Any, sine: Any, first: int, step: int, n: int
 def lock_in(image: Any, mosaic: Any, top: int, left: int, rows: int, columns: int, q: Any, centre_u: float,
              centre_v: float, half_u: float, half_v: float, clip: int, scratch: Any, matrix: Any, right: Any,
              out: Any) -> bool:  # fmt: skip
-    """Fit a, p, q of every channel over a rectangle of raw pixels; False when a sample is clipped or a fit singular.
+    """Fit a, p, q of every channel over a rectangle of raw pixels; False when a sample is saturated or a fit singular.
 
     Every other pair of rows serves (a mosaic repeats after two).
 

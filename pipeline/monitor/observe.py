@@ -46,7 +46,7 @@ class Observation:
         readings: by name, only those that this scene shows; see :data:`pipeline.monitor.OBSERVABLES`.
         patches: how many pieces of the surface were used.
         shape: (n, 14) the patches' places and slopes, see :func:`pipeline.monitor.patches.measure_patches`.
-        lit: share of the left image where fringes are seen; known: share of those pixels that have a point.
+        lit: share of the left image where fringes are seen; valid: share of those pixels that have a point.
     """
 
     readings: dict[str, Reading]
@@ -248,7 +248,7 @@ class Observer:
         return {f"{side}_modulation": Reading(float(value[k]), float(sigma[k])) for k, side in enumerate(SIDES)}
 
 
-def rehearse() -> None:
+def warm_up() -> None:
     """Compile (or load) the kernel by a run on empty images."""
     image = np.zeros((8, 8, 3), np.uint8)
     image.setflags(write=False)

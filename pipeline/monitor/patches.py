@@ -36,11 +36,11 @@ def measure_patches(
         origins: (n, 2) even column and row of each patch's first pixel; columns, rows: its size.
         projector, other: packed models; phases: (m,) phase at every projector coordinate.
         first: 0 when it grows along u, else 1.
-        clip: counts from which a sample is clipped.
+        clip: counts from which a sample is saturated.
         good: (n,) uint8, bit 1: shape and light are known, bit 2: texture too.
         shape: (n, 14): point x, y, z of the middle; roughness, rad; right pixel u, v; phase slopes of the left image
             along u and v, of the right one along u and v, rad per pixel; phase per projector coordinate, rad per pixel;
-            projector coordinate; share of known points; rms of the texture's difference.
+            projector coordinate; share of valid points; rms of the texture's difference.
         light: (n, 2, 3, 3) camera, channel, (a, p, q), raw counts.
         texture: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`.
     """

@@ -33,45 +33,47 @@ class ColorSets:
     def __init__(
         self, calibration: Calibration, plan: Plan, volume: Volume, *, encoding: str, settings: Settings
     ) -> None:
-        self._shots = [
+        self._reconstructors = [
             Reconstructor(calibration, fringe, volume, encoding=encoding, settings=settings) for fringe in plan.colors
         ]
         self._ratio = np.float32(plan.colors[1].periods / plan.colors[0].periods)
         shape = calibration.left.size[::-1]
         self._order, self._unused = np.empty(shape, np.int16), np.empty(shape, np.int32)
-        self._away, self._lit, self._absolute = (np.empty(shape, np.float32) for _ in range(3))
+        self._away, self._lit, self._absolute_phase = (np.empty(shape, np.float32) for _ in range(3))
 
     @property
     def correction(self) -> NDArray[np.float64]:
         """Of the projector's columns."""
-        return self._shots[0].correction
+        return self._reconstructors[0].correction
 
     def keep(self) -> Any:
         """What sets have changed, for :meth:`restore`."""
-        return [(shot.correction, shot.calibrated) for shot in self._shots]
+        return [(one.correction, one.calibrated) for one in self._reconstructors]
 
     def restore(self, kept: Any) -> None:
         """As it was at :meth:`keep`."""
-        for shot, (correction, calibrated) in zip(self._shots, kept, strict=True):
-            shot.correction, shot.calibrated = correction, calibrated
-            shot.forget()
+        for one, (correction, calibrated) in zip(self._reconstructors, kept, strict=True):
+            one.correction, one.calibrated = correction, calibrated
+            one.forget()
 
     def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], every: int, watch: Stopwatch) -> Cloud:
         """The cloud of a set."""
         for side, images in (("left", lefts), ("right", rights)):
-            if len(images) != len(self._shots):
-                raise ImageError(f"{len(images)} {side} images of a set of {len(self._shots)}; expected one each")
-        first, second = self._shots
+            if len(images) != len(self._reconstructors):
+                raise ImageError(
+                    f"{len(images)} {side} images of a set of {len(self._reconstructors)}; expected one each"
+                )
+        first, second = self._reconstructors
         found = first.decide(lefts[0], rights[0], watch)
         other, _, other_order = second.decide(lefts[1], rights[1], watch)
         left, right, order = found
         agreed(
-            order, left.phase, left.traits, left.valid, other_order, other.phase, other.traits, other.valid,
+            order, left.phase, left.descriptors, left.valid, other_order, other.phase, other.descriptors, other.valid,
             self._ratio, WORST_DEVIATION, self._order, self._away, self._lit,
         )  # fmt: skip
         moved = temporal_unwrapping.settle(
             self._order, self._unused, self._lit, self._away, left.variance, np.float32(0.5), WORST_DEVIATION,
-            self._absolute,
+            self._absolute_phase,
         )  # fmt: skip
         watch.lap("agreement")
         cloud = first.stage(every).cloud(left, right, self._order, first.correction, watch)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.geometry.view_tables import View
-from pipeline.match.match_result import TURN_STEPS, Located
+from pipeline.match.match_result import TURN_STEPS, MatchResult
 from pipeline.multi_frame import temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
 from pipeline.multi_frame.phase_limits import SetTables
@@ -83,9 +83,9 @@ class GreySets:
         )
         return replace(cloud, moved=max(left.moved, right.moved))
 
-    def _confirm(self, located: Located, right: SetPhase) -> None:
+    def _confirm(self, match: MatchResult, right: SetPhase) -> None:
         temporal_unwrapping.confirm(
-            located.known, located.absolute, located.match_u, located.match_v, right.absolute,
+            match.valid, match.absolute_phase, match.right_u, match.right_v, right.absolute_phase,
             np.float32(TURN_STEPS / _TURN), np.float32(self._settings.max_check),
         )  # fmt: skip
 
@@ -97,23 +97,23 @@ class GreySets:
         """
         best, most = 0.0, -1
         for offset in column_correction.offsets_to_try(self._settings.self_calibration_range, step=1.0):
-            agreed = int(np.count_nonzero(self._located(left, right, np.array([offset, 0.0, 0.0])).known))
+            agreed = int(np.count_nonzero(self._match(left, right, np.array([offset, 0.0, 0.0])).valid))
             if agreed > 1.02 * most:
                 best, most = float(offset), agreed
         correction = np.array([best, 0.0, 0.0])
-        located = self._located(left, right, correction)
-        difference, along, across = self._left.column_differences(located, correction)
+        match = self._match(left, right, correction)
+        difference, along, across = self._left.column_differences(match, correction)
         if len(difference) >= _FEWEST // _COARSE:
             limit = self._settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
             self.calibrated = True
 
-    def _located(self, left: SetPhase, right: SetPhase, correction: NDArray[np.float64]) -> Located:
+    def _match(self, left: SetPhase, right: SetPhase, correction: NDArray[np.float64]) -> MatchResult:
         """Points of a coarse lattice, confirmed by the right image."""
         order = np.ascontiguousarray(left.order[::_COARSE, ::_COARSE])
-        located = self._stage(_COARSE).locate(left.map.every(_COARSE), right.map, order, correction)
-        self._confirm(located, right)
-        return located
+        match = self._stage(_COARSE).match(left.map.every(_COARSE), right.map, order, correction)
+        self._confirm(match, right)
+        return match
 
     def _stage(self, every: int) -> SurfaceStage:
         if every not in self._stages:

@@ -1,6 +1,6 @@
 """Phase of shifted fringes in N steps, and temporal unwrapping.
 
-Sample n of a pixel is ``I_n = A + B cos(Phi + s_n)`` with known shifts s_n: linear in ``A, C = B cos(Phi), S = B
+Sample n of a pixel is ``I_n = A + B cos(Phi + s_n)`` with valid shifts s_n: linear in ``A, C = B cos(Phi), S = B
 sin(Phi)``, so least squares over any three or more shifts solve it (Bruning et al., Appl. Opt. 13, 2693, 1974). The
 finest fringe gives the phase; a coarser one says in which of its periods a pixel lies (Huntley and Saldner, Appl. Opt.
 32, 3047, 1993), level by level down to a fringe of at most one period, which needs no help.
@@ -33,7 +33,7 @@ class WrappedPhase:
     Args:
         phase: radians, -pi..pi; any value where the amplitude is 0.
         amplitude: B, counts of an 8-bit image; mean: A, likewise.
-        clipped: a sample is saturated; phase and amplitude are then wrong.
+        saturated: a sample is saturated; phase and amplitude are then wrong.
         floor_factor, shot_factor: the variance of the phase is ``floor * floor_factor + gain * shot_factor`` for a
             noise of ``floor + gain * counts``.
         steps: number of images.
@@ -42,7 +42,7 @@ class WrappedPhase:
     phase: F64
     amplitude: F64
     mean: F64
-    clipped: Bools
+    saturated: Bools
     floor_factor: F64
     shot_factor: F64
     steps: int
@@ -52,12 +52,12 @@ class WrappedPhase:
         return np.asarray(np.sqrt(noise.floor * self.floor_factor + noise.gain * np.maximum(self.shot_factor, 0)))
 
 
-def wrapped_phase(planes: Items[F64], shifts: Items[float], clipped: Items[Bools] = ()) -> WrappedPhase:
+def wrapped_phase(planes: Items[F64], shifts: Items[float], saturated: Items[Bools] = ()) -> WrappedPhase:
     """Least-squares phase of images (H, W) of one fringe with these shifts, radians.
 
     Args:
         planes: counts of the images, one for each shift; any iterable, each is read once.
-        clipped: where each image is saturated; empty = nowhere.
+        saturated: where each image is saturated; empty = nowhere.
 
     Raises:
         PatternError: when three unknowns cannot be told apart by these shifts.
@@ -79,10 +79,10 @@ def wrapped_phase(planes: Items[F64], shifts: Items[float], clipped: Items[Bools
     with np.errstate(divide="ignore", invalid="ignore"):
         # d phase = (C dS - S dC) / B^2
         floor = (re * re * (q @ q) - 2 * re * im * (c @ q) + im * im * (c @ c)) / square**2
-        shot = (re * re * shot_ss - 2 * re * im * shot_cs + im * im * shot_cc) / square**2
+        shot_noise = (re * re * shot_ss - 2 * re * im * shot_cs + im * im * shot_cc) / square**2
     none = np.zeros(mean.shape, np.bool_)
-    saturated = np.logical_or.reduce([none, *clipped])
-    return WrappedPhase(np.arctan2(im, re), np.sqrt(square), mean, saturated, floor, shot, len(s))
+    any_saturated = np.logical_or.reduce([none, *saturated])
+    return WrappedPhase(np.arctan2(im, re), np.sqrt(square), mean, any_saturated, floor, shot_noise, len(s))
 
 
 def unwrapped(
@@ -126,7 +126,7 @@ def noise_of(sets: Items[WrappedPhase]) -> NoiseModel:
     if len(best) < 2:
         return NoiseModel(0.25, 0.0)
     a, b = best
-    fine = ~(a.clipped | b.clipped)
+    fine = ~(a.saturated | b.saturated)
     level, difference = (a.mean[fine] + b.mean[fine]) / 2, a.mean[fine] - b.mean[fine]
     if len(level) < _FEWEST_PIXELS:
         return NoiseModel(0.25, 0.0)
@@ -166,20 +166,20 @@ def absolute_phase(
     lowest = -np.pi * (1 - periods[0])
     sigma = sets[0].sigma(noise)
     absolute = np.mod(sets[0].phase - lowest, _TURN) + lowest
-    known = (sets[0].amplitude >= min_amplitude) & ~sets[0].clipped
+    valid = (sets[0].amplitude >= min_amplitude) & ~sets[0].saturated
     for last, here, one in zip(periods, periods[1:], sets[1:], strict=False):
         finer = one.sigma(noise)
         absolute = unwrapped(
             absolute, sigma, one.phase, finer, here / last, certainty=certainty, edge=last == 1 and last == periods[0]
         )
-        known &= (one.amplitude >= min_amplitude) & ~one.clipped
+        valid &= (one.amplitude >= min_amplitude) & ~one.saturated
         sigma = finer
     if periods[0] == 1:
         # Here one end of the image cannot be told from the other.
         near = certainty * sigma
         with np.errstate(invalid="ignore"):
-            known &= (absolute > near) & (absolute < _TURN * periods[-1] - near)
-    return np.where(known, absolute, np.nan)
+            valid &= (absolute > near) & (absolute < _TURN * periods[-1] - near)
+    return np.where(valid, absolute, np.nan)
 
 
 def solution_of(shifts: F64) -> F64:

@@ -39,7 +39,7 @@ def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share:
     for f in range(frames):
         for j in range(width):
             row[f, j] = _ZERO
-    clipped = np.zeros(width, np.uint8)
+    saturated = np.zeros(width, np.uint8)
     top = np.empty(width, np.float32)
     for c in range(channels):
         for j in range(width):
@@ -52,7 +52,7 @@ def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share:
         for j in range(width):
             fine = top[j] * scale < clip
             top[j] = _ONE if fine else _ZERO
-            clipped[j] |= np.uint8(0) if fine else np.uint8(1)
+            saturated[j] |= np.uint8(0) if fine else np.uint8(1)
             weight[j] += top[j] * share[i & 1, j & 1, c]
             power[j] += top[j]
         for f in range(frames):
@@ -68,7 +68,7 @@ def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share:
             row[f, j] *= weight[j]
     found = 0
     for j in range(width):
-        found += clipped[j]
+        found += saturated[j]
     return found
 
 
@@ -76,7 +76,7 @@ def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share:
 def phases(
     stack: Any, channels: int, scale: float, black: Any, share: Any, clip: float, floor: float, gain: float,
     index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, bend: Any, bit_index: Any, bit_sign: Any,
-    phase: Any, amplitude: Any, variance: Any, mean: Any, misfit: Any, bits: Any, clipped: Any,
+    phase: Any, amplitude: Any, variance: Any, mean: Any, misfit: Any, bits: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Phase, amplitude and fit of every fringe of a set.
 
@@ -92,14 +92,14 @@ def phases(
         misfit: (H, W) float32, written: mean square, in radians^2 of a phase, of what noise does not explain of the
             left over parts and of the differences between the fringes' means.
         bits: (n, H, W) int8, written: how far above the mean each bit is, in :data:`BIT_STEPS` per amplitude.
-        clipped: (H,) int32, pixels with a saturated sample.
+        saturated: (H,) int32, pixels with a saturated sample.
     """
     height, width = mean.shape
     frames, fringes = stack.shape[0], first.shape[0] - 1
     for i in prange(height):
         row = np.empty((frames + 2, width), np.float32)
         work = np.empty((6, width), np.float32)
-        clipped[i] = load_row(stack, i, channels, scale, black, share, clip, row)
+        saturated[i] = load_row(stack, i, channels, scale, black, share, clip, row)
         total, square, left = work[3], work[4], work[5]
         for j in range(width):
             total[j], square[j], left[j] = _ZERO, _ZERO, _ZERO

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, parallel, prange
-from pipeline.common.tile_math import turns
+from pipeline.common.tile_math import whole_turns
 from pipeline.decode.pixel_descriptor import bias_of
 from pipeline.multi_frame.temporal_unwrapping import NONE
 
@@ -16,7 +16,7 @@ _TURN, _ZERO, _ONE = np.float32(2 * np.pi), np.float32(0), np.float32(1)
 
 @inline
 def _wrapped(a: Any) -> Any:
-    return a - _TURN * turns(a)
+    return a - _TURN * whole_turns(a)
 
 
 @inline
@@ -27,14 +27,14 @@ def _lesser(a: Any, b: Any) -> Any:
 
 @parallel
 def agreed(
-    order: Any, phase: Any, traits: Any, valid: Any, other_order: Any, other: Any, other_traits: Any,
+    order: Any, phase: Any, descriptors: Any, valid: Any, other_order: Any, other: Any, other_descriptors: Any,
     other_valid: Any,
     ratio: Any, limit: Any, out: Any, away: Any, lit: Any,
 ) -> None:  # fmt: skip
     """The first fringe's order, or what the second's makes it, where the other phase fits and the two agree.
 
     Args:
-        order, phase, traits, valid: (H, W) of the first fringe; other ...: of the second.
+        order, phase, descriptors, valid: (H, W) of the first fringe; other ...: of the second.
         ratio: periods of the second per period of the first; limit: largest deviation of the second phase, radians.
         out: (H, W) int16, written, NONE where unknown.
         away: (H, W) float32, written: deviation of the phases squared, radians^2; lit: 1 where both are valid, else 0.
@@ -46,7 +46,7 @@ def agreed(
                 continue
             lit[i, j] = _ONE
             here, there = phase[i, j], other[i, j]
-            bias, bias_there = bias_of(traits[i, j], here), bias_of(other_traits[i, j], there)
+            bias, bias_there = bias_of(descriptors[i, j], here), bias_of(other_descriptors[i, j], there)
             first, second = order[i, j], NONE
             least, least_second = np.float32(np.pi), np.float32(np.pi)
             if first != NONE:
@@ -55,7 +55,7 @@ def agreed(
                 least = _lesser(_wrapped(there - ratio * plain), even)
             if other_order[i, j] != NONE:
                 plain = there + bias_there + _TURN * np.float32(other_order[i, j])
-                second = np.int16(turns(plain / ratio - here - bias))
+                second = np.int16(whole_turns(plain / ratio - here - bias))
                 expected = here + _TURN * np.float32(second)
                 even = plain - ratio * (expected + bias)
                 least_second = _lesser(plain - bias_there - ratio * expected, even)

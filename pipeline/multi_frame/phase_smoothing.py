@@ -23,15 +23,17 @@ _ZERO, _TWO, _FOUR, _TURN = np.float32(0), np.float32(2), np.float32(4), np.floa
 
 
 @parallel
-def smooth(absolute: Any, variance: Any, order: Any, phase: Any, phasor: Any, out: Any, out_variance: Any) -> None:
-    """Average ``absolute`` (H, W), NaN where unknown, into ``out``, and the variance that it has then.
+def smooth(
+    absolute_phase: Any, variance: Any, order: Any, phase: Any, phasor: Any, out: Any, out_variance: Any
+) -> None:
+    """Average ``absolute_phase`` (H, W), NaN where unknown, into ``out``, and the variance that it has then.
 
-    ``phase`` becomes what is left of the average beside the order's turns, ``phasor`` (H, W) int32 goes with it.
+    ``phase`` becomes what is left of the average beside the order's whole_turns, ``phasor`` (H, W) int32 goes with it.
     """
-    height, width = absolute.shape
+    height, width = absolute_phase.shape
     for i in prange(height):
         for j in range(width):
-            middle = absolute[i, j]
+            middle = absolute_phase[i, j]
             out[i, j], out_variance[i, j] = middle, variance[i, j]
             if order[i, j] == NONE:
                 continue
@@ -41,7 +43,7 @@ def smooth(absolute: Any, variance: Any, order: Any, phase: Any, phasor: Any, ou
                     # Right, below, and the two diagonals; the other end lies opposite.
                     y, x = (0 if pair == 0 else 1), (0 if pair == 1 else (1 if pair != 3 else -1))
                     share = _TWO if pair < 2 else np.float32(1)
-                    a, b = absolute[i + y, j + x], absolute[i - y, j - x]
+                    a, b = absolute_phase[i + y, j + x], absolute_phase[i - y, j - x]
                     # False where one of them is unknown.
                     if abs(a + b - _TWO * middle) < _BEND and abs(a - b) < _FOUR:
                         total += share * (a + b)

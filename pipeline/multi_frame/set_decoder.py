@@ -13,7 +13,7 @@ from pipeline.common.errors import ImageError
 from pipeline.common.settings import Settings
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.noise_model import NoiseModel, estimate
-from pipeline.decode.pixel_descriptor import traits_without_color
+from pipeline.decode.pixel_descriptor import descriptors_without_color
 from pipeline.decode.raw_image import BAYER
 from pipeline.multi_frame import n_step_kernel, temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
@@ -37,13 +37,13 @@ class SetPhase:
 
     Args:
         map: phases of the finest fringe, as the single shot has them.
-        order: (H, W) int16, orders, -32768 where unknown; absolute: (H, W) float32, radians, NaN likewise.
+        order: (H, W) int16, orders, -32768 where unknown; absolute_phase: (H, W) float32, radians, NaN likewise.
         moved: lit pixels whose images contradict each other.
     """
 
     map: PhaseMap
     order: NDArray[np.int16]
-    absolute: F32
+    absolute_phase: F32
     moved: int
 
 
@@ -86,8 +86,8 @@ class SetDecoder:
         self._phase, self._amplitude, self._variance = (np.empty(many, np.float32) for _ in range(3))
         self._mean, self._misfit = (np.empty((height, width), np.float32) for _ in range(2))
         self._order = np.empty((height, width), np.int16)
-        self._phasor, self._traits = (np.empty((height, width), np.int32) for _ in range(2))
-        self._clipped = np.empty(height, np.int32)
+        self._phasor, self._descriptors = (np.empty((height, width), np.int32) for _ in range(2))
+        self._saturated = np.empty(height, np.int32)
         self._mosaic, self._window = encoding in BAYER, windowed(settings, encoding)
         self._spare = np.empty((3 if self._mosaic or self._window else 0, height, width), np.float32)
         self._bits = np.empty((len(plan.bits), height, width), np.int8)
@@ -108,7 +108,7 @@ class SetDecoder:
         bend = bends(self._plan, self._stack, self._channels, float(smallest)).astype(np.float32)
         n_step_kernel.phases(
             *given, bend, self._bit_index, self._bit_sign, self._phase, self._amplitude, self._variance, self._mean,
-            self._misfit, self._bits, self._clipped,
+            self._misfit, self._bits, self._saturated,
         )  # fmt: skip
         self._decide(smallest)
         return self._settled(smallest)
@@ -130,26 +130,26 @@ class SetDecoder:
             )  # fmt: skip
 
     def _settled(self, smallest: np.float32) -> SetPhase:
-        absolute = self._phase[0].copy()
+        absolute_phase = self._phase[0].copy()
         amplitude = self._amplitude[0]
         moved = temporal_unwrapping.settle(
             self._order, self._phasor, amplitude, self._misfit, self._variance[0], smallest,
-            np.float32(self._limits[1]), absolute,
+            np.float32(self._limits[1]), absolute_phase,
         )  # fmt: skip
         phase, variance, mean = self._phase[0], self._variance[0], self._mean
         if self._window:
-            smooth(absolute, variance, self._order, phase, self._phasor, *self._spare[:2])
-            absolute, variance = self._spare[0], self._spare[1]
+            smooth(absolute_phase, variance, self._order, phase, self._phasor, *self._spare[:2])
+            absolute_phase, variance = self._spare[0], self._spare[1]
         if self._mosaic:
             blend(self._mean, self._spare[2])
             mean = self._spare[2]
         counts = np.rint(mean).clip(0, 255).astype(np.uint8)
         modulation = np.minimum(amplitude, 255).astype(np.uint8)
-        share = float(self._clipped.sum()) / self._clipped.size / self._tables.size[0]
+        share = float(self._saturated.sum()) / self._saturated.size / self._tables.size[0]
         valid = self._order != temporal_unwrapping.NONE
-        traits_without_color(phase, valid, counts, self._traits)
-        found = PhaseMap(self._phasor, self._traits, counts, variance, share, phase, modulation, valid)
-        return SetPhase(found, self._order, absolute, int(moved))
+        descriptors_without_color(phase, valid, counts, self._descriptors)
+        found = PhaseMap(self._phasor, self._descriptors, counts, variance, share, phase, modulation, valid)
+        return SetPhase(found, self._order, absolute_phase, int(moved))
 
     def _take(self, images: Items[NDArray[Any]], side: str) -> None:
         """Copy the images into one array; ImageError unless all fit."""

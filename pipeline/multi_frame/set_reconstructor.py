@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.common.errors import CalibrationError, ImageError
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
-from pipeline.filter.kernel_warmup import rehearse_contest
+from pipeline.filter.kernel_warmup import warm_up_conflicts
 from pipeline.multi_frame.color_sets import ColorSets
 from pipeline.multi_frame.gray_sets import GreySets
 from pipeline.multi_frame.image_roles import plan_of
@@ -85,7 +85,7 @@ class SetReconstructor:
         ]
         for step in every:
             self.reconstruct(*sides, every=step)
-        rehearse_contest()
+        warm_up_conflicts()
         self._sets.restore(kept)
 
     def reconstruct(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], *, every: int = 1) -> Cloud:

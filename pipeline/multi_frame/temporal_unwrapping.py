@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import inline, parallel, prange
-from pipeline.common.tile_math import turns
+from pipeline.common.tile_math import whole_turns
 from pipeline.decode.packed_phasor import PHASOR_SCALE, pack
 from pipeline.multi_frame.n_step_kernel import BIT_STEPS
 
@@ -26,7 +26,7 @@ _CERTAIN = np.float32(0.2) * BIT_STEPS
 
 @inline
 def _wrapped(a: Any) -> Any:
-    return a - _TURN * turns(a)
+    return a - _TURN * whole_turns(a)
 
 
 @parallel
@@ -179,7 +179,14 @@ def by_bits(
 
 @parallel
 def settle(
-    order: Any, phasor: Any, amplitude: Any, misfit: Any, variance: Any, smallest: float, limit: float, absolute: Any
+    order: Any,
+    phasor: Any,
+    amplitude: Any,
+    misfit: Any,
+    variance: Any,
+    smallest: float,
+    limit: float,
+    absolute_phase: Any,
 ) -> int:
     """Forget the pixels whose images contradict each other, or whose neighbours' do, and count them.
 
@@ -190,7 +197,7 @@ def settle(
         order, phasor: (H, W), forgotten in place; amplitude, misfit: (H, W), radians^2.
         variance: (H, W), of the phases; the misfit of dim pixels is that uncertain.
         limit: largest misfit, radians.
-        absolute: (H, W) float32, phases of the pixels; becomes NaN where ``order`` is forgotten, absolute elsewhere.
+        absolute_phase: (H, W) float32, wrapped phases; becomes absolute, NaN where ``order`` is rejected.
 
     Returns:
         Number of lit pixels where something moved.
@@ -217,29 +224,32 @@ def settle(
                 elif misfit[i, j] > np.float32(9) * (largest + _UNCERTAIN * variance[i, j]):
                     order[i, j] = NONE
             if order[i, j] == NONE:
-                phasor[i, j], absolute[i, j] = 0, np.float32(np.nan)
+                phasor[i, j], absolute_phase[i, j] = 0, np.float32(np.nan)
             else:
-                absolute[i, j] += _TURN * np.float32(order[i, j])
+                absolute_phase[i, j] += _TURN * np.float32(order[i, j])
     return moved.sum()
 
 
 @parallel
-def confirm(known: Any, absolute: Any, match_u: Any, match_v: Any, there: Any, per_turn: float, limit: float) -> None:
+def confirm(
+    valid: Any, absolute_phase: Any, right_u: Any, right_v: Any, there: Any, per_turn: float, limit: float
+) -> None:
     """Forget matches whose pixel in the other image has another absolute phase, or none.
 
     Args:
-        known: (h, w) uint8, changed; absolute, match_u, match_v: of :class:`pipeline.match.match_result.Located`.
+        valid: (h, w) uint8, changed; absolute_phase, right_u, right_v: of
+            :class:`pipeline.match.match_result.MatchResult`.
         there: (H, W) float32, absolute phases of the other image; limit: radians.
     """
-    for i in prange(known.shape[0]):
-        for j in range(known.shape[1]):
-            if known[i, j] == 0:
+    for i in prange(valid.shape[0]):
+        for j in range(valid.shape[1]):
+            if valid[i, j] == 0:
                 continue
-            y, x = np.int32(match_v[i, j]) >> 3, np.int32(match_u[i, j]) >> 3
+            y, x = np.int32(right_v[i, j]) >> 3, np.int32(right_u[i, j]) >> 3
             away = np.int32(32768)
             if y < there.shape[0] and x < there.shape[1] and there[y, x] == there[y, x]:
-                away = np.int32(np.rint(there[y, x] * np.float32(per_turn))) - np.int32(absolute[i, j])
+                away = np.int32(np.rint(there[y, x] * np.float32(per_turn))) - np.int32(absolute_phase[i, j])
                 away &= np.int32(65535)
                 away = min(away, np.int32(65536) - away)
             if not np.float32(away) < np.float32(limit) * np.float32(per_turn):
-                known[i, j] = np.uint8(0)
+                valid[i, j] = np.uint8(0)

@@ -32,7 +32,7 @@ class Cloud:
         gray: (H, W) uint8, the fringe-free texture, everywhere.
         modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right image.
         order: (H, W) int16, fringe order of the left pixel; -1 where unknown.
-        saturated: share of clipped pixels, left and right.
+        saturated: share of saturated pixels, left and right.
         moved: lit pixels whose images contradict each other, so that something moved, of the camera with more of
             them; sets only.
         ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
@@ -49,5 +49,5 @@ class Cloud:
 
     @property
     def points(self) -> int:
-        """Number of known points."""
+        """Number of valid points."""
         return int(np.count_nonzero(np.isfinite(self.xyz[..., 2])))

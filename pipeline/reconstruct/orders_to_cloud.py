@@ -15,7 +15,7 @@ from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.filter.mask_rejected import conceal
 from pipeline.filter.point_filter import Gates
 from pipeline.geometry.view_tables import View
-from pipeline.match.match_result import Located, Points
+from pipeline.match.match_result import MatchResult, Points
 from pipeline.match.subpixel_match import refine
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
@@ -37,7 +37,7 @@ class SurfaceStage:
         rays = calibration.left.rays()[::every, ::every].astype(np.float32)
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         shape = self._rays_x.shape
-        self._located = Located.empty(shape)
+        self._match = MatchResult.empty(shape)
         self._floor_sq, self._correlation = (
             np.float32((settings.min_modulation * PHASOR_SCALE) ** 2),
             np.float32(correlation),
@@ -47,9 +47,9 @@ class SurfaceStage:
             left.depth, left.order_step, settings, smallest=max(settings.min_component // every**2, 1),
         )  # fmt: skip
 
-    def locate(
+    def match(
         self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], points: Points | None = None
-    ) -> Located:
+    ) -> MatchResult:
         """Match the pixels of this resolution, valid until the next call; ``left``, ``order`` hold only those.
 
         The points themselves go into ``points``, of the full resolution, if that is given.
@@ -57,13 +57,13 @@ class SurfaceStage:
         v = self._view
         points = points or Points.empty(self._size)
         refine(
-            order, self._rays_x, self._rays_y, left.phase, left.traits, left.phasor, left.variance,
+            order, self._rays_x, self._rays_y, left.phase, left.descriptors, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
             correction.astype(np.float32), self._floor_sq, self._correlation, self._every,
-            points.xyz, points.sigma_mm, *self._located,
+            points.xyz, points.sigma_mm, *self._match,
         )  # fmt: skip
-        return self._located
+        return self._match
 
     def cloud(
         self,
@@ -73,7 +73,7 @@ class SurfaceStage:
         correction: NDArray[np.float64],
         watch: Stopwatch,
         *,
-        confirm: Callable[[Located], None] | None = None,
+        confirm: Callable[[MatchResult], None] | None = None,
     ) -> Cloud:
         """The cloud on the left camera's whole pixel grid; ``left`` and ``order`` are of full resolution.
 
@@ -81,21 +81,21 @@ class SurfaceStage:
         """
         part, some = (left, order) if self._every == 1 else (left.every(self._every), _every(order, self._every))
         points = Points.empty(self._size)
-        located = self.locate(part, right, some, correction, points)
+        match = self.match(part, right, some, correction, points)
         if confirm is not None:
-            confirm(located)
+            confirm(match)
         watch.lap("refinement")
-        known = self._gates.certain(located, points.depth_mm(self._every), part.modulation)
+        valid = self._gates.certain(match, points.depth_mm(self._every), part.modulation)
         watch.lap("gates")
         kept = np.empty(self._size, np.int16)
-        conceal(known, some, self._every, points.xyz, points.sigma_mm, kept)
+        conceal(valid, some, self._every, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,
             gray=left.mean,
             modulation=(left.modulation, right.modulation),
             order=kept,
-            saturated=(left.clipped, right.clipped),
+            saturated=(left.saturated, right.saturated),
             ms=watch.ms,
         )
         watch.lap("output")

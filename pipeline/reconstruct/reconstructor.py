@@ -15,7 +15,7 @@ from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.raw_image import checked, mosaic_of
-from pipeline.filter.kernel_warmup import rehearse_contest
+from pipeline.filter.kernel_warmup import warm_up_conflicts
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.view_tables import View
 from pipeline.pattern.color_fringe import ColorFringe
@@ -102,7 +102,7 @@ class Reconstructor:
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
         for step in every:
             self.reconstruct(left, right, every=step, follow=follow)
-        rehearse_contest()
+        warm_up_conflicts()
         self.forget()
         self.correction, self.calibrated = kept
 
@@ -155,8 +155,8 @@ class Reconstructor:
         self.calibrated = True
         self.forget()
         orders = self._orders(left, right, Stopwatch(None), follow=False)
-        located = self.stage(1).locate(left, right, orders, self.correction)
-        difference, along, across = self._left.column_differences(located, self.correction)
+        match = self.stage(1).match(left, right, orders, self.correction)
+        difference, along, across = self._left.column_differences(match, self.correction)
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.errors import CalibrationError
 from pipeline.rig.camera_model import CameraModel
-from pipeline.rig.lateral_chromatic import Lateral, Registration, lateral_of, registration_of
+from pipeline.rig.lateral_chromatic import LateralChromatic, Registration, lateral_chromatic_of, registration_of
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class ColorModel:
     crosstalk: Array = field(default_factory=lambda: np.eye(3))
     name: str = "color"
     balance: Array = field(default_factory=lambda: np.ones(3))
-    lateral: Lateral | None = None
+    lateral_chromatic: LateralChromatic | None = None
 
     def __post_init__(self) -> None:
         black, crosstalk = np.array(self.black, np.float64), np.array(self.crosstalk, np.float64)
@@ -217,8 +217,8 @@ def to_mapping(calibration: Calibration | Cameras) -> dict[str, Any]:
         colors: dict[str, Any] = {"black": color.black.tolist(), "crosstalk": color.crosstalk.tolist()}
         if (color.balance != 1).any():
             colors["balance"] = color.balance.tolist()
-        if color.lateral is not None:
-            colors["lateral"] = color.lateral.as_mapping()
+        if color.lateral_chromatic is not None:
+            colors["lateral"] = color.lateral_chromatic.as_mapping()
         cameras[name] = device.as_mapping() | {"color": colors}
     out: dict[str, Any] = {"fringed_calibration": VERSION, "cameras": cameras}
     if calibration.projector is None:
@@ -264,8 +264,10 @@ def _color(data: Mapping[str, Any], name: str) -> ColorModel:
     black = _numbers(color, "black", f"{name}.color") if "black" in color else np.zeros(3)
     crosstalk = _numbers(color, "crosstalk", f"{name}.color") if "crosstalk" in color else np.eye(3)
     balance = _numbers(color, "balance", f"{name}.color") if "balance" in color else np.ones(3)
-    lateral = None if color.get("lateral") is None else lateral_of(color["lateral"], f"{name}.color.lateral")
-    return ColorModel(black, crosstalk, f"{name}.color", balance, lateral)
+    lateral_chromatic = (
+        None if color.get("lateral") is None else lateral_chromatic_of(color["lateral"], f"{name}.color.lateral")
+    )
+    return ColorModel(black, crosstalk, f"{name}.color", balance, lateral_chromatic)
 
 
 def _response(data: Mapping[str, Any]) -> Response | None:

@@ -51,7 +51,7 @@ class ColorDisplacement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lateral:
+class LateralChromatic:
     """Lateral colour of a camera: where red and blue stand against green."""
 
     red: ColorDisplacement = field(default_factory=ColorDisplacement)
@@ -63,7 +63,7 @@ class Lateral:
         return np.stack([self.red.at(camera, pixels), np.zeros_like(pixels), self.blue.at(camera, pixels)])
 
     def as_mapping(self) -> dict[str, Any]:
-        """The value of the key ``color.lateral`` of a calibration file."""
+        """The value of the key ``color.lateral_chromatic`` of a calibration file."""
         return {
             name: {"shift": np.asarray(color.shift).tolist(), "magnification": color.magnification,
                    "cubic": color.cubic}
@@ -111,7 +111,7 @@ class Registration:
         }
 
 
-def lateral_of(data: Any, name: str) -> Lateral:
+def lateral_chromatic_of(data: Any, name: str) -> LateralChromatic:
     """Lateral colour of the mapping in a calibration file; ``name`` is the key, for errors."""
     colors = []
     for color in _COLORS:
@@ -120,7 +120,7 @@ def lateral_of(data: Any, name: str) -> Lateral:
         magnification = _numbers(part, "magnification", key, (), LARGEST_STRETCH, "")
         cubic = _numbers(part, "cubic", key, (), LARGEST_CUBIC, "")
         colors.append(ColorDisplacement(shift, float(magnification), float(cubic)))
-    return Lateral(*colors)
+    return LateralChromatic(*colors)
 
 
 def registration_of(data: Any, name: str) -> Registration:

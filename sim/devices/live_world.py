@@ -32,7 +32,7 @@ class _Situation:
 
     pose: int
     instant: int
-    knocks: tuple[Disturbance, ...]
+    disturbances: tuple[Disturbance, ...]
 
 
 class LiveScene:
@@ -47,7 +47,7 @@ class LiveScene:
         self._options, self._projector, self._optics = options, projector, optics_of(options)
         self._poses = len(poses_of(options)) if options.scene == BOARD_SCENE else 1
         self._instants = options.frames if scene_of(options).moves else 1
-        self._moved, self._knocks = 0, options.disturb
+        self._moved, self._disturbances = 0, options.disturb
         self._lock = threading.Lock()
         self._stages: OrderedDict[_Situation, Stage] = OrderedDict()
         self._lit: OrderedDict[tuple[_Situation, bytes], tuple[tuple[Light, Light], ...]] = OrderedDict()
@@ -75,10 +75,10 @@ class LiveScene:
             self._moved += 1
             return self.pose(index)
 
-    def disturb(self, knock: Disturbance) -> None:
+    def disturb(self, disturbance: Disturbance) -> None:
         """Something happens to the rig at the trigger that the disturbance names."""
         with self._lock:
-            self._knocks = (*self._knocks, knock)
+            self._disturbances = (*self._disturbances, disturbance)
 
     def prepare(self, index: int) -> None:
         """Render what trigger ``index`` will need, so that it can be given without a delay."""
@@ -94,8 +94,10 @@ class LiveScene:
 
     def _situation(self, index: int) -> _Situation:
         with self._lock:
-            knocks = tuple(sorted((k for k in self._knocks if k.at <= index), key=lambda knock: knock.at))
-            return _Situation(self.pose(index), index % self._instants, knocks)
+            disturbances = tuple(
+                sorted((k for k in self._disturbances if k.at <= index), key=lambda disturbance: disturbance.at)
+            )
+            return _Situation(self.pose(index), index % self._instants, disturbances)
 
     def _counts(self, index: int) -> tuple[tuple[Light, Light], ...]:
         """(counts, deviation) of both cameras."""
@@ -117,8 +119,8 @@ class LiveScene:
             options, optics = self._options, self._optics
             scene = scene_of(options, situation.pose)
             rig = TrueRig.of(options.layout, optics)
-            for knock in situation.knocks:
-                rig = rig.after(knock)
+            for disturbance in situation.disturbances:
+                rig = rig.after(disturbance)
             t_s = scene.period_s * situation.instant / self._instants
             self._stages[situation] = Stage(
                 options.layout, scene, optics, encoding=options.encoding, instants_s=(t_s,), rig=rig

@@ -149,7 +149,7 @@ def _disturbances(data: object) -> tuple[Disturbance, ...]:
         known(name, item, [entry.name for entry in fields(Disturbance)])
         _one_of(f"disturb[{i}].side", item.get("side"), DEVICES)
         made.append(_made(name, Disturbance, {k: tuple(v) if isinstance(v, list) else v for k, v in item.items()}))
-    return tuple(sorted(made, key=lambda knock: knock.at))
+    return tuple(sorted(made, key=lambda disturbance: disturbance.at))
 
 
 def _faults(data: Mapping[str, Any], seed: int) -> FaultPlan:

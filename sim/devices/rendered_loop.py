@@ -63,8 +63,8 @@ class Switched:
 def loops_of(options: SimOptions, progress: Progress | None = None) -> Loop | Switched:
     """The loop of these options, or one for the time before and one after each disturbance."""
     parts = [(0, load_or_render(replace(options, disturb=()), progress))]
-    for k, knock in enumerate(options.disturb):
-        parts.append((knock.at, load_or_render(replace(options, disturb=options.disturb[: k + 1]), progress)))
+    for k, disturbance in enumerate(options.disturb):
+        parts.append((disturbance.at, load_or_render(replace(options, disturb=options.disturb[: k + 1]), progress)))
     return Switched(tuple(parts)) if options.disturb else parts[0][1]
 
 
@@ -100,7 +100,7 @@ def digest(options: SimOptions) -> str:
     if options.scene == BOARD_SCENE:
         parts["board"] = [options.board, options.poses]
     if options.disturb:
-        parts["disturb"] = [asdict(replace(knock, at=0)) for knock in options.disturb]
+        parts["disturb"] = [asdict(replace(disturbance, at=0)) for disturbance in options.disturb]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -130,8 +130,8 @@ def _counts(options: SimOptions, scene: Scene, index: int) -> tuple[NDArray[np.f
     t_s = time_of(options, scene, index)
     pattern, optics = options.layout.pattern(), optics_of(options)
     rig = TrueRig.of(options.layout, optics)
-    for knock in options.disturb:
-        rig = rig.after(knock)
+    for disturbance in options.disturb:
+        rig = rig.after(disturbance)
     return render_pair.render_counts(options.layout, scene, pattern, optics, t_s, options.encoding, rig)
 
 

@@ -42,21 +42,21 @@ class Score:
 def score(xyz: NDArray[np.float32], truth: Truth, *, only: NDArray[np.bool_] | None = None) -> Score:
     """Score a cloud (H, W, 3) mm; ``only`` (H, W) restricts the accuracy figures to a part of the image."""
     error = np.linalg.norm(xyz.astype(np.float64) - truth.xyz, axis=-1)
-    known = np.isfinite(xyz[..., 2])
+    valid = np.isfinite(xyz[..., 2])
     scorable = truth.scorable
     with np.errstate(invalid="ignore"):
-        right = known & (error < RIGHT_MM)
-        wrong = known & ~(error <= WRONG_MM)
+        right = valid & (error < RIGHT_MM)
+        wrong = valid & ~(error <= WRONG_MM)
     used = right if only is None else right & only
     smooth = smoothed_error(xyz, truth, right)
     smooth = smooth[np.isfinite(smooth) & (True if only is None else only)]
     return Score(
         reconstructed=float((right & scorable).sum() / max(1, scorable.sum())),
-        wrong=float(wrong.sum() / max(1, known.sum())),
+        wrong=float(wrong.sum() / max(1, valid.sum())),
         rms_mm=float(np.sqrt(np.mean(error[used] ** 2))) if used.any() else float("nan"),
         smooth_rms_mm=float(np.sqrt(np.mean(smooth**2))) if smooth.size else float("nan"),
         bias_mm=float(smooth.mean()) if smooth.size else float("nan"),
-        points=int(known.sum()),
+        points=int(valid.sum()),
     )
 
 

@@ -19,7 +19,7 @@ from sim.rig.optics import Optics
 from sim.scene import named_scenes
 
 
-def write_shot(pair: RenderedPair, folder: Path) -> None:
+def write_pair(pair: RenderedPair, folder: Path) -> None:
     """``left.png``, ``right.png`` and ``truth_left.npz``, ``truth_right.npz`` in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for side, image, truth in (("left", pair.left, pair.truth_left), ("right", pair.right, pair.truth_right)):
@@ -41,7 +41,7 @@ def main(arguments: list[str]) -> int:
     mesh_file = None if name in named_scenes.NAMES else Path(name)
     layout, scene = RigLayout(), named_scenes.build("mesh" if mesh_file else name, mesh_file=mesh_file)
     pair = render_pair(layout, scene, layout.pattern(), optics)
-    write_shot(pair, Path(folder))
+    write_pair(pair, Path(folder))
     for file, mapping in (
         ("calibration.json", rig_files.calibration_mapping(layout, optics)),
         ("pattern.json", rig_files.pattern_mapping(layout)),

@@ -52,7 +52,7 @@ class Disturbance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueRig:
-    """The devices as they are, whatever the calibration says; the world is the left camera's before all knocks.
+    """The devices as they are, whatever the calibration says; the world is the left camera's before all disturbances.
 
     Args:
         left, right, projector: with their poses. crosstalk: (2, 3, 3) of both cameras.
@@ -69,22 +69,25 @@ class TrueRig:
         rig = layout.calibration()
         return cls(rig.left, rig.right, rig.projector, optics.true_crosstalk())
 
-    def after(self, knock: Disturbance) -> TrueRig:
+    def after(self, disturbance: Disturbance) -> TrueRig:
         """The rig after a disturbance."""
-        device: CameraModel = getattr(self, knock.side)
-        rotation = rotation_about(knock.turn_deg, float(np.radians(np.linalg.norm(knock.turn_deg)))) @ device.rotation
+        device: CameraModel = getattr(self, disturbance.side)
+        rotation = (
+            rotation_about(disturbance.turn_deg, float(np.radians(np.linalg.norm(disturbance.turn_deg))))
+            @ device.rotation
+        )
         matrix = device.matrix.copy()
-        matrix[:2, 2] += knock.shift_px
+        matrix[:2, 2] += disturbance.shift_px
         moved = CameraModel(
             device.size, matrix, device.distortion, rotation, -rotation @ device.centre, name=device.name
         )
-        if knock.side == "left":
+        if disturbance.side == "left":
             rig = replace(self, left=moved)
-        elif knock.side == "right":
+        elif disturbance.side == "right":
             rig = replace(self, right=moved)
         else:
             return replace(self, projector=moved)
-        camera = ("left", "right").index(knock.side)
+        camera = ("left", "right").index(disturbance.side)
         crosstalk = self.crosstalk.copy()
-        crosstalk[camera] += knock.crosstalk * crosstalk_shape(camera)
+        crosstalk[camera] += disturbance.crosstalk * crosstalk_shape(camera)
         return replace(rig, crosstalk=crosstalk)

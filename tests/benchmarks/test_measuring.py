@@ -13,7 +13,7 @@ import pytest
 from benchmarks import rendered, scale
 from benchmarks.cases import Case
 from benchmarks.compare import phase_error
-from benchmarks.rendered import Shot
+from benchmarks.rendered import StoredPair
 from benchmarks.speed import mean_score, scored, timed
 from benchmarks.worker import there_and_back
 from sim.evaluate.score import score
@@ -24,40 +24,40 @@ SMALL = Case("small", "plane", layout=RigLayout().scaled(0.25), periods=24.0)
 
 
 @pytest.fixture(scope="module")
-def shot(tmp_path_factory: pytest.TempPathFactory) -> Shot:
-    return rendered.shot(SMALL, folder=tmp_path_factory.mktemp("images"))
+def pair(tmp_path_factory: pytest.TempPathFactory) -> StoredPair:
+    return rendered.stored_pair(SMALL, folder=tmp_path_factory.mktemp("images"))
 
 
 @pytest.fixture(scope="module")
-def true_phase(shot: Shot) -> np.ndarray:
-    return phases(shot.truth_left.projector.astype(np.float64), SMALL.pattern)
+def true_phase(pair: StoredPair) -> np.ndarray:
+    return phases(pair.truth_left.projector.astype(np.float64), SMALL.pattern)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("constant", [0.0, 2.9, 40.0])
 def test_sign_and_constant_of_a_relative_phase_do_not_matter(
-    shot: Shot, true_phase: np.ndarray, sign: int, constant: float
+    pair: StoredPair, true_phase: np.ndarray, sign: int, constant: float
 ) -> None:
-    found = phase_error(sign * true_phase + constant, shot.truth_left, SMALL)
+    found = phase_error(sign * true_phase + constant, pair.truth_left, SMALL)
     assert found.rms_rad < 1e-6 and found.order == 1
 
 
-def test_pixels_of_another_period_and_unknown_ones_are_not_right(shot: Shot, true_phase: np.ndarray) -> None:
-    places = np.flatnonzero(shot.truth_left.scorable)
+def test_pixels_of_another_period_and_unknown_ones_are_not_right(pair: StoredPair, true_phase: np.ndarray) -> None:
+    places = np.flatnonzero(pair.truth_left.scorable)
     phase = true_phase.copy()
     phase.flat[places[: len(places) // 4]] += 2 * np.pi
     phase.flat[places[-len(places) // 4 :]] = np.nan
-    found = phase_error(phase, shot.truth_left, SMALL)
+    found = phase_error(phase, pair.truth_left, SMALL)
     assert found.order == pytest.approx(0.5, abs=1e-3) and found.rms_rad < 1e-6
 
 
-def test_a_phase_without_a_single_known_pixel_is_no_phase(shot: Shot, true_phase: np.ndarray) -> None:
-    found = phase_error(np.full_like(true_phase, np.nan), shot.truth_left, SMALL)
+def test_a_phase_without_a_single_known_pixel_is_no_phase(pair: StoredPair, true_phase: np.ndarray) -> None:
+    found = phase_error(np.full_like(true_phase, np.nan), pair.truth_left, SMALL)
     assert found.order == 0 and math.isinf(found.rms_rad)
 
 
-def test_a_cloud_on_a_lattice_is_judged_by_its_lattice(shot: Shot) -> None:
-    truth = shot.truth_left
+def test_a_cloud_on_a_lattice_is_judged_by_its_lattice(pair: StoredPair) -> None:
+    truth = pair.truth_left
     xyz = np.full_like(truth.xyz, np.nan)
     xyz[::2, ::2] = truth.xyz[::2, ::2]
     assert scored(xyz, truth, 2).reconstructed == 1
@@ -66,8 +66,8 @@ def test_a_cloud_on_a_lattice_is_judged_by_its_lattice(shot: Shot) -> None:
     assert scored(xyz, truth, 1).reconstructed == pytest.approx(0.25, abs=0.01)
 
 
-def test_the_mean_of_equal_scores_is_each_of_them(shot: Shot) -> None:
-    one = score(shot.truth_left.xyz, shot.truth_left)
+def test_the_mean_of_equal_scores_is_each_of_them(pair: StoredPair) -> None:
+    one = score(pair.truth_left.xyz, pair.truth_left)
     assert astuple(mean_score([one] * 3)) == pytest.approx(astuple(one))
 
 
@@ -80,13 +80,13 @@ def test_images_are_shown_without_a_jump(count: int) -> None:
 
 def test_images_are_rendered_once_and_depth_does_not_matter(tmp_path: Path) -> None:
     case = replace(SMALL, layout=RigLayout().scaled(0.05), periods=4.0)
-    first = rendered.shot(case, folder=tmp_path)
+    first = rendered.stored_pair(case, folder=tmp_path)
     deeper = replace(case, layout=replace(case.layout, depth_mm=300.0))
     stamp = first.file.stat().st_mtime_ns
-    again = rendered.shot(deeper, folder=tmp_path)
+    again = rendered.stored_pair(deeper, folder=tmp_path)
     assert again.file == first.file and first.file.stat().st_mtime_ns == stamp
     assert np.array_equal(again.left, first.left) and np.array_equal(again.truth_left.xyz, first.truth_left.xyz, True)
-    assert rendered.shot(case, seed=1, folder=tmp_path).file != first.file
+    assert rendered.stored_pair(case, seed=1, folder=tmp_path).file != first.file
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -109,10 +109,10 @@ def test_every_series_holds_the_standard_case() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"follow": True}, {"every": 2}], ids=str)
-def test_a_job_is_timed_in_a_process_of_its_own(shot: Shot, tmp_path: Path, options: dict[str, object]) -> None:
-    timing = timed(SMALL, [shot], 1, 3, clouds=tmp_path, **options)
+def test_a_job_is_timed_in_a_process_of_its_own(pair: StoredPair, tmp_path: Path, options: dict[str, object]) -> None:
+    timing = timed(SMALL, [pair], 1, 3, clouds=tmp_path, **options)
     assert len(timing.total_ms) == 3 and all(len(ms) == 3 for ms in timing.stage_ms.values())
     assert sum(ms[0] for ms in timing.stage_ms.values()) <= timing.total_ms[0] + 1e-3
     assert timing.peak_mib > timing.images_mib > 0 and timing.ready_s > 0
     cloud = np.load(tmp_path / "0.npy")
-    assert scored(cloud, shot.truth_left, int(options.get("every", 1))).reconstructed > 0.9  # type: ignore[call-overload]
+    assert scored(cloud, pair.truth_left, int(options.get("every", 1))).reconstructed > 0.9  # type: ignore[call-overload]

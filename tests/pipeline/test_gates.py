@@ -16,7 +16,7 @@ from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.point_filter import Gates
 from pipeline.filter.uniqueness import Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
-from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, Located, Points
+from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, MatchResult, Points
 
 SHAPES = [(1, 1), (5, 7), (40, 33), (70, 90)]
 
@@ -31,20 +31,20 @@ def _blobs(rng: np.random.Generator, shape: tuple[int, int], share: float) -> An
 @pytest.mark.parametrize("shape", SHAPES)
 def test_local_outliers_are_those_of_the_definition(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(1)
-    known = _blobs(rng, shape, 0.7)
+    valid = _blobs(rng, shape, 0.7)
     residuals = rng.normal(0, 120, (2, *shape)).clip(-LARGEST_RESIDUAL, LARGEST_RESIDUAL).astype(np.int16)
     residuals[:, rng.random(shape) < 0.05] = LARGEST_RESIDUAL
-    residuals[:, known == 0] = rng.integers(-32768, 32767, (2, int((known == 0).sum())))
+    residuals[:, valid == 0] = rng.integers(-32768, 32767, (2, int((valid == 0).sum())))
     limit, largest = 80, 200
     expected = np.zeros(shape, np.uint8)
-    for i, j in zip(*np.nonzero(known), strict=True):
+    for i, j in zip(*np.nonzero(valid), strict=True):
         window = np.s_[max(0, i - RADIUS) : i + RADIUS + 1, max(0, j - RADIUS) : j + RADIUS + 1]
-        some = known[window] > 0
+        some = valid[window] > 0
         means = [r[window][some].mean() for r in residuals]
         near = any(abs(r[i, j] - m) < limit for r, m in zip(residuals, means, strict=True))
         expected[i, j] = near and (abs(residuals[:, i, j]) <= largest).any() and some.mean() >= 0.25
     out = np.full(shape, 9, np.uint8)
-    local_outliers(known, *residuals, limit, largest, out)
+    local_outliers(valid, *residuals, limit, largest, out)
     np.testing.assert_array_equal(out, expected)
 
 
@@ -70,12 +70,12 @@ def test_only_weak_pixels_at_a_surfaces_border_are_mixed(shape: tuple[int, int])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_surfaces_are_the_connected_ones(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
-    known = _blobs(rng, shape, 0.6)
+    valid = _blobs(rng, shape, 0.6)
     link = rng.choice(np.uint8([0, 1, 2, 3]), shape, p=[0.1, 0.1, 0.1, 0.7])
     surfaces, label = Surfaces(shape), np.full(shape, 9, np.uint16)
-    number = surfaces.find(known, link, 4)
+    number = surfaces.find(valid, link, 4)
     surfaces.paint(label)
-    expected = _connected(known, link)
+    expected = _connected(valid, link)
     names, sizes = np.unique(expected[expected > 0], return_counts=True)
     large = {int(n): int(s) for n, s in zip(names, sizes, strict=True) if s >= 4}
     assert number == len(large) and sorted(surfaces.sizes) == sorted(large.values())
@@ -85,11 +85,11 @@ def test_surfaces_are_the_connected_ones(shape: tuple[int, int]) -> None:
         assert surfaces.sizes[painted - 1] == size == (label == painted).sum()
 
 
-def _connected(known: Any, link: Any) -> Any:
-    """Number of the connected component of each known pixel, from 1 on."""
-    out = np.where(known, np.arange(1, known.size + 1).reshape(known.shape), 0)
-    beside = (known[:, 1:] & known[:, :-1] & link[:, 1:]) > 0
-    below = (known[1:] & known[:-1] & (link[1:] >> 1)) > 0
+def _connected(valid: Any, link: Any) -> Any:
+    """Number of the connected component of each valid pixel, from 1 on."""
+    out = np.where(valid, np.arange(1, valid.size + 1).reshape(valid.shape), 0)
+    beside = (valid[:, 1:] & valid[:, :-1] & link[:, 1:]) > 0
+    below = (valid[1:] & valid[:-1] & (link[1:] >> 1)) > 0
     while True:
         before = out.copy()
         for a, b, joined in ((out[:, 1:], out[:, :-1], beside), (out[1:], out[:-1], below)):
@@ -101,13 +101,13 @@ def _connected(known: Any, link: Any) -> Any:
 
 
 def test_links_follow_the_expected_steps_and_the_phase_may_wrap_around() -> None:
-    absolute = (32767 + 24 * np.arange(-5, 5)).astype(np.int16)[None].repeat(2, 0)
+    absolute_phase = (32767 + 24 * np.arange(-5, 5)).astype(np.int16)[None].repeat(2, 0)
     u = (PIXEL_STEPS * np.arange(20, 30)).astype(np.int16)[None].repeat(2, 0)
     v = (PIXEL_STEPS * np.array([[5], [6]])).astype(np.int16).repeat(10, 1)
-    absolute[:, 7:] += TURN_STEPS
+    absolute_phase[:, 7:] += TURN_STEPS
     u[1, :] += 2 * PIXEL_STEPS
     out = np.full((2, 10), 9, np.uint8)
-    connected_components.links(absolute, u, v, 24, 0, out)
+    connected_components.links(absolute_phase, u, v, 24, 0, out)
     assert (out[0, 1:] == connected_components.LEFT).tolist() == [True] * 6 + [False] + [True] * 2
     assert not (out[1] & connected_components.UP).any()
 
@@ -117,7 +117,7 @@ def test_of_two_claims_to_one_pixel_the_one_of_the_definition_stays(by_depth: bo
     rng = np.random.default_rng(seed)
     shape, device = (70, 90), (50, 37)
     label = np.kron(rng.integers(0, 5, (6, 6)), np.ones((12, 15), int))[: shape[0], : shape[1]].astype(np.uint16)
-    known = ((label > 0) & (rng.random(shape) < 0.9)).astype(np.uint8)
+    valid = ((label > 0) & (rng.random(shape) < 0.9)).astype(np.uint8)
     i, j = np.indices(shape)
     u = (PIXEL_STEPS * (j * 0.7 - 4 * label + 2) + rng.integers(0, 12, shape)).clip(0, OUTSIDE).astype(np.uint16)
     v = (PIXEL_STEPS * (i * 0.6 + label)).astype(np.uint16)
@@ -129,20 +129,20 @@ def test_of_two_claims_to_one_pixel_the_one_of_the_definition_stays(by_depth: bo
     size = np.bincount(label[label > 0] - 1, minlength=4).astype(np.int32)
     tolerance, sure = (PARAMETER_STEPS // 200, 700) if by_depth else (61, 700)
     value = ((1 / depth - base) / span * PARAMETER_STEPS).astype(np.int16) if by_depth else phase
-    expected = _unique(known, label, u // PIXEL_STEPS, v // PIXEL_STEPS, depth, value, device, size, tolerance, sure)
-    assert 0 < (expected != known).sum() < known.sum()
+    expected = _unique(valid, label, u // PIXEL_STEPS, v // PIXEL_STEPS, depth, value, device, size, tolerance, sure)
+    assert 0 < (expected != valid).sum() < valid.sum()
     Uniqueness(shape, (device,)).apply(
-        known, label, size, u, v, depth, device, Values(phase, by_depth, base, span), tolerance, sure
+        valid, label, size, u, v, depth, device, Values(phase, by_depth, base, span), tolerance, sure
     )
-    np.testing.assert_array_equal(known, expected)
+    np.testing.assert_array_equal(valid, expected)
 
 
 def _unique(
-    known: Any, label: Any, x: Any, y: Any, depth: Any, value: Any, device: tuple[int, int], size: Any, tolerance: int,
+    valid: Any, label: Any, x: Any, y: Any, depth: Any, value: Any, device: tuple[int, int], size: Any, tolerance: int,
     sure: int,
 ) -> Any:  # fmt: skip
     places: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for p in zip(*np.nonzero(known), strict=True):
+    for p in zip(*np.nonzero(valid), strict=True):
         if x[p] < device[0] and y[p] < device[1]:
             places.setdefault((int(x[p]), int(y[p])), []).append(p)
     rivals: dict[tuple[int, int], list[tuple[int, int]]] = {}
@@ -165,7 +165,7 @@ def _unique(
             return bool(depth[p] < depth[q])
         return bool(size[a] > size[b])
 
-    out = known.copy()
+    out = valid.copy()
     for p, found in rivals.items():
         out[p] = all(prevails(p, q) for q in found)
     return out
@@ -176,13 +176,13 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
     shape, right, projector = (150, 200), (210, 150), (160, 120)
     i, j = np.indices(shape)
     area = (j // 50 + i // 75) % 3
-    known = _blobs(rng, shape, 0.9)
+    valid = _blobs(rng, shape, 0.9)
 
     def steps(x: Any) -> Any:
         return (PIXEL_STEPS * x).clip(0, OUTSIDE).astype(np.uint16)
 
-    located = Located(
-        known, steps(j + 25.0 * area), steps(i + 0.5), steps(0.7 * j + 20 * area), steps(0.7 * i),
+    match = MatchResult(
+        valid, steps(j + 25.0 * area), steps(i + 0.5), steps(0.7 * j + 20 * area), steps(0.7 * i),
         (24 * j + 2000 * area).astype(np.int16), *rng.normal(0, 30, (2, *shape)).astype(np.int16),
     )  # fmt: skip
     points = Points.empty(shape)
@@ -199,11 +199,11 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
         for threads in sorted({1, most}):
             numba.set_num_threads(threads)
             for _ in range(2):
-                for plane in (depth, *located[1:]):
+                for plane in (depth, *match[1:]):
                     filling: Any = [np.nan, np.inf, 0] if plane.dtype.kind == "f" else [0, 65535, 7]
-                    plane[known == 0] = rng.choice(np.array(filling).astype(plane.dtype), int((known == 0).sum()))
-                results.append(gates.certain(located, depth, modulation).copy())
+                    plane[valid == 0] = rng.choice(np.array(filling).astype(plane.dtype), int((valid == 0).sum()))
+                results.append(gates.certain(match, depth, modulation).copy())
     finally:
         numba.set_num_threads(most)
     assert all((r == results[0]).all() for r in results)
-    assert 0.2 < results[0].mean() < known.mean() and not results[0][known == 0].any()
+    assert 0.2 < results[0].mean() < valid.mean() and not results[0][valid == 0].any()

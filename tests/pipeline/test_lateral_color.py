@@ -8,13 +8,13 @@ import pytest
 
 from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
-from pipeline.decode.chromatic_phase import STEP, ColorTurns, channel_angles, color_turns
+from pipeline.decode.chromatic_phase import STEP, ChromaticCorrection, channel_angles, chromatic_correction
 from pipeline.decode.decoder import Decoder
 from pipeline.decode.raw_image import mosaic_of
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration, ColorModel, from_mapping, to_mapping
-from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Lateral, Registration
+from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, LateralChromatic, Registration
 from sim.evaluate.score import score
 from sim.render.render_pair import render_pair
 from sim.rig.optics import Optics
@@ -23,21 +23,23 @@ from tests.pipeline.rigs import rig
 from tests.pipeline.small import LAYOUT, PERIODS, SETTINGS
 from tests.pipeline.test_phase import COLOR, INNER, SHIFTS, decoder, mosaic, smooth_phase, wrapped
 
-LATERAL = Lateral(ColorDisplacement(np.array([0.1, -0.2]), -1e-3, 0.02), ColorDisplacement(np.array([0.0, 0.1]), 1e-3))
+LATERAL_CHROMATIC = LateralChromatic(
+    ColorDisplacement(np.array([0.1, -0.2]), -1e-3, 0.02), ColorDisplacement(np.array([0.0, 0.1]), 1e-3)
+)
 REGISTRATION = Registration(ColorOffset(np.array([0.3, 0.0])), ColorOffset(np.array([-0.2, 0.1]), 1e-4 * np.eye(2)))
 PATTERN = ColorFringe((320, 256), 24)
 
 
-def with_colors(lateral=LATERAL, registration=REGISTRATION):
+def with_colors(lateral_chromatic=LATERAL_CHROMATIC, registration=REGISTRATION):
     plain = rig()
-    color = dataclasses.replace(plain.left_color, lateral=lateral)
+    color = dataclasses.replace(plain.left_color, lateral_chromatic=lateral_chromatic)
     return dataclasses.replace(plain, left_color=color, registration=registration)
 
 
 def test_both_go_through_a_calibration_file_and_stay_away_when_absent():
     again = from_mapping(to_mapping(with_colors()))
-    assert again.left_color.lateral.as_mapping() == LATERAL.as_mapping()
-    assert again.right_color.lateral is None
+    assert again.left_color.lateral_chromatic.as_mapping() == LATERAL_CHROMATIC.as_mapping()
+    assert again.right_color.lateral_chromatic is None
     assert again.registration.as_mapping() == REGISTRATION.as_mapping()
     plain = to_mapping(rig())
     assert "lateral" not in plain["cameras"]["left"]["color"]
@@ -82,7 +84,7 @@ def test_a_red_point_stands_where_the_displacement_says():
     """A tenth of a per cent at 100 px from the principal point is a tenth of a pixel, away from it."""
     camera = rig().left
     centre = camera.matrix[:2, 2]
-    model = Lateral(red=ColorDisplacement(magnification=1e-3))
+    model = LateralChromatic(red=ColorDisplacement(magnification=1e-3))
     moved = model.at(camera, centre + np.array([100.0, 0.0]))
     assert np.allclose(moved, [[0.1, 0], [0, 0], [0, 0]])
 
@@ -94,7 +96,7 @@ def test_the_channels_angles_are_the_phases_of_where_their_light_comes_from():
     rays = np.concatenate([calibration.left.normalise(pixels), np.ones((3, 1))], axis=1)
     for k in (0, 2):
         # Light that leaves the projector at p lands at p + offset and is seen displaced in the image.
-        shift = LATERAL.at(calibration.left, pixels)[k]
+        shift = LATERAL_CHROMATIC.at(calibration.left, pixels)[k]
         from_green = np.concatenate([calibration.left.normalise(pixels - shift), np.ones((3, 1))], axis=1)
         landed = calibration.projector.project(1400 * from_green)
         sent = landed - REGISTRATION.at(PATTERN.size, landed)[k]
@@ -106,16 +108,16 @@ def test_the_channels_angles_are_the_phases_of_where_their_light_comes_from():
 
 def test_a_mere_shift_of_the_projectors_colours_costs_nothing():
     calibration = with_colors(None, Registration(ColorOffset(np.array([0.3, 0.0])), ColorOffset()))
-    turns = color_turns(calibration, PATTERN, calibration.left_color, 1400.0)
-    assert turns.step == 0
+    chromatic = chromatic_correction(calibration, PATTERN, calibration.left_color, 1400.0)
+    assert chromatic.step == 0
     expected = np.array(PATTERN.shifts) - np.array([0.3 * 2 * np.pi * 24 / 320, 0, 0])
-    assert np.allclose(turns.shifts, expected)
+    assert np.allclose(chromatic.shifts, expected)
 
 
 def test_without_either_there_is_no_table():
-    turns = color_turns(rig(), PATTERN, rig().left_color, 1400.0)
-    assert turns.step == 0
-    assert turns.shifts == PATTERN.shifts
+    chromatic = chromatic_correction(rig(), PATTERN, rig().left_color, 1400.0)
+    assert chromatic.step == 0
+    assert chromatic.shifts == PATTERN.shifts
 
 
 def angles_at(v, u, shape):
@@ -132,10 +134,10 @@ def turned_image(phase, encoding):
     return rgb if encoding == "rgb8" else mosaic(rgb, encoding)
 
 
-def turns_for(shape):
+def correction_for(shape):
     rows = STEP * np.arange((shape[0] - 1) // STEP + 2.0)
     v, u = np.meshgrid(rows, np.arange(shape[1], dtype=float), indexing="ij")
-    return ColorTurns.of(SHIFTS, angles_at(v, u, shape))
+    return ChromaticCorrection.of(SHIFTS, angles_at(v, u, shape))
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
@@ -147,14 +149,14 @@ def test_turned_channels_give_the_phase_of_the_unturned(encoding, radius):
     before = np.abs(wrapped(plain.phase - phase)[INNER]).max()
     straight = Decoder(
         COLOR, SHIFTS, mosaic=mosaic_of(encoding), slopes=(2 * np.pi / 11, 0.0),
-        settings=Settings(window_radius=radius), turns=turns_for(phase.shape),
+        settings=Settings(window_radius=radius), chromatic=correction_for(phase.shape),
     )  # fmt: skip
     found = straight.decode(raw)
     error = np.abs(wrapped(found.phase - phase)[INNER])
     assert before > 0.07
     assert error.max() < (0.03 if encoding == "rgb8" else 0.05)
     assert np.abs(found.mean[INNER] - 100.0).max() < (1.5 if encoding == "rgb8" else 3)
-    equal = np.abs(wrapped(found.phase_eq - phase)[INNER])
+    equal = np.abs(wrapped(found.phase_normalised - phase)[INNER])
     assert np.sqrt((equal**2).mean()) < 0.05
 
 
@@ -175,7 +177,7 @@ def displaced_rig(chromatic, shift):
 
     def color(model: ColorModel) -> ColorModel:
         red, blue = (ColorDisplacement(magnification=m) for m in (-chromatic, chromatic))
-        return dataclasses.replace(model, lateral=Lateral(red, blue))
+        return dataclasses.replace(model, lateral_chromatic=LateralChromatic(red, blue))
 
     offsets = Registration(ColorOffset(np.array([shift, 0.0])), ColorOffset(np.array([-shift, 0.0])))
     return Calibration(

@@ -45,7 +45,7 @@ def test_the_amplitude_of_every_channel_is_found(encoding: str, axis: str) -> No
     image = fringes(axis=axis)
     raw = image if encoding == "rgb8" else mosaic(image, encoding)
     seen = lighting(raw, encoding, lit(), period_px=PERIOD, axis=axis)
-    assert seen.clipped == (0.0, 0.0, 0.0)
+    assert seen.saturated == (0.0, 0.0, 0.0)
     assert seen.amplitude == pytest.approx(AMPLITUDE, rel=0.1)
 
 
@@ -63,7 +63,7 @@ def test_a_surface_without_fringes_has_hardly_any_amplitude() -> None:
 def test_clipped_samples_are_counted_by_channel() -> None:
     image = fringes()
     image[:, : WIDTH // 4, 1] = 255
-    assert lighting(image, "rgb8", lit(), period_px=PERIOD).clipped == pytest.approx((0, 0.25, 0))
+    assert lighting(image, "rgb8", lit(), period_px=PERIOD).saturated == pytest.approx((0, 0.25, 0))
 
 
 def test_where_there_is_no_light_nothing_is_known() -> None:

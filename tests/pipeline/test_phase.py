@@ -94,7 +94,7 @@ def test_equalising_takes_the_colour_of_a_surface_away():
     counts = (light(phase) * tint) @ CROSSTALK.T + COLOR.black
     found = decoder().decode(np.rint(counts).astype(np.uint8))
     plain = wrapped(found.phase - phase)[INNER]
-    equal = wrapped(found.phase_eq - phase)[INNER]
+    equal = wrapped(found.phase_normalised - phase)[INNER]
     assert np.sqrt((plain**2).mean()) > 0.15
     assert np.sqrt((equal**2).mean()) < 0.05
 
@@ -127,13 +127,13 @@ def test_clipped_samples_are_left_out_of_the_fit():
     bright = image(phase, mean=150.0, amplitude=110.0, ambient=10.0, color=ColorModel())
     dec = Decoder(ColorModel(), SHIFTS, mosaic=None, slopes=(2 * np.pi / 11, 0.0), settings=Settings())
     found = dec.decode(bright)
-    clipped = (bright >= 254).any(axis=2)[INNER]
-    assert 0.1 < clipped.mean() < 0.9
-    assert found.clipped > 0.1
+    saturated = (bright >= 254).any(axis=2)[INNER]
+    assert 0.1 < saturated.mean() < 0.9
+    assert found.saturated > 0.1
     error = np.abs(wrapped(found.phase - phase)[INNER])
     usable = np.isfinite(found.variance[INNER])
-    assert usable[clipped].mean() > 0.9
-    assert error[clipped & usable].max() < 0.06
+    assert usable[saturated].mean() > 0.9
+    assert error[saturated & usable].max() < 0.06
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
@@ -148,11 +148,11 @@ def test_noise_is_estimated_from_the_image_alone(encoding):
         assert 0.85 < np.sqrt(model.floor + model.gain * level) / truth < 1.15
 
 
-PLANES = ("phasor", "traits", "mean", "variance", "phase", "phase_eq", "modulation", "valid")
+PLANES = ("phasor", "descriptors", "mean", "variance", "phase", "phase_normalised", "modulation", "valid")
 
 
 def hard_image(shape=(90, 131), seed=3):
-    """Fringes with an edge, a dark and a clipped part, and noise."""
+    """Fringes with an edge, a dark and a saturated part, and noise."""
     phase = smooth_phase(shape)
     phase[shape[0] // 2 :, 40:70] += 2.0
     albedo = np.full(shape, 0.9)
@@ -172,7 +172,7 @@ def phasors_of(levels, crosstalk=CROSSTALK):
     return solution[..., 1] + 1j * solution[..., 2], np.maximum(solution[..., 0], 0)
 
 
-def equalized_of(levels):
+def normalised_of(levels):
     channels = levels @ np.linalg.inv(CROSSTALK).T
     means = channels
     for _ in range(2):
@@ -236,7 +236,7 @@ def test_the_three_chip_decoder_does_what_whole_planes_in_double_precision_do(ra
     clearly = here & (abs(abs(phasors) - 5) > ROUNDED / PHASOR_SCALE)
     assert np.array_equal(found.valid[clearly], ((abs(phasors) >= 5) & (found.variance < 1))[clearly])
     assert (np.abs(wrapped(found.phase - np.angle(phasors))) * abs(phasors))[here].max() < ROUNDED / PHASOR_SCALE
-    assert found.clipped == pytest.approx(1 - clear.mean(), abs=1e-6)
+    assert found.saturated == pytest.approx(1 - clear.mean(), abs=1e-6)
     assert not found.phasor[~inner].any() and not found.valid[~inner].any()
     assert np.isinf(found.variance[~inner]).all()
     assert np.abs(found.mean - np.minimum(mean, 255))[~inner].max() < 0.51
@@ -258,9 +258,9 @@ def test_the_equalised_phase_is_right_up_to_the_border(encoding):
     # Sums of 16 bits: a part in ten thousand of a bright mean, more of a dark one.
     bright = cv2.erode((levels.min(axis=2) > 10).astype(np.uint8), np.ones((9, 21))) > 0
     assert bright.mean() > 0.2
-    expected = equalized_of(levels)
+    expected = normalised_of(levels)
     # Rounded to 2048 steps of a turn, and what the means are off by.
-    away = np.abs(wrapped(found.phase_eq - np.angle(expected)))
+    away = np.abs(wrapped(found.phase_normalised - np.angle(expected)))
     assert (away < np.pi / 2048 + 2e-3 / np.maximum(np.abs(expected), 0.05))[bright & (np.abs(expected) > 0.05)].all()
     assert bright[0].any() and bright[:, 0].any() and bright[-1].any()
 
@@ -287,7 +287,7 @@ def test_the_result_does_not_depend_on_the_number_of_threads(encoding):
 def test_black_and_white_images_have_no_phase_and_no_nan(encoding, level):
     found = decoder(encoding).decode(np.full((40, 64, 3) if encoding == "rgb8" else (40, 64), level, np.uint8))
     assert not found.valid.any()
-    assert found.clipped == (level == 255)
+    assert found.saturated == (level == 255)
     assert not any(np.isnan(getattr(found, name)).any() for name in PLANES)
 
 
@@ -336,5 +336,5 @@ def test_long_periods_across_the_rows_are_equalised_as_well(period):
     color = ColorModel(np.full(3, 20.0), np.eye(3))
     found = Decoder(color, SHIFTS, mosaic=None, slopes=slopes, settings=Settings()).decode(raw)
     whole = slice(int(period), 160 - int(period))
-    assert np.abs(wrapped(found.phase_eq - phase)[whole, 2:-2]).max() < 0.1
+    assert np.abs(wrapped(found.phase_normalised - phase)[whole, 2:-2]).max() < 0.1
     assert np.abs(wrapped(found.phase - phase)[whole, 2:-2]).max() > 0.15

@@ -53,16 +53,16 @@ def test_a_scene_with_everything_is_measured(pair, cloud):
 
 def test_every_point_lies_on_its_pixels_ray(cloud):
     rays = SMALL.calibration().left.rays()
-    known = np.isfinite(cloud.xyz[..., 2])
-    assert np.abs(cloud.xyz[known][:, :2] / cloud.xyz[known][:, 2:] - rays[known]).max() < 1e-6
+    valid = np.isfinite(cloud.xyz[..., 2])
+    assert np.abs(cloud.xyz[valid][:, :2] / cloud.xyz[valid][:, 2:] - rays[valid]).max() < 1e-6
 
 
 def test_unknown_is_nan_in_all_of_a_point_and_its_sigma(cloud):
-    known = np.isfinite(cloud.xyz[..., 2])
-    assert np.isfinite(cloud.xyz[known]).all()
-    assert np.isnan(cloud.xyz[~known]).all()
-    assert (np.isfinite(cloud.sigma_mm) == known).all()
-    assert ((cloud.order >= 0) == known).all()
+    valid = np.isfinite(cloud.xyz[..., 2])
+    assert np.isfinite(cloud.xyz[valid]).all()
+    assert np.isnan(cloud.xyz[~valid]).all()
+    assert (np.isfinite(cloud.sigma_mm) == valid).all()
+    assert ((cloud.order >= 0) == valid).all()
     assert cloud.xyz.dtype == np.float32
     assert cloud.gray.dtype == np.uint8
 
@@ -76,9 +76,9 @@ def test_orders_are_the_truths(pair, cloud):
 
 def test_the_point_solves_the_four_equations_of_both_views(cloud):
     calibration = SMALL.calibration_for(Optics())
-    known = np.argwhere(np.isfinite(cloud.xyz[..., 2]))[::97]
-    points = cloud.xyz[known[:, 0], known[:, 1]].astype(float)
-    left = known[:, ::-1].astype(float)
+    valid = np.argwhere(np.isfinite(cloud.xyz[..., 2]))[::97]
+    points = cloud.xyz[valid[:, 0], valid[:, 1]].astype(float)
+    left = valid[:, ::-1].astype(float)
     again = triangulate(calibration.left, calibration.right, left, calibration.right.project(points))
     assert np.abs(again - points).max() < 1e-3
 

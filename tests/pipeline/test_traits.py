@@ -7,7 +7,7 @@ from pipeline.common.jit import serial
 from pipeline.decode import pixel_descriptor
 from tests.pipeline.test_phase import decoder, hard_image, mosaic, wrapped
 
-PHASE_ERROR, EQUAL_ERROR = 1.001 * np.pi / 2**12, 1.001 * np.pi / 2**11
+PHASE_ERROR, NORMALISED_ERROR = 1.001 * np.pi / 2**12, 1.001 * np.pi / 2**11
 UNIT = 2 * np.pi / 2**32
 
 
@@ -17,7 +17,7 @@ def read(plane, phase, equal, mean, valid):
         x = plane[j]
         phase[j], equal[j], mean[j] = (
             pixel_descriptor.phase_units(x),
-            pixel_descriptor.equal_units(x),
+            pixel_descriptor.normalised_units(x),
             pixel_descriptor.mean_of(x),
         )
         valid[j] = np.int32(x & pixel_descriptor.VALID) != 0
@@ -38,7 +38,9 @@ def biases(plane, phase, out):
 def made(phase, equal, valid, mean):
     out = np.empty(len(phase), np.int32)
     size = np.float32(0.3)
-    pixel_descriptor.equal_row(size * np.cos(equal, dtype=np.float32), size * np.sin(equal, dtype=np.float32), out)
+    pixel_descriptor.normalised_phase_row(
+        size * np.cos(equal, dtype=np.float32), size * np.sin(equal, dtype=np.float32), out
+    )
     pixel_descriptor.complete_row(phase, valid, mean, out)
     return out
 
@@ -57,9 +59,9 @@ def test_everything_returns_and_nothing_disturbs_its_neighbours():
     found = [np.empty(len(plane), kind) for kind in (np.int32, np.int32, np.float32, np.bool_)]
     read(plane, *found)
     assert np.abs(wrapped(found[0] * UNIT - phase)).max() <= PHASE_ERROR
-    assert np.abs(wrapped(found[1] * UNIT - equal)).max() <= EQUAL_ERROR
+    assert np.abs(wrapped(found[1] * UNIT - equal)).max() <= NORMALISED_ERROR
     assert np.array_equal(found[2], mean) and np.array_equal(found[3], valid)
-    assert np.abs(wrapped(pixel_descriptor.equalised_phase(plane) - equal)).max() <= EQUAL_ERROR
+    assert np.abs(wrapped(pixel_descriptor.normalised_phase(plane) - equal)).max() <= NORMALISED_ERROR
 
 
 def test_differences_of_phases_wrap():
@@ -74,7 +76,7 @@ def test_the_bias_is_the_difference_of_both_phases_within_half_a_turn():
     phase, equal, valid, mean = drawn()
     found = np.empty(len(phase), np.float32)
     biases(made(phase, equal, valid, mean), phase, found)
-    assert np.abs(wrapped(found - (equal - phase))).max() <= EQUAL_ERROR + 1e-6
+    assert np.abs(wrapped(found - (equal - phase))).max() <= NORMALISED_ERROR + 1e-6
     assert np.abs(found).max() <= np.pi + 1e-6
 
 
@@ -83,7 +85,7 @@ def test_a_decoder_writes_every_pixel_of_them(encoding):
     raw = hard_image()
     found = decoder(encoding).decode(raw if encoding == "rgb8" else mosaic(raw, encoding))
     phase, equal, mean, valid = (np.empty(raw[..., 0].size, k) for k in (np.int32, np.int32, np.float32, np.bool_))
-    read(found.traits.ravel(), phase, equal, mean, valid)
+    read(found.descriptors.ravel(), phase, equal, mean, valid)
     assert np.abs(wrapped(phase * UNIT - found.phase.ravel())).max() <= PHASE_ERROR
     assert np.array_equal(mean, found.mean.ravel()) and np.array_equal(valid, found.valid.ravel())
     assert 0.2 < valid.mean() < 1

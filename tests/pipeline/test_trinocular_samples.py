@@ -14,19 +14,19 @@ from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
 
-KNOCK = {"cx": 0.25, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
+DISTURBANCE = {"cx": 0.25, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
 
 
 @pytest.mark.slow
 def test_one_pair_brings_a_knocked_projector_back() -> None:
     layout, optics = RigLayout().scaled(0.5), Optics()
     true, pattern = layout.calibration_for(optics), layout.pattern()
-    knocked = replace(true, projector=moved(true.projector, KNOCK))
+    disturbed = replace(true, projector=moved(true.projector, DISTURBANCE))
     pair = render_pair(layout, build("spheres"), pattern, optics, seed=3)
-    samples = PairSampler(knocked, pattern, layout.volume(), every=3)(pair.left, pair.right)
+    samples = PairSampler(disturbed, pattern, layout.volume(), every=3)(pair.left, pair.right)
     assert len(samples) > 5000
     assert spread(true.projector, samples).systematic_px < 0.02
-    got = refine_projector(knocked, samples)
+    got = refine_projector(disturbed, samples)
     assert got.before.systematic_px > 0.2
     assert got.after.systematic_px < 0.02
     surface = pair.truth_left.xyz[pair.truth_left.scorable][::40].astype(np.float64)

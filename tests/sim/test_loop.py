@@ -160,12 +160,12 @@ def test_wrong_options_are_told_by_name(data, message):
 def test_a_shot_holds_images_and_truth(tmp_path, small):
     import cv2
 
-    from sim.evaluate.write_pair import write_shot
+    from sim.evaluate.write_pair import write_pair
     from sim.render import render_pair
     from sim.scene import named_scenes
 
     pair = render_pair.render_pair(small, named_scenes.build("face"), small.pattern())
-    write_shot(pair, tmp_path)
+    write_pair(pair, tmp_path)
     assert np.array_equal(cv2.imread(str(tmp_path / "left.png"))[..., ::-1], pair.left)
     with np.load(tmp_path / "truth_right.npz", allow_pickle=False) as truth:
         assert set(truth) == {"xyz", "projector", "order", "lit", "seen_by_both"}

@@ -29,8 +29,8 @@ def test_the_true_calibration_needs_no_motion_and_a_wrong_one_shows(quarter):
         assert result.alignment.angle_deg < 0.02
         assert result.alignment.shift_mm < 0.1
         assert result.alignment.scale == pytest.approx(1, abs=3e-4)
-    knocked = TrueRig.of(quarter, optics).after(Disturbance("right", turn_deg=(0.0, 0.1, 0.0))).right
-    wrong = Calibration(true.left, knocked, true.projector, true.left_color, true.right_color, true.response)
+    disturbed = TrueRig.of(quarter, optics).after(Disturbance("right", turn_deg=(0.0, 0.1, 0.0))).right
+    wrong = Calibration(true.left, disturbed, true.projector, true.left_color, true.right_color, true.response)
     assert judged(wrong, quarter, optics, scenes=("spheres",))["spheres"].score.rms_mm > found["spheres"].score.rms_mm
 
 

@@ -110,7 +110,7 @@ def compile_all(modes: Sequence[str] = ()) -> None:
     Args:
         modes: as of :func:`compile_ahead`.
     """
-    from pipeline.monitor.observe import rehearse
+    from pipeline.monitor.observe import warm_up
     from pipeline.reconstruct.reconstructor import Reconstructor
     from sim.rig.optics import Optics
 
@@ -120,7 +120,7 @@ def compile_all(modes: Sequence[str] = ()) -> None:
         made.warm_up(every=(1, 2), follow=True)
         pair = small_pair(encoding)
         made.reconstruct(pair.left, pair.right)
-    rehearse()
+    warm_up()
     compile_modes([(mode, encoding) for mode in modes for encoding in ENCODINGS])
 
 

@@ -54,8 +54,8 @@ def overlay(item: CloudItem) -> Image:
     if bright.shape != image.shape[:2]:  # measured with fewer pixels
         bright = bright.repeat(item.every, axis=0).repeat(item.every, axis=1)[: image.shape[0], : image.shape[1]]
     out = np.repeat(bright[..., None], 3, axis=2)
-    clipped = image >= np.iinfo(image.dtype).max
-    out[clipped.any(axis=2) if image.ndim == 3 else clipped] = _MARK_BGR
+    saturated = image >= np.iinfo(image.dtype).max
+    out[saturated.any(axis=2) if image.ndim == 3 else saturated] = _MARK_BGR
     return out
 
 

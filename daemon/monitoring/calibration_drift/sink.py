@@ -27,7 +27,7 @@ from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
 from pipeline.monitor.explain import GEOMETRY, clear, explain
-from pipeline.monitor.observe import Observation, Observer, Reading, rehearse
+from pipeline.monitor.observe import Observation, Observer, Reading, warm_up
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration
@@ -131,7 +131,7 @@ class SelfCheck:
     def _run(self) -> None:
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
-        rehearse()
+        warm_up()
         while not self._stop.is_set():
             item = self._box.get(_IDLE_S)
             if self._take_over() or item is None:

@@ -17,8 +17,8 @@ from pipeline.decode.raw_image import mosaic_of
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-CLIPPED = 254
-MOST_CLIPPED = 0.01
+SATURATION = 254
+MAX_SATURATED_SHARE = 0.01
 LEAST_PEAK = 40.0
 WHITE_SHARE = 0.55
 LEAST_AREA = 0.01
@@ -60,23 +60,23 @@ class Images:
         """Mean of some frames, (H, W, 3)."""
         return np.asarray(sum(self.planes(i) for i in indices) / np.float32(len(indices)))
 
-    def clipped(self, index: int, area: Mask) -> NDArray[np.float64]:
+    def saturated(self, index: int, area: Mask) -> NDArray[np.float64]:
         """Share of the area's samples that are clipped, (3,) by colour."""
-        full = self.raw[index] >= CLIPPED
+        full = self.raw[index] >= SATURATION
         if full.ndim == 3:
             return np.asarray(full[area].mean(axis=0))
         colors = _colors_of(full.shape, self.encoding)
         return np.array([full[area & (colors == k)].mean() for k in range(3)])
 
-    def refuse_clipped(self, index: int, area: Mask) -> None:
+    def check_saturation(self, index: int, area: Mask) -> None:
         """ImageError when a colour of the area is clipped in this frame."""
-        share = self.clipped(index, area)
+        share = self.saturated(index, area)
         worst = int(share.argmax())
-        if share[worst] > MOST_CLIPPED:
+        if share[worst] > MAX_SATURATED_SHARE:
             raise ImageError(
                 f"{self.side} camera, frame {index} ({self.names[index]}): {100 * share[worst]:.0f} % of the white "
-                f"area are clipped in {('red', 'green', 'blue')[worst]} (limit {100 * MOST_CLIPPED:.0f} %); shorten "
-                "the exposure or close the aperture, and take the sequence again"
+                f"area are clipped in {('red', 'green', 'blue')[worst]} (limit {100 * MAX_SATURATED_SHARE:.0f} %); "
+                "shorten the exposure or close the aperture, and take the sequence again"
             )
 
 
@@ -177,5 +177,5 @@ def view_of(images: Images, roles: Roles) -> View:
     full = np.stack(own, axis=-1)
     area = white_area(images, full)
     for levels in roles.levels:
-        images.refuse_clipped(levels[-1][1], area)
+        images.check_saturation(levels[-1][1], area)
     return View(images, black, full, area)

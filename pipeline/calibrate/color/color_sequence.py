@@ -23,7 +23,7 @@ def color_sequence(
     levels: int = 17,
     period_px: float = 32.0,
     steps: int = 4,
-    lateral: bool = True,
+    lateral_chromatic: bool = True,
     check: ColorFringe | None = None,
 ) -> Sequence:
     """Black, even levels of each colour, white, fringes of one colour at a time, and a check.
@@ -48,11 +48,11 @@ def color_sequence(
         for level in np.rint(np.linspace(0, 255, levels)).astype(int)[1:]:
             red, green, blue = (int(level) if c == k else 0 for c in range(3))
             frames.append(Uniform(size, (red, green, blue)))
-    axes: tuple[Axis, ...] = ("x", "y") if lateral else ("x",)
+    axes: tuple[Axis, ...] = ("x", "y") if lateral_chromatic else ("x",)
     for axis, length in zip(axes, size, strict=False):
         for name in CHANNELS:
             frames += steps_of(size, length / period_px, axis, steps, (name,))
-        if lateral:
+        if lateral_chromatic:
             frames.append(ColorFringe(size, 1.0, axis))
     if check is not None:
         frames += check_frames(check)

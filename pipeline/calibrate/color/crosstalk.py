@@ -57,7 +57,7 @@ def mix_samples(images: Images, fringes: Sequence[Triplet], area: Mask) -> MixSa
     for sets in fringes:
         for k, fringe in enumerate(sets):
             for index in fringe.indices:
-                images.refuse_clipped(index, area)
+                images.check_saturation(index, area)
             phasors = fringe_phasors(images, fringe, (0, 1, 2))
             own = phasors[..., k]
             power = np.abs(own) ** 2

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.color.channel_offsets import Offsets
 from pipeline.rig.camera_model import CameraModel
-from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Lateral, Registration
+from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, LateralChromatic, Registration
 
 Array = NDArray[np.float64]
 
@@ -30,22 +30,22 @@ _PRIOR_SHIFT, _PRIOR_MAGNIFICATION, _PRIOR_CUBIC_PX, _PRIOR_OFFSET, _PRIOR_STRET
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LateralSolution:
+class LateralChromaticSolution:
     """Lateral colour of the cameras, registration of the projector; None where too small to matter.
 
     ``before_px``, ``after_px``: rms displacement of red and blue against green over the board, in camera pixels, per
     camera, as measured and after the fit.
     """
 
-    cameras: tuple[Lateral | None, ...]
+    cameras: tuple[LateralChromatic | None, ...]
     registration: Registration | None
     before_px: tuple[float, ...]
     after_px: tuple[float, ...]
 
 
-def fit_lateral(
+def fit_lateral_chromatic(
     views: Sequence[Sequence[Offsets]], cameras: Sequence[CameraModel], size: tuple[int, int]
-) -> LateralSolution:
+) -> LateralChromaticSolution:
     """Both cameras' lateral colour and the projector's registration from all views.
 
     Args:
@@ -64,17 +64,17 @@ def fit_lateral(
         before.append(_rms(np.concatenate(raw)))
         after.append(_rms(np.concatenate(rest)))
     if all(max(b * b - a * a, 0.0) < SMALLEST_PX**2 for b, a in zip(before, after, strict=True)):
-        return LateralSolution((None,) * n, None, tuple(before), tuple(after))
-    lateral: list[Lateral | None] = []
+        return LateralChromaticSolution((None,) * n, None, tuple(before), tuple(after))
+    lateral_chromatic: list[LateralChromatic | None] = []
     for i, camera in enumerate(cameras):
         red, blue = (ColorDisplacement(s[4 * i : 4 * i + 2], float(s[4 * i + 2]), float(s[4 * i + 3])) for s in solved)
-        model = Lateral(red, blue)
-        lateral.append(model if np.abs(model.at(camera, _corners(camera.size))).max() > SMALLEST_PX else None)
+        model = LateralChromatic(red, blue)
+        lateral_chromatic.append(model if np.abs(model.at(camera, _corners(camera.size))).max() > SMALLEST_PX else None)
     offsets = [ColorOffset(s[4 * n : 4 * n + 2], s[4 * n + 2 :].reshape(2, 2)) for s in solved]
     registration: Registration | None = Registration(*offsets)
     if registration is not None and np.abs(registration.at(size, _corners(size))).max() <= SMALLEST_PX:
         registration = None
-    return LateralSolution(tuple(lateral), registration, tuple(before), tuple(after))
+    return LateralChromaticSolution(tuple(lateral_chromatic), registration, tuple(before), tuple(after))
 
 
 def _corners(size: tuple[int, int]) -> Array:

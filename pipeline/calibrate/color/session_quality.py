@@ -31,7 +31,7 @@ def peak_of(view: View, crosstalk: Array) -> float:
 def additivity_of(view: View, roles: Roles, response: Response, crosstalk: Array) -> float | None:
     """White light over the sum of its colours alone; None when white is clipped. Projectors that add white miss 1."""
     for index, level in roles.white:
-        if view.images.clipped(index, view.area).max() > 0.001:
+        if view.images.saturated(index, view.area).max() > 0.001:
             continue
         white = (view.images.planes(index) - view.black)[view.area].mean(axis=0, dtype=np.float64)
         light = response.light(np.full((1, 3), float(level)))[0] / 255

@@ -19,7 +19,7 @@ from pipeline.calibrate.color.crosstalk import (
     crosstalk_of,
     mix_samples,
 )
-from pipeline.calibrate.color.lateral_chromatic_fit import LateralSolution, fit_lateral
+from pipeline.calibrate.color.lateral_chromatic_fit import LateralChromaticSolution, fit_lateral_chromatic
 from pipeline.calibrate.color.phase_error import error_of
 from pipeline.calibrate.color.session_quality import (
     additivity_of,
@@ -131,15 +131,17 @@ def calibrate_color(
     advice = disagreement_of(curves, len(passes), quality)
     if calibration is not None and set(roles.single) == set(roles.coarse) == {"x", "y"}:
         try:
-            lateral = _lateral(views, models, roles, calibration, response, shown)
+            lateral_chromatic = _lateral_chromatic(views, models, roles, calibration, response, shown)
         except ImageError as problem:
             # The rest is worth having without it.
             quality["lateral_problem"] = str(problem)
             advice.append(f"lateral colour was not measured: {problem}")
         else:
-            models = [replace(m, lateral=one) for m, one in zip(models, lateral.cameras, strict=True)]
-            registration = lateral.registration
-            for side, before, after in zip(SIDES, lateral.before_px, lateral.after_px, strict=True):
+            models = [
+                replace(m, lateral_chromatic=one) for m, one in zip(models, lateral_chromatic.cameras, strict=True)
+            ]
+            registration = lateral_chromatic.registration
+            for side, before, after in zip(SIDES, lateral_chromatic.before_px, lateral_chromatic.after_px, strict=True):
                 quality[side] |= {"lateral_before_px": before, "lateral_after_px": after}
     _check(views, models, sequence, roles, quality)
     balance = {s: np.mean([v.full[v.area].mean(axis=0, dtype=np.float64) for v in seen], axis=0)
@@ -173,10 +175,10 @@ def _camera(
     return ColorModel(black, crosstalk, f"cameras.{side}.color", balance), quality
 
 
-def _lateral(
+def _lateral_chromatic(
     views: Sequence[Sequence[View]], models: Sequence[ColorModel], roles: Roles, calibration: Calibration,
     response: Response, shown: Response | None,
-) -> LateralSolution:  # fmt: skip
+) -> LateralChromaticSolution:  # fmt: skip
     seen: list[list[Offsets]] = [
         [
             measure_offsets(
@@ -187,7 +189,7 @@ def _lateral(
         ]
         for one, model in zip(views, models, strict=True)
     ]  # fmt: skip
-    return fit_lateral(seen, (calibration.left, calibration.right), calibration.projector.size)
+    return fit_lateral_chromatic(seen, (calibration.left, calibration.right), calibration.projector.size)
 
 
 def _check(

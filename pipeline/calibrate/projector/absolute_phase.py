@@ -40,7 +40,7 @@ class Coordinate:
     sigma_px: F64
     amplitude: F64
     mean: F64
-    clipped: Bools
+    saturated: Bools
 
     @property
     def good(self) -> Bools:
@@ -98,11 +98,11 @@ def gray(image: NDArray[Any], encoding: str, *, channels: tuple[int, ...] = (0, 
     elif encoding == "rgb8":
         # Plane by plane: sums along an axis of three are several times slower.
         planes = [image[..., c] for c in channels]
-        total, clipped = planes[0].astype(np.uint16), planes[0] >= _SATURATION
+        total, saturated = planes[0].astype(np.uint16), planes[0] >= _SATURATION
         for one in planes[1:]:
             total += one
-            clipped |= one >= _SATURATION
-        return total / float(len(planes)), np.asarray(clipped)
+            saturated |= one >= _SATURATION
+        return total / float(len(planes)), np.asarray(saturated)
     else:
         plane = image.astype(np.float64)
     return plane, np.asarray(plane >= _SATURATION)
@@ -182,7 +182,7 @@ def _coordinate(
     with np.errstate(invalid="ignore"):
         px[(px < -0.5) | (px > found[-1].length - 0.5)] = np.nan
     sigma = np.where(np.isfinite(px), finest.sigma(noise) * per_radian, np.nan)
-    return Coordinate(px, sigma, finest.amplitude, finest.mean, finest.clipped)
+    return Coordinate(px, sigma, finest.amplitude, finest.mean, finest.saturated)
 
 
 def _set(images: Items[NDArray[Any]], level: Level, encoding: str, channels: tuple[int, ...]) -> WrappedPhase:
@@ -191,4 +191,4 @@ def _set(images: Items[NDArray[Any]], level: Level, encoding: str, channels: tup
         if images[number].shape != shape:
             raise ImageError(f"image {number} is {images[number].shape}, but others are {shape}")
     planes = [gray(images[number], encoding, channels=channels) for number in level.frames]
-    return wrapped_phase([plane for plane, _ in planes], level.shifts, [clipped for _, clipped in planes])
+    return wrapped_phase([plane for plane, _ in planes], level.shifts, [saturated for _, saturated in planes])

@@ -292,11 +292,11 @@ def _why_so_few(count: int, field: _Field, centres: F64) -> str:
     u = np.clip(np.rint(centres[:, 0]).astype(int), 0, width - 1)
     v = np.clip(np.rint(centres[:, 1]).astype(int), 0, height - 1)
     box = np.s_[v.min() : v.max() + 1, u.min() : u.max() + 1]
-    clipped = float((field.x.clipped[box] | field.y.clipped[box]).mean())
+    saturated = float((field.x.saturated[box] | field.y.saturated[box]).mean())
     reason = (
-        f"{count} marks have fringes around them, at least {_FEWEST_MARKS} are needed; {100 * clipped:.0f} % of the "
+        f"{count} marks have fringes around them, at least {_FEWEST_MARKS} are needed; {100 * saturated:.0f} % of the "
     )
     reason += (
         f"board's pixels are saturated and the fringes' median amplitude is {np.median(field.x.amplitude[box]):.1f} "
     )
-    return reason + "counts: " + ("lower the exposure" if clipped > 0.2 else "is the board in the projector's light?")
+    return reason + "counts: " + ("lower the exposure" if saturated > 0.2 else "is the board in the projector's light?")

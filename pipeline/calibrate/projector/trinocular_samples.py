@@ -48,15 +48,15 @@ def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, ev
     """
     part = np.s_[every // 2 :: every, every // 2 :: every]
     order, points = cloud.order[part].astype(np.float64), cloud.xyz[part].astype(np.float64)
-    wrapped, equalised = phases.phase[part].astype(np.float64), phases.phase_eq[part].astype(np.float64)
-    known = np.isfinite(points[..., 2]) & (cloud.order[part] >= 0)
+    wrapped, normalised = phases.phase[part].astype(np.float64), phases.phase_normalised[part].astype(np.float64)
+    valid = np.isfinite(points[..., 2]) & (cloud.order[part] >= 0)
     absolute = wrapped + _TURN * order
-    absolute += np.angle(np.exp(1j * (equalised - wrapped)))
+    absolute += np.angle(np.exp(1j * (normalised - wrapped)))
     column = pattern.column_of(absolute)
     sigma = np.sqrt(phases.variance[part].astype(np.float64)) * pattern.length / (_TURN * pattern.periods)
-    known &= np.isfinite(column) & (sigma > 0)
-    axis = np.full(int(known.sum()), 0 if pattern.axis == "x" else 1)
-    return Samples(points[known], column[known], axis, sigma[known])
+    valid &= np.isfinite(column) & (sigma > 0)
+    axis = np.full(int(valid.sum()), 0 if pattern.axis == "x" else 1)
+    return Samples(points[valid], column[valid], axis, sigma[valid])
 
 
 class PairSampler:
@@ -148,15 +148,15 @@ def _fits(field: F64, u: Ints, v: Ints) -> tuple[F64, F64, NDArray[np.bool_]]:
     inside = (u >= _RADIUS) & (v >= _RADIUS) & (u < columns - _RADIUS) & (v < rows - _RADIUS)
     at_v, at_u = np.where(inside, v, _RADIUS)[:, None] + dv, np.where(inside, u, _RADIUS)[:, None] + du
     values = field[at_v, at_u]
-    known = np.isfinite(values[..., 0])
-    enough = inside & (known.sum(axis=1) >= _FEWEST_NEIGHBOURS)
+    valid = np.isfinite(values[..., 0])
+    enough = inside & (valid.sum(axis=1) >= _FEWEST_NEIGHBOURS)
     design = np.stack([np.ones(len(du)), du, dv], axis=1).astype(np.float64)
-    normal = np.einsum("nk,ki,kj->nij", known.astype(np.float64), design, design)
+    normal = np.einsum("nk,ki,kj->nij", valid.astype(np.float64), design, design)
     normal[~enough] = np.eye(3)
-    right = np.einsum("ki,nkc->nic", design, np.where(known[..., None], values, 0.0))
+    right = np.einsum("ki,nkc->nic", design, np.where(valid[..., None], values, 0.0))
     solution = np.linalg.solve(normal, right)
-    rest = np.where(known[..., None], values - np.einsum("ki,nic->nkc", design, solution), 0.0)
-    rough = np.sqrt((rest**2).sum(axis=1) / np.maximum(known.sum(axis=1), 4)[:, None] * 25 / 22).max(axis=1)
+    rest = np.where(valid[..., None], values - np.einsum("ki,nic->nkc", design, solution), 0.0)
+    rough = np.sqrt((rest**2).sum(axis=1) / np.maximum(valid.sum(axis=1), 4)[:, None] * 25 / 22).max(axis=1)
     return solution[:, 0], np.swapaxes(solution[:, 1:], 1, 2), enough & (rough <= _ROUGHEST_PX)
 
 

@@ -14,8 +14,8 @@ DESIGN_ROWS = 8
 
 
 @serial
-def straighten_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
-    """Phasors (W,) of row y as if no channel were turned; ``table`` and ``step`` of ``ColorTurns``."""
+def correct_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
+    """Phasors (W,) of row y as if no channel were turned; ``table`` and ``step`` of ``ChromaticCorrection``."""
     i = y // step
     g = np.float32((y - i * step) / step)
     f = np.float32(1.0) - g
@@ -27,7 +27,7 @@ def straighten_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
 
 
 @serial
-def straighten_means(table: Any, step: int, y: int, re: Any, im: Any, mean: Any) -> None:
+def correct_means(table: Any, step: int, y: int, re: Any, im: Any, mean: Any) -> None:
     """Means (W,) of row y; before the phasors, which are the unstraightened ones here."""
     i = y // step
     g = np.float32((y - i * step) / step)
@@ -49,7 +49,7 @@ def units_of_row(re: Any, im: Any) -> None:
 
 
 @serial
-def turned_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any) -> None:
+def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any) -> None:
     """Design (a, p, q) of every column's colour about row y, in even and odd rows, out (6, W or more)."""
     last = table.shape[2] - 1
     i = y // step

@@ -8,9 +8,9 @@ import numpy as np
 
 from pipeline.common.jit import parallel, prange, serial
 from pipeline.common.tile_math import TILE
-from pipeline.decode.kernels.chromatic_correction import DESIGN_ROWS, straighten_phasors, turned_design, units_of_row
+from pipeline.decode.kernels.chromatic_correction import DESIGN_ROWS, correct_phasors, corrected_design, units_of_row
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
-from pipeline.decode.kernels.local_normalisation import balance_of_row, equalized_row
+from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
 from pipeline.decode.kernels.mosaic_fit import (
     EIGHTHS,
     MOSAIC_SLOTS,
@@ -25,7 +25,7 @@ from pipeline.decode.kernels.normal_equations import IM, MEAN, RE, VARIANCE, sol
 from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
 from pipeline.decode.kernels.three_step import levels_of_row
 from pipeline.decode.packed_phasor import PHASOR_SCALE
-from pipeline.decode.pixel_descriptor import complete_row, equal_row
+from pipeline.decode.pixel_descriptor import complete_row, normalised_phase_row
 
 BANDS = 12
 
@@ -74,8 +74,8 @@ def _put_back(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any
 def decode_bayer(
     image: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
     nominal: Any, clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any,
-    scale: float, turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any,
-    modulation: Any, valid: Any, clipped: Any,
+    scale: float, chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any, phase: Any,
+    modulation: Any, valid: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`; image (H, W) uint8, mosaic (2, 2) channels.
 
@@ -118,26 +118,26 @@ def decode_bayer(
                                 before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
-                equalized_row(levels, balance, unmix, ideal, re, im)
-                if turn_rows > 0:
-                    straighten_phasors(turns, turn_rows, y, re, im)
-                equal_row(re, im, traits[y])
+                normalised_row(levels, balance, unmix, ideal, re, im)
+                if table_step > 0:
+                    correct_phasors(chromatic, table_step, y, re, im)
+                normalised_phase_row(re, im, descriptors[y])
             k = y % ring
             rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
-            if turn_rows > 0:
-                straighten_phasors(turns, turn_rows, y, units[k, :width], units[ring + k, :width])
+            if table_step > 0:
+                correct_phasors(chromatic, table_step, y, units[k, :width], units[ring + k, :width])
                 units_of_row(units[k, :width], units[ring + k, :width])
             found = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], clip, samples[k],
                                    samples[ring + k])  # fmt: skip
             if low <= y < high:
-                clipped[y] = found
+                saturated[y] = found
                 if y < edge or y >= height - edge:
                     phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                     counts_of_row(plain[k, :width], mean[y])
-                    complete_row(phase[y], valid[y], mean[y], traits[y])
+                    complete_row(phase[y], valid[y], mean[y], descriptors[y])
             i = y - radius
-            if turn_rows > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
-                turned_design(mosaic, rows, turns, turn_rows, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
+            if table_step > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
+                corrected_design(mosaic, rows, chromatic, table_step, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
             if low <= i and edge <= i < height - edge:
                 p, q, r = (i - 1) % ring, i % ring, (i + 1) % ring
                 for o in range(edge, width - edge, TILE):
@@ -163,4 +163,4 @@ def decode_bayer(
                 counts_of_row(plain[q, :width], mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, w, smallest, modulation[i], valid[i])
-                complete_row(phase[i], valid[i], mean[i], traits[i])
+                complete_row(phase[i], valid[i], mean[i], descriptors[i])

@@ -12,15 +12,15 @@ import numpy as np
 
 from pipeline.common.jit import parallel, prange, serial
 from pipeline.common.tile_math import TILE
-from pipeline.decode.kernels.chromatic_correction import straighten_means, straighten_phasors, units_of_row
+from pipeline.decode.kernels.chromatic_correction import correct_means, correct_phasors, units_of_row
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
-from pipeline.decode.kernels.local_normalisation import balance_of_row, equalized_row
+from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
 from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, describe_row, row_stride
-from pipeline.decode.kernels.saturated_fit import CLIPPED_SLOTS, clipped_of_row, fit_clipped, plain_mean
+from pipeline.decode.kernels.saturated_fit import SATURATED_SLOTS, fit_saturated, plain_mean, saturated_of_row
 from pipeline.decode.kernels.three_step import levels_of_row, pointwise_row
 from pipeline.decode.kernels.window_fit import fold, fold_far
 from pipeline.decode.packed_phasor import PHASOR_SCALE
-from pipeline.decode.pixel_descriptor import complete_row, equal_row
+from pipeline.decode.pixel_descriptor import complete_row, normalised_phase_row
 
 BANDS = 12
 
@@ -42,8 +42,8 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
 def decode_rgb(
     image: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
     clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any, scale: float,
-    turns: Any, turn_rows: int, phasor: Any, traits: Any, mean: Any, variance: Any, phase: Any, modulation: Any,
-    valid: Any, clipped: Any,
+    chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any, phase: Any,
+    modulation: Any, valid: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`.
 
@@ -52,12 +52,12 @@ def decode_rgb(
         rows: (3, 3) design of the channels; solve: its inverse; unmix: (3, 3) inverse crosstalk; ideal: (3, 3) inverse
             of the design without crosstalk; all float32.
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
-        clip: counts from which a sample is clipped; floor, gain: noise model; smallest: least modulation, counts.
+        clip: counts from which a sample is saturated; floor, gain: noise model; smallest: least modulation, counts.
         along, over, drops, scale: of :class:`pipeline.decode.kernels.local_mean.BoxMean`.
-        turns, turn_rows: table and step of :class:`pipeline.decode.chromatic_phase.ColorTurns`.
-        phasor: (H, W) int32, packed; traits: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`;
+        chromatic, table_step: table and step of :class:`pipeline.decode.chromatic_phase.ChromaticCorrection`.
+        phasor: (H, W) int32, packed; descriptors: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`;
         variance, phase: (H, W) float32; mean, modulation: (H, W) uint8;
-        valid: (H, W) bool; clipped: (H,) int32, number of pixels with a clipped sample.
+        valid: (H, W) bool; saturated: (H,) int32, number of pixels with a saturated sample.
     """
     height, width = mean.shape
     reach = max(radius, 1)
@@ -76,7 +76,7 @@ def decode_rgb(
         shorts = np.zeros((5, 2 * wide), np.uint16)
         padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
         work, means = shorts[2:4], shorts[4, : 3 * width]
-        tile, columns = np.zeros(CLIPPED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
+        tile, columns = np.zeros(SATURATED_SLOTS * TILE, np.float32), np.empty(width + 1, np.int32)
         start = shared_row(low)
         middle_row, entered = start - 1, start - over
         for y in range(max(low - reach, 0), min(high + reach, height)):
@@ -92,19 +92,19 @@ def decode_rgb(
                                 before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
-                equalized_row(levels, balance, unmix, ideal, w, c)
-                if turn_rows > 0:
-                    straighten_phasors(turns, turn_rows, y, w, c)
-                equal_row(w, c, traits[y])
+                normalised_row(levels, balance, unmix, ideal, w, c)
+                if table_step > 0:
+                    correct_phasors(chromatic, table_step, y, w, c)
+                normalised_phase_row(w, c, descriptors[y])
             k = y % ring
             ur, ui = unit[k, :width], unit[ring + k, :width]
             found = pointwise_row(levels, black, solve, clip, floor, gain, ur, ui, w, c, s, a, v)
             if low <= y < high:
-                clipped[y] = found
-            if turn_rows > 0:
-                straighten_means(turns, turn_rows, y, c, s, a)
-                straighten_phasors(turns, turn_rows, y, c, s)
-                straighten_phasors(turns, turn_rows, y, ur, ui)
+                saturated[y] = found
+            if table_step > 0:
+                correct_means(chromatic, table_step, y, c, s, a)
+                correct_phasors(chromatic, table_step, y, c, s)
+                correct_phasors(chromatic, table_step, y, ur, ui)
                 units_of_row(ur, ui)
             o = reach
             fold(ur[o - 1 : o - 1 + n], ui[o - 1 : o - 1 + n], ur[o : o + n], ui[o : o + n],
@@ -139,13 +139,13 @@ def decode_rgb(
                              sums[g], sums[ring + g], sums[2 * ring + g], sums[3 * ring + g], sums[4 * ring + g],
                              nominal[2], nominal[3], weights[2], w, c, s, a, v)  # fmt: skip
                 quotients_of_row(w, c, s, a, v, re, im, average, variance[i])
-                if clipped[i] > 0:
-                    found = clipped_of_row(image[i], clip, reach, width - reach, columns)
+                if saturated[i] > 0:
+                    found = saturated_of_row(image[i], clip, reach, width - reach, columns)
                     for j in columns[:found]:
                         average[j] = plain_mean(image[i], j, black, solve)
                     units = (unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r])
                     for j in range(0, found, TILE):
-                        fit_clipped(image, i, columns[j : min(j + TILE, found)], radius, nominal, weights, rows,
+                        fit_saturated(image, i, columns[j : min(j + TILE, found)], radius, nominal, weights, rows,
                                     black, clip, floor, gain, units, tile, re, im, average, variance[i])  # fmt: skip
                 for j in range(reach):
                     for x in (j, width - 1 - j):
@@ -154,10 +154,10 @@ def decode_rgb(
                 counts_of_row(average, mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
                 describe_row(re, im, variance[i], smallest, modulation[i], valid[i])
-                complete_row(phase[i], valid[i], mean[i], traits[i])
+                complete_row(phase[i], valid[i], mean[i], descriptors[i])
             if low <= y < high and (y < reach or y >= height - reach):
                 phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                 for x in range(width):
                     average[x] = plain_mean(image[y], x, black, solve)
                 counts_of_row(average, mean[y])
-                complete_row(phase[y], valid[y], mean[y], traits[y])
+                complete_row(phase[y], valid[y], mean[y], descriptors[y])

@@ -1,4 +1,4 @@
-"""The equalised phase: each channel divided by its own local mean over about one fringe period.
+"""The normalised phase: each channel divided by its own local mean over about one fringe period.
 
 A coloured surface answers the three fringes unequally, which bends the pointwise phase (half a radian on a coloured
 head). Dividing each channel by its mean over one period takes that away; it serves the choice of the fringe order,
@@ -41,7 +41,7 @@ def balance_of_row(means: Any, scale: float, black: Any, unmix: Any, out: Any) -
 
 
 @serial
-def equalized_row(levels: Any, balance: Any, unmix: Any, solve: Any, re: Any, im: Any) -> None:
+def normalised_row(levels: Any, balance: Any, unmix: Any, solve: Any, re: Any, im: Any) -> None:
     """Phasor of the balanced channels, about unit size for full modulation.
 
     Args:

@@ -77,15 +77,15 @@ def rough_units(levels: Any, solution: Any, re: Any, im: Any, mean: Any) -> None
 
 @serial
 def samples_of_row(raw: Any, even: float, odd: float, clip: float, level: Any, usable: Any) -> int:
-    """Counts above black of raw (W,) uint8, and 1 where not clipped, else 0; even, odd: black. Returns the clipped."""
+    """Counts above black (``even``, ``odd``) of raw (W,) uint8, and 0 where saturated, else 1; returns how many are."""
     one, zero = np.float32(1.0), np.float32(0.0)
-    clipped = zero
+    saturated = zero
     for j in range(raw.shape[0]):
         x = np.float32(raw[j])
         fine = one if x < clip else zero
         level[j], usable[j] = x - (odd if j & 1 else even), fine
-        clipped += one - fine
-    return int(clipped)
+        saturated += one - fine
+    return int(saturated)
 
 
 @serial

@@ -1,6 +1,6 @@
-"""Pixels of a three-chip image with a clipped sample: the window fit from the samples that are left.
+"""Pixels of a three-chip image with a saturated sample: the window fit from the samples that are left.
 
-The clipped pixels of a row are gathered into tiles, fitted by the full normal equations and put back.
+The saturated pixels of a row are gathered into tiles, fitted by the full normal equations and put back.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _UNITS = SLOTS  # unit phasors of the pixel and its neighbours left, right, abov
 _STEP_X, _STEP_Y = _UNITS + 10, _UNITS + 12  # phasors of the phase's steps
 _TURN = _UNITS + 14
 _RAW = _UNITS + 16
-CLIPPED_SLOTS = _UNITS + 17
+SATURATED_SLOTS = _UNITS + 17
 
 
 @serial
-def clipped_of_row(raw: Any, clip: float, low: int, high: int, found: Any) -> int:
-    """Columns of [low, high) with a clipped sample into ``found``, and their number; raw (3 W,) colours interleaved."""
+def saturated_of_row(raw: Any, clip: float, low: int, high: int, found: Any) -> int:
+    """Columns of [low, high) with a saturated sample into ``found``; returns how many; raw (3 W,) is interleaved."""
     n = 0
     for j in range(low, high):
         found[n] = j
@@ -80,7 +80,7 @@ def _steps(tile: Any, nominal: Any) -> None:
 def _add_channel(
     tile: Any, design: Any, channel: int, dark: float, clip: float, weight: float, floor: float, gain: float
 ) -> None:
-    """Add one sample of every pixel, design (3, 3); a clipped one weighs nothing."""
+    """Add one sample of every pixel, design (3, 3); a saturated one weighs nothing."""
     a, p, q, zero = design[channel, 0], design[channel, 1], design[channel, 2], np.float32(0.0)
     for j in range(TILE):
         raw, c, s = tile[_RAW * TILE + j], tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j]
@@ -90,7 +90,7 @@ def _add_channel(
 
 
 @serial
-def fit_clipped(
+def fit_saturated(
     image: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, design: Any, black: Any, clip: float,
     floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any, variance: Any,
 ) -> None:  # fmt: skip

@@ -35,14 +35,14 @@ def pointwise_row(
     Args:
         levels: (3, W or more) float32 counts above black; black: (3,) float32 counts.
         solve: (3, 3) float32, levels -> (A, C, S).
-        clip: counts from which a sample is clipped.
+        clip: counts from which a sample is saturated.
         floor, gain: noise model, counts^2 and counts^2 per count.
         unit_re, unit_im: result, (W,) float32, the phasor of size 1.
-        usable: result, 1 where no sample is clipped, else 0; where 0, so are the following:
+        usable: result, 1 where no sample is saturated, else 0; where 0, so are the following:
         re, im, mean, tangential: results, C, S, A and the variance of the tangential part of the phasor, counts^2.
 
     Returns:
-        Number of pixels with a clipped sample.
+        Number of pixels with a saturated sample.
     """
     n = re.shape[0]
     zero, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
@@ -51,7 +51,7 @@ def pointwise_row(
     s0, s1, s2 = solve[2, 0], solve[2, 1], solve[2, 2]
     top0, top1, top2 = clip - black[0], clip - black[1], clip - black[2]
     row_x, row_y, row_z = levels[0, :n], levels[1, :n], levels[2, :n]
-    clipped = zero
+    saturated = zero
     for j in range(n):
         x, y, z = row_x[j], row_y[j], row_z[j]
         c, s = c0 * x + c1 * y + c2 * z, s0 * x + s1 * y + s2 * z
@@ -65,5 +65,5 @@ def pointwise_row(
         re[j], im[j] = fine * c, fine * s
         mean[j] = fine * max(a0 * x + a1 * y + a2 * z, zero)
         tangential[j] = fine * (floor * (square0 + square1 + square2) + gain * shot)
-        clipped += one - fine
-    return int(clipped)
+        saturated += one - fine
+    return int(saturated)

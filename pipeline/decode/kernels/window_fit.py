@@ -3,7 +3,7 @@
 Within the window the phase is a plane. A neighbour one pixel to the right is one step of the phase ahead: turned back
 by the phasor of that step it says the same as the centre, and the weighted mean of all has less noise without blurring
 the fringes. Gaussian weights and the turning separate: first along the rows, then across them, centre by centre.
-Neighbours whose phase does not continue the plane (another surface), and clipped ones, weigh nothing.
+Neighbours whose phase does not continue the plane (another surface), and saturated ones, weigh nothing.
 """
 
 from __future__ import annotations

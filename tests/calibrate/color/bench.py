@@ -8,7 +8,7 @@ from pipeline.decode.raw_image import BAYER
 from pipeline.pattern.sequence import Uniform
 from pipeline.rig.calibration import Calibration, Response
 from pipeline.rig.camera_model import CameraModel
-from pipeline.rig.lateral_chromatic import Lateral, Registration
+from pipeline.rig.lateral_chromatic import LateralChromatic, Registration
 
 CAMERA, PROJECTOR = (208, 160), (256, 200)
 MIX = np.eye(3) + 0.12 * np.array(
@@ -43,7 +43,7 @@ class Bench:
     ambient: float = 5.0
     noise: float = 1.0
     marks: bool = False
-    lateral: Lateral | None = None
+    lateral_chromatic: LateralChromatic | None = None
     registration: Registration | None = None
     encoding: str = "rgb8"
 
@@ -63,7 +63,11 @@ class Bench:
         v, u = np.mgrid[0 : CAMERA[1], 0 : CAMERA[0]].astype(float)
         pixels = np.stack([u, v], axis=-1)
         camera = (rig().left, rig().right)[side]
-        away = np.zeros((3, *pixels.shape)) if self.lateral is None else self.lateral.at(camera, pixels)
+        away = (
+            np.zeros((3, *pixels.shape))
+            if self.lateral_chromatic is None
+            else self.lateral_chromatic.at(camera, pixels)
+        )
         drive = frame.image(shown)
         out = np.empty((*pixels.shape[:2], 3))
         for k in range(3):

@@ -28,7 +28,7 @@ def test_every_frame_has_its_role_also_after_a_way_through_a_file():
 
 
 def test_without_lateral_colour_there_are_fringes_in_x_only():
-    roles = roles_of(color_sequence(SIZE, levels=5, lateral=False))
+    roles = roles_of(color_sequence(SIZE, levels=5, lateral_chromatic=False))
     assert set(roles.single) == {"x"}
     assert not roles.coarse
 

@@ -23,7 +23,7 @@ def shoot(sequence, seed, response=None):
 
 @pytest.mark.slow
 def test_a_session_takes_crosstalk_and_gamma_out_of_the_phase():
-    sequence = color_sequence(LAYOUT.projector_size, lateral=False)
+    sequence = color_sequence(LAYOUT.projector_size, lateral_chromatic=False)
     found = calibrate_color(shoot(sequence, 0), sequence)
     for model, true in zip((found.left, found.right), OPTICS.true_crosstalk(), strict=True):
         assert np.abs(model.crosstalk - true).max() < 0.01

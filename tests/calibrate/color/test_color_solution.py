@@ -10,11 +10,11 @@ from pipeline.calibrate.color.crosstalk import black_from_marks
 from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration, from_mapping, to_mapping
-from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, Lateral, Registration
+from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, LateralChromatic, Registration
 from tests.calibrate.color.bench import CAMERA, MIX, PROJECTOR, Bench, projected, rig
 
 PATTERN = ColorFringe(PROJECTOR, 20)
-LATERAL = Lateral(
+LATERAL_CHROMATIC = LateralChromatic(
     ColorDisplacement(np.array([0.05, -0.02]), -1.2e-3, 0.01), ColorDisplacement(np.array([-0.03, 0.03]), 1.5e-3, 0.0)
 )
 REGISTRATION = Registration(
@@ -56,7 +56,7 @@ def test_marks_in_view_do_not_matter_and_tell_the_black_level():
 
 
 def test_covered_lenses_tell_the_black_level():
-    bench, sequence = Bench(), color_sequence(PROJECTOR, levels=5, lateral=False)
+    bench, sequence = Bench(), color_sequence(PROJECTOR, levels=5, lateral_chromatic=False)
     dark = [tuple(bench.image(sequence.frames[0], side, 77, cap=True) for side in (0, 1))]
     found = calibrate_color(bench.shoot(sequence), sequence, dark=dark)
     assert found.quality["right"]["black_from"] == "lens cap"
@@ -79,7 +79,7 @@ def test_black_from_marks_asks_for_marks():
 
 
 def test_fringes_that_were_predistorted_tell_the_same():
-    bench, plain = solved(lateral=LATERAL, registration=REGISTRATION)
+    bench, plain = solved(lateral_chromatic=LATERAL_CHROMATIC, registration=REGISTRATION)
     sequence = color_sequence(PROJECTOR)
     frames = bench.shoot(sequence, seed=2, shown=plain.response)
     again = calibrate_color(frames, sequence, calibration=rig(), shown=plain.response)
@@ -115,38 +115,42 @@ def test_unequal_gains_are_corrected_too():
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
 def test_red_and_blue_are_found_where_they_are(encoding):
     """The sum of what camera and projector do is what matters, and what the images tell."""
-    _, found = solved(lateral=LATERAL, registration=REGISTRATION, encoding=encoding)
+    _, found = solved(lateral_chromatic=LATERAL_CHROMATIC, registration=REGISTRATION, encoding=encoding)
     v, u = np.mgrid[8 : CAMERA[1] : 16, 8 : CAMERA[0] : 16].astype(float)
     pixels = np.stack([u, v], axis=-1)
     for side, (camera, model) in enumerate(zip((rig().left, rig().right), (found.left, found.right), strict=True)):
         for k in (0, 2):
-            true = place(pixels, LATERAL, REGISTRATION, camera, side, k)
-            mine = place(pixels, model.lateral, found.registration, camera, side, k)
+            true = place(pixels, LATERAL_CHROMATIC, REGISTRATION, camera, side, k)
+            mine = place(pixels, model.lateral_chromatic, found.registration, camera, side, k)
             assert np.sqrt(((true - mine) ** 2).sum(axis=-1).mean()) < 0.025
     quality = found.quality["left"]
     assert quality["lateral_before_px"] > 0.25
     assert quality["lateral_after_px"] < quality["lateral_before_px"] / 4
 
 
-def place(pixels, lateral, registration, camera, side, k):
-    at = projected(pixels - lateral.at(camera, pixels)[k], side)
+def place(pixels, lateral_chromatic, registration, camera, side, k):
+    at = projected(pixels - lateral_chromatic.at(camera, pixels)[k], side)
     return at - registration.at(PROJECTOR, at)[k]
 
 
 def test_a_rig_without_lateral_colour_gets_none():
     _, found = solved()
-    assert found.left.lateral is None
-    assert found.right.lateral is None
+    assert found.left.lateral_chromatic is None
+    assert found.right.lateral_chromatic is None
     assert found.registration is None
 
 
 def test_without_a_calibration_lateral_colour_is_left_alone():
-    bench, sequence = Bench(lateral=LATERAL), color_sequence(PROJECTOR, levels=5)
-    assert calibrate_color(bench.shoot(sequence), sequence).left.lateral is None
+    bench, sequence = Bench(lateral_chromatic=LATERAL_CHROMATIC), color_sequence(PROJECTOR, levels=5)
+    assert calibrate_color(bench.shoot(sequence), sequence).left.lateral_chromatic is None
 
 
 def test_cameras_that_see_different_light_are_told():
-    bench, other, sequence = Bench(), Bench(gamma=(2.0, 2.2, 2.2)), color_sequence(PROJECTOR, levels=5, lateral=False)
+    bench, other, sequence = (
+        Bench(),
+        Bench(gamma=(2.0, 2.2, 2.2)),
+        color_sequence(PROJECTOR, levels=5, lateral_chromatic=False),
+    )
     mixed = [(a[0], b[1]) for a, b in zip(bench.shoot(sequence), other.shoot(sequence), strict=True)]
     assert any(
         "whole number of the projector's colour cycles" in line for line in calibrate_color(mixed, sequence).advice
@@ -158,42 +162,42 @@ def test_where_lateral_colour_cannot_be_measured_the_rest_still_is():
     dark = [tuple(np.where(np.arange(CAMERA[0])[:, None] < 28, p, 4).astype(np.uint8) for p in pair)
             for pair in bench.shoot(sequence)]  # fmt: skip
     found = calibrate_color(dark, sequence, calibration=rig())
-    assert found.left.lateral is None
+    assert found.left.lateral_chromatic is None
     assert "fill the image" in found.quality["lateral_problem"]
     assert np.abs(found.left.crosstalk - MIX[0]).max() < 0.01
 
 
 def test_several_passes_are_averaged_and_may_show_the_board_elsewhere():
-    bench, sequence = Bench(noise=3.0), color_sequence(PROJECTOR, levels=5, lateral=False)
+    bench, sequence = Bench(noise=3.0), color_sequence(PROJECTOR, levels=5, lateral_chromatic=False)
     once = calibrate_color(bench.shoot(sequence), sequence)
     more = calibrate_color([p for seed in range(3) for p in bench.shoot(sequence, seed=seed)], sequence)
     assert more.quality["left"]["crosstalk_sigma"] < once.quality["left"]["crosstalk_sigma"]
 
 
 def test_what_was_found_goes_through_a_calibration_file():
-    _, found = solved(lateral=LATERAL, registration=REGISTRATION)
+    _, found = solved(lateral_chromatic=LATERAL_CHROMATIC, registration=REGISTRATION)
     calibration = found.applied(rig())
     again = from_mapping(to_mapping(calibration))
     assert isinstance(again, Calibration)
     assert np.allclose(again.left_color.balance, found.left.balance)
-    assert again.left_color.lateral.as_mapping() == found.left.lateral.as_mapping()
+    assert again.left_color.lateral_chromatic.as_mapping() == found.left.lateral_chromatic.as_mapping()
     assert again.registration.as_mapping() == found.registration.as_mapping()
     assert np.array_equal(again.response.curves, found.response.curves)
 
 
 def sequence_and_images(**options):
-    sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
+    sequence = color_sequence(PROJECTOR, levels=5, lateral_chromatic=False)
     return sequence, Bench(**options).shoot(sequence)
 
 
 def test_clipped_images_are_refused_with_camera_frame_and_colour():
-    sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
+    sequence = color_sequence(PROJECTOR, levels=5, lateral_chromatic=False)
     with pytest.raises(ImageError, match=r"left camera, frame \d+ \(even light 255 0 0\).* in red .*shorten"):
         calibrate_color(Bench().shoot(sequence, exposure=1.8), sequence)
 
 
 def test_dark_images_are_refused():
-    sequence = color_sequence(PROJECTOR, levels=5, lateral=False)
+    sequence = color_sequence(PROJECTOR, levels=5, lateral_chromatic=False)
     with pytest.raises(ImageError, match=r"left camera: full red light gives .* lengthen the exposure"):
         calibrate_color(Bench().shoot(sequence, exposure=0.1), sequence)
 

@@ -189,9 +189,9 @@ def test_saturated_and_dark_pixels_are_unknown() -> None:
     got = coordinate(bright, SEQUENCE, "y", encoding="mono8")
     assert got.good[[0, 1, 4, 5]].all()
     assert not got.good[[3]].any()
-    clipped = np.stack([p[2] >= 254 for p in bright[-6:]]).any(axis=0)
-    assert clipped.any()
-    assert not got.good[2, clipped].any()
+    saturated = np.stack([p[2] >= 254 for p in bright[-6:]]).any(axis=0)
+    assert saturated.any()
+    assert not got.good[2, saturated].any()
 
 
 def test_a_scene_without_fringes_comes_of_the_same_images() -> None:

@@ -96,7 +96,7 @@ def test_a_camera_without_fringes_is_told_of_and_the_other_one_serves() -> None:
     assert "projector's light" in got.failed["left"]
     with pytest.raises(TargetError, match=r"left: .* amplitude is 1\.0 counts"):
         projector_marks(CIRCLES, {"left": Seen(both["left"].marks, dark, dark)})
-    bright = replace(dark, clipped=np.ones(nothing.shape, np.bool_))
+    bright = replace(dark, saturated=np.ones(nothing.shape, np.bool_))
     with pytest.raises(TargetError, match="lower the exposure"):
         projector_marks(CIRCLES, {"left": Seen(both["left"].marks, bright, bright)})
     with pytest.raises(TargetError, match="3 marks found"):

@@ -67,8 +67,8 @@ def test_a_board_that_was_lit_by_a_sequence_brings_a_knocked_projector_back(view
     rig = LAYOUT.calibration()
     samples = samples_of_phases(rig, _phases(view, 0, 7), _phases(view, 1, 7), every=3)
     assert spread(rig.projector, samples).systematic_px < 0.005
-    knock = {"cx": 0.5, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
-    got = refine_projector(Calibration(rig.left, rig.right, moved(rig.projector, knock)), samples)
+    disturbance = {"cx": 0.5, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
+    got = refine_projector(Calibration(rig.left, rig.right, moved(rig.projector, disturbance)), samples)
     assert got.before.systematic_px > 0.3
     assert got.after.systematic_px < 0.005
     assert got.better

@@ -22,7 +22,7 @@ from pipeline.rig.camera_model import CameraModel
 from sim.rig.layout import RigLayout
 
 RIG = RigLayout().calibration()
-KNOCK = {"cx": 0.5, "rotation_y": np.deg2rad(0.01), "rotation_x": -np.deg2rad(0.01), "focal": 1e-4}
+DISTURBANCE = {"cx": 0.5, "rotation_y": np.deg2rad(0.01), "rotation_x": -np.deg2rad(0.01), "focal": 1e-4}
 NOISE_PX = 0.06
 
 
@@ -37,7 +37,7 @@ def _samples(n: int, *, axes: tuple[int, ...] = (0,), noise_px: float = NOISE_PX
     return Samples(points, true + noise_px * rng.standard_normal(n), axis, np.full(n, noise_px))
 
 
-def _knocked(changes: dict[str, float]) -> Calibration:
+def _disturbed(changes: dict[str, float]) -> Calibration:
     return Calibration(RIG.left, RIG.right, moved(RIG.projector, changes))
 
 
@@ -55,7 +55,7 @@ def test_the_true_projector_leaves_no_residual() -> None:
 
 def test_a_knocked_projector_is_brought_back_to_the_noise() -> None:
     samples = _samples(6000)
-    got = refine_projector(_knocked(KNOCK), samples)
+    got = refine_projector(_disturbed(DISTURBANCE), samples)
     assert got.before.systematic_px > 0.3
     assert got.after.systematic_px < 0.01
     assert got.after_px == pytest.approx(NOISE_PX, rel=0.05)
@@ -66,7 +66,7 @@ def test_a_knocked_projector_is_brought_back_to_the_noise() -> None:
 
 
 def test_the_cameras_and_colours_stay_as_they_are() -> None:
-    before = _knocked(KNOCK)
+    before = _disturbed(DISTURBANCE)
     after = refine_projector(before, _samples(2000)).calibration
     assert after.left is before.left
     assert after.right is before.right
@@ -75,12 +75,12 @@ def test_the_cameras_and_colours_stay_as_they_are() -> None:
 
 def test_what_the_samples_do_not_support_stays_where_it_was() -> None:
     # Columns alone say little of turns about the projector's own horizontal axis or of its rows.
-    got = refine_projector(_knocked({"cx": 0.5}), _samples(4000))
+    got = refine_projector(_disturbed({"cx": 0.5}), _samples(4000))
     assert abs(got.changes["cy"]) < 0.2
     assert got.sigma["cy"] > 0.5 * DEFAULT_PRIOR["cy"]
     assert "cy" not in got.changed
     assert "cy" not in got.supported
-    both = refine_projector(_knocked({"cx": 0.5, "cy": -0.6}), _samples(4000, axes=(0, 1)))
+    both = refine_projector(_disturbed({"cx": 0.5, "cy": -0.6}), _samples(4000, axes=(0, 1)))
     rows = both.calibration.projector.project(_samples(500).points) - RIG.projector.project(_samples(500).points)
     assert np.abs(rows).max() < 0.02
 
@@ -95,11 +95,11 @@ def test_nothing_is_changed_where_nothing_is_wrong() -> None:
 def test_the_scatter_of_the_changes_is_the_one_that_is_told() -> None:
     ratios = []
     for seed in range(12):
-        got = refine_projector(_knocked(KNOCK), _samples(1500, seed=seed))
+        got = refine_projector(_disturbed(DISTURBANCE), _samples(1500, seed=seed))
         prior = np.array(list(got.prior.values()))
         # The mixtures of parameters that columns know best, in units of the prior.
         variance, mixtures = np.linalg.eigh(got.covariance / np.outer(prior, prior))
-        error = np.array([value + KNOCK.get(name, 0.0) for name, value in got.changes.items()]) / prior
+        error = np.array([value + DISTURBANCE.get(name, 0.0) for name, value in got.changes.items()]) / prior
         ratios.append((mixtures.T @ error)[:2] / np.sqrt(variance[:2]))
     assert 0.7 < np.std(ratios) < 1.4
 
@@ -108,7 +108,7 @@ def test_wrong_orders_and_edges_do_no_harm() -> None:
     samples = _samples(6000)
     rng = np.random.default_rng(8)
     wild = samples.observed + np.where(rng.random(6000) < 0.1, 13.3 * rng.integers(-1, 2, 6000), 0.0)
-    got = refine_projector(_knocked(KNOCK), Samples(samples.points, wild, samples.axis, samples.sigma_px))
+    got = refine_projector(_disturbed(DISTURBANCE), Samples(samples.points, wild, samples.axis, samples.sigma_px))
     assert _error_px(got.calibration.projector, samples) < 0.01
     assert got.after.wrong == pytest.approx(0.067, abs=0.03)
 
@@ -117,12 +117,12 @@ def test_unknown_points_are_passed_over() -> None:
     samples = _samples(3000)
     points = samples.points.copy()
     points[::7] = np.nan
-    got = refine_projector(_knocked(KNOCK), Samples(points, samples.observed, samples.axis, samples.sigma_px))
+    got = refine_projector(_disturbed(DISTURBANCE), Samples(points, samples.observed, samples.axis, samples.sigma_px))
     assert got.after.systematic_px < 0.015
 
 
 def test_a_lens_is_refined_only_when_asked() -> None:
-    bent = _knocked({"k1": 0.02})
+    bent = _disturbed({"k1": 0.02})
     samples = joined(_samples(8000, axes=(0, 1)), _samples(4000, axes=(0, 1), seed=2))
     stiff = refine_projector(bent, samples)
     free = refine_projector(bent, samples, prior={**DEFAULT_PRIOR, **LENS_PRIOR})
@@ -144,7 +144,7 @@ def test_doubtful_grounds_are_refused_in_words() -> None:
         refine_projector(RIG, _samples(200))
     samples = _samples(2000)
     with pytest.raises(CalibrationError, match="calibrate again"):
-        refine_projector(_knocked({"cx": 30.0}), samples)
+        refine_projector(_disturbed({"cx": 30.0}), samples)
     middle = np.hypot(samples.points[:, 0], samples.points[:, 1]) < 25
     crowd = joined(*[samples.some(middle)] * 40)
     with pytest.raises(CalibrationError, match="larger surface"):

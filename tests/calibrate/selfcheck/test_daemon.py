@@ -95,12 +95,12 @@ def test_a_knock_is_reported_within_five_seconds_and_so_is_its_end(
             trigger()
         status = service.status()
         assert status.selfcheck["verdict"] == "ok" and not status.reasons, status.selfcheck
-        knocks: list[tuple[str, dict[str, Any], str]] = [
+        disturbances: list[tuple[str, dict[str, Any], str]] = [
             ("right", {"turn_deg": (0.0, 0.01, 0.0)}, "trinocular residual"),
             ("left", {"shift_px": (0.0, 0.2)}, "epipolar residual"),
             ("right", {"crosstalk": 0.03}, "crosstalk of the right camera"),
         ]
-        for side, change, words in knocks:
+        for side, change, words in disturbances:
             made.trigger.disturb(side, **change)
             until(service, trigger, _told(words))
             back = {k: tuple(-x for x in v) if isinstance(v, tuple) else -v for k, v in change.items()}

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.selfcheck import Rig
 from pipeline.common.errors import ImageError
-from pipeline.monitor.observe import Observation, Observer, Reading, rehearse
+from pipeline.monitor.observe import Observation, Observer, Reading, warm_up
 from pipeline.reconstruct.cloud import Cloud
 from sim.rig.disturbance import Disturbance
 
@@ -23,9 +23,9 @@ def rig(scene: str = "moving", encoding: str = "rgb8") -> Rig:
     return Rig(SCALE, scene=scene, encoding=encoding, patches=400, instants=2)
 
 
-def read(made: Rig, *knocks: Disturbance) -> dict[str, Reading]:
+def read(made: Rig, *disturbances: Disturbance) -> dict[str, Reading]:
     """Mean of two pairs."""
-    seen: list[Observation] = list(islice(made.look(made.scene(*knocks)), 2))
+    seen: list[Observation] = list(islice(made.look(made.scene(*disturbances)), 2))
     names = set.intersection(*(set(one.readings) for one in seen))
     return {
         name: Reading(
@@ -41,8 +41,8 @@ def still() -> dict[str, Reading]:
     return read(rig())
 
 
-def changes(*knocks: Disturbance) -> dict[str, float]:
-    after = read(rig(), *knocks)
+def changes(*disturbances: Disturbance) -> dict[str, float]:
+    after = read(rig(), *disturbances)
     return {name: after[name].value - still()[name].value for name in after}
 
 
@@ -115,4 +115,4 @@ def test_no_surface_gives_no_reading() -> None:
 
 
 def test_the_kernel_can_be_compiled_beforehand() -> None:
-    rehearse()
+    warm_up()

@@ -30,8 +30,8 @@ def rig() -> Rig:
     return Rig(SCALE, instants=3)
 
 
-def pairs(rig: Rig, *knocks: Disturbance) -> list[Pair]:
-    scene = rig.scene(*knocks)
+def pairs(rig: Rig, *disturbances: Disturbance) -> list[Pair]:
+    scene = rig.scene(*disturbances)
     return [scene.pair(index) for index in islice(range(100), 6)]  # type: ignore[misc]
 
 

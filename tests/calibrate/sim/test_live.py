@@ -223,12 +223,12 @@ def test_a_turn_keeps_the_place_and_a_shift_keeps_the_pose():
     assert back.right.rotation == pytest.approx(rig.right.rotation, abs=1e-12)
 
 
-KNOCK = [{"at": 2, "side": "right", "turn_deg": [0, 0.3, 0]}, {"at": 4, "side": "left", "shift_px": [1, 0]}]
+DISTURBANCE = [{"at": 2, "side": "right", "turn_deg": [0, 0.3, 0]}, {"at": 4, "side": "left", "shift_px": [1, 0]}]
 
 
 def test_scripted_disturbances_come_at_their_triggers_live_and_in_a_loop(opened, tmp_path):
-    live = opened({**OPTIONS, "disturb": KNOCK[::-1]})
-    loop = opened({**OPTIONS, "live": False, "frames": 2, "disturb": KNOCK, "cache_dir": str(tmp_path)})
+    live = opened({**OPTIONS, "disturb": DISTURBANCE[::-1]})
+    loop = opened({**OPTIONS, "live": False, "frames": 2, "disturb": DISTURBANCE, "cache_dir": str(tmp_path)})
     image = live.options.layout.pattern().image()
     shots = [[shot(rig, image) for _ in range(6)] for rig in (live, loop)]
     for from_live, from_loop in zip(*shots, strict=True):
@@ -248,14 +248,16 @@ def test_the_loop_before_a_disturbance_is_the_undisturbed_one(tmp_path):
     plain = from_mapping({**OPTIONS, "live": False, "frames": 2, "cache_dir": str(tmp_path)})
     loops.load_or_render(plain)
     (kept,) = tmp_path.iterdir()
-    knocked = from_mapping({**OPTIONS, "live": False, "frames": 2, "cache_dir": str(tmp_path), "disturb": KNOCK[:1]})
-    both = loops.loops_of(knocked)
+    disturbed = from_mapping(
+        {**OPTIONS, "live": False, "frames": 2, "cache_dir": str(tmp_path), "disturb": DISTURBANCE[:1]}
+    )
+    both = loops.loops_of(disturbed)
     assert len(list(tmp_path.iterdir())) == 2
     assert kept.exists()
     assert np.array_equal(both.pair(1)[0], loops.load_or_render(plain).pair(1)[0])
     # The same knock at another trigger needs no other loop.
     later = from_mapping({**OPTIONS, "live": False, "frames": 2, "cache_dir": str(tmp_path),
-                          "disturb": [{**KNOCK[0], "at": 50}]})  # fmt: skip
+                          "disturb": [{**DISTURBANCE[0], "at": 50}]})  # fmt: skip
     assert np.array_equal(loops.loops_of(later).pair(50)[1], both.pair(2)[1])
     assert len(list(tmp_path.iterdir())) == 2
 

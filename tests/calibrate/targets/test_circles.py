@@ -152,9 +152,9 @@ def test_other_types_and_colour_give_the_same_marks(tilted):
     colour = np.stack([image] * 3, axis=2)
     for other in (image.astype(np.uint16) * 256, image.astype(np.float32) / 255, colour):
         assert np.abs(find_marks(other, DEFAULT_BOARD).marks.pixels - marks.pixels).max() < 0.003
-    clipped = colour.copy()
-    clipped[..., 0] = np.clip(3.0 * image, 0, 255).astype(np.uint8)
-    found = find_marks(clipped, DEFAULT_BOARD)
+    saturated = colour.copy()
+    saturated[..., 0] = np.clip(3.0 * image, 0, 255).astype(np.uint8)
+    found = find_marks(saturated, DEFAULT_BOARD)
     assert np.abs(found.marks.pixels - marks.pixels).max() < 0.003
     assert 0.05 < found.saturated < 0.34
     assert np.abs(find_marks(colour, DEFAULT_BOARD, channel=2).marks.pixels - marks.pixels).max() < 1e-6

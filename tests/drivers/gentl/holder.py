@@ -23,9 +23,9 @@ def main(producer: str, serial: str) -> None:
         sys.stdout.write("armed\n")
         sys.stdout.flush()
         while not select.select([sys.stdin], [], [], 0)[0]:
-            shot = host.shot(0.02)
-            if shot is not None:
-                told = {"frame_id": shot.frame_id, "timestamp": shot.timestamp, "first": shot.bytes[0]}
+            capture = host.capture(0.02)
+            if capture is not None:
+                told = {"frame_id": capture.frame_id, "timestamp": capture.timestamp, "first": capture.bytes[0]}
                 sys.stdout.write(json.dumps(told) + "\n")
                 sys.stdout.flush()
 

@@ -18,14 +18,14 @@ try:
 except ImportError as error:
     missing(f"harvesters and genicam cannot be imported: {error}")
 
-__all__ = ["AccessException", "Harvester", "Host", "IoException", "ResourceInUseException", "Shot", "opened"]
+__all__ = ["AccessException", "Capture", "Harvester", "Host", "IoException", "ResourceInUseException", "opened"]
 
 WAIT_S = 20.0
 CHUNKS = "Timestamp", "FrameID", "ExposureTime", "TriggersMissed"
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class Capture:
     """A frame with what came beside it."""
 
     frame_id: int
@@ -91,7 +91,7 @@ class Host:
         """Stop the acquisition."""
         self._acquirer.stop()
 
-    def shot(self, timeout_s: float = WAIT_S) -> Shot | None:
+    def capture(self, timeout_s: float = WAIT_S) -> Capture | None:
         """The next frame, None if none came."""
         deadline = time.monotonic() + timeout_s
         while True:
@@ -103,7 +103,7 @@ class Host:
         with buffer:
             module = buffer.module
             has_chunks = module.is_containing_chunk_data()
-            return Shot(
+            return Capture(
                 module.frame_id,
                 module.timestamp,
                 memoryview(module.raw_buffer)[: module.size_filled].tobytes(),  # "bytes" that change when queued again
@@ -112,15 +112,15 @@ class Host:
                 {name: getattr(self.nodes, f"Chunk{name}").value for name in CHUNKS} if has_chunks else {},
             )
 
-    def shots(self, count: int) -> list[Shot]:
+    def captures(self, count: int) -> list[Capture]:
         """So many frames."""
-        got = [self.shot() for _ in range(count)]
+        got = [self.capture() for _ in range(count)]
         assert None not in got, f"{got.index(None)} of {count} frames came"
-        return [shot for shot in got if shot is not None]
+        return [capture for capture in got if capture is not None]
 
     def nothing_comes(self) -> bool:
         """No frame waits; to be asked once the cable is idle."""
-        return self.shot(0) is None
+        return self.capture(0) is None
 
     def close(self) -> None:
         """Let go; of a camera that is gone only the second try succeeds."""

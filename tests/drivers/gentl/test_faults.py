@@ -55,7 +55,7 @@ def test_frames_lost_on_the_cable_leave_a_gap_in_their_numbers(producer: Path, c
         pulses(camera, 1)
         camera.drop(2)
         pulses(camera, 4)
-        assert [shot.frame_id for shot in host.shots(3)] == [0, 3, 4]
+        assert [capture.frame_id for capture in host.captures(3)] == [0, 3, 4]
         assert (camera.state().dropped, camera.state().delivered, host.get("FramesSent")) == (2, 3, 5)
 
 
@@ -65,7 +65,7 @@ def test_truncated_frames_are_handed_over_as_incomplete(producer: Path, cable: C
         armed(host)
         camera.truncate()
         pulses(camera, 2)
-        assert [shot.frame_id for shot in host.shots(1)] == [1]
+        assert [capture.frame_id for capture in host.captures(1)] == [1]
         assert host.incomplete == camera.state().truncated == 1
 
 
@@ -79,11 +79,11 @@ def test_stalled_frames_come_late_in_order_until_the_cameras_memory_is_full(prod
         exposed(camera, 11)
         assert host.nothing_comes()
         camera.stall(0)
-        assert [shot.frame_id for shot in host.shots(8)] == list(range(8))
+        assert [capture.frame_id for capture in host.captures(8)] == list(range(8))
         assert camera.wait_idle(WAIT_S)
         assert camera.state().overrun == 3
         pulses(camera, 1)
-        assert host.shots(1)[0].frame_id == 11
+        assert host.captures(1)[0].frame_id == 11
 
 
 def test_without_a_queued_buffer_frames_are_lost_and_counted(producer: Path, cable: Cables) -> None:
@@ -91,7 +91,7 @@ def test_without_a_queued_buffer_frames_are_lost_and_counted(producer: Path, cab
     with opened(producer, "CAM0") as (host,):
         armed(host, buffers=3)
         pulses(camera, 5)
-        assert [shot.frame_id for shot in host.shots(3)] == [0, 1, 2]
+        assert [capture.frame_id for capture in host.captures(3)] == [0, 1, 2]
         assert (camera.state().no_buffer, host.stream.StreamLostFrameCount.value) == (2, 2)
 
 
@@ -118,7 +118,7 @@ def test_an_unplugged_camera_answers_nothing_and_leaves_the_list(producer: Path,
         assert not camera.pulse()
         assert host.nothing_comes()
         pulses(other, 1)
-        assert len(neighbour.shots(1)) == 1
+        assert len(neighbour.captures(1)) == 1
         camera.plug()
         with pytest.raises(IoException):
             host.get("DeviceTemperature")  # it is another connection now
@@ -134,15 +134,15 @@ def test_after_plugging_in_the_clock_starts_anew_and_frames_come_again(producer:
     with opened(producer, "CAM0") as (host,):
         armed(host)
         pulses(camera, 3)
-        assert host.shots(3)[0].timestamp >= 10**18
+        assert host.captures(3)[0].timestamp >= 10**18
         camera.unplug()
         camera.plug()
         host.close()
     with opened(producer, "CAM0") as (host,):
         armed(host)
         pulses(camera, 1)
-        (shot,) = host.shots(1)
-        assert (shot.frame_id, shot.timestamp < 10**15) == (0, True)
+        (capture,) = host.captures(1)
+        assert (capture.frame_id, capture.timestamp < 10**15) == (0, True)
 
 
 def test_a_closed_cable_is_a_camera_that_is_gone_for_good(producer: Path, directory: Path) -> None:
@@ -158,7 +158,7 @@ def test_a_closed_cable_is_a_camera_that_is_gone_for_good(producer: Path, direct
     with new, opened(producer, "NEW") as (host,):
         armed(host)
         pulses(new, 1)
-        assert len(host.shots(1)) == 1
+        assert len(host.captures(1)) == 1
 
 
 @pytest.mark.parametrize(

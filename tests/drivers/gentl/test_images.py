@@ -15,26 +15,26 @@ from sim.gentl.cable import Cable
 from sim.gentl.features import PIXEL_FORMATS
 from sim.gentl.memory import SLOTS
 from tests.drivers.gentl.conftest import HEIGHT, WIDTH
-from tests.drivers.gentl.host import WAIT_S, AccessException, Host, Shot, opened
+from tests.drivers.gentl.host import WAIT_S, AccessException, Capture, Host, opened
 
 Cables = Callable[..., Cable]
 Samples = NDArray[np.uint16]
 CHANNELS = {"R": 0, "G": 1, "B": 2}
 
 
-def one_shot(host: Host, camera: Cable) -> Shot:
+def one_capture(host: Host, camera: Cable) -> Capture:
     """A frame of what is shown."""
     assert camera.pulse()
     assert camera.wait_idle(WAIT_S)
-    return host.shots(1)[0]
+    return host.captures(1)[0]
 
 
-def decoded(name: str, shot: Shot) -> Samples:
+def decoded(name: str, capture: Capture) -> Samples:
     """Samples of a frame, by the Pixel Format Naming Convention."""
-    width, height = shot.size
+    width, height = capture.size
     depth = int(re.sub(r"\D", "", name))
     count = width * height * (3 if name == "RGB8" else 1)
-    raw = np.frombuffer(shot.bytes, np.uint8)
+    raw = np.frombuffer(capture.bytes, np.uint8)
     if name.endswith("p"):
         bits = np.unpackbits(raw, bitorder="little")[: count * depth].reshape(count, depth)
         values = (bits.astype(np.uint16) << np.arange(depth, dtype=np.uint16)).sum(axis=1).astype(np.uint16)
@@ -82,7 +82,7 @@ def test_each_format_decodes_to_the_image_shown_and_others_are_refused(
             for light in image, image.astype(np.uint16) * 257 ^ 0x5A:
                 camera.show(light)
                 wide = light.astype(np.uint16) << 8 if light.dtype == np.uint8 else light
-                np.testing.assert_array_equal(decoded(name, one_shot(host, camera)), expected(name, wide), name)
+                np.testing.assert_array_equal(decoded(name, one_capture(host, camera)), expected(name, wide), name)
             host.stop()
         for name in sorted(set(PIXEL_FORMATS) - offered):
             with pytest.raises(AccessException, match="PixelFormat"):
@@ -98,7 +98,7 @@ def test_grey_light_is_the_same_through_every_filter(producer: Path, cable: Cabl
         for name in "Mono8", "BayerRG8":
             host.set(PixelFormat=name)
             host.start()
-            assert one_shot(host, camera).bytes == grey.tobytes()
+            assert one_capture(host, camera).bytes == grey.tobytes()
             host.stop()
 
 
@@ -114,10 +114,10 @@ def test_a_region_is_the_crop_of_the_whole(
         host.trigger_on()
         host.set(PixelFormat=name, Width=width, Height=height, OffsetX=x, OffsetY=y)
         host.start()
-        shot = one_shot(host, camera)
-        assert (shot.size, shot.offset) == ((width, height), (x, y))
+        capture = one_capture(host, camera)
+        assert (capture.size, capture.offset) == ((width, height), (x, y))
         whole = expected(name, image.astype(np.uint16) << 8)
-        np.testing.assert_array_equal(decoded(name, shot), whole[y : y + height, x : x + width])
+        np.testing.assert_array_equal(decoded(name, capture), whole[y : y + height, x : x + width])
 
 
 def test_regions_beyond_the_sensor_are_refused(producer: Path, cable: Cables) -> None:
@@ -146,9 +146,9 @@ def test_chunks_tell_what_they_are_named_for(producer: Path, cable: Cables) -> N
             assert camera.wait_idle(WAIT_S)
             if k == 1:
                 continue  # missed
-            (shot,) = host.shots(1)
-            wanted = {"Timestamp": camera.device_ns(t_ns + later), "FrameID": shot.frame_id, "ExposureTime": 4321.5}
-            assert shot.chunks == wanted | {"TriggersMissed": int(k > 0)}
+            (capture,) = host.captures(1)
+            wanted = {"Timestamp": camera.device_ns(t_ns + later), "FrameID": capture.frame_id, "ExposureTime": 4321.5}
+            assert capture.chunks == wanted | {"TriggersMissed": int(k > 0)}
 
 
 def test_only_enabled_chunks_come(producer: Path, cable: Cables, image: NDArray[np.uint8]) -> None:
@@ -178,7 +178,7 @@ def test_a_pulse_exposes_the_image_that_was_shown_when_it_was_given(producer: Pa
                 camera.show(np.full((HEIGHT, WIDTH), 4 * round_ + k, np.uint8))
                 assert camera.pulse(time.monotonic_ns() + k * 3_000_000)
             assert camera.wait_idle(WAIT_S)
-        assert [shot.bytes[0] for shot in host.shots(30)] == [4 * r + k for r in range(10) for k in range(3)]
+        assert [capture.bytes[0] for capture in host.captures(30)] == [4 * r + k for r in range(10) for k in range(3)]
         assert camera.state().overtaken == 0
 
 
@@ -195,9 +195,9 @@ def test_an_image_that_was_slept_through_is_lost_and_never_another_in_its_place(
         assert camera.wait_idle(WAIT_S)
         assert camera.pulse()
         assert camera.wait_idle(WAIT_S)
-        (shot,) = host.shots(1)
+        (capture,) = host.captures(1)
         state = camera.state()
-        assert (shot.bytes[0], state.exposed, state.delivered, state.overtaken) == (SLOTS - 1, 2, 1, 1)
+        assert (capture.bytes[0], state.exposed, state.delivered, state.overtaken) == (SLOTS - 1, 2, 1, 1)
 
 
 def test_no_image_is_torn_however_fast_they_change(producer: Path, cable: Cables) -> None:
@@ -211,8 +211,8 @@ def test_no_image_is_torn_however_fast_they_change(producer: Path, cable: Cables
         while camera.state().delivered < taken + 30:
             for k in range(20):
                 camera.show(np.full((256, 256), k, np.uint8))
-            shot = host.shots(1)[0]
-            assert shot.bytes == shot.bytes[:1] * len(shot.bytes)
+            capture = host.captures(1)[0]
+            assert capture.bytes == capture.bytes[:1] * len(capture.bytes)
 
 
 def test_gain_black_level_and_gamma_change_the_values(producer: Path, cable: Cables) -> None:
@@ -226,7 +226,7 @@ def test_gain_black_level_and_gamma_change_the_values(producer: Path, cable: Cab
 
         def seen(**settings: object) -> NDArray[np.float64]:
             host.set(**settings)
-            return np.frombuffer(one_shot(host, camera).bytes, np.uint8).astype(np.float64)
+            return np.frombuffer(one_capture(host, camera).bytes, np.uint8).astype(np.float64)
 
         light = ramp.ravel().astype(np.float64)
         np.testing.assert_array_equal(seen(), light)
@@ -249,10 +249,10 @@ def test_automatics_change_the_image_until_they_are_off(
         host.set(PixelFormat="RGB8")
         host.start()
         exposure_us = host.get("ExposureTime")
-        assert one_shot(host, camera).bytes != dim.tobytes()
+        assert one_capture(host, camera).bytes != dim.tobytes()
         assert host.get("ExposureTime") != exposure_us
         assert host.get("Gain") > 6
         host.set(ExposureAuto="Off", GainAuto="Off", BalanceWhiteAuto="Off", GammaEnable=False, Gain=0.0)
         for name in "Red", "Green", "Blue":
             host.set(BalanceRatioSelector=name, BalanceRatio=1.0)
-        assert one_shot(host, camera).bytes == dim.tobytes()
+        assert one_capture(host, camera).bytes == dim.tobytes()

@@ -126,7 +126,7 @@ def test_a_killed_process_leaves_the_camera_free_and_at_rest(
         host.start()
         assert camera.state().armed, "its settings are still there"
         assert camera.pulse()
-        assert host.shots(1)[0].frame_id == 0
+        assert host.captures(1)[0].frame_id == 0
 
 
 def test_a_plug_pulled_while_another_process_holds_the_camera_frees_it(
@@ -147,4 +147,4 @@ def test_a_plug_pulled_while_another_process_holds_the_camera_frees_it(
         one.end()  # of the connection that is long dead
         assert camera.state().open_by == os.getpid()
         assert camera.pulse()
-        assert host.shots(1)[0].frame_id == 0
+        assert host.captures(1)[0].frame_id == 0

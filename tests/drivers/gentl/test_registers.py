@@ -131,7 +131,7 @@ def test_drift_shows_in_the_timestamps(producer: Path, cable: Cables) -> None:
         for later in (0, 10**9):
             assert camera.pulse(t_ns + later)
             assert camera.wait_idle(WAIT_S)
-        first, second = (shot.timestamp for shot in host.shots(2))
+        first, second = (capture.timestamp for capture in host.captures(2))
         assert abs(second - first - 1_000_100_000) <= 1
 
 
@@ -149,8 +149,8 @@ def test_the_old_model_has_the_old_names_and_a_clock_in_ticks(producer: Path, ca
         host.start()
         t_ns = time.monotonic_ns()
         assert camera.pulse(t_ns)
-        (shot,) = host.shots(1)
-        assert (shot.frame_id, shot.timestamp) == (1, camera.device_ns(t_ns) // 8)
+        (capture,) = host.captures(1)
+        assert (capture.frame_id, capture.timestamp) == (1, camera.device_ns(t_ns) // 8)
 
 
 def test_the_old_models_frame_numbers_have_16_bits_and_no_zero(producer: Path, cable: Cables) -> None:
@@ -163,7 +163,7 @@ def test_the_old_models_frame_numbers_have_16_bits_and_no_zero(producer: Path, c
             assert camera.pulse()
             if number in (65535, 65536, 65537):
                 assert camera.wait_idle(WAIT_S)
-                assert host.shots(1)[0].frame_id == (number if number < 65536 else number - 65535)
+                assert host.captures(1)[0].frame_id == (number if number < 65536 else number - 65535)
         assert camera.state().delivered == 65537
 
 
@@ -186,7 +186,7 @@ def test_the_stream_keeps_the_frames_that_it_was_told_to(
         for _ in range(7):
             assert camera.pulse()
             assert camera.wait_idle(WAIT_S)
-        assert [shot.frame_id for shot in host.shots(len(kept))] == kept
+        assert [capture.frame_id for capture in host.captures(len(kept))] == kept
         assert host.nothing_comes()
         assert getattr(camera.state(), state[0]) == state[1]
         lost = host.stream.StreamLostFrameCount.value

@@ -58,8 +58,8 @@ def test_every_pulse_is_a_frame_or_counted_with_its_reason(producer: Path, cable
             free_ns = t_ns + 3 * MS
             if fault == "none":
                 wanted.append((frame_id, camera.device_ns(t_ns)))
-                shot = host.shots(1)[0]
-                assert (shot.frame_id, shot.timestamp) == wanted[-1]
+                capture = host.captures(1)[0]
+                assert (capture.frame_id, capture.timestamp) == wanted[-1]
             incomplete += fault == "truncate"
             frame_id += 1
             assert fault == "none" or host.nothing_comes()
@@ -81,9 +81,9 @@ def test_a_frame_leaves_after_exposure_and_readout_and_bears_the_time_of_its_pul
         host.start()
         t_ns = time.monotonic_ns()
         assert camera.pulse(t_ns)
-        (shot,) = host.shots(1)
+        (capture,) = host.captures(1)
         assert time.monotonic_ns() - t_ns >= 25 * MS
-        assert shot.timestamp == camera.device_ns(t_ns)
+        assert capture.timestamp == camera.device_ns(t_ns)
 
 
 def test_pulses_during_the_exposure_are_missed_and_counted(producer: Path, cable: Cables) -> None:
@@ -95,8 +95,8 @@ def test_pulses_during_the_exposure_are_missed_and_counted(producer: Path, cable
         t_ns = time.monotonic_ns()
         for later in (0, 1, 49, 50):
             assert camera.pulse(t_ns + later * MS)
-        shots = host.shots(2)
-        assert [shot.timestamp for shot in shots] == [camera.device_ns(t_ns), camera.device_ns(t_ns + 50 * MS)]
+        captures = host.captures(2)
+        assert [capture.timestamp for capture in captures] == [camera.device_ns(t_ns), camera.device_ns(t_ns + 50 * MS)]
         assert camera.wait_idle(WAIT_S)
         assert camera.state().missed == host.get("TriggersMissed") == 2
 
@@ -109,9 +109,9 @@ def test_a_pulse_may_be_given_ahead_of_its_time(producer: Path, cable: Cables) -
         host.start()
         t_ns = time.monotonic_ns() + 100 * MS
         assert camera.pulse(t_ns)
-        (shot,) = host.shots(1)
+        (capture,) = host.captures(1)
         assert time.monotonic_ns() >= t_ns
-        assert shot.timestamp == camera.device_ns(t_ns)
+        assert capture.timestamp == camera.device_ns(t_ns)
 
 
 def test_pulses_of_the_future_are_limited(producer: Path, cable: Cables) -> None:
@@ -137,7 +137,7 @@ def test_the_frame_rate_limit_eats_pulses(producer: Path, cable: Cables) -> None
         t_ns = time.monotonic_ns()
         for k in range(4):
             pulsed(camera, t_ns=t_ns + k * 20 * MS)
-        assert len(host.shots(2)) == 2
+        assert len(host.captures(2)) == 2
         assert (camera.state().exposed, camera.state().missed) == (2, 2)
 
 
@@ -176,7 +176,7 @@ def test_the_time_of_exposure_is_the_edge_that_was_asked_for_and_its_delay(produ
         host.start()
         t_ns = time.monotonic_ns()
         pulsed(camera, t_ns=t_ns, width_ns=70_000)
-        assert host.shots(1)[0].timestamp == camera.device_ns(t_ns + 70_000 + 250_000)
+        assert host.captures(1)[0].timestamp == camera.device_ns(t_ns + 70_000 + 250_000)
 
 
 def test_both_edges_give_a_frame_each(producer: Path, cable: Cables) -> None:
@@ -187,7 +187,7 @@ def test_both_edges_give_a_frame_each(producer: Path, cable: Cables) -> None:
         host.start()
         t_ns = time.monotonic_ns()
         pulsed(camera, t_ns=t_ns, width_ns=8 * MS)
-        assert [s.timestamp for s in host.shots(2)] == [camera.device_ns(t_ns), camera.device_ns(t_ns + 8 * MS)]
+        assert [s.timestamp for s in host.captures(2)] == [camera.device_ns(t_ns), camera.device_ns(t_ns + 8 * MS)]
 
 
 def test_exposure_by_the_width_of_the_pulse(producer: Path, cable: Cables) -> None:
@@ -198,7 +198,7 @@ def test_exposure_by_the_width_of_the_pulse(producer: Path, cable: Cables) -> No
         host.chunks_on()
         host.start()
         pulsed(camera, width_ns=1_234_000)
-        assert host.shots(1)[0].chunks["ExposureTime"] == 1234.0
+        assert host.captures(1)[0].chunks["ExposureTime"] == 1234.0
 
 
 def test_another_trigger_left_on_blocks_the_frames_until_it_comes(producer: Path, cable: Cables) -> None:
@@ -228,7 +228,7 @@ def test_a_burst_trigger_alone_gives_so_many_frames(producer: Path, cable: Cable
         host.start()
         for burst in range(2):
             pulsed(camera)
-            assert [shot.frame_id for shot in host.shots(3)] == [3 * burst + k for k in range(3)]
+            assert [capture.frame_id for capture in host.captures(3)] == [3 * burst + k for k in range(3)]
             assert camera.wait_idle(WAIT_S)
             assert host.nothing_comes()
         assert camera.state().granted == 2
@@ -246,7 +246,7 @@ def test_software_triggers_work_with_each_selector(producer: Path, cable: Cables
         host.nodes.TriggerSoftware.execute()
         host.set(TriggerSelector="FrameStart")
         host.nodes.TriggerSoftware.execute()
-        assert len(host.shots(1)) == 1
+        assert len(host.captures(1)) == 1
         state = camera.state()
         assert (state.ignored, state.granted, state.exposed) == (1, 1, 1)
 
@@ -270,10 +270,10 @@ def test_a_camera_without_triggers_runs_free(producer: Path, cable: Cables, imag
     with opened(producer, "CAM0") as (host,):
         host.set(ExposureTime=1000.0, PixelFormat="RGB8", AcquisitionFrameRateEnable=True, AcquisitionFrameRate=200.0)
         host.start()
-        shots = host.shots(5)
-        assert [shot.frame_id for shot in shots] == list(range(5))
-        assert all(shot.bytes == image.tobytes() for shot in shots)
-        gaps_ns = np.diff([shot.timestamp for shot in shots])
+        captures = host.captures(5)
+        assert [capture.frame_id for capture in captures] == list(range(5))
+        assert all(capture.bytes == image.tobytes() for capture in captures)
+        gaps_ns = np.diff([capture.timestamp for capture in captures])
         assert gaps_ns.min() >= 5 * MS
 
 

@@ -31,8 +31,8 @@ def test_a_scene_at_rest_is_measured(mode, encoding):
 @pytest.mark.parametrize("mode", ["heterodyne", "gray"])
 def test_errors_are_what_sigma_says(mode):
     cloud, true = made(mode).reconstruct(*taken(mode, scene="plane")), truth("plane").xyz
-    known = np.isfinite(cloud.sigma_mm)
-    error = np.linalg.norm(cloud.xyz - true, axis=-1)[known] / cloud.sigma_mm[known]
+    valid = np.isfinite(cloud.sigma_mm)
+    error = np.linalg.norm(cloud.xyz - true, axis=-1)[valid] / cloud.sigma_mm[valid]
     assert 0.5 < np.median(np.abs(error)) / 0.6745 < 1.6
 
 
@@ -50,11 +50,11 @@ def test_what_moves_is_unknown_rather_than_wrong(mode, speed_m_s):
 
 def test_two_colours_measure_with_images_of_one_instant():
     cloud = made("two_color").reconstruct(*in_motion("two_color", 0.1))
-    known = np.isfinite(cloud.xyz[..., 2])
-    assert known.mean() > 0.8
+    valid = np.isfinite(cloud.xyz[..., 2])
+    assert valid.mean() > 0.8
     # The plane passes the place of the one at rest at the begin of the first exposure of 8 ms.
     still = made("two_color").reconstruct(*taken("two_color", scene="plane"))
-    away = (cloud.xyz - still.xyz)[..., 2][known & np.isfinite(still.xyz[..., 2])]
+    away = (cloud.xyz - still.xyz)[..., 2][valid & np.isfinite(still.xyz[..., 2])]
     assert abs(np.median(away) - 0.4) < 0.25
 
 

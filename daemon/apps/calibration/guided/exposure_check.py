@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daemon.apps.calibration.guided.capture import Shots
-from pipeline.calibrate.color.color_planes import CLIPPED, LEAST_PEAK, MOST_CLIPPED, WHITE_SHARE, planes_of
+from pipeline.calibrate.color.color_planes import LEAST_PEAK, MAX_SATURATED_SHARE, SATURATION, WHITE_SHARE, planes_of
 from pipeline.pattern.sequence import CHANNELS, Sequence, Uniform
 
 
@@ -26,8 +26,8 @@ def exposure_problem(shots: Shots) -> str:
                 return (
                     f"{side} camera: full {name} light gives {top:.0f} counts; expose for longer, or open the aperture"
                 )
-            share = float((plane[plane > WHITE_SHARE * top] >= CLIPPED).mean())
-            if share > MOST_CLIPPED:
+            share = float((plane[plane > WHITE_SHARE * top] >= SATURATION).mean())
+            if share > MAX_SATURATED_SHARE:
                 return (
                     f"{side} camera: {share:.0%} of the white are clipped under full {name} light; expose for less "
                     "time, close the aperture, or hold the board further away"

@@ -38,11 +38,11 @@ class Light:
 
 
 def _named(side: str, seen: Lighting) -> dict[str, float]:
-    out = {f"saturated_{side}": max(seen.clipped)}
+    out = {f"saturated_{side}": max(seen.saturated)}
     known = [value for value in seen.amplitude if not math.isnan(value)]
     out[f"modulation_{side}"] = min(known) if known else math.nan
-    if len(seen.clipped) == len(CHANNELS):
-        out |= {f"saturated_{side}_{c}": value for c, value in zip(CHANNELS, seen.clipped, strict=True)}
+    if len(seen.saturated) == len(CHANNELS):
+        out |= {f"saturated_{side}_{c}": value for c, value in zip(CHANNELS, seen.saturated, strict=True)}
         out |= {f"modulation_{side}_{c}": value for c, value in zip(CHANNELS, seen.amplitude, strict=True)}
     return out
 

@@ -12,7 +12,7 @@ from pipeline.common.errors import TargetError
 
 Grey = NDArray[np.float32]
 
-_MOST_CLIPPED = 0.002
+_MAX_SATURATED_SHARE = 0.002
 _LEAST_SIDE, _MOST_SIDE = 16, 16384
 
 
@@ -62,15 +62,15 @@ def to_grey(image: NDArray[Any], *, channel: int | None = None) -> GrayImage:
     if not colour:
         values = np.ascontiguousarray(image, dtype=np.float32)
         return GrayImage(values, top, float((image >= top).mean()))
-    clipped = np.array([(image[..., k] >= top).mean() for k in range(3)])
-    used = [channel] if channel is not None else [k for k in range(3) if clipped[k] <= _MOST_CLIPPED]
+    saturated = np.array([(image[..., k] >= top).mean() for k in range(3)])
+    used = [channel] if channel is not None else [k for k in range(3) if saturated[k] <= _MAX_SATURATED_SHARE]
     if not used:
-        used = [k for k in range(3) if clipped[k] <= 1.1 * clipped.min()]
+        used = [k for k in range(3) if saturated[k] <= 1.1 * saturated.min()]
     values = image[..., used[0]].astype(np.float32)
     for k in used[1:]:
         values += image[..., k]
     values /= len(used)
-    return GrayImage(values, top, float(clipped.mean()))
+    return GrayImage(values, top, float(saturated.mean()))
 
 
 def image_noise(values: Grey) -> float:
