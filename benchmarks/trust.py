@@ -65,10 +65,10 @@ def by_case(cases: Sequence[Case], seeds: int) -> tuple[list[Table], dict[str, A
 
 
 def _of_seed(case: Case, seed: int) -> PointErrors:
-    shot = rendered.shot(case, seed)
-    cloud = case.reconstructor().reconstruct(shot.left, shot.right)
+    pair = rendered.stored_pair(case, seed)
+    cloud = case.reconstructor().reconstruct(pair.left, pair.right)
     volume = case.layout.volume()
-    return point_errors(cloud.xyz, cloud.sigma_mm, shot.truth_left, (volume.near_mm, volume.far_mm))
+    return point_errors(cloud.xyz, cloud.sigma_mm, pair.truth_left, (volume.near_mm, volume.far_mm))
 
 
 def _mean(found: Sequence[PointErrors]) -> PointErrors:
