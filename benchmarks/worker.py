@@ -22,9 +22,9 @@ import numpy as np
 
 from daemon.cli.allocator import SPIN_COUNT
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 _LIMIT_S = 600
 

@@ -19,8 +19,8 @@ from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Camera, Projector, Side
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 Progress = Callable[[int, int], None]
 

@@ -12,7 +12,7 @@ from pipeline.common.errors import PatternError, PipelineError
 from pipeline.pattern.color_fringe import ColorFringe, from_mapping
 from pipeline.pattern.sequence import Sequence
 from pipeline.pattern.sequence import from_mapping as sequence_from_mapping
-from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.volume import Volume
 
 PATTERN_LIMIT = 4 << 20
 VOLUME_LIMIT = 1 << 16

@@ -21,9 +21,9 @@ from pipeline.common.errors import CalibrationError
 from pipeline.monitor.explain import DEVICES, GEOMETRY, Turn, clear, explain, turned
 from pipeline.monitor.observe import Observer, Patches, Reading
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 Pixels = NDArray[np.uint8]
 Pair = tuple[Pixels, Pixels]

@@ -15,9 +15,9 @@ from pipeline.fringe_order import order_propagation
 from pipeline.geometry.ray_tables import DepthScale, RayTable, packed, period_in_image, ray_table
 from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration, ColorModel
 from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.volume import Volume
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

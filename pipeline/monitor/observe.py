@@ -18,8 +18,9 @@ from pipeline.monitor.lock_in import LIGHT
 from pipeline.monitor.patches import SHAPE, measure_patches
 from pipeline.monitor.robust import fit, means
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 F64 = NDArray[np.float64]
 

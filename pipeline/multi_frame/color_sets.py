@@ -19,9 +19,10 @@ from pipeline.common.stopwatch import Stopwatch
 from pipeline.multi_frame import temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
 from pipeline.multi_frame.order_agreement import agreed
-from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 WORST_DEVIATION = np.float32(0.6)
 """Largest deviation of the second phase from what the first lets expect, radians; a period off gives 1.26."""

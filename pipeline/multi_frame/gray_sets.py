@@ -20,10 +20,11 @@ from pipeline.multi_frame.phase_smoothing import CORRELATION
 from pipeline.multi_frame.set_decoder import SetDecoder, SetPhase, windowed
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
-from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.orders_to_cloud import SurfaceStage
 from pipeline.reconstruct.reconstructor import volume_of_right
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 _TURN = 2 * np.pi
 _COARSE = 4

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.geometry.ray_tables import DepthScale, ray_table
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.volume import Volume
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -19,8 +19,9 @@ from pipeline.multi_frame.gray_sets import GreySets
 from pipeline.multi_frame.image_roles import plan_of
 from pipeline.multi_frame.set_decoder import ENCODINGS
 from pipeline.pattern.sequence import Sequence
-from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 
 class SetReconstructor:

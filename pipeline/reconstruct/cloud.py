@@ -8,20 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True)
-class Volume:
-    """Measuring volume along the left camera's z axis, mm."""
-
-    near_mm: float
-    far_mm: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.near_mm < self.far_mm < float("inf"):
-            from pipeline.common.errors import PipelineError
-
-            raise PipelineError(f"volume {self.near_mm} .. {self.far_mm} mm: need 0 < near_mm < far_mm")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
     """A metric point cloud, organised on the left camera's raw pixel grid.

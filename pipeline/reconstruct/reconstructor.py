@@ -20,9 +20,10 @@ from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.view_tables import View
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
-from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.orders_to_cloud import SurfaceStage
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 MAX_LABELS = 64
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration, ColorModel, Response
 from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.volume import Volume
 from sim.rig.optics import Optics
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from daemon.monitoring.health.quantities import NAMES
 from daemon.monitoring.health.sink import Health
 from daemon.rig.open_rig import Rig
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.volume import Volume
 from tests.daemon.rigs import wait_until
 from tests.health.made import Clock, cloud, frame, pair, status
 from tests.stream.clouds import calibration

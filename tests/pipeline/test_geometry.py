@@ -9,9 +9,9 @@ from pipeline.common.errors import CalibrationError
 from pipeline.common.jit import project
 from pipeline.geometry.ray_tables import DepthScale, packed, ray_table
 from pipeline.geometry.triangulate import triangulate
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration, ColorModel, from_mapping, to_mapping
 from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.volume import Volume
 from tests.pipeline.rigs import camera, points, rig, rotation
 
 

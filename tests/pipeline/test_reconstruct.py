@@ -9,10 +9,10 @@ from pipeline.common.errors import CalibrationError, ImageError, PipelineError
 from pipeline.common.settings import LIMITS, Settings
 from pipeline.geometry.triangulate import triangulate
 from pipeline.pattern.color_fringe import modulated_profile
-from pipeline.reconstruct.cloud import Volume
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
+from pipeline.rig.volume import Volume
 from sim.evaluate.score import score
 from sim.render.render_pair import render_counts, render_pair, with_noise
 from sim.rig.layout import RigLayout

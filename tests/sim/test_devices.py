@@ -10,8 +10,8 @@ import pytest
 from drivers.errors import DriverError, SettingRefused
 from drivers.protocols import SIDES, Camera, Projector
 from pipeline.pattern import color_fringe
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig import calibration
+from pipeline.rig.volume import Volume
 from sim.devices.clock import SteppedClock
 from sim.devices.open_rig import open_rig
 

@@ -10,7 +10,7 @@ import zmq
 
 from daemon.rig.open_rig import Rig
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.volume import Volume
 from tests.daemon import rigs
 from tests.stream import clouds
 

@@ -18,8 +18,8 @@ from daemon.rig.open_rig import Rig
 from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Side
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 
 def read_again(rig: Rig, config: RigConfig, base_dir: Path, *, names: Collection[str] = FILES) -> Rig:

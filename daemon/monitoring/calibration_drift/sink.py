@@ -29,8 +29,8 @@ from pipeline.common.errors import PipelineError
 from pipeline.monitor.explain import GEOMETRY, clear, explain
 from pipeline.monitor.observe import Observation, Observer, Reading, warm_up
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 log = logging.getLogger("fringed.selfcheck")
 

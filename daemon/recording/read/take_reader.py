@@ -19,7 +19,7 @@ from daemon.rig.pattern_file import parse_pattern, parse_sequence, parse_volume
 from drivers.protocols import TRIGGER_MODULUS, Frame, Side
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.sequence import Sequence
-from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.volume import Volume
 
 WAITING_FRAMES = 16
 """Frames that are kept in memory while their partner has not come; older ones are read again when it does."""

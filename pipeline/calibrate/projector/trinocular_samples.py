@@ -21,9 +21,10 @@ from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.geometry.triangulate import triangulate
 from pipeline.geometry.view_tables import View
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 F64: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.calibrate.bundle.quality.order_check import merit_of, order_check
 from pipeline.common.errors import CalibrationError
-from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.volume import Volume
 from sim.rig.layout import RigLayout
 
 

@@ -18,7 +18,8 @@ from daemon.live.items import CloudItem
 from daemon.live.service import Service
 from daemon.monitoring.calibration_drift.sink import SelfCheck
 from drivers.protocols import Frame
-from pipeline.reconstruct.cloud import Cloud, Volume
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.rig.volume import Volume
 from sim.devices.open_rig import open_rig
 from sim.rig.layout import RigLayout
 from tests.daemon.rigs import SteppedClock, config, rig_of, step, wait_until

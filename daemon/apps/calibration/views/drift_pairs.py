@@ -12,7 +12,7 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.live.items import Item, PairItem
 from pipeline.calibrate.drift_correction import MOST_PAIRS, Pair, encoding_of
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.reconstruct.cloud import Volume
+from pipeline.rig.volume import Volume
 
 _TIMEOUT_S = 180.0
 _EVERY = 3  # of a live rig's pairs: scenes that differ tell more

@@ -23,8 +23,8 @@ from pipeline.calibrate.bundle.quality.order_check import order_check
 from pipeline.common.errors import PipelineError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
 
 area = Area("calibration")
 

@@ -9,8 +9,8 @@ import numpy as np
 from pipeline.calibrate.bundle.quality.order_check import GOLDEN, order_check
 from pipeline.calibrate.bundle.solution import Solution
 from pipeline.common.errors import CalibrationError
-from pipeline.reconstruct.cloud import Volume
 from pipeline.rig.calibration import Cameras
+from pipeline.rig.volume import Volume
 
 
 def layout_advice(cameras: Cameras, solution: Solution) -> tuple[list[str], dict[str, Any]]:
