@@ -18,10 +18,11 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import accuracy, compare, machine, scale, speed, trust
-from benchmarks.cases import CASES, HARD
-from benchmarks.rendered import OUT
-from benchmarks.tables import Table, as_json, with_block, write_whole
+from benchmarks import trust
+from benchmarks.common.tables import Table, as_json, with_block, write_whole
+from benchmarks.reconstruction import accuracy, compare, machine, scale, speed
+from benchmarks.reconstruction.cases import CASES, HARD
+from benchmarks.reconstruction.rendered import OUT
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENT = ROOT / "docs" / "performance.md"
@@ -144,7 +145,8 @@ def plot(results: Path, folder: Path) -> None:
     if not compare.PYTHON.exists():
         print("no figures: .bench-venv is not there (`make bench` makes it)")
         return
-    subprocess.run([compare.PYTHON, ROOT / "benchmarks" / "plots.py", results, folder], timeout=120, check=True)
+    plots = ROOT / "benchmarks/reconstruction/plots.py"
+    subprocess.run([compare.PYTHON, plots, results, folder], timeout=120, check=True)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from contextlib import closing
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.box_daemon import Daemon, wait_until
-from benchmarks.tables import Table
+from benchmarks.common.box_daemon import Daemon, wait_until
+from benchmarks.common.tables import Table
 from daemon.live.items import Item, PairItem
 from fringed import SilenceError, subscribe
 from sim.box.box import GENTL_DIR, Box

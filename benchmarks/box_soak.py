@@ -18,8 +18,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.box_daemon import Daemon
-from benchmarks.process import sample
+from benchmarks.common.box_daemon import Daemon
+from benchmarks.common.process_statistics import sample
 from daemon.live.acquisition.pairer import Pair
 from drivers.protocols import SIDES
 from sim.box.box import GENTL_DIR, Box

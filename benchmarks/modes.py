@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from benchmarks.tables import Table
+from benchmarks.common.tables import Table
 from pipeline.common.settings import Settings
 from pipeline.multi_frame.set_reconstructor import SetReconstructor
 from pipeline.pattern.mode_sequences import MODES, mode_sequence

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from benchmarks import rendered
-from benchmarks.cases import HARD, Case
-from benchmarks.tables import Table
+from benchmarks.common.tables import Table
+from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction.cases import HARD, Case
 from sim.evaluate.point_errors import RINGS, PointErrors, Ring, point_errors
 
 _RINGS = tuple(name for name, _, _ in RINGS)

@@ -18,11 +18,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from benchmarks.campaign.faults import FAULTS, Fault
-from benchmarks.campaign.place import RECOVERY_S, Place, pause
 from benchmarks.campaign.report import Campaign, Outcome
+from benchmarks.campaign.rig import RECOVERY_S, Place, pause
 from benchmarks.campaign.takes import first_part, last_shown, stem_of
-from benchmarks.process import sample
-from benchmarks.running import tree
+from benchmarks.common.daemon_process import tree
+from benchmarks.common.process_statistics import sample
 from daemon.common.errors import ControlError
 from daemon.common.files import write_atomically
 from daemon.recording.format.errors import TakeError

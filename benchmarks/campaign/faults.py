@@ -10,8 +10,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from benchmarks.campaign import crowds
-from benchmarks.campaign.place import Place, pause
+from benchmarks.campaign import faulty_clients
+from benchmarks.campaign.rig import Place, pause
 from daemon.common.errors import ControlError
 from drivers.protocols import SIDES, Side
 
@@ -204,11 +204,11 @@ FAULTS = (
     Fault("disk read-only or directory gone", _disk(lambda place: place.disk.refuse())),
     Fault("disk pulled", _disk(lambda place: place.disk.pull())),
     Fault("a file where the takes should be", _no_directory),
-    Fault("subscriber storm", crowds.subscriber_storm),
-    Fault("subscriber stopped", crowds.stopped_subscriber),
-    Fault("subscriber that never reads", crowds.deaf_subscriber),
-    Fault("garbage to both sockets", crowds.garbage),
-    Fault("status storm", crowds.status_storm),
+    Fault("subscriber storm", faulty_clients.subscriber_storm),
+    Fault("subscriber stopped", faulty_clients.stopped_subscriber),
+    Fault("subscriber that never reads", faulty_clients.deaf_subscriber),
+    Fault("garbage to both sockets", faulty_clients.garbage),
+    Fault("status storm", faulty_clients.status_storm),
     Fault("rig file broken, SIGHUP", _reload("cameras: [")),
     Fault("rig file of another rig, SIGHUP", _reload("cameras: {driver: sim}\npairing: {tolerance_us: 10}\n")),
     Fault("settings, good and bad", _settings),

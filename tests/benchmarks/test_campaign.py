@@ -14,7 +14,7 @@ from benchmarks.campaign.__main__ import order_of
 from benchmarks.campaign.faults import FAULTS
 from benchmarks.campaign.report import Campaign, Outcome
 from benchmarks.campaign.takes import Takes, first_part, stem_of
-from benchmarks.load import percentile, verdict
+from benchmarks.load.__main__ import percentile, verdict
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import SIDES
 from sim.box.exposure_ledger import Ledger, Shown, digest

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import rendered, scale
-from benchmarks.cases import Case
-from benchmarks.compare import phase_error
-from benchmarks.rendered import StoredPair
-from benchmarks.speed import mean_score, scored, timed
-from benchmarks.worker import there_and_back
+from benchmarks.reconstruction import rendered, scale
+from benchmarks.reconstruction.cases import Case
+from benchmarks.reconstruction.compare import phase_error
+from benchmarks.reconstruction.rendered import StoredPair
+from benchmarks.reconstruction.speed import mean_score, scored, timed
+from benchmarks.reconstruction.worker import there_and_back
 from sim.evaluate.score import score
 from sim.render.ground_truth import phases
 from sim.rig.layout import RigLayout

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from benchmarks import soak_report as report
-from benchmarks.process import Sample, sample
+from benchmarks.common.process_statistics import Sample, sample
+from benchmarks.soak import report
 from tests.daemon.rigs import wait_until
 
 STATUS: dict[str, Any] = {

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from benchmarks import machine, speed
 from benchmarks.bench import DOCUMENT, SECTIONS, arguments, write_document
-from benchmarks.tables import Table, as_json, marks, with_block, write_whole
-from benchmarks.worker import Timing
+from benchmarks.common.tables import Table, as_json, marks, with_block, write_whole
+from benchmarks.reconstruction import machine, speed
+from benchmarks.reconstruction.worker import Timing
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from benchmarks.box_daemon import Daemon, wait_until
+from benchmarks.common.box_daemon import Daemon, wait_until
 from fringed import subscribe
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.box.box import Box

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.box_daemon import Daemon, wait_until
+from benchmarks.common.box_daemon import Daemon, wait_until
 from drivers.protocols import SIDES
 from sim.box.box import Box
 from sim.devices.faults import FaultKind

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.box_daemon import wait_until
+from benchmarks.common.box_daemon import wait_until
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
 from fringed import subscribe

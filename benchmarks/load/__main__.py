@@ -18,8 +18,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from benchmarks.load_actors import Actors
-from benchmarks.running import Running
+from benchmarks.common.daemon_process import Running
+from benchmarks.load.clients import Actors
 from daemon.common.files import write_atomically
 from fringed import wire
 from fringed.receiver import Receiver

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 import pipeline
 import sim
-from benchmarks.cases import Case
+from benchmarks.reconstruction.cases import Case
 from sim.render.ground_truth import Truth
 from sim.render.render_pair import render_pair
 from sim.scene.named_scenes import build
 
-OUT = Path(__file__).resolve().parents[1] / "out" / "bench"
+OUT = Path(__file__).resolve().parents[2] / "out" / "bench"
 # Of the pipeline only what the renderer uses.
 _SHARED = ("rig/calibration.py", "rig/camera_model.py", "pattern/color_fringe.py")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.tables import Table
+from benchmarks.common.tables import Table
 
 _COPIED_MIB = 128
 
@@ -56,7 +56,7 @@ def table(machine: dict[str, str]) -> Table:
 
 
 def _commit() -> str:
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     try:
         result = subprocess.run(
             ["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True, check=True

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import rendered
-from benchmarks.cases import CASES, Case
-from benchmarks.rendered import StoredPair
-from benchmarks.tables import Table, median_and_worst
-from benchmarks.worker import Job, Timing, run
+from benchmarks.common.tables import Table, median_and_worst
+from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction.cases import CASES, Case
+from benchmarks.reconstruction.rendered import StoredPair
+from benchmarks.reconstruction.worker import Job, Timing, run
 from sim.evaluate.score import Score, score
 from sim.render.ground_truth import Truth
 

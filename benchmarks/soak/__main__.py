@@ -20,9 +20,9 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import soak_report as report
-from benchmarks.process import Sample, sample
-from benchmarks.soak_readers import Readers
+from benchmarks.common.process_statistics import Sample, sample
+from benchmarks.soak import report
+from benchmarks.soak.readers import Readers
 from daemon.common.errors import ControlError
 from daemon.common.files import write_atomically
 from daemon.control.rpc.client import ControlClient

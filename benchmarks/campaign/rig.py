@@ -13,9 +13,9 @@ from typing import Any, Self
 import yaml
 
 from benchmarks.campaign.disk import Disk
-from benchmarks.campaign.tampered import TamperedCable
-from benchmarks.running import Running
-from benchmarks.shifted_clock import ShiftedClock
+from benchmarks.campaign.shifted_clock import ShiftedClock
+from benchmarks.campaign.tampered_cable import TamperedCable
+from benchmarks.common.daemon_process import Running
 from daemon.common.errors import ControlError
 from drivers.protocols import SIDES
 from fringed import wire

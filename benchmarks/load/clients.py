@@ -1,6 +1,6 @@
 """What hangs on a daemon under load: readers of clouds, askers of the status, one that is stopped, one that is deaf.
 
-``python -m benchmarks.load_actors KIND ENDPOINT``: one of them, at idle priority, until it is killed.
+``python -m benchmarks.load.clients KIND ENDPOINT``: one of them, at idle priority, until it is killed.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Actors:
         for kind, count in self._counts.items():
             endpoint = self._control if kind == "poller" else self._stream
             for _ in range(count):
-                command = [sys.executable, "-m", "benchmarks.load_actors", kind, endpoint]
+                command = [sys.executable, "-m", "benchmarks.load.clients", kind, endpoint]
                 self._processes.append((kind, subprocess.Popen(command, stdout=subprocess.PIPE)))
         for kind, process in self._processes:
             assert process.stdout is not None

@@ -14,7 +14,7 @@ from typing import Any
 
 import zmq
 
-from benchmarks.campaign.place import Place, pause
+from benchmarks.campaign.rig import Place, pause
 from daemon.common.errors import ControlError
 
 _SUBSCRIBER = """

@@ -1,6 +1,6 @@
-"""A process that only reconstructs: times and memory are its own, no renderer and no benchmark beside it.
+"""A process that only reconstructs, so that times and memory hold no renderer and no benchmark.
 
-``python -m benchmarks.worker`` reads a pickled :class:`Job` from standard input and prints a :class:`Timing` as JSON.
+It reads a pickled :class:`Job` from standard input and prints a :class:`Timing` as JSON.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Job:
 
     Args:
         calibration, pattern, volume, encoding: of the rig.
-        files: of :mod:`benchmarks.rendered`, shown in turn, forth and back.
+        files: of :mod:`benchmarks.reconstruction.rendered`, shown in turn, forth and back.
         threads: of the process; repeats: pairs to time, after two that are not.
         every: spacing of the measured pixels; follow: with the temporal prior.
         clouds: folder for the points of every file, ``0.npy`` and so on, made after the timing.
@@ -73,10 +73,10 @@ class Timing:
 def run(job: Job) -> Timing:
     """The job in a process of its own."""
     result = subprocess.run(
-        [sys.executable, "-m", "benchmarks.worker"],
+        [sys.executable, "-m", "benchmarks.reconstruction.worker"],
         input=pickle.dumps(job),
         stdout=subprocess.PIPE,
-        cwd=Path(__file__).resolve().parents[1],
+        cwd=Path(__file__).resolve().parents[2],
         env=environment(job.threads),
         timeout=_LIMIT_S,
         check=True,

@@ -1,7 +1,7 @@
-"""What others offer, on the same pair of images; runs in the peers' own environment, imports nothing of ours.
+"""Other programs on the same pair of images; runs in the peers' own environment, imports nothing of this project.
 
-``python benchmarks/peers.py PAIR.npz RESULT.npz REPEATS THREADS [quick]``: reads images and rig, writes what each
-peer found and a JSON text of what was called and how long it took. See :mod:`benchmarks.compare` for the judgement.
+``python peers.py PAIR.npz RESULT.npz REPEATS THREADS [quick]`` reads images and rig, writes each peer's result and a
+JSON text with the calls and their times. :mod:`benchmarks.reconstruction.compare` scores them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SECONDS = 12.0
 
 
 class Pair:
-    """Both images and the rig, as arrays; see :func:`benchmarks.compare.written`."""
+    """Both images and the rig, as arrays; see :func:`benchmarks.reconstruction.compare.written`."""
 
     def __init__(self, file: str) -> None:
         with np.load(file) as arrays:

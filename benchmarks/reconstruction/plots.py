@@ -1,6 +1,6 @@
-"""Figures of a benchmark's results; runs in the peers' environment, which has matplotlib, and imports nothing of ours.
+"""Figures of a benchmark's results; runs in the peers' environment, which has matplotlib.
 
-``python benchmarks/plots.py RESULTS.json FOLDER``: one figure per idea, those whose section was measured.
+``python plots.py RESULTS.json FOLDER``: one figure for each section that was measured; imports nothing of this project.
 """
 
 from __future__ import annotations

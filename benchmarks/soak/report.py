@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.process import Sample
+from benchmarks.common.process_statistics import Sample
 
 #: Memory may grow so much between the two parts of a run that are compared: a few clouds on their way.
 GROWTH_MIB = 48.0

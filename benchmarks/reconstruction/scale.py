@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from benchmarks import rendered
-from benchmarks.cases import Case
-from benchmarks.speed import THREADS, cells, measure, median, timed
-from benchmarks.tables import Table
+from benchmarks.common.tables import Table
+from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction.cases import Case
+from benchmarks.reconstruction.speed import THREADS, cells, measure, median, timed
 from sim.rig.layout import RigLayout
 
 STANDARD = RigLayout()

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from benchmarks import rendered
-from benchmarks.cases import Case
-from benchmarks.speed import mean_score
-from benchmarks.tables import Table
+from benchmarks.common.tables import Table
+from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction.cases import Case
+from benchmarks.reconstruction.speed import mean_score
 from sim.evaluate.score import score
 
 

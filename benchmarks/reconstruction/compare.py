@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import rendered
-from benchmarks.cases import CASES, Case
-from benchmarks.rendered import StoredPair
-from benchmarks.speed import THREADS, cells, measure, timed
-from benchmarks.tables import Table
-from benchmarks.worker import environment
+from benchmarks.common.tables import Table
+from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction.cases import CASES, Case
+from benchmarks.reconstruction.rendered import StoredPair
+from benchmarks.reconstruction.speed import THREADS, cells, measure, timed
+from benchmarks.reconstruction.worker import environment
 from sim.evaluate.score import score
 from sim.render.ground_truth import Truth, phases
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PYTHON = ROOT / ".bench-venv" / "bin" / "python"
 RATIO = 25.0
 """Promised: `fringes`, decoding and unwrapping both images, takes at least this many times our whole pair."""
@@ -130,10 +130,8 @@ def peers(
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "pair.npz", Path(folder) / "found.npz"
         written(pair, case, source)
-        words = [str(source), str(target), str(repeats), str(threads), *(["quick"] if quick else [])]
-        subprocess.run(
-            [PYTHON, ROOT / "benchmarks/peers.py", *words], env=environment(threads), timeout=900, check=True
-        )
+        command = [PYTHON, Path(__file__).with_name("peers.py"), source, target, str(repeats), str(threads)]
+        subprocess.run([*command, *(["quick"] if quick else [])], env=environment(threads), timeout=900, check=True)
         with np.load(target) as arrays:
             found = dict(arrays)
     return json.loads(str(found.pop("rows"))), found
