@@ -2,8 +2,8 @@
 
 import json
 
+from tests.daemon.recording.independent_reader import read
 from tests.golden.make import FIGURES, TAKE
-from tests.record.independent_reader import read
 
 
 def test_the_golden_take_replays_to_its_figures(tmp_path, fringed):

@@ -16,7 +16,7 @@ from daemon.live.publishing import messages
 from daemon.live.publishing.messages import Origin
 from fringed import codecs, wire
 from fringed.errors import CodecMissingError, WireError
-from tests.stream import clouds
+from tests.daemon.live.publishing import clouds
 
 ORIGIN = Origin("rig-t", "session-1", "sha256:00")
 GOLDEN = Path(__file__).parent / "golden" / "cloud_full_v1.bin"

@@ -12,8 +12,8 @@ from pathlib import Path
 from daemon.bootstrap import run
 from daemon.live import service
 from daemon.config import driver_table
-from tests.daemon import silent_rig
-driver_table.RIGS["silent"] = "tests.daemon.silent_rig:open_rig"
+from tests.daemon.bootstrap import silent_rig
+driver_table.RIGS["silent"] = "tests.daemon.bootstrap.silent_rig:open_rig"
 path = Path(sys.argv[1])
 silent_rig.write(path)
 flag = run.StopFlag()

@@ -11,7 +11,7 @@ import pytest
 
 from daemon.bootstrap.run import StopFlag
 from daemon.bootstrap.sighup import Reloads, hung_up, terminals
-from tests.service.manager import PATIENT, wait_until
+from tests.daemon.bootstrap.systemd.manager import PATIENT, wait_until
 
 pytestmark = PATIENT
 

@@ -25,7 +25,7 @@ def test_a_rig_of_one_line_is_complete() -> None:
 
 
 def test_the_example_is_valid() -> None:
-    load_rig(Path(__file__).parents[2] / "examples" / "rig.yaml")
+    load_rig(Path(__file__).parents[3] / "examples" / "rig.yaml")
 
 
 def test_all_mistakes_are_told_at_once_each_with_its_place() -> None:

@@ -20,7 +20,7 @@ from daemon.control.rpc.server import ControlServer
 from daemon.control.settings.flatten import leaves
 from daemon.control.settings.live_settings import is_live
 from tests.daemon.rigs import wait_until
-from tests.daemon.running import warmed
+from tests.daemon.running_daemon import warmed
 
 MESSAGES, VARIATIONS = 10_000, 20
 GROWTH_BYTES = 96 << 20

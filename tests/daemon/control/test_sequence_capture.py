@@ -24,7 +24,7 @@ from daemon.live.service import Service
 from daemon.live.status import State
 from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.recorder import Recorder
-from tests.calibrate.live.lit_rig import FreeProjector, UnmeasuringService, devices
+from tests.daemon.lit_rig import FreeProjector, UnmeasuringService, devices
 from tests.daemon.rigs import Collector, config, rig_of, wait_until
 
 

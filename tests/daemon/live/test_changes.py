@@ -23,7 +23,7 @@ from daemon.live.status import State
 from pipeline.pattern import color_fringe
 from pipeline.pattern.color_fringe import ColorFringe
 from tests.daemon.rigs import wait_until
-from tests.daemon.running import Running, warmed
+from tests.daemon.running_daemon import Running, warmed
 
 
 @pytest.fixture(scope="module")

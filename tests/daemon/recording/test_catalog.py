@@ -16,8 +16,8 @@ from daemon.recording.read.catalog import CACHE, Listing, scan
 from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.repair import repair
 from sim.rig import rig_files
-from tests.record.small_take import CALIBRATION, LAYOUT
-from tests.record.takes import lone, pair, wait_until, write, writer
+from tests.daemon.recording.small_take import CALIBRATION, LAYOUT
+from tests.daemon.recording.takes import lone, pair, wait_until, write, writer
 
 
 def good(path: Path, items: list[Any], **options: Any) -> dict[str, Any]:

@@ -15,8 +15,8 @@ import pytest
 
 from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.write.take_writer import TakeWriter
-from tests.record.faulty import Disk, disk
-from tests.record.takes import pair, wait_until, writer
+from tests.daemon.recording.faulty_disk import Disk, disk
+from tests.daemon.recording.takes import pair, wait_until, writer
 
 __all__ = ["disk"]
 RETRY_S = 0.02

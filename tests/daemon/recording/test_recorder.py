@@ -22,7 +22,7 @@ from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.recorder import Recorder
 from daemon.recording.write.pretrigger_buffer import Before, size_of
 from daemon.recording.write.take_writer import TakeWriter
-from tests.record.takes import lone, pair, wait_until, writer
+from tests.daemon.recording.takes import lone, pair, wait_until, writer
 
 RATE_HZ = 20
 

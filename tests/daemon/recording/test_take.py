@@ -16,8 +16,8 @@ from daemon.recording.format import raw_image
 from daemon.recording.format.errors import TakeError
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.recording.write.part_writer import PartWriter, _schema
-from tests.record import independent_reader
-from tests.record.takes import CALIBRATION, SIZE, frame, lone, pair, wait_until, write, writer
+from tests.daemon.recording import independent_reader
+from tests.daemon.recording.takes import CALIBRATION, SIZE, frame, lone, pair, wait_until, write, writer
 
 
 def pairs_of(path: Path) -> list[TakePair]:

@@ -13,8 +13,8 @@ from daemon.live.acquisition.pairer import Fate, PairingSettings
 from daemon.live.items import Item, LoneItem, PairItem
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import Frame, Side
-from tests.daemon.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
-from tests.record.takes import frame, lone, pair, write, writer
+from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
+from tests.daemon.recording.takes import frame, lone, pair, write, writer
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 

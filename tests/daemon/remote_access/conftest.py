@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.security.world import World, world
+from tests.daemon.remote_access.world import World, world
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from daemon.control.rpc.client import ControlClient
 from fringed.keys import Key
-from tests.security.world import CONNECTIONS, Tap, World, request, rude, talk, until
+from tests.daemon.remote_access.world import CONNECTIONS, Tap, World, request, rude, talk, until
 
 pytestmark = pytest.mark.timeout(400)
 MOST_GROWTH_MB = 64.0

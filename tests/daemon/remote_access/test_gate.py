@@ -19,7 +19,7 @@ from daemon.remote_access.gate_messages import Order
 from daemon.remote_access.gate_sink import RemoteGate
 from fringed import SilenceError, subscribe
 from fringed.keys import new_key
-from tests.security.world import World, pause_for, request, rude, until
+from tests.daemon.remote_access.world import World, pause_for, request, rude, until
 
 pytestmark = pytest.mark.timeout(400)
 SHORT_S = 1.0  # for those who must not get in; whoever may is waited for with patience

@@ -16,9 +16,9 @@ import pytest
 
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
+from tests.daemon.remote_access import listening_addresses
+from tests.daemon.remote_access.world import until
 from tests.daemon.rigs import wait_until
-from tests.security import listening
-from tests.security.world import until
 
 RIG = """
 cameras: {{driver: sim}}
@@ -116,7 +116,10 @@ def test_it_may_not_operate_and_the_status_tells_that_it_tried(running: Running)
 
 
 def test_it_listens_where_rig_yaml_says_and_nowhere_else(running: Running) -> None:
-    assert listening.addresses(running.process.pid) == {("0.0.0.0", running.stream), ("0.0.0.0", running.control)}
+    assert listening_addresses.addresses(running.process.pid) == {
+        ("0.0.0.0", running.stream),
+        ("0.0.0.0", running.control),
+    }
 
 
 def test_its_files_are_closed_to_others(running: Running) -> None:
@@ -141,7 +144,7 @@ def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) ->
     endpoint = f"tcp://127.0.0.1:{running.control}"
     refused = running.remotely("screen", "status", "--endpoint", endpoint, "--timeout", "2")
     assert refused.returncode == 1 and "does it know this key" in refused.stderr
-    family = listening.family(running.process.pid)
+    family = listening_addresses.family(running.process.pid)
     running.process.send_signal(signal.SIGTERM)
     running.process.wait(90)
     log = (running.folder / "log").read_text()

@@ -24,8 +24,8 @@ from daemon.remote_access.gate_messages import Order
 from daemon.remote_access.gate_sink import RemoteGate
 from fringed import Keys, SilenceError, subscribe
 from fringed.keys import Key, new_key
+from tests.daemon.live.publishing import clouds
 from tests.daemon.rigs import wait_until
-from tests.stream import clouds
 
 PATIENCE_S = 90.0
 CONNECTIONS = 32

@@ -12,9 +12,9 @@ from daemon.cli.setup.check import check_file
 from daemon.common.errors import ConfigError
 from daemon.config import driver_table, load_rig
 from daemon.rig.open_rig import open_rig
-from tests.daemon import silent_rig
+from tests.daemon.bootstrap import silent_rig
 
-THIS = "tests.daemon.test_composed_rig"
+THIS = "tests.daemon.rig.test_open_rig"
 opened: list[Any] = []
 
 

@@ -9,7 +9,7 @@ from pipeline.multi_frame.set_reconstructor import SetReconstructor
 from pipeline.pattern.mode_sequences import MODES, mode_sequence
 from sim.evaluate.score import score
 from sim.rig.optics import Optics
-from tests.pipeline.modes.sets import LAYOUT, OPTICS, SETTINGS, in_motion, made, sequence, taken, truth
+from tests.pipeline.multi_frame.sets import LAYOUT, OPTICS, SETTINGS, in_motion, made, sequence, taken, truth
 
 KINDS = [
     ("heterodyne", "rgb8"), ("heterodyne", "bayer_rggb8"), ("heterodyne", "mono8"), ("heterodyne", "mono16"),

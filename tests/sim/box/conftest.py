@@ -13,6 +13,10 @@ import pytest
 
 from sim.box.box import GENTL_DIR, Box
 from sim.box.options import from_mapping
+from sim.box.xserver import Head, XServer, XServerError
+
+HEADS = Head(320, 240), Head(160, 128)
+"""A desktop at the left, a small projector at the right."""
 
 
 def _missing() -> str:
@@ -41,3 +45,17 @@ def make_box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Box]]:
             return made
 
         yield make
+
+
+@pytest.fixture
+def server() -> Iterator[XServer]:
+    """An X server without hardware."""
+    made = XServer(HEADS)
+    try:
+        made.start()
+    except XServerError as error:
+        if os.environ.get("CI") == "true":
+            raise
+        pytest.skip(str(error))
+    yield made
+    made.stop()

@@ -11,7 +11,7 @@ import pytest
 
 from sim.box.output_grabber import DisplayLost, Grabber, Rectangle
 from sim.box.xserver import XServer
-from tests.drivers.box.painter import Painter
+from tests.sim.box.painter import Painter
 
 
 def random_image(width: int, height: int, seed: int = 0) -> np.ndarray:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim.gentl.build import NoCompilerError, build
 from sim.gentl.cable import Cable
-from tests.drivers.gentl.needs import missing
+from tests.sim.gentl.needs import missing
 
 WIDTH, HEIGHT = 48, 32
 

@@ -1,6 +1,6 @@
 """A program with one camera open, for tests with several processes.
 
-``python -m tests.drivers.gentl.holder PRODUCER SERIAL`` opens the camera, arms it, prints ``armed`` and then a line of
+``python -m tests.sim.gentl.holder PRODUCER SERIAL`` opens the camera, arms it, prints ``armed`` and then a line of
 JSON for each frame: number, time and first byte. It ends with its standard input.
 """
 
@@ -11,7 +11,7 @@ import select
 import sys
 from pathlib import Path
 
-from tests.drivers.gentl.host import opened
+from tests.sim.gentl.host import opened
 
 
 def main(producer: str, serial: str) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.drivers.gentl.needs import missing
+from tests.sim.gentl.needs import missing
 
 try:
     from genicam.genapi import AccessException

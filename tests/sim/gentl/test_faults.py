@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sim.gentl.cable import Cable
-from tests.drivers.gentl.host import WAIT_S, Harvester, Host, IoException, opened
+from tests.sim.gentl.host import WAIT_S, Harvester, Host, IoException, opened
 
 Cables = Callable[..., Cable]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sim.gentl.cable import Cable
 from sim.gentl.features import PIXEL_FORMATS
 from sim.gentl.memory import SLOTS
-from tests.drivers.gentl.conftest import HEIGHT, WIDTH
-from tests.drivers.gentl.host import WAIT_S, AccessException, Capture, Host, opened
+from tests.sim.gentl.conftest import HEIGHT, WIDTH
+from tests.sim.gentl.host import WAIT_S, AccessException, Capture, Host, opened
 
 Cables = Callable[..., Cable]
 Samples = NDArray[np.uint16]

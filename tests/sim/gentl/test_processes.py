@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from sim.gentl.cable import Cable
-from tests.drivers.gentl.conftest import HEIGHT, WIDTH
-from tests.drivers.gentl.host import WAIT_S, ResourceInUseException, opened
+from tests.sim.gentl.conftest import HEIGHT, WIDTH
+from tests.sim.gentl.host import WAIT_S, ResourceInUseException, opened
 
 Cables = Callable[..., Cable]
 REPOSITORY = Path(__file__).parents[3]
@@ -28,7 +28,7 @@ class Holder:
     """A process that has a camera open and tells of its frames."""
 
     def __init__(self, producer: Path, serial: str) -> None:
-        command = [sys.executable, "-m", "tests.drivers.gentl.holder", str(producer), serial]
+        command = [sys.executable, "-m", "tests.sim.gentl.holder", str(producer), serial]
         self.process = subprocess.Popen(
             command, cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=dict(os.environ)
         )

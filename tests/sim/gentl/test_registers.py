@@ -11,7 +11,7 @@ import pytest
 
 from sim.gentl.cable import Cable
 from sim.gentl.features import OLD_NAMES
-from tests.drivers.gentl.host import WAIT_S, opened
+from tests.sim.gentl.host import WAIT_S, opened
 
 Cables = Callable[..., Cable]
 TRIGGERS = "AcquisitionStart", "FrameBurstStart", "FrameStart"

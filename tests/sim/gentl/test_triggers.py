@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim.gentl.cable import Cable, CableState
 from sim.gentl.memory import MAX_PENDING
-from tests.drivers.gentl.host import WAIT_S, Host, opened
+from tests.sim.gentl.host import WAIT_S, Host, opened
 
 MS = 1_000_000
 Cables = Callable[..., Cable]

@@ -14,7 +14,7 @@ from daemon.rig.calibration_file import write_calibration
 from pipeline.calibrate.targets.board.board import Board, parse_board
 from pipeline.pattern.sequence import projector_sequence
 from pipeline.rig.calibration import Cameras
-from tests.calibrate.cli import drawn
+from tests.daemon.apps.calibration import drawn
 
 BOARD = "circles:9x7:24:14"
 

@@ -13,7 +13,7 @@ from daemon.apps.calibration.solve.archive import store
 from daemon.apps.calibration.solve.keep_colors import with_old_colors
 from daemon.rig.calibration_file import read_calibration, read_cameras, write_calibration
 from pipeline.common.errors import CalibrationError
-from tests.calibrate.cli.rigs import cameras, complete
+from tests.daemon.apps.calibration.rigs import cameras, complete
 
 GOOD = {"rms_stereo_px": 0.05, "epipolar_px": 0.04, "coverage_left": 0.8, "coverage_right": 0.8}
 NOON = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)

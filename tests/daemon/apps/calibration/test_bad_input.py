@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from daemon.cli.entry import run
-from tests.calibrate.cli import drawn
-from tests.calibrate.cli.conftest import BOARD
+from tests.daemon.apps.calibration import drawn
+from tests.daemon.apps.calibration.conftest import BOARD
 
 Change = Callable[[np.ndarray], np.ndarray]
 OLD = b"fringed_calibration: 1\n# a calibration that must stay as it is\n"

@@ -12,7 +12,7 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.cli.command_table import invoke
 from pipeline.calibrate.targets.board.board import parse_board
 from pipeline.calibrate.targets.board.board_drawing import shapes
-from tests.calibrate.cli.reading_pdf import read_pdf
+from tests.daemon.apps.calibration.pdf_reader import read_pdf
 
 TEXTS = ["circles:11x9:32:20", "acircles:4x11:36:15", "chessboard:9x6:25", "charuco:11x8:24:17:DICT_4X4_100"]
 

@@ -18,8 +18,8 @@ from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.sequence import Sequence
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
-from tests.calibrate.cli import drawn
-from tests.calibrate.cli.conftest import BOARD
+from tests.daemon.apps.calibration import drawn
+from tests.daemon.apps.calibration.conftest import BOARD
 
 MIX = {
     "left": np.array([[1, 0.12, 0.03], [0.1, 1, 0.12], [0.02, 0.11, 1]]),

@@ -14,7 +14,7 @@ from daemon.cli.command_table import invoke
 from daemon.rig.calibration_file import write_calibration
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
-from tests.calibrate.cli.rigs import cameras, complete
+from tests.daemon.apps.calibration.rigs import cameras, complete
 
 SEEDS = range(6)
 

@@ -21,7 +21,7 @@ from daemon.recording.write.part_writer import PartWriter
 from drivers.protocols import SIDES, Frame
 from pipeline.decode.raw_image import BAYER
 from pipeline.pattern.sequence import Uniform, projector_sequence
-from tests.calibrate.cli import drawn
+from tests.daemon.apps.calibration import drawn
 
 RNG = np.random.default_rng(0)
 

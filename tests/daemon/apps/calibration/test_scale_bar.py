@@ -14,7 +14,7 @@ from pipeline.calibrate.targets.scale_bar import two_circles
 from pipeline.common.errors import TargetError
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
-from tests.calibrate.cli import drawn
+from tests.daemon.apps.calibration import drawn
 
 LENGTH = 150.0
 ENDS = np.array([[-62.0, 12.0, 990.0], [0.0, 0.0, 0.0]])

@@ -16,7 +16,7 @@ from daemon.cli.command_table import invoke
 from daemon.rig.calibration_file import read_calibration, read_cameras
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
-from tests.calibrate.cli.conftest import BOARD
+from tests.daemon.apps.calibration.conftest import BOARD
 
 NAMES = ("rms_left_px", "rms_right_px", "rms_stereo_px", "epipolar_px", "views_used", "views_rejected")
 

@@ -44,7 +44,7 @@ def prints(_: Subject) -> Iterator[Finding]:
 
 
 def check(name: str, area_name: str = "sick", timeout_s: float = 60.0) -> Check:
-    return Check(area_name, f"tests.daemon.doctor.sick:{name}", timeout_s=timeout_s)
+    return Check(area_name, f"tests.daemon.apps.doctor.bad_checks:{name}", timeout_s=timeout_s)
 
 
 WELL = check("well", "well")

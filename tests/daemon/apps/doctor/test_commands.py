@@ -16,7 +16,7 @@ from daemon.apps.doctor.check_table import AREAS
 from daemon.apps.doctor.subject import Subject
 from sim.box.xserver import XServer
 from sim.gentl.cable import Cable
-from tests.daemon.doctor import trees
+from tests.daemon.apps.doctor import made_machines
 
 Fringed = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -32,7 +32,7 @@ def sim_rig(directory: Path) -> Path:
 
 
 def hardware_rig(directory: Path, producer: Path, display: str, *, right: str = "A2") -> Path:
-    trees.known(directory)
+    made_machines.known(directory)
     camera = f"producer: '{producer}', exposure_us: 16683.4, pixel_format: BayerRG8"
     path = directory / "rig.yaml"
     path.write_text(
@@ -40,7 +40,7 @@ def hardware_rig(directory: Path, producer: Path, display: str, *, right: str = 
         f"  right: {{serial: {right}, {camera}}}\n"
         f"projector: {{driver: x11, options: {{output: DUMMY1, display: '{display}', refresh_hz: 59.94}}}}\n"
         f"stream: {{endpoints: ['ipc://{directory}/s']}}\ncontrol: {{endpoint: 'ipc://{directory}/c'}}\n"
-        "recording: {min_free_mb: 0}\n" + trees.FILES
+        "recording: {min_free_mb: 0}\n" + made_machines.FILES
     )
     path.write_text(path.read_text().replace("user_name: '', ", ""))
     return path
@@ -96,9 +96,9 @@ def test_a_camera_that_is_not_there_is_told_with_those_that_are(
     tmp_path: Path, producer: Path, cables: tuple[Cable, Cable]
 ) -> None:
     cables[1].unplug()
-    trees.known(tmp_path)
-    rig = trees.genicam(f"{{serial: A1, producer: '{producer}'}}", f"{{serial: A2, producer: '{producer}'}}")
-    subject = trees.subject(tmp_path, rig=rig)
+    made_machines.known(tmp_path)
+    rig = made_machines.genicam(f"{{serial: A1, producer: '{producer}'}}", f"{{serial: A2, producer: '{producer}'}}")
+    subject = made_machines.subject(tmp_path, rig=rig)
     found = list(genicam_cameras.check(subject))
     assert [(finding.name, finding.level) for finding in found] == [("camera left", "ok"), ("camera right", "problem")]
     assert "A1" in found[1].text
@@ -108,14 +108,14 @@ def test_the_environments_producer_is_found_and_loads(
     tmp_path: Path, producer: Path, cables: tuple[Cable, Cable]
 ) -> None:
     assert len(cables) == 2
-    subject = trees.subject(tmp_path, environ={"GENICAM_GENTL64_PATH": str(producer.parent)})
+    subject = made_machines.subject(tmp_path, environ={"GENICAM_GENTL64_PATH": str(producer.parent)})
     assert [finding.level for finding in genicam_producers.check(subject)] == ["ok"]
     assert [finding.level for finding in genicam_cameras.check(subject)] == ["ok", "ok"]
 
 
 def test_the_genicam_library_of_this_machine(tmp_path: Path, producer: Path) -> None:
     assert producer.is_file()  # a machine without the library does not get here
-    (found,) = genicam_library.check(trees.subject(tmp_path))
+    (found,) = genicam_library.check(made_machines.subject(tmp_path))
     library = genicam_library.needed_python(genicam_library.package_dir("genicam"))
     assert library.startswith("libpython3.")
     assert (found.level, library in found.text) in {("ok", True), ("warning", True)}
@@ -124,11 +124,11 @@ def test_the_genicam_library_of_this_machine(tmp_path: Path, producer: Path) -> 
 def test_an_x_server_that_is_not_there_is_a_problem_of_rigs_that_need_it(tmp_path: Path) -> None:
     from daemon.apps.doctor.rig import display
 
-    trees.known(tmp_path)
-    rig = trees.genicam().replace(
+    made_machines.known(tmp_path)
+    rig = made_machines.genicam().replace(
         "external, options: {size: [160, 128], refresh_hz: 60.0}", "x11, options: {output: A}"
     )
-    subject = trees.subject(tmp_path, rig=rig.replace("output: A", "output: A, display: ':4711'"))
+    subject = made_machines.subject(tmp_path, rig=rig.replace("output: A", "output: A, display: ':4711'"))
     (found,) = display.check(subject)
     assert found.level == "problem" and ":4711" in found.text
 
@@ -139,7 +139,7 @@ def test_programs_that_meddle_with_the_image_are_named(
     from daemon.apps.doctor.rig import display
 
     monkeypatch.setenv("DISPLAY", server.display)
-    machine = trees.machine(tmp_path, {"/proc/12/comm": "redshift"}, {"XDG_SESSION_TYPE": "wayland"})
+    machine = made_machines.machine(tmp_path, {"/proc/12/comm": "redshift"}, {"XDG_SESSION_TYPE": "wayland"})
     found = list(display.check(Subject(machine)))
     assert [finding.name for finding in found] == ["server", "wayland", "meddler", "surroundings"]
     assert "kill 12" in found[2].remedy

@@ -13,8 +13,8 @@ from daemon.apps.doctor.cameras import device_permissions, network, usb
 from daemon.apps.doctor.host import clock, disk, memory, processors, sockets
 from daemon.apps.doctor.machine import Machine, Program
 from daemon.apps.doctor.subject import Subject
-from tests.daemon.doctor import trees
-from tests.daemon.doctor.trees import by_name, levels
+from tests.daemon.apps.doctor import made_machines
+from tests.daemon.apps.doctor.made_machines import by_name, levels
 
 CAMERA = {
     "/sys/bus/usb/devices/2-1/speed": "5000",
@@ -42,7 +42,7 @@ class Refusing(Machine):
 
 @pytest.mark.parametrize(("limit", "level"), [("16", "warning"), ("1000", "ok"), ("0", "ok")])
 def test_usb_memory_is_compared_with_what_two_cameras_need(tmp_path: Path, limit: str, level: str) -> None:
-    found = list(usb.check(trees.subject(tmp_path, CAMERA | {usb.MEMORY: limit})))
+    found = list(usb.check(made_machines.subject(tmp_path, CAMERA | {usb.MEMORY: limit})))
     (memory_,) = by_name(found, "memory")
     assert memory_.level == level and by_name(found, "speed")[0].level == "ok"
     assert level == "ok" or "usbfs_memory_mb" in memory_.remedy
@@ -50,7 +50,7 @@ def test_usb_memory_is_compared_with_what_two_cameras_need(tmp_path: Path, limit
 
 def test_a_usb3_camera_in_a_usb2_socket_is_told(tmp_path: Path) -> None:
     files = CAMERA | {"/sys/bus/usb/devices/2-1/speed": "480", usb.MEMORY: "1000"}
-    (speed,) = by_name(usb.check(trees.subject(tmp_path, files)), "speed")
+    (speed,) = by_name(usb.check(made_machines.subject(tmp_path, files)), "speed")
     assert speed.level == "warning" and "Cam 5M runs at 480" in speed.text
 
 
@@ -60,14 +60,14 @@ def test_a_usb3_camera_in_a_usb2_socket_is_told(tmp_path: Path) -> None:
 )
 def test_network_interfaces(tmp_path: Path, mtu: str, speed: str, level: str, word: str) -> None:
     files = NETWORK | {"/sys/class/net/eth7/mtu": mtu, "/sys/class/net/eth7/speed": speed, network.RMEM: "33554432"}
-    found = list(network.check(trees.subject(tmp_path, files)))
+    found = list(network.check(made_machines.subject(tmp_path, files)))
     assert [(finding.name, finding.level) for finding in found] == [("eth7", level), ("rmem_max", "ok")]
     assert word in found[0].remedy
 
 
 def test_with_genicam_cameras_in_the_rig_a_small_receive_buffer_is_a_warning(tmp_path: Path) -> None:
-    trees.known(tmp_path)
-    subject = trees.subject(tmp_path, {network.RMEM: "212992"}, trees.genicam())
+    made_machines.known(tmp_path)
+    subject = made_machines.subject(tmp_path, {network.RMEM: "212992"}, made_machines.genicam())
     (found,) = by_name(network.check(subject), "rmem_max")
     assert found.level == "warning" and "sysctl -w net.core.rmem_max" in found.remedy
 
@@ -75,11 +75,11 @@ def test_with_genicam_cameras_in_the_rig_a_small_receive_buffer_is_a_warning(tmp
 def test_interfaces_that_are_no_hardware_or_down_are_left_out(tmp_path: Path) -> None:
     files = {"/sys/class/net/lo/type": "772", "/sys/class/net/br0/type": "1", "/sys/class/net/br0/operstate": "up"}
     down = NETWORK | {"/sys/class/net/eth7/operstate": "down"}
-    assert network.interfaces(trees.subject(tmp_path, files | down)) == []
+    assert network.interfaces(made_machines.subject(tmp_path, files | down)) == []
 
 
 def test_device_files_that_may_not_be_used_name_the_group_to_join(tmp_path: Path) -> None:
-    trees.machine(tmp_path, {"/dev/video0": "", "/dev/video1": "", "/dev/dri/renderD128": "", "/etc/group": ""})
+    made_machines.machine(tmp_path, {"/dev/video0": "", "/dev/video1": "", "/dev/dri/renderD128": "", "/etc/group": ""})
     found = list(device_permissions.check(Subject(Refusing(tmp_path, {}))))
     wrong = [finding for finding in found if finding.level == "warning"]
     assert len(wrong) == 2 and all("usermod -aG" in finding.remedy for finding in wrong)
@@ -88,10 +88,10 @@ def test_device_files_that_may_not_be_used_name_the_group_to_join(tmp_path: Path
 
 
 def test_a_usb3_camera_without_a_rule_gets_the_rule_to_write(tmp_path: Path) -> None:
-    trees.machine(tmp_path, CAMERA)
+    made_machines.machine(tmp_path, CAMERA)
     (found,) = by_name(device_permissions.check(Subject(Refusing(tmp_path, {}))), "udev")
     assert 'ATTRS{idVendor}=="2676"' in found.remedy and "no rule of udev" in found.text
-    trees.machine(tmp_path, {"/etc/udev/rules.d/69-cam.rules": 'ATTRS{idVendor}=="2676", GROUP="plugdev"'})
+    made_machines.machine(tmp_path, {"/etc/udev/rules.d/69-cam.rules": 'ATTRS{idVendor}=="2676", GROUP="plugdev"'})
     (found,) = by_name(device_permissions.check(Subject(Refusing(tmp_path, {}))), "udev")
     assert "a rule of udev" in found.text and "udevadm" in found.remedy
 
@@ -99,7 +99,7 @@ def test_a_usb3_camera_without_a_rule_gets_the_rule_to_write(tmp_path: Path) -> 
 def test_processors_that_the_rig_wants_must_be_there(tmp_path: Path) -> None:
     there = min(os.sched_getaffinity(0))
     rig = f"cameras: {{driver: sim}}\npipeline: {{cpus: [{there}, 4000], threads: 200}}\n"
-    found = list(processors.wishes(trees.subject(tmp_path, rig=rig), frozenset(os.sched_getaffinity(0))))
+    found = list(processors.wishes(made_machines.subject(tmp_path, rig=rig), frozenset(os.sched_getaffinity(0))))
     assert levels(found) == ["problem", "warning"] and "4000" in found[0].text and "threads" in found[1].text
 
 
@@ -111,13 +111,13 @@ def test_numba_has_a_threading_layer() -> None:
 def test_the_lowest_speed_is_told_only_where_powersave_means_that(tmp_path: Path, driver: str, told: int) -> None:
     place = "/sys/devices/system/cpu/cpu0/cpufreq"
     files = {f"{place}/scaling_governor": "powersave", f"{place}/scaling_driver": driver}
-    assert len(list(processors.governor(trees.subject(tmp_path, files)))) == told
+    assert len(list(processors.governor(made_machines.subject(tmp_path, files)))) == told
 
 
 @pytest.mark.parametrize(("available_kb", "level"), [(300_000, "problem"), (800_000, "warning"), (8_000_000, "ok")])
 def test_memory(tmp_path: Path, available_kb: int, level: str) -> None:
     text = f"MemTotal: 16000000 kB\nMemAvailable: {available_kb} kB\nSwapTotal: 0 kB\nSwapFree: 0 kB\n"
-    assert levels(memory.check(trees.subject(tmp_path, {"/proc/meminfo": text}))) == [level]
+    assert levels(memory.check(made_machines.subject(tmp_path, {"/proc/meminfo": text}))) == [level]
 
 
 def test_a_free_socket_a_left_over_one_one_in_use_and_a_file(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_port_on_all_addresses_and_ipv6_are_read_from_proc(tmp_path: Path) -> 
     rest = "00000000:0000 0A 00000000:00000000 00:00000000 00000000     0        0 4711 1"
     loopback6 = "0" * 24 + "01000000"
     text4, text6 = f"{head}   0: 00000000:15B3 {rest}\n", f"{head}   0: {loopback6}:15B4 {rest}\n"
-    machine = trees.machine(tmp_path, {"/proc/net/tcp": text4, "/proc/net/tcp6": text6})
+    machine = made_machines.machine(tmp_path, {"/proc/net/tcp": text4, "/proc/net/tcp6": text6})
     found = sockets.port(machine, "stream", "tcp://127.0.0.1:5555")
     assert found.level == "problem" and "another user" in found.text
     assert [str(address) for address, _ in sockets.listening(machine, 5556)] == ["::1"]
@@ -202,6 +202,6 @@ def test_systemd_says_yes_or_no() -> None:
 
 def test_programs_are_read_from_proc(tmp_path: Path) -> None:
     files = {"/proc/5/comm": "redshift\n", "/proc/5/cmdline": "redshift\0-l\0", "/proc/self/comm": "me"}
-    machine = trees.machine(tmp_path, files)
+    machine = made_machines.machine(tmp_path, files)
     assert list(machine.programs()) == [Program(5, "redshift", "redshift -l")]
     assert dataclasses.replace(machine, root=tmp_path / "none").number("/proc/x") is None

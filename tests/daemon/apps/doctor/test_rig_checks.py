@@ -21,8 +21,8 @@ from drivers.projector.options import ProjectorOptions, read
 from drivers.v4l2 import CameraFound as VideoFound
 from drivers.v4l2.device import PixelFormatFound
 from sim.rig.layout import RigLayout
-from tests.daemon.doctor import trees
-from tests.daemon.doctor.trees import by_name, levels
+from tests.daemon.apps.doctor import made_machines
+from tests.daemon.apps.doctor.made_machines import by_name, levels
 
 
 def camera(serial: str, **changes: str) -> CameraFound:
@@ -43,10 +43,10 @@ def matched(seen: list[CameraFound], left: dict[str, Any], right: dict[str, Any]
 
 def test_a_rig_with_mistakes_is_looked_at_all_the_same(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
-    path.write_text(trees.genicam("{serial: 4}", "{serial: A2, exposure: 3}"))
+    path.write_text(made_machines.genicam("{serial: 4}", "{serial: A2, exposure: 3}"))
     config, problems = rig_file.read_leniently(path)
     assert config is not None and len(problems) == 3 and all("there is no file" in text for text in problems)
-    subject = trees.subject(tmp_path)
+    subject = made_machines.subject(tmp_path)
     subject.path, subject.config = path, config
     found = list(rig_file.check(subject))
     assert levels(found) == ["problem"] * 5
@@ -103,7 +103,7 @@ def test_a_producer_for_another_processor_and_one_that_does_not_load(tmp_path: P
 
 def test_directories_of_the_environment_that_are_not_there(tmp_path: Path) -> None:
     environ = {"GENICAM_GENTL64_PATH": f"{tmp_path}/none:{tmp_path}"}
-    found = list(genicam_producers.check(trees.subject(tmp_path, environ=environ)))
+    found = list(genicam_producers.check(made_machines.subject(tmp_path, environ=environ)))
     assert levels(found) == ["warning", "warning", "note"]
 
 
@@ -148,47 +148,51 @@ def test_v4l2_cameras(options: dict[str, Any], level: str, word: str) -> None:
 
 
 def test_calibration_pattern_and_volume_that_fit(tmp_path: Path) -> None:
-    trees.known(tmp_path)
-    found = list(calibration.check(trees.subject(tmp_path, rig=trees.genicam("{user_name: L}", "{user_name: R}"))))
+    made_machines.known(tmp_path)
+    found = list(
+        calibration.check(
+            made_machines.subject(tmp_path, rig=made_machines.genicam("{user_name: L}", "{user_name: R}"))
+        )
+    )
     assert {finding.level for finding in found if finding.name != "age"} == {"ok"}, found
     assert [finding.name for finding in found] == ["file", "age", "pattern", "volume", "layout"]
 
 
 def test_a_calibration_of_other_cameras_is_told(tmp_path: Path) -> None:
-    trees.known(tmp_path)
+    made_machines.known(tmp_path)
     data = yaml.safe_load((tmp_path / "calibration.yaml").read_text())
     data["cameras"]["left"]["serial"] = "B7"
     (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(data))
-    rig = trees.genicam("{serial: A1, roi: {width: 64, height: 48}}", "{user_name: R}")
-    wrong = by_name(calibration.check(trees.subject(tmp_path, rig=rig)), "camera left")
+    rig = made_machines.genicam("{serial: A1, roi: {width: 64, height: 48}}", "{user_name: R}")
+    wrong = by_name(calibration.check(made_machines.subject(tmp_path, rig=rig)), "camera left")
     assert levels(wrong) == ["problem", "problem"] and "64 x 48" in wrong[0].text and "B7" in wrong[1].text
 
 
 def test_a_broken_calibration_does_not_hide_the_pattern(tmp_path: Path) -> None:
-    trees.known(tmp_path)
+    made_machines.known(tmp_path)
     (tmp_path / "calibration.yaml").write_text("cameras: {")
-    found = list(calibration.check(trees.subject(tmp_path, rig=trees.genicam())))
+    found = list(calibration.check(made_machines.subject(tmp_path, rig=made_machines.genicam())))
     assert [(finding.name, finding.level) for finding in found] == [("file", "problem"), ("pattern", "ok")]
 
 
 def test_a_pattern_of_another_projector_and_a_volume_nobody_sees(tmp_path: Path) -> None:
-    trees.known(tmp_path)
+    made_machines.known(tmp_path)
     (tmp_path / "volume.json").write_text('{"near_mm": 20.0, "far_mm": 40.0}')
-    rig = trees.genicam().replace("[160, 128]", "[1920, 1080]")
-    found = list(calibration.check(trees.subject(tmp_path, rig=rig)))
+    rig = made_machines.genicam().replace("[160, 128]", "[1920, 1080]")
+    found = list(calibration.check(made_machines.subject(tmp_path, rig=rig)))
     assert by_name(found, "pattern")[0].level == "problem" and by_name(found, "volume")[0].level == "warning"
 
 
 def test_a_projector_in_the_middle_is_told_with_a_better_place(tmp_path: Path) -> None:
     layout = replace(RigLayout().scaled(0.125), projector_fraction=0.5)
-    trees.known(tmp_path)
+    made_machines.known(tmp_path)
     write_calibration(tmp_path / "calibration.yaml", layout.calibration())
-    (finding,) = by_name(calibration.check(trees.subject(tmp_path, rig=trees.genicam())), "layout")
+    (finding,) = by_name(calibration.check(made_machines.subject(tmp_path, rig=made_machines.genicam())), "layout")
     assert finding.level == "warning" and "0.382" in finding.remedy, finding
 
 
 def test_the_age_of_a_calibration(tmp_path: Path) -> None:
-    trees.known(tmp_path)
+    made_machines.known(tmp_path)
     file = read_calibration(tmp_path / "calibration.yaml")
     stamp = datetime.fromisoformat(str(file.mapping["created"]))
     made = stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
@@ -204,17 +208,19 @@ def test_exposures_are_whole_numbers_of_periods() -> None:
 
 
 def test_an_exposure_that_is_not_set_is_a_warning(tmp_path: Path) -> None:
-    trees.known(tmp_path)
-    subject = trees.subject(tmp_path, rig=trees.genicam("{serial: A1}", "{serial: A2, exposure_us: 16666.7}"))
+    made_machines.known(tmp_path)
+    subject = made_machines.subject(
+        tmp_path, rig=made_machines.genicam("{serial: A1}", "{serial: A2, exposure_us: 16666.7}")
+    )
     found = list(exposure_timing.check(subject))
     assert levels(found) == ["warning", "ok"] and "cameras.left.exposure_us" in found[0].remedy
 
 
 @pytest.mark.parametrize(("name", "size"), [("BayerRG8", 1), ("BayerRG12p", 1.5), ("Mono12", 2), ("RGB8", 3)])
 def test_the_bytes_of_an_image(tmp_path: Path, name: str, size: float) -> None:
-    trees.known(tmp_path)
+    made_machines.known(tmp_path)
     side = f"{{serial: A, pixel_format: {name}, roi: {{width: 100, height: 10}}}}"
-    subject = trees.subject(tmp_path, rig=trees.genicam(side, side))
+    subject = made_machines.subject(tmp_path, rig=made_machines.genicam(side, side))
     assert data_rate.frame_bytes(subject) == [1000 * size, 1000 * size] and data_rate.rate_hz(subject) == 0.0
 
 

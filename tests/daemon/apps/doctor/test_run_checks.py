@@ -14,7 +14,7 @@ from daemon.apps.doctor import report
 from daemon.apps.doctor.check_table import AREAS
 from daemon.apps.doctor.finding import LEVELS, Finding, Level, counts, exit_code
 from daemon.apps.doctor.run_checks import examine
-from tests.daemon.doctor import sick
+from tests.daemon.apps.doctor import bad_checks
 from tests.daemon.rigs import wait_until
 
 
@@ -42,20 +42,20 @@ def test_areas_have_names_of_their_own_and_targets_that_are_there() -> None:
 
 
 def test_a_check_that_raises_becomes_a_finding_and_keeps_what_it_found() -> None:
-    found = examine(checks=[sick.check("raises"), sick.WELL])
+    found = examine(checks=[bad_checks.check("raises"), bad_checks.WELL])
     assert [finding.level for finding in found] == ["ok", "problem", "ok"]
     assert "KeyError" in found[1].text and "Exposure" in found[1].text
 
 
 def test_a_check_that_crashes_becomes_a_finding_and_the_others_go_on() -> None:
-    found = examine(checks=[sick.WELL, sick.check("crashes"), sick.WELL])
+    found = examine(checks=[bad_checks.WELL, bad_checks.check("crashes"), bad_checks.WELL])
     assert [finding.area for finding in found] == ["well", "sick", "well"]
     assert found[1].level == "problem" and "SIGSEGV" in found[1].text and "--only sick" in found[1].remedy
 
 
 def test_a_check_that_hangs_is_ended_with_all_that_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SICK_CHILD", str(tmp_path / "child"))
-    found = examine(checks=[sick.check("hangs", timeout_s=3.0), sick.WELL])
+    found = examine(checks=[bad_checks.check("hangs", timeout_s=3.0), bad_checks.WELL])
     assert [finding.area for finding in found] == ["sick", "well"]
     assert found[0].level == "problem" and "in time" in found[0].text
     child = int((tmp_path / "child").read_text())
@@ -63,12 +63,15 @@ def test_a_check_that_hangs_is_ended_with_all_that_it_started(tmp_path: Path, mo
 
 
 def test_a_check_whose_library_talks_without_end_is_no_trouble() -> None:
-    assert [finding.name for finding in examine(checks=[sick.check("prints")])] == ["prints"]
+    assert [finding.name for finding in examine(checks=[bad_checks.check("prints")])] == ["prints"]
 
 
 def test_each_area_is_told_as_soon_as_it_is_done() -> None:
     told: list[list[str]] = []
-    examine(checks=[sick.WELL, sick.check("crashes"), sick.WELL], on_area=lambda f: told.append([x.area for x in f]))
+    examine(
+        checks=[bad_checks.WELL, bad_checks.check("crashes"), bad_checks.WELL],
+        on_area=lambda f: told.append([x.area for x in f]),
+    )
     assert told == [["well"], ["sick"], ["well"]]
 
 

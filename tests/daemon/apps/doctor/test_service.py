@@ -13,9 +13,9 @@ from daemon.apps.doctor.subject import Subject
 from daemon.apps.install import steps
 from daemon.apps.install.environment import Source, default_python
 from daemon.apps.install.target import Target
-from tests.service.manager import PATIENT
-from tests.service.test_install import as_root
-from tests.service.test_units import needs_systemd
+from tests.daemon.apps.install.test_steps import as_root
+from tests.daemon.apps.install.test_units import needs_systemd
+from tests.daemon.bootstrap.systemd.manager import PATIENT
 
 pytestmark = PATIENT
 

@@ -17,8 +17,8 @@ from daemon.apps.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG
 from daemon.apps.install.target import MARK, Target, check_prefix, reachable
 from daemon.common.errors import ConfigError
 from daemon.config import load_rig, parse_rig
-from tests.service.manager import PATIENT
-from tests.service.test_units import needs_systemd
+from tests.daemon.apps.install.test_units import needs_systemd
+from tests.daemon.bootstrap.systemd.manager import PATIENT
 
 pytestmark = PATIENT
 

@@ -16,7 +16,7 @@ from daemon.apps.install import layout
 from daemon.apps.install.files import sources
 from daemon.apps.install.layout import FILES, PROGRAMS, UNITS
 from daemon.cli.measure.run import WRONG_CONFIG
-from tests.service.manager import PATIENT
+from tests.daemon.bootstrap.systemd.manager import PATIENT
 
 pytestmark = PATIENT
 

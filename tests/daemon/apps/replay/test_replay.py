@@ -15,7 +15,7 @@ import pytest
 from daemon.apps.export.cloud_files import read_cloud
 from daemon.cli.entry import run
 from pipeline.reconstruct.reconstructor import Reconstructor
-from tests.record import small_take
+from tests.daemon.recording import small_take
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +247,7 @@ def test_the_foreign_take_replays(shared_data: Callable[..., Path], tmp_path: Pa
 
 
 def test_the_example_reads_a_take(take: Path) -> None:
-    example = Path(__file__).parents[2] / "examples" / "03_read_a_take.py"
+    example = Path(__file__).parents[4] / "examples" / "03_read_a_take.py"
     done = subprocess.run([sys.executable, str(example), str(take)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "3 pairs, 0 frames without a partner" in done.stdout

@@ -24,10 +24,10 @@ from daemon.apps.viewer.bridge import Bridge, Options
 from daemon.apps.viewer.stream_source import NewestMessages
 from daemon.cli.entry import run
 from fringed import SilenceError, subscribe
-from tests.security import listening
-from tests.stream import clouds
-from tests.stream.clouds import until
-from tests.view import logged
+from tests.daemon.apps.viewer import rrd_contents
+from tests.daemon.live.publishing import clouds
+from tests.daemon.live.publishing.clouds import until
+from tests.daemon.remote_access import listening_addresses
 
 LARGE = (256, 205)
 
@@ -81,10 +81,10 @@ def test_clouds_images_and_figures_of_a_stream_reach_the_file(tmp_path: Path) ->
                 return seen == {"cloud/full", "preview", "status"}
 
             until(all_came)
-    assert list(logged.clouds(file)) == [3]
-    assert {"/images/left", "/images/right", "/images/modulation"} <= logged.entities(file)
+    assert list(rrd_contents.clouds(file)) == [3]
+    assert {"/images/left", "/images/right", "/images/modulation"} <= rrd_contents.entities(file)
     figures = {
-        name: [float(value[0]) for value in logged.rows(file, f"/figures/{name}", "Scalars:scalars").values()]
+        name: [float(value[0]) for value in rrd_contents.rows(file, f"/figures/{name}", "Scalars:scalars").values()]
         for name in ("rate_hz", "drops", "points", "latency_ms")
     }
     assert figures == {"rate_hz": [4.5], "drops": [5.0], "points": [32 * 26 - 12], "latency_ms": [21.0]}
@@ -119,7 +119,7 @@ def test_a_viewer_that_hangs_holds_up_neither_the_publisher_nor_other_subscriber
             until(ended, 20.0)
             _, told = viewer.communicate()
             assert viewer.returncode == 0, told
-    assert max(logged.clouds(file)) > newest and "30 clouds" in told
+    assert max(rrd_contents.clouds(file)) > newest and "30 clouds" in told
 
 
 def test_ctrl_c_finishes_the_file(tmp_path: Path) -> None:
@@ -155,8 +155,8 @@ def test_the_web_viewer_prints_one_line_with_its_address_and_serves_the_page() -
             assert address.startswith("http://127.0.0.1:") and "/?url=rerun%2Bhttp://127.0.0.1:" in address
             with urlopen(address.partition("?")[0], timeout=10) as page:
                 assert b"<html" in page.read().lower()
-            until(lambda: len(listening.addresses(viewer.pid)) >= 2, 60)
-            assert {host for host, _ in listening.addresses(viewer.pid)} == {"127.0.0.1"}
+            until(lambda: len(listening_addresses.addresses(viewer.pid)) >= 2, 60)
+            assert {host for host, _ in listening_addresses.addresses(viewer.pid)} == {"127.0.0.1"}
             viewer.send_signal(signal.SIGINT)
             viewer.communicate(timeout=10)
 

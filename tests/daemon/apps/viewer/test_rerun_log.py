@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from daemon.apps.viewer import colors, rerun_import, rerun_log, rerun_targets, screenshot
-from tests.stream import clouds
-from tests.view import logged
+from tests.daemon.apps.viewer import rrd_contents
+from tests.daemon.live.publishing import clouds
 
 
 def write(file: Path, cloud: Any, **options: Any) -> None:
@@ -32,23 +32,23 @@ def test_the_points_read_back_are_the_known_ones_of_every_nth_row_and_column(tmp
     cloud = clouds.item(1).cloud
     wanted = cloud.xyz[::decimate, ::decimate].reshape(-1, 3).copy()
     write(tmp_path / "x.rrd", cloud, decimate=decimate)
-    found = logged.clouds(tmp_path / "x.rrd")
+    found = rrd_contents.clouds(tmp_path / "x.rrd")
     assert list(found) == [7]
     np.testing.assert_array_equal(found[7].astype(np.float32), wanted[np.isfinite(wanted[:, 2])])
 
 
 def test_times_figures_and_axes_are_in_the_file(tmp_path: Path) -> None:
     write(tmp_path / "x.rrd", clouds.item(1).cloud)
-    (time,) = logged.rows(tmp_path / "x.rrd", "/figures/points", "Scalars:scalars")
+    (time,) = rrd_contents.rows(tmp_path / "x.rrd", "/figures/points", "Scalars:scalars")
     assert time == 1_700_000_000_123_456_789
-    assert {"/world", "/world/cloud", "/figures/points"} <= logged.entities(tmp_path / "x.rrd")
+    assert {"/world", "/world/cloud", "/figures/points"} <= rrd_contents.entities(tmp_path / "x.rrd")
 
 
 def test_texture_colours_are_the_grey_of_each_logged_point(tmp_path: Path) -> None:
     cloud = clouds.item(1).cloud
     gray = cloud.gray[np.isfinite(cloud.xyz[..., 2])].astype(np.uint32)
     write(tmp_path / "x.rrd", cloud, decimate=1, color="texture")
-    (found,) = logged.rows(tmp_path / "x.rrd", "/world/cloud", "Points3D:colors").values()
+    (found,) = rrd_contents.rows(tmp_path / "x.rrd", "/world/cloud", "Points3D:colors").values()
     np.testing.assert_array_equal(found.reshape(-1), gray << 24 | gray << 16 | gray << 8 | 255)
 
 
@@ -84,8 +84,8 @@ def test_images_are_decoded_and_a_damaged_one_costs_only_itself(tmp_path: Path) 
     logger.images({"left": jpeg, "right": jpeg[:9], "overlay": jpeg[:0]})
     recording.flush()
     recording.disconnect()
-    assert "/images/right" not in logged.entities(tmp_path / "x.rrd")
-    (buffer,) = logged.rows(tmp_path / "x.rrd", "/images/left", "Image:buffer").values()
+    assert "/images/right" not in rrd_contents.entities(tmp_path / "x.rrd")
+    (buffer,) = rrd_contents.rows(tmp_path / "x.rrd", "/images/left", "Image:buffer").values()
     np.testing.assert_allclose(buffer.reshape(left.shape), left, atol=4)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.manager import Manager
+from tests.daemon.bootstrap.systemd.manager import Manager
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.bootstrap.systemd.notifier import Notifier
-from tests.service.manager import Manager
+from tests.daemon.bootstrap.systemd.manager import Manager
 
 
 def test_every_message_has_the_form_that_systemd_reads(manager: Manager) -> None:

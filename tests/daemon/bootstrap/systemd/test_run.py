@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.manager import PATIENT, Manager, wait_until
+from tests.daemon.bootstrap.systemd.manager import PATIENT, Manager, wait_until
 
 pytestmark = PATIENT
 

@@ -15,7 +15,7 @@ from daemon.rig.calibration_file import read_calibration, read_cameras
 from sim.rig.layout import RigLayout
 from tests.daemon.rigs import wait_until
 
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "calibrate-sim.yaml"
+EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "calibrate-sim.yaml"
 
 
 PROGRAM = "from daemon.cli.entry import main; main()"
@@ -24,7 +24,7 @@ import sys
 from pathlib import Path
 from daemon.bootstrap.run import StopFlag, run_rig
 from daemon.live.service import Service
-from tests.calibrate.live.lit_rig import FlatReconstructor
+from tests.daemon.lit_rig import FlatReconstructor
 Service._warm = lambda self: FlatReconstructor()
 with StopFlag().on_signals() as flag:
     run_rig(Path(sys.argv[1]), flag=flag)

@@ -15,7 +15,7 @@ from daemon.cli.control.set import parsed
 from daemon.cli.control.status_page import page, watch
 from daemon.common.errors import ControlError
 from daemon.control.rpc.server import ControlServer
-from tests.daemon.running import Running, warmed
+from tests.daemon.running_daemon import Running, warmed
 
 
 @pytest.fixture(scope="module")

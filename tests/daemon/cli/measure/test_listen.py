@@ -15,10 +15,10 @@ import pytest
 
 from daemon.live.publishing.publisher import Publisher
 from fringed.ply import ply_bytes
-from tests.stream import clouds
-from tests.stream.test_wire import GOLDEN
+from tests.daemon.live.publishing import clouds
+from tests.fringed.test_wire import GOLDEN
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[4] / "examples"
 
 
 @contextmanager

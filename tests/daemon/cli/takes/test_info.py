@@ -13,7 +13,7 @@ from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
 from daemon.cli.entry import run
 from daemon.recording.read.inspect import gaps, inspect, unwrapped
 from daemon.recording.read.take_reader import TakeReader
-from tests.record.takes import lone, pair, write
+from tests.daemon.recording.takes import lone, pair, write
 
 PATTERN = {
     "kind": "color_fringe",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from daemon.live.acquisition.pairer import Event, Fate, Lost, Pair, Pairer, PairingSettings, Resynced
 from drivers.protocols import TRIGGER_MODULUS, Frame
-from tests.daemon.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
+from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
 
 CALM = Faults(0, 0, 0, 0, 0, 0, 0)
 

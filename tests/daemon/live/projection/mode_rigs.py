@@ -16,7 +16,7 @@ from daemon.live.service import Service
 from daemon.live.status import State
 from daemon.rig.open_rig import open_rig
 from pipeline.reconstruct.cloud import Cloud
-from tests.calibrate.live.lit_rig import FlatReconstructor, FreeProjector, devices
+from tests.daemon.lit_rig import FlatReconstructor, FreeProjector, devices
 from tests.daemon.rigs import Collector, config, rig_of, wait_until
 
 RENDERED = """

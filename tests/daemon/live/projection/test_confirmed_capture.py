@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting, settling_ns
 from drivers.errors import DriverError
-from tests.calibrate.live.bench import MS, Bench, image, level
+from tests.daemon.live.projection.virtual_time import MS, Bench, image, level
 
 
 def shooting(bench: Bench, **options: object) -> Shooting:

@@ -18,8 +18,8 @@ from daemon.control.sequence_capture import Capture
 from daemon.live.items import PairItem
 from daemon.live.status import State
 from daemon.recording.recorder import Recorder
+from tests.daemon.live.projection.mode_rigs import Lit, lit
 from tests.daemon.rigs import Collector, wait_until
-from tests.sequencing.rigs import Lit, lit
 
 
 class Desk:

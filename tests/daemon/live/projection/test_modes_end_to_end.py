@@ -19,8 +19,8 @@ from sim.evaluate.score import score
 from sim.render.render_pair import truths
 from sim.rig.layout import RigLayout
 from sim.scene import named_scenes
+from tests.daemon.live.projection.mode_rigs import rendered
 from tests.daemon.rigs import wait_until
-from tests.sequencing.rigs import rendered
 
 LAYOUT = RigLayout().scaled(0.125)
 SPHERES = "scene: spheres"

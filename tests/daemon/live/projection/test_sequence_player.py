@@ -16,7 +16,7 @@ from daemon.live.projection.confirmed_capture import Shooting, settling_ns
 from daemon.live.projection.sequence_player import Driver
 from daemon.live.sets import ImageSet
 from drivers.errors import DriverError
-from tests.calibrate.live.bench import MS, Bench, image, level
+from tests.daemon.live.projection.virtual_time import MS, Bench, image, level
 from tests.daemon.rigs import wait_until
 
 LEVELS = [10, 60, 110, 160, 210]

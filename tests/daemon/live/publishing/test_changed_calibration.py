@@ -12,7 +12,7 @@ from daemon.rig.open_rig import Rig
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.volume import Volume
 from tests.daemon import rigs
-from tests.stream import clouds
+from tests.daemon.live.publishing import clouds
 
 OLD, NEW = "sha256:00", "sha256:11"
 

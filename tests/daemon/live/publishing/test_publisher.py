@@ -26,7 +26,7 @@ from fringed.client import Subscription
 from fringed.losses import Losses
 from fringed.receiver import Receiver
 from tests.daemon import rigs
-from tests.stream import clouds
+from tests.daemon.live.publishing import clouds
 
 WAIT_S = 8.0
 

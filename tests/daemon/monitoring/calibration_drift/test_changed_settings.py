@@ -9,7 +9,7 @@ from typing import Any, cast
 from daemon.config import RigConfig
 from daemon.monitoring.calibration_drift.sink import SelfCheck
 from daemon.monitoring.calibration_drift.verdicts import limits_of
-from tests.calibrate.selfcheck.test_daemon import running
+from tests.daemon.monitoring.calibration_drift.test_running_daemon import running
 from tests.daemon.rigs import config, wait_until
 
 PLANE: dict[str, Any] = {"scene": "plane", "frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from daemon.monitoring.health.observe.counter_rates import Deltas
 from daemon.monitoring.health.observe.frame_statistics import KEPT, Frames, spread
-from tests.health.made import camera, cloud, pair, status
+from tests.daemon.monitoring.health.samples import camera, cloud, pair, status
 
 S = 1_000_000_000
 

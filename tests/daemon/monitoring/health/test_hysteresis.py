@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.monitoring.health.hysteresis import FORGET_S, Hysteresis
-from tests.health.made import config
+from tests.daemon.monitoring.health.samples import config
 
 CONFIG = config(raise_s=3.0, clear_s=5.0, margin=0.1)
 LIMIT = 100.0

@@ -14,7 +14,7 @@ from daemon.monitoring.health.observe.clock_sync import ClockSync
 from daemon.monitoring.health.prometheus.exposition import exposition
 from daemon.monitoring.health.quantities import NAMES, TABLE, shown
 from daemon.monitoring.health.rules import RULES
-from tests.health.made import camera, cloud, config, pair, status
+from tests.daemon.monitoring.health.samples import camera, cloud, config, pair, status
 
 S = 1_000_000_000
 

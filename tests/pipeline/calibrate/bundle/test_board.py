@@ -6,7 +6,7 @@ import pytest
 from pipeline.calibrate.bundle import Options, calibrate
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from pipeline.common.errors import CalibrationError
-from tests.calibrate.bundle.sessions import session
+from tests.pipeline.calibrate.bundle.sessions import session
 
 PAIR = ("left", "right")
 

@@ -10,7 +10,7 @@ from pipeline.calibrate.bundle.initialise.board_symmetry import symmetries
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board, parse_board
 from pipeline.calibrate.targets.marks import BoardView, Marks
 from pipeline.common.errors import CalibrationError
-from tests.calibrate.bundle.sessions import session
+from tests.pipeline.calibrate.bundle.sessions import session
 
 SQUARE = Board("circles", 9, 9, 34.0)
 

@@ -10,7 +10,7 @@ from pipeline.calibrate.targets.localise import circle_projection
 from pipeline.calibrate.targets.marks import BoardView, Marks
 from pipeline.common.errors import CalibrationError
 from sim.rig.layout import RigLayout
-from tests.calibrate.bundle.sessions import poses, session
+from tests.pipeline.calibrate.bundle.sessions import poses, session
 
 
 def agree(solution, truth, *, intrinsic: float = 1e-6, pose: float = 1e-6) -> None:

@@ -7,7 +7,7 @@ from pipeline.calibrate.bundle import Options, calibrate
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from pipeline.calibrate.targets.marks import BoardView, Marks
 from pipeline.common.errors import CalibrationError
-from tests.calibrate.bundle.sessions import session
+from tests.pipeline.calibrate.bundle.sessions import session
 
 
 def moved(view: BoardView, device: str, ids, by) -> BoardView:

@@ -9,7 +9,7 @@ from pipeline.calibrate.bundle.adjust.state import rotation_matrices
 from pipeline.calibrate.bundle.quality.reprojection_error import difference_px, epipolar_distances, rms
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from sim.rig.layout import RigLayout
-from tests.calibrate.bundle.sessions import session
+from tests.pipeline.calibrate.bundle.sessions import session
 
 RIG = RigLayout().calibration()
 

@@ -7,7 +7,7 @@ from pipeline.calibrate.bundle import calibrate
 from pipeline.calibrate.bundle.adjust.uncertainty import noise_floor
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from pipeline.calibrate.targets.marks import BoardView, Marks
-from tests.calibrate.bundle.sessions import session
+from tests.pipeline.calibrate.bundle.sessions import session
 
 
 @pytest.mark.slow

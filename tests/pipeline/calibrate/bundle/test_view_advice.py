@@ -9,7 +9,7 @@ from pipeline.calibrate.bundle.quality.view_coverage import looks
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
 from pipeline.common.errors import CalibrationError
 from sim.rig.layout import RigLayout
-from tests.calibrate.bundle.sessions import poses, rotation, session
+from tests.pipeline.calibrate.bundle.sessions import poses, rotation, session
 
 
 def placed(turns, places=None) -> list[tuple]:

@@ -11,7 +11,7 @@ from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration, from_mapping, to_mapping
 from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, LateralChromatic, Registration
-from tests.calibrate.color.bench import CAMERA, MIX, PROJECTOR, Bench, projected, rig
+from tests.pipeline.calibrate.color.white_board import CAMERA, MIX, PROJECTOR, Bench, projected, rig
 
 PATTERN = ColorFringe(PROJECTOR, 20)
 LATERAL_CHROMATIC = LateralChromatic(

@@ -13,7 +13,7 @@ from pipeline.calibrate.targets.board.board import Board
 from pipeline.common.errors import TargetError
 from sim.boards.board_scene import BoardPose, true_marks
 from sim.rig.layout import RigLayout
-from tests.calibrate.projector.views import seen
+from tests.pipeline.calibrate.projector.views import seen
 
 LAYOUT = RigLayout().scaled(0.5)
 CIRCLES = Board("circles", 7, 6, 40.0, 24.0)

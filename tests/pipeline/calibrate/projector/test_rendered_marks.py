@@ -18,7 +18,7 @@ from pipeline.rig.calibration import Calibration
 from sim.boards.board_scene import BoardPose, RenderedViews, render_views, true_centroids, true_marks
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from tests.calibrate.projector.views import seen
+from tests.pipeline.calibrate.projector.views import seen
 
 pytestmark = pytest.mark.timeout(300)  # the renderer's kernels may have to be compiled
 

@@ -11,9 +11,9 @@ from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
 from pipeline.common.errors import TargetError
 from sim.devices.open_rig import RigDevices
 from sim.devices.trigger_world import SimWorld
-from tests.calibrate.bundle.sessions import session as made_session
-from tests.calibrate.live.lit_rig import FreeProjector, devices
-from tests.calibrate.live.test_session import Seen
+from tests.daemon.apps.calibration.guided.test_session_state import Seen
+from tests.daemon.lit_rig import FreeProjector, devices
+from tests.pipeline.calibrate.bundle.sessions import session as made_session
 
 VIEWS, SIZES, _ = made_session(n=16, devices=("left", "right"), seed=3)
 BOARD = DEFAULT_BOARD

@@ -35,8 +35,8 @@ from daemon.live.service import Service
 from daemon.recording.recorder import Recorder
 from drivers.errors import DriverError
 from pipeline.pattern.sequence import Fringe, Sequence, Uniform, camera_sequence
-from tests.calibrate.live.hand_rig import BOARD, HandDevices, find, hand_devices
-from tests.calibrate.live.lit_rig import UnmeasuringService
+from tests.daemon.apps.calibration.guided.hand_rig import BOARD, HandDevices, find, hand_devices
+from tests.daemon.lit_rig import UnmeasuringService
 from tests.daemon.rigs import Collector, config, rig_of, wait_until
 
 LIMITS = Limits(steady_s=0.05, wanted=3, most=3)

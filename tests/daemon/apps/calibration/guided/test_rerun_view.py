@@ -15,9 +15,9 @@ from daemon.apps.calibration.guided.rerun_view import Shown, advice_text, shrunk
 from daemon.apps.calibration.guided.session_state import Session, Sight
 from daemon.apps.viewer.rerun_targets import file_recording
 from daemon.common.errors import DaemonError
-from tests.calibrate.live.hand_rig import BOARD, SIZES, VIEWS
-from tests.calibrate.live.test_session import LIMITS, Clock, held, sight
-from tests.view import logged
+from tests.daemon.apps.calibration.guided.hand_rig import BOARD, SIZES, VIEWS
+from tests.daemon.apps.calibration.guided.test_session_state import LIMITS, Clock, held, sight
+from tests.daemon.apps.viewer import rrd_contents
 
 
 def scene(*, taken: int = 0) -> Scene:
@@ -35,14 +35,14 @@ def test_images_marks_coverage_outline_and_figures_reach_the_file(tmp_path: Path
         shown = Shown(recording)
         shown.seen(scene(taken=2))
         shown.close()
-    entities = logged.entities(file)
+    entities = rrd_contents.entities(file)
     sides = {f"/images/{side}{part}" for side in ("left", "right") for part in ("", "/marks", "/covered")}
     figures = {f"/figures/{name}/{side}" for name in ("sharpness_px", "saturated") for side in ("left", "right")}
     assert sides | figures | {"/images/left/next", "/now", "/advice"} <= entities
-    (marks,) = logged.rows(file, "/images/left/marks", "Points2D:positions", "look").values()
+    (marks,) = rrd_contents.rows(file, "/images/left/marks", "Points2D:positions", "look").values()
     scale = viewer_module.WIDTH_PX / SIZES["left"][0]
     assert np.allclose(np.asarray(marks.tolist()), VIEWS[2].marks["left"].pixels * scale, atol=1e-3)
-    (covered,) = logged.rows(file, "/images/right/covered", "Points2D:positions", "look").values()
+    (covered,) = rrd_contents.rows(file, "/images/right/covered", "Points2D:positions", "look").values()
     assert len(covered) == sum(len(view.marks["right"]) for view in VIEWS[:2])
 
 
@@ -54,7 +54,7 @@ def test_a_look_without_marks_is_shown_too(tmp_path: Path) -> None:
         shown = Shown(recording)
         shown.seen(Scene({"left": image, "right": image}, empty, session.look(empty), session))
         shown.close()
-    assert "/images/left" in logged.entities(tmp_path / "x.rrd")
+    assert "/images/left" in rrd_contents.entities(tmp_path / "x.rrd")
 
 
 class Hanging:

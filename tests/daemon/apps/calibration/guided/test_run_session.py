@@ -20,7 +20,7 @@ from daemon.config import driver_table, load_rig
 from daemon.control.rpc.protocol import Method
 from daemon.control.rpc.server import ControlServer
 from pipeline.pattern.sequence import camera_sequence
-from tests.calibrate.live.hand_rig import BOARD, find
+from tests.daemon.apps.calibration.guided.hand_rig import BOARD, find
 from tests.daemon.rigs import wait_until
 
 RIG = """
@@ -32,7 +32,7 @@ control: {{endpoint: "ipc://{tmp}/c"}}
 
 @pytest.fixture
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setitem(driver_table.RIGS, "hand", "tests.calibrate.live.hand_rig:open_rig")
+    monkeypatch.setitem(driver_table.RIGS, "hand", "tests.daemon.apps.calibration.guided.hand_rig:open_rig")
     path = tmp_path / "rig.yaml"
     path.write_text(RIG.format(tmp=tmp_path))
     return path
@@ -98,8 +98,8 @@ from pathlib import Path
 from daemon.config import driver_table
 from daemon.cli.calibrate import guided
 from daemon.apps.calibration.guided import run_session
-from tests.calibrate.live import hand_rig
-driver_table.RIGS["hand"] = "tests.calibrate.live.hand_rig:open_rig"
+from tests.daemon.apps.calibration.guided import hand_rig
+driver_table.RIGS["hand"] = "tests.daemon.apps.calibration.guided.hand_rig:open_rig"
 run_session.run_session.__kwdefaults__["find"] = hand_rig.find
 from typer import Exit
 try:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from daemon.apps.calibration.guided.session_state import Limits, Session, Sight, State, Told, moved_px
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from pipeline.calibrate.targets.marks import BoardView, Marks
-from tests.calibrate.bundle.sessions import session as made_session
+from tests.pipeline.calibrate.bundle.sessions import session as made_session
 
 VIEWS, SIZES, _ = made_session(n=16, devices=("left", "right"), seed=3)
 STEP_S = 0.25
