@@ -21,13 +21,9 @@ from daemon.monitoring.health.quantities import NAMES
 from daemon.monitoring.health.sink import Health
 from daemon.rig.open_rig import Rig
 from pipeline.pattern.color_fringe import ColorFringe
-<<<<<<< HEAD
 from pipeline.rig.volume import Volume
-=======
-from pipeline.reconstruct.cloud import Volume
 from tests.daemon.live.publishing.clouds import calibration
 from tests.daemon.monitoring.health.samples import Clock, cloud, frame, pair, status
->>>>>>> 92e18a2 (Imports, paths and shared fixtures of the tests follow the files into the new folders)
 from tests.daemon.rigs import wait_until
 
 
