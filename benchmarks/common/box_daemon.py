@@ -172,7 +172,7 @@ class Daemon:
     @property
     def _confirmed(self) -> bool:
         """Whether the pairing believes its count, so that the next pair leaves at once."""
-        return bool(self.service.desk._pairer._confirmed)
+        return bool(self.service.pairer._pairer._confirmed)
 
     def _run(self) -> None:
         try:

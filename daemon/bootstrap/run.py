@@ -155,7 +155,9 @@ def _run(
         recorder = Recorder(
             service,
             lambda: service.config.path(service.config.recording.dir, base_dir),
-            lambda take: open_take(service.config, service.rig, session, take, path, shown=service.sequencing.shown),
+            lambda take: open_take(
+                service.config, service.rig, session, take, path, shown=service.mode_controller.shown
+            ),
         )
         capture = Capture(
             service,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 
-class Pulse:
+class Heartbeat:
     """Set by one thread at every turn of its loop, looked at by another; no lock, a number is exchanged.
 
     Args:

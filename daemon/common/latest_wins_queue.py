@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Mailbox(Generic[T]):
+class LatestWinsQueue(Generic[T]):
     """A queue of at most ``capacity`` items between threads."""
 
     def __init__(self, capacity: int = 1) -> None:

@@ -47,7 +47,7 @@ def _told(thread: threading.Thread) -> str:
     return type(thread).__name__ if plain else thread.name
 
 
-class Namer:
+class ThreadNamer:
     """Gives every thread of Python its own name; Python up to 3.13 keeps names to itself."""
 
     def __init__(self, main: str) -> None:

@@ -181,11 +181,11 @@ class Methods:
         name = _text(params, "name", "fringe")
         if self._calibrate is not None:
             self._calibrate.refuse_while_capturing()
-        size, sequencing = self._service.rig.pattern.size, self._service.sequencing
+        size, mode_controller = self._service.rig.pattern.size, self._service.mode_controller
         if name == "fringe":
-            sequencing.show_measuring()
+            mode_controller.show_measuring()
         elif name in _PLAIN:
-            sequencing.show_plain(np.full((*size[::-1], 3), _PLAIN[name], np.uint8))
+            mode_controller.show_plain(np.full((*size[::-1], 3), _PLAIN[name], np.uint8))
         else:
             raise RpcError(INVALID_PARAMS, f"there is no image {name!r:.60}; there are fringe, {', '.join(_PLAIN)}")
         return {"shown": name}
@@ -194,7 +194,7 @@ class Methods:
         """Tell the mode, or measure in another one: as setting ``mode``."""
         if "name" in params:
             self.set({"path": "mode", "value": _text(params, "name")})
-        return self._service.sequencing.status()
+        return self._service.mode_controller.status()
 
     def _measure(self, wanted: bool) -> dict[str, Any]:
         self._service.measure(wanted)

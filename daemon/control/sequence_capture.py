@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from daemon.common.errors import DaemonError
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.live.acquisition.pairer import Pair
 from daemon.live.items import PairItem, Sink
-from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting, patience_s, settling_ns
+from daemon.live.projection.confirmed_capture import CaptureCancelledError, ConfirmedCapture, patience_s, settling_ns
 from daemon.live.service import Service
 from daemon.recording.format.raw_image import ENCODINGS
 from drivers.protocols import SIDES
@@ -181,8 +181,8 @@ class Capture:
 
     def _run(self) -> None:
         with self._turn:
-            box: Mailbox[Pair] = Mailbox(4)
-            shooting: Shooting | None = None
+            box: LatestWinsQueue[Pair] = LatestWinsQueue(4)
+            shooting: ConfirmedCapture | None = None
             self._going_back = False
             try:
                 self._service.divert(box.put)
@@ -197,12 +197,12 @@ class Capture:
             finally:
                 self._measure_again(shooting)
 
-    def _shooting(self, box: Mailbox[Pair]) -> Shooting:
+    def _shooting(self, box: LatestWinsQueue[Pair]) -> ConfirmedCapture:
         service = self._service
         projector, refresh_hz = service.rig.projector, service.projector.refresh_hz if service.projector else 0.0
         tolerance_ns = round(1000 * service.config.pairing.tolerance_us)
         settle_ns = settling_ns(projector, refresh_hz, tolerance_ns=tolerance_ns)
-        return Shooting(
+        return ConfirmedCapture(
             projector,
             box,
             clock=service.clock,
@@ -227,7 +227,7 @@ class Capture:
             order, self._order = self._order, None
             return order
 
-    def _carry_out(self, order: Order, shooting: Shooting) -> None:
+    def _carry_out(self, order: Order, shooting: ConfirmedCapture) -> None:
         path, sink = None, None
         try:
             path, sink = self._open(order)
@@ -271,7 +271,7 @@ class Capture:
             if path in kept:
                 kept.remove(path)
 
-    def _write(self, order: Order, shooting: Shooting, sink: Sink) -> None:
+    def _write(self, order: Order, shooting: ConfirmedCapture, sink: Sink) -> None:
         """The pairs in the order of their numbers: frame i of the k-th pass is ``k * frames + i``, a pass is a view."""
         frames = order.sequence.frames
         images = (frame.image(order.response) for _ in range(order.pairs) for frame in frames)
@@ -291,7 +291,7 @@ class Capture:
         with self._changed:
             self._progress = replace(self._progress, outcome=outcome, file=file, problem=problem)
 
-    def _measure_again(self, shooting: Shooting | None) -> None:
+    def _measure_again(self, shooting: ConfirmedCapture | None) -> None:
         """Show the fringe, and let pairs through once one has seen it."""
         rig = self._service.rig
         try:

@@ -23,7 +23,7 @@ class PairItem:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoneItem:
+class UnpairedFrame:
     """A frame whose partner is missing; only the recorder wants it."""
 
     frame: Frame
@@ -65,7 +65,7 @@ class CloudItem:
         return max(self.left.t_host_ns, self.right.t_host_ns)
 
 
-Item = PairItem | LoneItem | CloudItem
+Item = PairItem | UnpairedFrame | CloudItem
 
 
 @runtime_checkable

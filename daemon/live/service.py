@@ -18,13 +18,13 @@ from daemon.common.stop_event import StopEvent
 from daemon.common.version import program_version
 from daemon.config.rig_config import RigConfig
 from daemon.live.acquisition.camera_thread import CameraThread
-from daemon.live.acquisition.locked_pairer import PairingDesk, pairing_settings
+from daemon.live.acquisition.locked_pairer import LockedPairer, pairing_settings
 from daemon.live.acquisition.pairer import Pair
 from daemon.live.compatibility import projector_problem, size_problem, timing_warnings
-from daemon.live.items import CloudItem, Item, LoneItem, PairItem, Sink
+from daemon.live.items import CloudItem, Item, PairItem, Sink, UnpairedFrame
 from daemon.live.processing.reconstructor_factory import make_reconstructor, warm_up
 from daemon.live.processing.worker import Reconstructs, ReconstructsSets, Worker
-from daemon.live.projection.mode_controller import Outlets, Sequencing
+from daemon.live.projection.mode_controller import ModeController, Outlets
 from daemon.live.status import CameraState, CameraStatus, State, Status
 from daemon.rig.open_rig import Rig
 from drivers.protocols import SIDES, Clock, Frame, ProjectorInfo, Side
@@ -74,23 +74,23 @@ class Service:
         self._taker: Callable[[Pair], object] | None = None
         self.projector: ProjectorInfo | None = None
         self._stop = StopEvent()
-        self._namer = threads.Namer("fringed")
+        self._namer = threads.ThreadNamer("fringed")
         self._sinks_lock = threading.Lock()
         self._wishes = threading.Lock()
         self._cpus_before: frozenset[int] = frozenset()
         self._last_state: State | None = None
         self._status_due_ns = 0
         limits = pairing_settings(config.pairing)
-        self.desk = PairingDesk(limits, paired=self._paired, lone=self._lone, clock=self.clock)
+        self.pairer = LockedPairer(limits, paired=self._paired, lone=self._lone, clock=self.clock)
         self.worker = Worker(config.pipeline, emit=self.emit, drops=self.drops, clock=self.clock)
-        outlets = Outlets(self.emit, self.worker.offer, self.drops, lambda: self.desk.begun_anew)
-        self.sequencing = Sequencing(config, rig, outlets, clock=self.clock)
+        outlets = Outlets(self.emit, self.worker.offer, self.drops, lambda: self.pairer.counter_restarts)
+        self.mode_controller = ModeController(config, rig, outlets, clock=self.clock)
         self.cameras: dict[Side, CameraThread] = {
             side: CameraThread(
                 side,
                 rig.cameras[side],
-                deliver=self.desk.receive,
-                started=self.desk.doubt,
+                deliver=self.pairer.receive,
+                started=self.pairer.camera_restarted,
                 changed=self._note_state,
                 clock=self.clock,
             )
@@ -125,17 +125,17 @@ class Service:
         with self._wishes:
             self._paused = not wanted
             self._let_cameras()
-            self.sequencing.pause(self._paused)
+            self.mode_controller.pause(self._paused)
 
     def divert(self, taker: Callable[[Pair], object] | None) -> None:
         """Hand every pair to ``taker`` alone, neither measured nor recorded; None: measure as before."""
         if taker is not None:
-            self.sequencing.hold("capture")
+            self.mode_controller.hold("capture")
         with self._wishes:
             self._taker = taker
             self._let_cameras()
         if taker is None:
-            self.sequencing.release("capture")
+            self.mode_controller.release("capture")
         self._note_state()
 
     def _let_cameras(self) -> None:
@@ -147,7 +147,7 @@ class Service:
         """A reconstructor for these settings, the cameras' encoding, the mode and a rig (its own); not warmed up."""
         encodings = [self.cameras[side].status.encoding for side in SIDES]
         return make_reconstructor(
-            self.config, rig or self.rig, settings, encodings, self.clock, plan=self.sequencing.plan
+            self.config, rig or self.rig, settings, encodings, self.clock, plan=self.mode_controller.plan
         )
 
     def apply(self, settings: Settings) -> None:
@@ -167,8 +167,8 @@ class Service:
         """
         if not self._ready:
             raise DaemonError("the daemon is still starting; try again when it is running")
-        patience_s = _CHANGE_S if config.mode == self.sequencing.mode else _MODE_S
-        with self.sequencing.changing(config.mode):
+        patience_s = _CHANGE_S if config.mode == self.mode_controller.mode else _MODE_S
+        with self.mode_controller.changing(config.mode):
             self.worker.replace(lambda: self._changed(config, rig, settings, commits), patience_s)
 
     def _changed(
@@ -182,7 +182,7 @@ class Service:
             if rig is not self.rig or ways[0] != ways[1]:
                 warm_up(made, config.pipeline)
         self.config, self.rig, self.settings = config, rig, settings
-        self.desk.limit(pairing_settings(config.pairing))
+        self.pairer.limit(pairing_settings(config.pairing))
         self.worker.configure(config.pipeline)
         for commit in commits:
             self._guarded("a change", commit)
@@ -229,7 +229,7 @@ class Service:
         now_ns = self.clock.monotonic_ns()
         sinks = {name: sink.status() for name, sink in self.sinks.items()}
         cameras: dict[str, CameraStatus] = {
-            side: replace(camera.status, fates=self.desk.fates(side)) for side, camera in self.cameras.items()
+            side: replace(camera.status, fates=self.pairer.outcomes(side)) for side, camera in self.cameras.items()
         }
         return Status(
             state=state,
@@ -242,9 +242,9 @@ class Service:
             t_ns=self.clock.realtime_ns(),
             uptime_s=round((now_ns - self._started_ns) / 1e9, 1),
             calibration=self.rig.identity,
-            pairs=self.desk.pairs,
+            pairs=self.pairer.pairs,
             clouds=self.worker.clouds,
-            pair_rate_hz=round(self.desk.rate.per_second(now_ns), 2),
+            pair_rate_hz=round(self.pairer.rate.per_second(now_ns), 2),
             cloud_rate_hz=round(self.worker.rate.per_second(now_ns), 2),
             points=self.worker.points,
             valid=round(self.worker.valid, 4),
@@ -258,8 +258,8 @@ class Service:
             recorder=sinks.pop("recorder", {"recording": False}),
             selfcheck={"enabled": "selfcheck" in sinks, **sinks.pop("selfcheck", {})},
             health={"enabled": "health" in sinks, **sinks.pop("health", {})},
-            mode=self.sequencing.mode,
-            sequence=self.sequencing.status(),
+            mode=self.mode_controller.mode,
+            sequence=self.mode_controller.status(),
             sinks=sinks,
         )
 
@@ -270,7 +270,7 @@ class Service:
             if camera.status.state is CameraState.LOST
         ]
         sizes = (size_problem(side, c.status.size, self.rig.calibration) for side, c in self.cameras.items())
-        reasons += filter(None, (*sizes, self.sequencing.problem()))
+        reasons += filter(None, (*sizes, self.mode_controller.problem()))
         if self.worker.every > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():
@@ -288,7 +288,7 @@ class Service:
         if unfit:
             raise DaemonError(unfit)
         self.projector = projector
-        self.sequencing.light(projector)
+        self.mode_controller.light(projector)
         for camera in self.cameras.values():
             camera.start()
         while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
@@ -296,7 +296,7 @@ class Service:
             self._look_up()
         if self._stop.is_set():
             return
-        self.sequencing.release("start")
+        self.mode_controller.release("start")
         made = self.worker.start(self._warm)
         while not made.done() and not self._stop.wait(_TICK_S):
             self._look_up()
@@ -323,7 +323,7 @@ class Service:
             self._cpus_before = there
 
     def _tick(self) -> None:
-        self.desk.tick()
+        self.pairer.tick()
         self._note_state()
         self._look_up()
 
@@ -354,8 +354,8 @@ class Service:
         for side, camera in self.cameras.items():
             if not camera.join(_JOIN_S):
                 log.error("camera %s: its driver does not come back; left behind", side)
-        self.desk.flush()
-        if not self.sequencing.close():
+        self.pairer.flush()
+        if not self.mode_controller.close():
             log.error("the projector's driver does not come back; left behind")
         if not self.worker.stop(_JOIN_S):
             log.error("the pipeline does not come back; left behind")
@@ -367,7 +367,7 @@ class Service:
         self._guarded("the rig", self.rig.release)
         if self._cpus_before:
             threads.pin(threads.ids(), self._cpus_before)
-        log.info("stopped: %d pairs, %d clouds", self.desk.pairs, self.worker.clouds)
+        log.info("stopped: %d pairs, %d clouds", self.pairer.pairs, self.worker.clouds)
 
     def _guarded(self, what: str, action: Callable[[], object]) -> None:
         """One failure must not keep the rest from being done."""
@@ -381,14 +381,14 @@ class Service:
         if taker is not None:
             taker(pair)
             return
-        if self.sequencing.takes(pair):
+        if self.mode_controller.takes(pair):
             return
         self.emit(PairItem(pair.left, pair.right))
         self.worker.offer(pair)
 
     def _lone(self, frame: Frame) -> None:
-        if self._taker is None and not self.sequencing.takes_alone():
-            self.emit(LoneItem(frame))
+        if self._taker is None and not self.mode_controller.takes_alone():
+            self.emit(UnpairedFrame(frame))
 
     def _note_state(self) -> None:
         state, reasons = self.state()
@@ -397,4 +397,4 @@ class Service:
             log.info("state: %s%s", state, f" ({'; '.join(reasons)})" if reasons else "")
 
 
-_KINDS: dict[type, str] = {PairItem: "pairs", LoneItem: "frames", CloudItem: "clouds"}
+_KINDS: dict[type, str] = {PairItem: "pairs", UnpairedFrame: "frames", CloudItem: "clouds"}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.apps.replay.take_items import Sets, Shot, pairs_of
-from daemon.live.processing.temporal_prior import Sequel
+from daemon.live.processing.temporal_prior import TemporalPrior
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
 from pipeline.common.errors import PipelineError
@@ -99,7 +99,7 @@ class Replay:
             TakeError, PipelineError: files that do not fit together.
         """
         self.failures.clear()
-        sequence, sequel = self.sequence, Sequel()
+        sequence, sequel = self.sequence, TemporalPrior()
         self._sets = None if sequence is None else Sets(self.take, sequence)
         shots = pairs_of(self.take, progress) if self._sets is None else self._sets.shots(progress)
         for shot in shots:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from daemon.live.acquisition.set_assembler import Gatherer
+from daemon.live.acquisition.set_assembler import SetAssembler
 from daemon.recording.format.errors import TakeError
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from pipeline.pattern.sequence import Sequence
@@ -45,7 +45,7 @@ class Sets:
         Raises:
             TakeError: images of two encodings.
         """
-        gatherer: Gatherer[TakePair] = Gatherer(self._frames, self._take.first_pattern_sequence)
+        gatherer: SetAssembler[TakePair] = SetAssembler(self._frames, self._take.first_pattern_sequence)
         for pair in self._take.pairs(progress):
             made = gatherer.feed(pair.sequence, pair.t_ns, pair)
             self.incomplete = gatherer.incomplete

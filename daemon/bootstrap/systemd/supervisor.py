@@ -9,7 +9,7 @@ from typing import Any
 
 from daemon.bootstrap.systemd.notifier import Notifier
 from daemon.bootstrap.systemd.status_line import told
-from daemon.bootstrap.systemd.watchdog import Life
+from daemon.bootstrap.systemd.watchdog import Watchdog
 from daemon.live.service import Service
 
 log = logging.getLogger("fringed")
@@ -30,7 +30,7 @@ class Supervisor:
     def __init__(self, notifier: Notifier, *, now_s: Callable[[], float] = time.monotonic) -> None:
         self._notifier, self._now_s = notifier, now_s
         self._service: Service | None = None
-        self._life: Life | None = None
+        self._life: Watchdog | None = None
         self._ready = self._reloading = False
         self._line, self._problem = "starting", ""
         self._extend_due_s = self._feed_due_s = 0.0
@@ -49,7 +49,7 @@ class Supervisor:
 
     def watch(self, service: Service) -> None:
         """Speak for this service from now on."""
-        self._service, self._life = service, Life(service)
+        self._service, self._life = service, Watchdog(service)
         if self._notifier.wanted:
             service.on_tick.append(self.tick)
 

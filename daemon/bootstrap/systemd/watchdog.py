@@ -1,8 +1,8 @@
-"""Proof of life: what must be true for the watchdog to be fed.
+"""The conditions under which the watchdog is fed.
 
-The main loop asks, which proves that it turns. Every thread of the measuring keeps its word (:mod:`.pulse`), and pairs
-that wait for the pipeline come out of it. A pause, a missing trigger and a camera that is gone and retried are known
-idle states: all threads turn, nothing waits.
+The main loop checks them, which shows that it runs. No thread has missed the deadline of its heartbeat, and the
+pipeline takes pairs that wait for it. A pause, a missing trigger and a camera that is being reopened are regular idle
+states: all threads run, nothing waits.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ STUCK_S = 30.0
 """How long a pair may wait for the pipeline with nothing coming out of it."""
 
 
-class Life:
+class Watchdog:
     """Looks at one service, ten times a second at most; takes no lock."""
 
     def __init__(self, service: Service) -> None:
@@ -33,10 +33,12 @@ class Life:
 
     def _late(self) -> list[str]:
         service = self._service
-        pulses = {"the pipeline": service.worker.pulse}
-        pulses |= {f"camera {side}": service.cameras[side].pulse for side in SIDES}
-        pulses |= {f"the sink {name}": sink.pulse for name, sink in service.sinks.items() if hasattr(sink, "pulse")}
-        return [name for name, pulse in pulses.items() if pulse.overdue_s()]
+        heartbeats = {"the pipeline": service.worker.heartbeat}
+        heartbeats |= {f"camera {side}": service.cameras[side].heartbeat for side in SIDES}
+        heartbeats |= {
+            f"the sink {name}": sink.heartbeat for name, sink in service.sinks.items() if hasattr(sink, "heartbeat")
+        }
+        return [name for name, heartbeat in heartbeats.items() if heartbeat.overdue_s()]
 
     def _stuck(self) -> bool:
         worker, now_ns = self._service.worker, self._service.clock.monotonic_ns()

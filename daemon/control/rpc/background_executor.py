@@ -26,7 +26,7 @@ class Job:
     give_up: Callable[[], None]
 
 
-class Lane:
+class BackgroundExecutor:
     """A thread and a short queue of jobs.
 
     A job that never comes back (a disk that hangs) costs this lane alone, and its thread does not keep the program

@@ -18,7 +18,7 @@ import zmq
 
 from daemon.common.errors import DaemonError
 from daemon.common.ipc_endpoints import prepare_ipc, share_ipc
-from daemon.control.rpc.background_executor import Job, Lane
+from daemon.control.rpc.background_executor import BackgroundExecutor, Job
 from daemon.control.rpc.protocol import BUSY, FAILED, MAX_BYTES, Method, Received, Role, RpcError
 
 log = logging.getLogger("fringed.control")
@@ -60,7 +60,7 @@ class ControlServer:
                 raise
             raise DaemonError(f"control cannot listen on {endpoint}: {error}") from error
         self.endpoint = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()  # type: ignore[union-attr]
-        self._lane = Lane()
+        self._lane = BackgroundExecutor()
         self._outbox: deque[list[bytes]] = deque(maxlen=_MOST_WAITING)
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         weakref.finalize(self, os.close, self._wake_fd)  # not earlier: the lane may be left behind and wake it still

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from daemon.common.counters import Rate
-from daemon.common.heartbeat import Pulse
+from daemon.common.heartbeat import Heartbeat
 from daemon.live.status import CameraState, CameraStatus
 from drivers.errors import DriverError
 from drivers.protocols import Camera, Clock, Frame, Side
@@ -45,7 +45,7 @@ class CameraThread:
         self._started = started
         self._rate = Rate()
         self._frames = 0
-        self.pulse = Pulse(clock.monotonic_ns)
+        self.heartbeat = Heartbeat(clock.monotonic_ns)
         self._wanted = threading.Event()
         self._wanted.set()
         self._stop = threading.Event()
@@ -84,7 +84,7 @@ class CameraThread:
     def _run(self) -> None:
         wait_s = _FIRST_WAIT_S
         while not self._stop.is_set():
-            self.pulse.expect(_DEVICE_S)
+            self.heartbeat.expect(_DEVICE_S)
             try:
                 self._open()
                 wait_s = _FIRST_WAIT_S
@@ -96,12 +96,12 @@ class CameraThread:
                 log.exception("camera %s: unexpected error", self.side, extra={"side": self.side})
                 self._lost(f"{type(error).__name__}: {error}")
             finally:
-                self.pulse.expect(_DEVICE_S)
+                self.heartbeat.expect(_DEVICE_S)
                 self._camera.close()
-            self.pulse.expect(wait_s + _TURN_S)
+            self.heartbeat.expect(wait_s + _TURN_S)
             self._stop.wait(wait_s)
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
-        self.pulse.rest()
+        self.heartbeat.rest()
         self._set(replace(self._status, state=CameraState.CLOSED))
 
     def _open(self) -> None:
@@ -123,21 +123,21 @@ class CameraThread:
 
     def _acquire(self) -> None:
         """Read until told to pause or stop; waits while paused."""
-        self.pulse.expect(_TURN_S)
+        self.heartbeat.expect(_TURN_S)
         if not self._wanted.wait(_READ_TIMEOUT_S):
             return
         self._started(self.side)
-        self.pulse.expect(_DEVICE_S)
+        self.heartbeat.expect(_DEVICE_S)
         self._camera.start()
         self._set(replace(self._status, state=CameraState.ACQUIRING))
         while self._wanted.is_set() and not self._stop.is_set():
-            self.pulse.expect(_TURN_S)
+            self.heartbeat.expect(_TURN_S)
             frame = self._camera.read(_READ_TIMEOUT_S)
             if frame is not None:
                 self._frames += 1
                 self._rate.note(self._clock.monotonic_ns())
                 self._deliver(frame)
-        self.pulse.expect(_DEVICE_S)
+        self.heartbeat.expect(_DEVICE_S)
         self._camera.stop()
         self._set(replace(self._status, state=CameraState.PAUSED))
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from daemon.common.counters import Rate
 from daemon.config.rig_config import Pairing
-from daemon.live.acquisition.pairer import RECORDED_ALONE, Event, Lost, Pair, Pairer, PairingSettings, Resynced
+from daemon.live.acquisition.pairer import RECORDED_UNPAIRED, Event, Lost, Pair, Pairer, PairingSettings, Resynced
 from drivers.protocols import Clock, Frame, Side
 
 log = logging.getLogger("fringed.pairing")
@@ -23,7 +23,7 @@ def pairing_settings(config: Pairing) -> PairingSettings:
     )
 
 
-class PairingDesk:
+class LockedPairer:
     """Takes frames from every camera's thread.
 
     Args:
@@ -43,9 +43,9 @@ class PairingDesk:
         self.pairs, self.rate = 0, Rate()
 
     @property
-    def begun_anew(self) -> int:
+    def counter_restarts(self) -> int:
         """How often both cameras began to count anew; takes no lock."""
-        return self._pairer.begun_anew
+        return self._pairer.counter_restarts
 
     def receive(self, frame: Frame) -> None:
         """Take a frame."""
@@ -57,10 +57,10 @@ class PairingDesk:
         with self._lock:
             self._handle(self._pairer.tick(self._clock.monotonic_ns()))
 
-    def doubt(self, side: Side) -> None:
+    def camera_restarted(self, side: Side) -> None:
         """A camera was started anew."""
         with self._lock:
-            self._pairer.doubt(side)
+            self._pairer.camera_restarted(side)
 
     def limit(self, settings: PairingSettings) -> None:
         """Other limits from the next frame on."""
@@ -72,10 +72,10 @@ class PairingDesk:
         with self._lock:
             self._handle(self._pairer.flush())
 
-    def fates(self, side: Side) -> dict[str, int]:
+    def outcomes(self, side: Side) -> dict[str, int]:
         """Counts of what became of a camera's frames, and how many still wait."""
         with self._lock:
-            counts = {str(fate): count for fate, count in sorted(self._pairer.fates[side].items())}
+            counts = {str(outcome): count for outcome, count in sorted(self._pairer.outcomes[side].items())}
             waiting = self._pairer.fed[side] - sum(counts.values())
             return counts | {"waiting": waiting}
 
@@ -86,7 +86,7 @@ class PairingDesk:
                 self.rate.note(self._clock.monotonic_ns())
                 self._paired(event)
             elif isinstance(event, Lost):
-                if event.fate in RECORDED_ALONE:
+                if event.outcome in RECORDED_UNPAIRED:
                     self._lone(event.frame)
             elif isinstance(event, Resynced):
                 log.warning("the cameras' trigger counts differ: right minus left is now taken as %d", event.shift)

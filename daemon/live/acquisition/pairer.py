@@ -23,14 +23,14 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import islice
 
-from daemon.live.acquisition.trigger_count import Numbering
+from daemon.live.acquisition.trigger_count import TriggerCount
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
 
 _HALF = TRIGGER_MODULUS // 2
 _CONTRADICTION_WINDOW = 16
 
 
-class Fate(StrEnum):
+class FrameOutcome(StrEnum):
     """What became of a frame; every frame that is fed meets exactly one."""
 
     PAIRED = "paired"
@@ -46,7 +46,9 @@ class Fate(StrEnum):
     STOPPED = "stopped"
 
 
-RECORDED_ALONE = frozenset({Fate.PARTNER_MISSING, Fate.LATE, Fate.ROOM_FULL, Fate.BEFORE_SYNC})
+RECORDED_UNPAIRED = frozenset(
+    {FrameOutcome.PARTNER_MISSING, FrameOutcome.LATE, FrameOutcome.ROOM_FULL, FrameOutcome.BEFORE_SYNC}
+)
 """Fates of frames whose partner is missing; only a recording wants them."""
 
 
@@ -88,7 +90,7 @@ class Lost:
     """A frame that will never be in a pair, and why; it carries its number on the common count."""
 
     frame: Frame
-    fate: Fate
+    outcome: FrameOutcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +145,13 @@ class Pairer:
 
     def __init__(self, settings: PairingSettings | None = None) -> None:
         self.settings = settings or PairingSettings()
-        self.fates: dict[Side, Counter[Fate]] = {side: Counter() for side in SIDES}
+        self.outcomes: dict[Side, Counter[FrameOutcome]] = {side: Counter() for side in SIDES}
         self.fed: Counter[Side] = Counter()
         self._cameras: dict[Side, _Camera] = {
             side: _Camera(seen=deque(maxlen=self.settings.history), lapsed=deque(maxlen=self.settings.history))
             for side in SIDES
         }
-        self._numbering = Numbering()
+        self._numbering = TriggerCount()
         self._now_ns = 0
         self._synced = False
         self._confirmed = False
@@ -162,9 +164,9 @@ class Pairer:
         return (self._cameras["left"].shift - self._cameras["right"].shift) % TRIGGER_MODULUS
 
     @property
-    def begun_anew(self) -> int:
+    def counter_restarts(self) -> int:
         """How often both cameras began to count anew."""
-        return self._numbering.begun_anew
+        return self._numbering.counter_restarts
 
     @property
     def waiting(self) -> int:
@@ -186,11 +188,11 @@ class Pairer:
         if partner is not None and self._confirmed:
             return [*events, self._pair(guest, partner)]
         if self._came_late(guest):
-            return [*events, self._lost(guest, Fate.LATE)]
+            return [*events, self._lost(guest, FrameOutcome.LATE)]
         mine.waiting.append(guest)
         events += self._compare(guest)
         if len(mine.waiting) > self.settings.room:
-            events.append(self._lapse(mine, mine.waiting[0], Fate.ROOM_FULL))
+            events.append(self._lapse(mine, mine.waiting[0], FrameOutcome.ROOM_FULL))
         return events
 
     def tick(self, now_ns: int) -> list[Event]:
@@ -198,12 +200,12 @@ class Pairer:
         self._now_ns = max(self._now_ns, now_ns)
         oldest_ns = self._now_ns - self.settings.max_wait_ns
         return [
-            self._lapse(camera, guest, Fate.PARTNER_MISSING)
+            self._lapse(camera, guest, FrameOutcome.PARTNER_MISSING)
             for camera in self._cameras.values()
             for guest in [guest for guest in camera.waiting if guest.arrived_ns < oldest_ns]
         ]
 
-    def doubt(self, side: Side) -> None:
+    def camera_restarted(self, side: Side) -> None:
         """A camera was started anew: its count may have moved or begun again, so it must be confirmed anew."""
         self._confirmed, self._sightings = False, 0
         # What it counted before is no witness against what it counts now.
@@ -215,14 +217,14 @@ class Pairer:
         everyone = [guest for camera in self._cameras.values() for guest in camera.waiting]
         for camera in self._cameras.values():
             camera.waiting.clear()
-        return [self._lost(guest, Fate.STOPPED) for guest in everyone]
+        return [self._lost(guest, FrameOutcome.STOPPED) for guest in everyone]
 
-    def _refusal(self, frame: Frame) -> Fate | None:
+    def _refusal(self, frame: Frame) -> FrameOutcome | None:
         if frame.t_host_ns - frame.t_exposure_ns > self.settings.stale_ns:
-            return Fate.STALE
+            return FrameOutcome.STALE
         known = self._cameras[frame.side].seen
         again = any(number == frame.trigger and self._same_time(t_ns, frame.t_exposure_ns) for number, t_ns in known)
-        return Fate.DUPLICATE if again else None
+        return FrameOutcome.DUPLICATE if again else None
 
     def _doubt(self, camera: _Camera, guest: _Waiting) -> None:
         recent = islice(reversed(camera.seen), _CONTRADICTION_WINDOW)
@@ -259,7 +261,7 @@ class Pairer:
         frames: dict[Side, Frame] = {}
         for member in (guest, partner):
             side = member.frame.side
-            self.fates[side][Fate.PAIRED] += 1
+            self.outcomes[side][FrameOutcome.PAIRED] += 1
             self._cameras[side].last_paired = member.number
             frames[side] = member.numbered
         return Pair(frames["left"], frames["right"])
@@ -325,21 +327,21 @@ class Pairer:
                 self._cameras["left"].waiting.remove(guest)
                 yield self._pair(guest, partner)
 
-    def _lapse(self, camera: _Camera, guest: _Waiting, otherwise: Fate) -> Lost:
+    def _lapse(self, camera: _Camera, guest: _Waiting, otherwise: FrameOutcome) -> Lost:
         camera.waiting.remove(guest)
         camera.lapsed.append((guest.number, guest.frame.t_exposure_ns))
         if guest.agreed:
-            fate = Fate.AMBIGUOUS if guest.ambiguous else Fate.BEFORE_SYNC
+            outcome = FrameOutcome.AMBIGUOUS if guest.ambiguous else FrameOutcome.BEFORE_SYNC
         elif guest.same_time:
-            fate = Fate.TRIGGER_MISMATCH
+            outcome = FrameOutcome.TRIGGER_MISMATCH
         elif guest.same_number:
-            fate = Fate.TIMESTAMP_MISMATCH
+            outcome = FrameOutcome.TIMESTAMP_MISMATCH
         else:
-            fate = otherwise if self._synced else Fate.BEFORE_SYNC
-        return self._lost(guest, fate)
+            outcome = otherwise if self._synced else FrameOutcome.BEFORE_SYNC
+        return self._lost(guest, outcome)
 
-    def _lost(self, guest: _Waiting, fate: Fate) -> Lost:
-        self.fates[guest.frame.side][fate] += 1
-        if fate in RECORDED_ALONE:
+    def _lost(self, guest: _Waiting, outcome: FrameOutcome) -> Lost:
+        self.outcomes[guest.frame.side][outcome] += 1
+        if outcome in RECORDED_UNPAIRED:
             self._numbering.gave(guest.number, guest.frame.t_exposure_ns, paired=False)
-        return Lost(guest.numbered, fate)
+        return Lost(guest.numbered, outcome)

@@ -45,7 +45,7 @@ class _Open(Generic[T]):
         return all(0 < gap <= MOST_GAP_NS for gap in gaps)
 
 
-class Gatherer(Generic[T]):
+class SetAssembler(Generic[T]):
     """Feed pairs; get whole sets.
 
     Args:

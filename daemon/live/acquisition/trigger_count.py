@@ -15,14 +15,14 @@ _LATE = 256
 """Pairs never come later than so many numbers: what lies further back was counted anew even if the clock went back."""
 
 
-class Numbering:
-    """Remembers which numbers were given; ``begun_anew``: how often both cameras began to count anew."""
+class TriggerCount:
+    """Remembers which numbers were given; ``counter_restarts``: how often both cameras began to count anew."""
 
     def __init__(self) -> None:
         self._last: tuple[int, int] | None = None  # number and exposure of the latest pair, or lone frame before it
         self._highest = 0
         self._paired = False
-        self.begun_anew = 0
+        self.counter_restarts = 0
 
     def move(self, number: int, t_ns: int, waiting: Iterable[int]) -> int:
         """What to add to this pair's number, and to all others from now on, so that no number comes again; mostly 0.
@@ -32,7 +32,7 @@ class Numbering:
         """
         if not self._began_anew(number, t_ns):
             return 0
-        self.begun_anew += 1
+        self.counter_restarts += 1
         behind = ((number - other) % TRIGGER_MODULUS for other in waiting)
         room = max((steps for steps in behind if steps <= _LATE), default=0)
         return (self._highest + 1 + room - number) % TRIGGER_MODULUS

@@ -17,7 +17,7 @@ _YOUNG_PER_MIDDLE = 10
 _FULL_S, _OVERDUE_S = 60.0, 600.0
 
 
-class Pauses:
+class GcPauses:
     """How often and how long Python held all threads up, whoever asked for the collection."""
 
     def __init__(self, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
@@ -46,7 +46,7 @@ class Pauses:
         self._count, self._total_ms, self._max_ms = self._count + 1, self._total_ms + ms, max(self._max_ms, ms)
 
 
-class Garbage:
+class GcControl:
     """The collector of a process that measures; call :meth:`between_pairs` often."""
 
     def __init__(self) -> None:

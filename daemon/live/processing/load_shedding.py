@@ -12,7 +12,7 @@ _BEHIND = 2  # measurements that pairs were dropped during; a single one may be 
 _ROOM = 0.8  # share of the time that the full measurement may take, as foreseen, for it to come back
 
 
-class Overload:
+class LoadShedding:
     """Decides from the drops of the last second, and from how long full and half measurements took.
 
     It goes to half when pairs were dropped during several measurements, and comes back when nothing was dropped for

@@ -8,7 +8,7 @@ from typing import Any
 from daemon.common.errors import DaemonError
 from daemon.config.rig_config import Pipeline, RigConfig
 from daemon.live.processing.worker import ReconstructsSets
-from daemon.live.projection.mode_plan import Plan, SetMeasure
+from daemon.live.projection.mode_plan import ModePlan, SetMeasure
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from pipeline.common.settings import Settings
@@ -22,7 +22,7 @@ def make_reconstructor(
     encodings: Sequence[str],
     clock: Clock,
     *,
-    plan: Plan | None = None,
+    plan: ModePlan | None = None,
 ) -> Reconstructor | SetMeasure:
     """A reconstructor, not warmed up.
 

@@ -8,7 +8,7 @@ _MAX_PERIODS = 4
 _MIN_NS = 200_000_000  # so much is close whatever the trigger's rate
 
 
-class Sequel:
+class TemporalPrior:
     """Remembers the last measured pair."""
 
     def __init__(self) -> None:

@@ -12,14 +12,14 @@ from typing import Any, Protocol
 from daemon.common import threads
 from daemon.common.counters import Counters, Percentiles, Rate
 from daemon.common.errors import DaemonError
-from daemon.common.heartbeat import Pulse
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.heartbeat import Heartbeat
+from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import Pipeline
 from daemon.live.acquisition.pairer import Pair
 from daemon.live.items import CloudItem
-from daemon.live.processing.gc_control import Garbage, Pauses
-from daemon.live.processing.load_shedding import Overload
-from daemon.live.processing.temporal_prior import Sequel
+from daemon.live.processing.gc_control import GcControl, GcPauses
+from daemon.live.processing.load_shedding import LoadShedding
+from daemon.live.processing.temporal_prior import TemporalPrior
 from daemon.live.sets import SINGLE, ImageSet
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
@@ -68,19 +68,19 @@ class Worker:
     """
 
     def __init__(self, config: Pipeline, *, emit: Callable[[CloudItem], None], drops: Counters, clock: Clock) -> None:
-        self._box: Mailbox[Shot] = Mailbox(config.queue)
+        self._box: LatestWinsQueue[Shot] = LatestWinsQueue(config.queue)
         self._config, self._emit, self._drops, self._clock = config, emit, drops, clock
         self._reconstructor: Reconstructs | ReconstructsSets | None = None
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
         self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
-        self.finished, self.pulse = 0, Pulse(clock.monotonic_ns)
+        self.finished, self.heartbeat = 0, Heartbeat(clock.monotonic_ns)
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
         self.last: CloudItem | None = None
-        self._overload = Overload(enabled=config.overload == "half")
-        self._sequel = Sequel()
-        self._garbage, self.pauses = Garbage(), Pauses()
+        self._overload = LoadShedding(enabled=config.overload == "half")
+        self._sequel = TemporalPrior()
+        self._garbage, self.pauses = GcControl(), GcPauses()
         self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
         self._ended: Future[None] = Future()
@@ -181,10 +181,10 @@ class Worker:
             threads.name(threading.get_native_id(), self._thread.name)
             if self._config.cpus:
                 threads.pin([threading.get_native_id()], self._config.cpus)
-            self.pulse.expect(_MAKE_S)
+            self.heartbeat.expect(_MAKE_S)
             self._reconstructor = self._make()
         except Exception as error:
-            self.pulse.rest()
+            self.heartbeat.rest()
             self._made.set_exception(error)
             return
         self._made.set_result(None)
@@ -194,19 +194,19 @@ class Worker:
             while not self._stop.is_set():
                 self._next()
         finally:
-            self.pulse.rest()
+            self.heartbeat.rest()
             self.pauses.stop()
             self._garbage.release()
 
     def _next(self) -> None:
         self._change()
-        self.pulse.expect(_TURN_S)
+        self.heartbeat.expect(_TURN_S)
         shot = self._box.get(_IDLE_S)
         if shot is not None:
-            self.pulse.expect(_MEASURE_S)
+            self.heartbeat.expect(_MEASURE_S)
             self._try(shot)
             self.finished += 1
-            self.pulse.expect(_TURN_S)
+            self.heartbeat.expect(_TURN_S)
         self._garbage.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._box)
 
     def _hold_garbage(self) -> None:
@@ -232,7 +232,7 @@ class Worker:
             make, done = self._changes.popleft()
             if not done.set_running_or_notify_cancel():
                 continue
-            self.pulse.expect(_MAKE_S)
+            self.heartbeat.expect(_MAKE_S)
             try:
                 made = make()
                 if made is not None:

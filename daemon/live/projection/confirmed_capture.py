@@ -57,7 +57,7 @@ def patience_s(*, rendered: bool) -> float:
     return 60.0 if rendered else 5.0
 
 
-class Shooting:
+class ConfirmedCapture:
     """Shows images and waits for the pairs that show them; used by one thread.
 
     Args:

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from daemon.common.counters import Counters
 from daemon.common.errors import DaemonError
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import RigConfig
 from daemon.live.acquisition.pairer import Pair
-from daemon.live.acquisition.set_assembler import Gatherer
+from daemon.live.acquisition.set_assembler import SetAssembler
 from daemon.live.items import PairItem
-from daemon.live.projection.confirmed_capture import Shooting, patience_s, settling_ns
-from daemon.live.projection.mode_plan import Plan, plan_of
-from daemon.live.projection.sequence_player import HOLD_S, Driver
+from daemon.live.projection.confirmed_capture import ConfirmedCapture, patience_s, settling_ns
+from daemon.live.projection.mode_plan import ModePlan, make_plan
+from daemon.live.projection.sequence_player import HOLD_S, SequencePlayer
 from daemon.live.sets import SINGLE, ImageSet, Shown
 from daemon.rig.open_rig import Rig
 from drivers.errors import DriverError
@@ -43,10 +43,10 @@ class Outlets:
     emit: Callable[[PairItem], None]
     offer: Callable[[ImageSet], None]
     drops: Counters
-    begun_anew: Callable[[], int]
+    counter_restarts: Callable[[], int]
 
 
-class Sequencing:
+class ModeController:
     """What the projector shows, and who may say so.
 
     Args:
@@ -55,8 +55,8 @@ class Sequencing:
 
     def __init__(self, config: RigConfig, rig: Rig, outlets: Outlets, *, clock: Clock) -> None:
         self._config, self._rig, self._outlets, self._clock = config, rig, outlets, clock
-        self.plan: Plan | None = plan_of(config.mode, config.sequence, rig)
-        self._driver = Driver(
+        self.plan: ModePlan | None = make_plan(config.mode, config.sequence, rig)
+        self._driver = SequencePlayer(
             self._shooting,
             seen=lambda pair: outlets.emit(PairItem(pair.left, pair.right)),
             whole=self._whole,
@@ -177,7 +177,7 @@ class Sequencing:
             return
         if self._config.sequence.display == "stored":
             raise DaemonError("sequence.display is stored: what the projector holds changes with rig.yaml alone")
-        plan, before = plan_of(mode, self._config.sequence, self._rig), self.plan
+        plan, before = make_plan(mode, self._config.sequence, self._rig), self.plan
         self.hold("change")
         self._changing = True
         try:
@@ -246,23 +246,23 @@ class Sequencing:
 
     def _lost_count(self) -> bool:
         """Whether nobody knows any longer which stored image a trigger shows."""
-        return self._gatherer.restarts > 0 or self._outlets.begun_anew() > 0
+        return self._gatherer.restarts > 0 or self._outlets.counter_restarts() > 0
 
-    def _new_gatherer(self) -> Gatherer[Pair]:
+    def _new_gatherer(self) -> SetAssembler[Pair]:
         frames = 1 if self.plan is None else len(self.plan.sequence)
-        return Gatherer(frames, self._config.sequence.first_trigger)
+        return SetAssembler(frames, self._config.sequence.first_trigger)
 
-    def _store(self, plan: Plan) -> None:
+    def _store(self, plan: ModePlan) -> None:
         """Give a projector that can be told its images what it is to hold; others hold them already."""
         store: Any = getattr(self._rig.projector, "store", None)
         if store is not None:
             store(plan.images, self._config.sequence.first_trigger)
 
-    def _first_image(self, plan: Plan | None) -> NDArray[np.uint8]:
+    def _first_image(self, plan: ModePlan | None) -> NDArray[np.uint8]:
         rig = self._rig
         return rig.pattern.image(rig.calibration.response) if plan is None else plan.images[0]
 
-    def _show_first(self, plan: Plan | None) -> None:
+    def _show_first(self, plan: ModePlan | None) -> None:
         self._rig.projector.show(self._first_image(plan))
         self._lit_ns = self._clock.realtime_ns() + self._settle_ns()
 
@@ -273,8 +273,8 @@ class Sequencing:
         tolerance_ns = round(1000 * self._config.pairing.tolerance_us)
         return settling_ns(self._rig.projector, self._refresh_hz, tolerance_ns=tolerance_ns)
 
-    def _shooting(self, box: Mailbox[Pair], cancelled: Callable[[], bool]) -> Shooting:
-        return Shooting(
+    def _shooting(self, box: LatestWinsQueue[Pair], cancelled: Callable[[], bool]) -> ConfirmedCapture:
+        return ConfirmedCapture(
             self._rig.projector,
             box,
             clock=self._clock,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class ModePlan:
     """A mode on a rig.
 
     Args:
@@ -54,7 +54,7 @@ class SetMeasure:
         return self._made.reconstruct(lefts, rights)
 
 
-def plan_of(mode: str, config: Sequencing, rig: Rig) -> Plan | None:
+def make_plan(mode: str, config: Sequencing, rig: Rig) -> ModePlan | None:
     """The plan of a mode, None for the single shot.
 
     Raises:
@@ -71,4 +71,4 @@ def plan_of(mode: str, config: Sequencing, rig: Rig) -> Plan | None:
     periods = pattern.periods if config.periods is None else config.periods
     sequence = mode_sequence(mode, pattern.size, periods=periods, axis=pattern.axis, **steps)
     response = rig.calibration.response
-    return Plan(mode, sequence, [frame.image(response) for frame in sequence.frames])
+    return ModePlan(mode, sequence, [frame.image(response) for frame in sequence.frames])

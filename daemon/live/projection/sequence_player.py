@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.common.errors import DaemonError
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.live.acquisition.pairer import Pair
-from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting
+from daemon.live.projection.confirmed_capture import CaptureCancelledError, ConfirmedCapture
 from daemon.live.sets import ImageSet
 from drivers.protocols import TRIGGER_MODULUS
 
@@ -32,10 +32,10 @@ HOLD_S = 20.0
 _ROOM = 4
 _JOIN_S = 5.0
 
-MakeShooting = Callable[[Mailbox[Pair], Callable[[], bool]], Shooting]
+MakeCapture = Callable[[LatestWinsQueue[Pair], Callable[[], bool]], ConfirmedCapture]
 
 
-class Driver:
+class SequencePlayer:
     """Plays a sequence over and over, in a thread of its own, from :meth:`play` to :meth:`hold`.
 
     Args:
@@ -45,14 +45,14 @@ class Driver:
 
     def __init__(
         self,
-        shooting: MakeShooting,
+        shooting: MakeCapture,
         *,
         seen: Callable[[Pair], None],
         whole: Callable[[ImageSet], None],
         dropped: Callable[[], None],
     ) -> None:
         self._make, self._seen, self._whole, self._dropped = shooting, seen, whole, dropped
-        self._box: Mailbox[Pair] = Mailbox(_ROOM)
+        self._box: LatestWinsQueue[Pair] = LatestWinsQueue(_ROOM)
         self._changed = threading.Condition()
         self._images: list[NDArray[np.uint8]] = []
         self._mode = ""
@@ -150,7 +150,7 @@ class Driver:
                 log.info("sequence: the images are seen again")
                 self.problem = ""
 
-    def _pairs(self, shooting: Shooting, images: list[NDArray[np.uint8]]) -> list[Pair]:
+    def _pairs(self, shooting: ConfirmedCapture, images: list[NDArray[np.uint8]]) -> list[Pair]:
         frames = len(images)
         first, pairs = self._sets % (TRIGGER_MODULUS // frames) * frames, []
         try:

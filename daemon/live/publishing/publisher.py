@@ -19,7 +19,7 @@ import zmq
 
 from daemon.common.clock import SystemClock
 from daemon.common.counters import Counters, Percentiles
-from daemon.common.heartbeat import Pulse
+from daemon.common.heartbeat import Heartbeat
 from daemon.config.rig_config import RigConfig
 from daemon.live.items import CloudItem, Item
 from daemon.live.publishing import messages
@@ -92,7 +92,7 @@ class Publisher:
         self._line_count = self._status_count = 0
         self._problems: dict[str, str] = {}
         self._closing = False
-        self.pulse = Pulse()
+        self.heartbeat = Heartbeat()
         self._context: zmq.Context[Any] = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -198,7 +198,7 @@ class Publisher:
         poller.register(self._wake_fd, zmq.POLLIN)
         try:
             while not self._closing:
-                self.pulse.expect(_TURN_S)
+                self.heartbeat.expect(_TURN_S)
                 events = dict(poller.poll(_IDLE_MS))
                 if self._wake_fd in events:
                     os.eventfd_read(self._wake_fd)
@@ -209,7 +209,7 @@ class Publisher:
             self._problems["thread"] = f"it ended: {error}"
             log.exception("the stream's thread ended")
         finally:
-            self.pulse.rest()
+            self.heartbeat.rest()
             with self._lock:
                 self._closing = True
                 self._release()

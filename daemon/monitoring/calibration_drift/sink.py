@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from daemon.common.clock import SystemClock
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import RigConfig
 from daemon.config.rig_config import SelfCheck as Config
 from daemon.live.items import CloudItem, Item
@@ -63,7 +63,7 @@ class SelfCheck:
     ) -> None:
         self._config, self._directory, self._clock = config, directory, clock or SystemClock()
         self._calibration, self._pattern, self._volume, self._identity = calibration, pattern, volume, identity
-        self._box: Mailbox[CloudItem] = Mailbox(1)
+        self._box: LatestWinsQueue[CloudItem] = LatestWinsQueue(1)
         self._period_ns = round(1e9 / config.rate_hz)
         self._due_ns = 0
         self._history_due_ns = 0

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.common.clock import SystemClock
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import RigConfig
 from daemon.live.items import CloudItem, Item, PairItem
 from daemon.monitoring.health.events import Event
@@ -52,7 +52,7 @@ class Health:
         self._metrics = None if health.metrics_port is None else MetricsServer(health.metrics_port, self.metrics)
         self._light, self._created = Light(rig.calibration, rig.pattern), _created(config, rig)
         self._takes = config.path(config.recording.dir, base_dir)
-        self._box: Mailbox[CloudItem | dict[str, Any]] = Mailbox(4)
+        self._box: LatestWinsQueue[CloudItem | dict[str, Any]] = LatestWinsQueue(4)
         self._due_ns = 0
         self._looks, self._ms = 0, 0.0
         self._failed: dict[str, str] = {}

@@ -6,9 +6,9 @@ import threading
 from collections import Counter, deque
 from collections.abc import Iterable
 
-from daemon.live.items import LoneItem, PairItem
+from daemon.live.items import PairItem, UnpairedFrame
 
-Image = PairItem | LoneItem
+Image = PairItem | UnpairedFrame
 
 
 class Inbox:

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from daemon.common.counters import Counters, Percentiles, Rate
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 
 
 def test_counts_from_many_threads_add_up() -> None:
@@ -47,7 +47,7 @@ def test_percentiles_are_those_of_the_last_values() -> None:
 
 
 def test_the_freshest_wins_and_what_is_pushed_out_is_handed_back() -> None:
-    box: Mailbox[int] = Mailbox(2)
+    box: LatestWinsQueue[int] = LatestWinsQueue(2)
     assert [box.put(i) for i in range(4)] == [None, None, 0, 1]
     assert box.get(0) == 2 and len(box) == 1
     assert box.close() == [3]

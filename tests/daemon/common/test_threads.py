@@ -28,7 +28,7 @@ def test_every_thread_gets_its_name_and_those_it_makes_inherit_it() -> None:
     while not inner:
         thread.join(0.01)
     assert inner == ["a-long-name-of-"]
-    namer, before = threads.Namer("program"), comm(os.getpid())
+    namer, before = threads.ThreadNamer("program"), comm(os.getpid())
     namer.update()
     assert thread.native_id is not None
     assert comm(thread.native_id) == "plain" and comm(os.getpid()) == "program"
@@ -49,7 +49,7 @@ def test_a_library_s_thread_without_a_name_is_called_by_its_kind() -> None:
     thread = Sweeper()
     thread.start()
     before = comm(os.getpid())
-    threads.Namer(before).update()
+    threads.ThreadNamer(before).update()
     assert thread.native_id is not None and comm(thread.native_id) == "Sweeper"
     thread.go.set()
     thread.join()

@@ -135,7 +135,7 @@ def test_stopping_closes_sinks_and_devices_and_says_so(running: Running) -> None
     assert running.sink.closed
     assert {str(camera.state) for camera in running.devices.cameras.values()} == {"closed"}  # type: ignore[attr-defined]
     assert running.statuses[-1]["state"] == "stopping"
-    assert sum(running.service.desk.fates("left").values()) == running.service.cameras["left"].status.frames
+    assert sum(running.service.pairer.outcomes("left").values()) == running.service.cameras["left"].status.frames
 
 
 def test_stopping_while_starting_is_orderly(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.live.items import LoneItem, PairItem
+from daemon.live.items import PairItem, UnpairedFrame
 from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame, Side
 
@@ -36,9 +36,9 @@ def pair(number: int, **options: Any) -> PairItem:
     return PairItem(frame("left", number, **options), frame("right", number, **options))
 
 
-def lone(side: Side, number: int) -> LoneItem:
+def lone(side: Side, number: int) -> UnpairedFrame:
     """A frame without its partner."""
-    return LoneItem(frame(side, number))
+    return UnpairedFrame(frame(side, number))
 
 
 def writer(path: Path, **options: Any) -> TakeWriter:

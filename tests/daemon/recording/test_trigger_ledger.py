@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from daemon.common.clock import SystemClock
-from daemon.live.acquisition.locked_pairer import PairingDesk
-from daemon.live.acquisition.pairer import Fate, PairingSettings
-from daemon.live.items import Item, LoneItem, PairItem
+from daemon.live.acquisition.locked_pairer import LockedPairer
+from daemon.live.acquisition.pairer import FrameOutcome, PairingSettings
+from daemon.live.items import Item, PairItem, UnpairedFrame
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import Frame, Side
 from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
@@ -28,25 +28,25 @@ class Arrivals(SystemClock):
         return self.now_ns
 
 
-def played(sent: list[Sent], restarts: dict[int, tuple[Side, ...]] | None = None) -> tuple[list[Item], PairingDesk]:
+def played(sent: list[Sent], restarts: dict[int, tuple[Side, ...]] | None = None) -> tuple[list[Item], LockedPairer]:
     """What a recorder is offered when these frames come; restarts: cameras started anew before an exposure."""
     items: list[Item] = []
     clock = Arrivals()
-    desk = PairingDesk(
+    pairer = LockedPairer(
         PairingSettings(),
         paired=lambda pair: items.append(PairItem(pair.left, pair.right)),
-        lone=lambda frame: items.append(LoneItem(frame)),
+        lone=lambda frame: items.append(UnpairedFrame(frame)),
         clock=clock,
     )
     due = dict(restarts or {})
     for item in sent:
         clock.now_ns = max(clock.now_ns, item.frame.t_host_ns)
         for side in due.pop(item.exposure, ()):
-            desk.doubt(side)
-        desk.receive(item.frame)
+            pairer.camera_restarted(side)
+        pairer.receive(item.frame)
     clock.now_ns += 10**12
-    desk.tick()
-    return items, desk
+    pairer.tick()
+    return items, pairer
 
 
 def imaged(sent: list[Sent]) -> list[Sent]:
@@ -92,7 +92,7 @@ def test_a_lone_frame_carries_the_common_count(tmp_path: Path) -> None:
         if (side, k) != ("left", 12)
     ]
     items, _ = played(imaged(sent))
-    alone = [item.frame.trigger for item in items if isinstance(item, LoneItem)]
+    alone = [item.frame.trigger for item in items if isinstance(item, UnpairedFrame)]
     assert 12 in alone
     pairs, dropped = pairs_read(tmp_path / "take.mcap", items)
     assert pairs == [(k, k) for k in range(30) if k != 12]
@@ -115,14 +115,14 @@ def test_a_camera_that_came_first_costs_no_pair(tmp_path: Path, early: Side) -> 
 def test_no_storm_of_faults_makes_a_wrong_pair_in_a_take(tmp_path: Path, seed: int) -> None:
     faults = Faults(lost=0.05, late=0.05, wrong_number=0.03, gone=0.005, extra_first=("right",))
     sent = imaged(storm(800, faults, seed))
-    items, desk = played(sent)
+    items, pairer = played(sent)
     path = tmp_path / "take.mcap"
     status = write(path, items, max_part_bytes=40_000)
     assert len(status["files"]) > 1
     with TakeReader(path) as take:
         read = [(int(p.left[0, 0]), int(p.right[0, 0])) for p in take.pairs()]
     assert read and all(left == right for left, right in read)
-    paired = desk.fates("left")[Fate.PAIRED]
+    paired = pairer.outcomes("left")[FrameOutcome.PAIRED]
     assert len(read) >= 0.8 * paired
 
 
@@ -130,7 +130,7 @@ def test_a_number_with_another_exposure_is_not_written(tmp_path: Path) -> None:
     first, second = frame("left", 7), frame("right", 7)
     moved = Frame("right", 7, second.t_exposure_ns + 33_000_000, second.t_host_ns, "rgb8", second.image)
     path = tmp_path / "take.mcap"
-    status = write(path, [LoneItem(first), LoneItem(moved), pair(8)])
+    status = write(path, [UnpairedFrame(first), UnpairedFrame(moved), pair(8)])
     assert status["dropped"] == {"number_in_doubt": 1}
     with TakeReader(path) as take:
         assert [p.sequence for p in take.pairs()] == [8]

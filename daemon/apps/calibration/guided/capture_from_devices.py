@@ -10,12 +10,12 @@ from typing import Any, Self
 from daemon.apps.calibration.guided.capture import Progress, Shots, unheard
 from daemon.common.clock import SystemClock
 from daemon.common.errors import DaemonError
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import RigConfig
 from daemon.live.acquisition.camera_thread import CameraThread
-from daemon.live.acquisition.locked_pairer import PairingDesk
+from daemon.live.acquisition.locked_pairer import LockedPairer
 from daemon.live.acquisition.pairer import Pair, PairingSettings
-from daemon.live.projection.confirmed_capture import Shooting, patience_s, settling_ns
+from daemon.live.projection.confirmed_capture import ConfirmedCapture, patience_s, settling_ns
 from daemon.rig.open_rig import next_pose
 from drivers.errors import DriverError
 from drivers.protocols import SIDES, Clock, Frame, Side
@@ -55,14 +55,14 @@ class DeviceShooter:
         )
         self._move = next_pose(devices)
         self._pose: Any = None
-        box: Mailbox[Pair] = Mailbox(4)
-        desk = PairingDesk(limits, paired=lambda pair: _put(box, pair), lone=_pass_over, clock=clock)
+        box: LatestWinsQueue[Pair] = LatestWinsQueue(4)
+        pairer = LockedPairer(limits, paired=lambda pair: _put(box, pair), lone=_pass_over, clock=clock)
         try:
             projector = devices.projector.open()
             self._size: tuple[int, int] = projector.size
-            self._open_cameras(desk, clock)
+            self._open_cameras(pairer, clock)
             settle_ns = settling_ns(devices.projector, projector.refresh_hz, tolerance_ns=limits.tolerance_ns)
-            self._shooting = Shooting(
+            self._shooting = ConfirmedCapture(
                 devices.projector,
                 box,
                 clock=clock,
@@ -130,13 +130,13 @@ class DeviceShooter:
         self._devices.projector.close()
         self._devices.close()
 
-    def _open_cameras(self, desk: PairingDesk, clock: Clock) -> None:
+    def _open_cameras(self, pairer: LockedPairer, clock: Clock) -> None:
         for side in SIDES:
             self._cameras[side] = CameraThread(
                 side,
                 self._devices.cameras[side],
-                deliver=desk.receive,
-                started=desk.doubt,
+                deliver=pairer.receive,
+                started=pairer.camera_restarted,
                 changed=_unchanged,
                 clock=clock,
             )
@@ -153,7 +153,7 @@ class DeviceShooter:
             raise DaemonError(f"the cameras send {encodings}; both must send the same encoding")
 
 
-def _put(box: Mailbox[Pair], pair: Pair) -> None:
+def _put(box: LatestWinsQueue[Pair], pair: Pair) -> None:
     """What is pushed out was not waited for."""
     box.put(pair)
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from daemon.apps.calibration.guided.capture_loop import Scene
 from daemon.apps.calibration.guided.pose_overlay import outline, within
 from daemon.common.errors import DaemonError
-from daemon.common.latest_wins_queue import Mailbox
+from daemon.common.latest_wins_queue import LatestWinsQueue
 
 log = logging.getLogger("fringed.calibrate")
 
@@ -46,7 +46,7 @@ class Shown:
         from daemon.apps.viewer.rerun_import import rerun
 
         self._rr, self._recording = rerun(), recording
-        self._box: Mailbox[Scene] = Mailbox(1)
+        self._box: LatestWinsQueue[Scene] = LatestWinsQueue(1)
         self._covered = -1
         self._looks = 0
         recording.send_blueprint(_blueprint())

@@ -173,12 +173,12 @@ def test_a_camera_driver_that_hangs_is_not_fed_for(running: Running) -> None:
 
 
 def test_a_sink_that_does_not_turn_is_not_fed_for(running: Running) -> None:
-    from daemon.common.heartbeat import Pulse
+    from daemon.common.heartbeat import Heartbeat
 
     sink = running.service.sinks["stream"]
-    sink.pulse = Pulse(running.clock.monotonic_ns)  # type: ignore[attr-defined]
+    sink.heartbeat = Heartbeat(running.clock.monotonic_ns)  # type: ignore[attr-defined]
     assert running.fed()
-    sink.pulse.expect(-1.0)  # type: ignore[attr-defined]
+    sink.heartbeat.expect(-1.0)  # type: ignore[attr-defined]
     wait_until(lambda: not running.fed())
 
 

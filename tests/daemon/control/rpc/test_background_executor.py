@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import zmq
 
-from daemon.control.rpc.background_executor import ROOM, Job, Lane
+from daemon.control.rpc.background_executor import ROOM, BackgroundExecutor, Job
 from daemon.control.rpc.protocol import BUSY, FAILED, FORBIDDEN, MAX_ANSWER_BYTES, MAX_BATCH, Method, Role, answer
 from daemon.control.rpc.server import ControlServer
 from tests.daemon.rigs import wait_until
@@ -110,7 +110,7 @@ def test_who_waits_when_the_daemon_stops_is_told(client: Asking, slow: Slow, ser
 
 
 def test_a_job_that_fails_does_not_end_the_lane() -> None:
-    lane, done = Lane(), threading.Event()
+    lane, done = BackgroundExecutor(), threading.Event()
     lane.start()
     assert lane.submit(Job("bad", lambda: [][0], lambda: None))
     assert lane.submit(Job("good", done.set, lambda: None))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.live.acquisition.pairer import Event, Fate, Lost, Pair, Pairer, PairingSettings, Resynced
+from daemon.live.acquisition.pairer import Event, FrameOutcome, Lost, Pair, Pairer, PairingSettings, Resynced
 from drivers.protocols import TRIGGER_MODULUS, Frame
 from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
 
@@ -31,8 +31,8 @@ def check(sent: list[Sent], events: list[Event], pairer: Pairer) -> list[Pair]:
         assert left == right, f"pair of exposures {left} and {right}"
     lost = [event for event in events if isinstance(event, Lost)]
     assert 2 * len(pairs) + len(lost) == len(sent)
-    counts = Counter(event.fate for event in lost) + Counter({Fate.PAIRED: 2 * len(pairs)})
-    assert counts == pairer.fates["left"] + pairer.fates["right"]
+    counts = Counter(event.outcome for event in lost) + Counter({FrameOutcome.PAIRED: 2 * len(pairs)})
+    assert counts == pairer.outcomes["left"] + pairer.outcomes["right"]
     assert pairer.waiting == 0
     return pairs
 
@@ -43,8 +43,14 @@ def test_ten_thousand_triggers_with_every_fault_give_no_wrong_pair_and_no_frame_
     events = play(sent, pairer)
     pairs = check(sent, events, pairer)
     assert len(pairs) > 8_000
-    seen = {event.fate for event in events if isinstance(event, Lost)}
-    assert seen >= {Fate.PARTNER_MISSING, Fate.LATE, Fate.DUPLICATE, Fate.TRIGGER_MISMATCH, Fate.TIMESTAMP_MISMATCH}
+    seen = {event.outcome for event in events if isinstance(event, Lost)}
+    assert seen >= {
+        FrameOutcome.PARTNER_MISSING,
+        FrameOutcome.LATE,
+        FrameOutcome.DUPLICATE,
+        FrameOutcome.TRIGGER_MISMATCH,
+        FrameOutcome.TIMESTAMP_MISMATCH,
+    }
     assert any(isinstance(event, Resynced) for event in events)
 
 
@@ -72,7 +78,7 @@ def test_one_wrong_number_costs_at_most_two_pairs_and_changes_no_shift() -> None
     sent, pairer = [Sent(frame, k // 2) for k, frame in enumerate(frames)], Pairer()
     pairs = check(sent, play(sent, pairer), pairer)
     assert len(pairs) == 38 and pairer.shift == 0
-    assert pairer.fates["left"][Fate.TRIGGER_MISMATCH] == 1
+    assert pairer.outcomes["left"][FrameOutcome.TRIGGER_MISMATCH] == 1
 
 
 _BOTH = ("left", "right")
@@ -82,13 +88,13 @@ def test_the_number_alone_makes_no_pair() -> None:
     pairer = Pairer()
     events = pairer.feed(_frame("left", 1, 0, 1)) + pairer.feed(_frame("right", 1, PERIOD_NS, 1))
     assert events == []
-    assert {e.fate for e in pairer.tick(10**15) if isinstance(e, Lost)} == {Fate.TIMESTAMP_MISMATCH}
+    assert {e.outcome for e in pairer.tick(10**15) if isinstance(e, Lost)} == {FrameOutcome.TIMESTAMP_MISMATCH}
 
 
 def test_the_time_alone_makes_no_pair() -> None:
     pairer = Pairer()
     assert pairer.feed(_frame("left", 1, 0, 1)) + pairer.feed(_frame("right", 2, 0, 1)) == []
-    assert {e.fate for e in pairer.tick(10**15) if isinstance(e, Lost)} == {Fate.TRIGGER_MISMATCH}
+    assert {e.outcome for e in pairer.tick(10**15) if isinstance(e, Lost)} == {FrameOutcome.TRIGGER_MISMATCH}
 
 
 def test_triggers_slower_than_the_waiting_time_still_pair() -> None:
@@ -102,7 +108,7 @@ def test_after_a_camera_started_anew_its_count_is_confirmed_first() -> None:
     for k in range(5):
         pairer.feed(_frame("left", k, k * PERIOD_NS, 1))
         pairer.feed(_frame("right", k, k * PERIOD_NS, 1))
-    pairer.doubt("left")
+    pairer.camera_restarted("left")
     fed = [pairer.feed(_frame(side, k, k * PERIOD_NS, 1)) for k in range(5, 8) for side in _BOTH]
     assert fed[:5] == [[]] * 5 and len(fed[5]) == 3
 
@@ -113,7 +119,7 @@ def test_a_camera_that_counts_from_zero_again_costs_only_the_sightings_that_conf
     sent = [Sent(_frame(s, k, k * PERIOD_NS, 1), k) for k in range(10) for s in _BOTH]
     pairer = Pairer()
     assert len(check(sent, play(sent, pairer), pairer)) == 10
-    pairer.doubt(side)
+    pairer.camera_restarted(side)
     again = [Sent(_frame(s, k - 12 * (s == side), k * PERIOD_NS, 1), k) for k in range(12, 30) for s in _BOTH]
     events = play(again, pairer)
     pairs = [event for event in events if isinstance(event, Pair)]
@@ -124,14 +130,14 @@ def test_a_camera_that_counts_from_zero_again_costs_only_the_sightings_that_conf
 def test_frames_before_the_other_camera_runs_are_named_so() -> None:
     pairer = Pairer()
     events = [event for k in range(60) for event in pairer.feed(_frame("left", k, k * PERIOD_NS, 1))]
-    assert {event.fate for event in events if isinstance(event, Lost)} <= {Fate.BEFORE_SYNC}
+    assert {event.outcome for event in events if isinstance(event, Lost)} <= {FrameOutcome.BEFORE_SYNC}
     assert pairer.waiting <= pairer.settings.room
 
 
 def test_a_frame_that_lay_around_for_long_is_stale() -> None:
     pairer = Pairer()
     (event,) = pairer.feed(_frame("left", 1, 0, 6_000_000_000))
-    assert isinstance(event, Lost) and event.fate is Fate.STALE
+    assert isinstance(event, Lost) and event.outcome is FrameOutcome.STALE
 
 
 def test_a_camera_that_restarts_its_count_does_not_move_the_numbers_of_the_pairs() -> None:

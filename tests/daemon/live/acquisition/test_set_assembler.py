@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.live.acquisition.pairer import Pair, Pairer
-from daemon.live.acquisition.set_assembler import MOST_GAP_NS, Gatherer
+from daemon.live.acquisition.set_assembler import MOST_GAP_NS, SetAssembler
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame
 
 MS = 1_000_000
@@ -17,7 +17,7 @@ Shot = tuple[int, int]
 """How many triggers after the first image's, and start of exposure."""
 
 
-def fed(gatherer: Gatherer[Shot], shots: list[Shot], first: int) -> list[tuple[Shot, ...]]:
+def fed(gatherer: SetAssembler[Shot], shots: list[Shot], first: int) -> list[tuple[Shot, ...]]:
     made = (gatherer.feed((first + position) % TRIGGER_MODULUS, t_ns, (position, t_ns)) for position, t_ns in shots)
     return [one for one in made if one is not None]
 
@@ -38,7 +38,7 @@ def test_a_set_is_made_of_each_pass_that_lost_nothing_and_of_no_other(
     frames: int, first: int, start: int, kept: list[bool], twice: set[int]
 ) -> None:
     positions = [start + i for i, keep in enumerate(kept) if keep for _ in range(1 + (i in twice))]
-    gatherer: Gatherer[Shot] = Gatherer(frames, first)
+    gatherer: SetAssembler[Shot] = SetAssembler(frames, first)
     made = fed(gatherer, [at(position) for position in positions], first)
     whole = [
         k for k in range(start // frames - 1, (start + len(kept)) // frames + 1)
@@ -61,7 +61,7 @@ def test_a_set_is_made_of_each_pass_that_lost_nothing_and_of_no_other(
 def test_whatever_comes_no_set_mixes_passes_and_no_pair_is_used_twice(
     frames: int, first: int, shots: list[Shot]
 ) -> None:
-    gatherer: Gatherer[Shot] = Gatherer(frames, first)
+    gatherer: SetAssembler[Shot] = SetAssembler(frames, first)
     made = fed(gatherer, shots, first)
     for one in made:
         positions, times_ns = [p for p, _ in one], [t for _, t in one]
@@ -72,19 +72,19 @@ def test_whatever_comes_no_set_mixes_passes_and_no_pair_is_used_twice(
 
 
 def test_a_pair_that_comes_a_little_late_still_finds_its_set() -> None:
-    gatherer: Gatherer[Shot] = Gatherer(3)
+    gatherer: SetAssembler[Shot] = SetAssembler(3)
     assert [p for p, _ in fed(gatherer, [at(n) for n in (0, 2, 3, 1)], 0)[0]] == [0, 1, 2]
     assert gatherer.incomplete == 0
 
 
 def test_images_of_two_times_under_one_number_spoil_the_set() -> None:
-    gatherer: Gatherer[Shot] = Gatherer(2)
+    gatherer: SetAssembler[Shot] = SetAssembler(2)
     assert fed(gatherer, [(0, 5 * MS), (0, 900 * MS), (1, 910 * MS)], 0) == []
     assert gatherer.incomplete == 1
 
 
 def test_a_count_that_begins_anew_is_gathered_from_its_new_begin() -> None:
-    gatherer: Gatherer[Shot] = Gatherer(3)
+    gatherer: SetAssembler[Shot] = SetAssembler(3)
     late = [(n, (5000 + n) * 33 * MS) for n in range(3)]
     made = fed(gatherer, [*(at(n) for n in range(300, 304)), *late], 0)
     assert [one[0][0] for one in made] == [300, 0]
@@ -93,7 +93,7 @@ def test_a_count_that_begins_anew_is_gathered_from_its_new_begin() -> None:
 
 def test_numbers_may_wrap_within_a_set() -> None:
     first = TRIGGER_MODULUS - 2
-    gatherer: Gatherer[Shot] = Gatherer(4, first)
+    gatherer: SetAssembler[Shot] = SetAssembler(4, first)
     assert len(fed(gatherer, [at(n) for n in range(8)], first)) == 2
 
 
@@ -104,5 +104,5 @@ def test_cameras_that_begin_to_count_anew_are_noticed_though_the_numbers_go_on()
         for side in SIDES:
             frame = Frame(side, number, t_ns, t_ns + 10 * MS, "mono8", np.zeros((1, 1), np.uint8))
             numbers += [event.seq for event in pairer.feed(frame) if isinstance(event, Pair)]
-    assert pairer.begun_anew == 1
+    assert pairer.counter_restarts == 1
     assert len(numbers) > 12 and numbers == sorted(set(numbers))

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from daemon.live.processing.gc_control import Garbage, Pauses
+from daemon.live.processing.gc_control import GcControl, GcPauses
 
 
 class Ring:
@@ -17,8 +17,8 @@ class Ring:
 
 
 @pytest.fixture
-def garbage() -> Iterator[Garbage]:
-    made = Garbage()
+def garbage() -> Iterator[GcControl]:
+    made = GcControl()
     made.hold(0.0)
     yield made
     made.release()
@@ -44,12 +44,12 @@ def litter(count: int) -> weakref.ref[Ring]:
     return weakref.ref(rings[-1])
 
 
-def test_nothing_is_collected_by_itself(garbage: Garbage, collections: list[int]) -> None:
+def test_nothing_is_collected_by_itself(garbage: GcControl, collections: list[int]) -> None:
     lost = litter(50_000)
     assert garbage and collections == [] and lost() is not None
 
 
-def test_the_young_are_collected_between_pairs_whether_idle_or_not(garbage: Garbage, collections: list[int]) -> None:
+def test_the_young_are_collected_between_pairs_whether_idle_or_not(garbage: GcControl, collections: list[int]) -> None:
     lost = litter(5000)
     garbage.between_pairs(1.0, idle=False)
     assert collections == [0] and lost() is None
@@ -57,7 +57,7 @@ def test_the_young_are_collected_between_pairs_whether_idle_or_not(garbage: Garb
     assert collections == [0]
 
 
-def test_everything_is_collected_only_when_idle_unless_long_overdue(garbage: Garbage, collections: list[int]) -> None:
+def test_everything_is_collected_only_when_idle_unless_long_overdue(garbage: GcControl, collections: list[int]) -> None:
     for second in range(59, 600, 60):
         garbage.between_pairs(float(second), idle=False)
     assert collections == []
@@ -69,16 +69,16 @@ def test_everything_is_collected_only_when_idle_unless_long_overdue(garbage: Gar
     assert collections == [2, 2]
 
 
-def test_a_long_run_looks_at_the_middle_generation_too(garbage: Garbage, collections: list[int]) -> None:
+def test_a_long_run_looks_at_the_middle_generation_too(garbage: GcControl, collections: list[int]) -> None:
     for _ in range(20):
         litter(3000)
         garbage.between_pairs(1.0, idle=False)
     assert collections.count(1) == 2 and collections.count(2) == 0
 
 
-def test_every_pause_is_counted_with_its_length(garbage: Garbage) -> None:
+def test_every_pause_is_counted_with_its_length(garbage: GcControl) -> None:
     ms = iter((0, 3, 100, 101))
-    pauses = Pauses(lambda: next(ms) * 1_000_000)
+    pauses = GcPauses(lambda: next(ms) * 1_000_000)
     gc.collect()
     pauses.start()
     gc.collect()
@@ -89,7 +89,7 @@ def test_every_pause_is_counted_with_its_length(garbage: Garbage) -> None:
     assert pauses.summary() == {"count": 2, "total_ms": 4.0, "max_ms": 3.0}
 
 
-def test_what_was_there_is_frozen_and_may_go_after_the_next_hold(garbage: Garbage) -> None:
+def test_what_was_there_is_frozen_and_may_go_after_the_next_hold(garbage: GcControl) -> None:
     ring = Ring()
     lost = weakref.ref(ring)
     garbage.hold(1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from daemon.live.processing.load_shedding import Overload
+from daemon.live.processing.load_shedding import LoadShedding
 
 FULL_MS, HALF_MS = 60.0, 20.0
 
@@ -13,7 +13,7 @@ class Rig:
     """A pipeline with a queue of one pair, simulated millisecond by millisecond."""
 
     def __init__(self, *, enabled: bool = True) -> None:
-        self.overload = Overload(enabled=enabled)
+        self.overload = LoadShedding(enabled=enabled)
         self.now_ms, self.free_at_ms = 0, 0.0
         self.busy: tuple[float, int] | None = None
         self.waits = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from daemon.live.processing.temporal_prior import Sequel
+from daemon.live.processing.temporal_prior import TemporalPrior
 
 PERIOD_NS = 33_000_000
 
@@ -25,25 +25,25 @@ PERIOD_NS = 33_000_000
 def test_a_pair_follows_the_last_one_if_little_time_has_passed(
     seq: int, periods: int, every: int, follows: bool
 ) -> None:
-    sequel = Sequel()
+    sequel = TemporalPrior()
     sequel.measured(10, 0, 1)
     assert sequel.follows(seq, periods * PERIOD_NS, every) is follows
 
 
 def test_a_slow_trigger_counts_in_periods() -> None:
-    sequel = Sequel()
+    sequel = TemporalPrior()
     sequel.measured(10, 0, 1)
     assert sequel.follows(12, 2_000_000_000, 1) and not sequel.follows(15, 5_000_000_000, 1)
 
 
 def test_numbers_wrap() -> None:
-    sequel = Sequel()
+    sequel = TemporalPrior()
     sequel.measured(2**32 - 1, 0, 1)
     assert sequel.follows(0, PERIOD_NS, 1)
 
 
 def test_nothing_follows_at_the_start_and_after_a_change() -> None:
-    sequel = Sequel()
+    sequel = TemporalPrior()
     assert not sequel.follows(0, 0, 1)
     sequel.measured(0, 0, 1)
     sequel.forget()

@@ -91,7 +91,7 @@ class UnmeasuringService(Service):
     """The daemon without its pipeline, in any mode."""
 
     def reconstructor(self, *_: Any) -> Any:
-        plan = self.sequencing.plan
+        plan = self.mode_controller.plan
         return FlatPairs() if plan is None else FlatSets(plan.mode, self.seen)
 
     @property
@@ -110,7 +110,7 @@ class Lit(Running):
     @property
     def levels(self) -> list[int]:
         """Brightness of the mode's images, one after the other."""
-        plan = self.service.sequencing.plan
+        plan = self.service.mode_controller.plan
         assert plan is not None
         return [int(image[0, 0].max()) for image in plan.images]
 

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.live.projection.confirmed_capture import CaptureCancelledError, Shooting, settling_ns
+from daemon.live.projection.confirmed_capture import CaptureCancelledError, ConfirmedCapture, settling_ns
 from drivers.errors import DriverError
 from tests.daemon.live.projection.virtual_time import MS, Bench, image, level
 
 
-def shooting(bench: Bench, **options: object) -> Shooting:
+def shooting(bench: Bench, **options: object) -> ConfirmedCapture:
     settle_ns = settling_ns(bench, 60.0, tolerance_ns=2 * MS)
-    return Shooting(bench, bench, clock=bench, settle_ns=settle_ns, **options)  # type: ignore[arg-type]
+    return ConfirmedCapture(bench, bench, clock=bench, settle_ns=settle_ns, **options)  # type: ignore[arg-type]
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)

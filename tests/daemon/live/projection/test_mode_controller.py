@@ -125,8 +125,8 @@ def test_a_take_that_begins_in_the_past_holds_nothing_of_another_mode(desk: Desk
     desk.bench.goes_on(2)
     assert desk.recorder.status()["before"]["items"] > len(desk.bench.levels)
     desk.call("pattern.mode", name="heterodyne")
-    sets = desk.bench.service.sequencing.sets
-    wait_until(lambda: desk.bench.service.sequencing.sets >= sets + 2)
+    sets = desk.bench.service.mode_controller.sets
+    wait_until(lambda: desk.bench.service.mode_controller.sets >= sets + 2)
     kept = [item.left for item in desk.recorder._before.last(60.0) if isinstance(item, PairItem)]
     levels = desk.bench.levels
     assert len(kept) >= 2 * len(levels)

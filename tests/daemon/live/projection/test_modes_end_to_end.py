@@ -34,7 +34,9 @@ def test_clouds_are_right_and_a_replay_of_the_take_gives_the_same_bit_for_bit(tm
         recorder = Recorder(
             service,
             tmp_path / "takes",
-            lambda take: open_take(running.config, service.rig, "s", take, rig_file, shown=service.sequencing.shown),
+            lambda take: open_take(
+                running.config, service.rig, "s", take, rig_file, shown=service.mode_controller.shown
+            ),
         )
         take = Path(str(recorder.start("sets")["file"]))
         newest = max((item.left.trigger for item in running.sink.pairs), default=-1)

@@ -12,8 +12,8 @@ import pytest
 from daemon.common.errors import DaemonError
 from daemon.live.acquisition.pairer import Pair
 from daemon.live.projection import sequence_player as driver_module
-from daemon.live.projection.confirmed_capture import Shooting, settling_ns
-from daemon.live.projection.sequence_player import Driver
+from daemon.live.projection.confirmed_capture import ConfirmedCapture, settling_ns
+from daemon.live.projection.sequence_player import SequencePlayer
 from daemon.live.sets import ImageSet
 from drivers.errors import DriverError
 from tests.daemon.live.projection.virtual_time import MS, Bench, image, level
@@ -30,12 +30,12 @@ class Played:
         self.sets: list[ImageSet] = []
         self.seen: list[Pair] = []
         self.dropped = 0
-        self.driver = Driver(self._shooting, seen=self.seen.append, whole=self._whole, dropped=self._drop)
+        self.driver = SequencePlayer(self._shooting, seen=self.seen.append, whole=self._whole, dropped=self._drop)
         self.before_get: Callable[[], None] = lambda: None
 
-    def _shooting(self, _: object, cancelled: Callable[[], bool]) -> Shooting:
+    def _shooting(self, _: object, cancelled: Callable[[], bool]) -> ConfirmedCapture:
         settle_ns = settling_ns(self.bench, 60.0, tolerance_ns=2 * MS)
-        return Shooting(self.bench, self, clock=self.bench, settle_ns=settle_ns, cancelled=cancelled)
+        return ConfirmedCapture(self.bench, self, clock=self.bench, settle_ns=settle_ns, cancelled=cancelled)
 
     def get(self, timeout_s: float) -> Pair | None:
         self.before_get()

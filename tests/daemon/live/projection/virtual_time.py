@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from daemon.common.latest_wins_queue import Mailbox
-from daemon.live.acquisition.locked_pairer import PairingDesk
+from daemon.common.latest_wins_queue import LatestWinsQueue
+from daemon.live.acquisition.locked_pairer import LockedPairer
 from daemon.live.acquisition.pairer import Pair, PairingSettings
 from drivers.protocols import SIDES, Frame, ProjectorInfo, Side
 
@@ -58,9 +58,9 @@ class Bench:
         self.triggers = 0
         self.first_ns = NOW_NS + self.random.randrange(self.period_ns)
         self.due: list[tuple[int, Frame]] = []
-        self.box: Mailbox[Pair] = Mailbox(4)
+        self.box: LatestWinsQueue[Pair] = LatestWinsQueue(4)
         settings = PairingSettings(tolerance_ns=2 * MS, max_wait_ns=500 * MS)
-        self.desk = PairingDesk(settings, paired=self.box.put, lone=lambda _: None, clock=self)
+        self.pairer = LockedPairer(settings, paired=self.box.put, lone=lambda _: None, clock=self)
         self.counted = {"restarts": 0}
         self.trouble = ""
         self.shown = 0
@@ -111,10 +111,10 @@ class Bench:
             self.now_ns = max(self.now_ns, due_ns)
             start_ns = self.first_ns + frame.trigger * self.period_ns
             frame.image[:] = self.light(start_ns, start_ns + self.exposure_ns)
-            self.desk.receive(frame)
+            self.pairer.receive(frame)
         self.due = [item for item in self.due if item[0] > t_ns]
         self.now_ns = max(self.now_ns, t_ns)
-        self.desk.tick()
+        self.pairer.tick()
 
     def trigger(self, number: int, t_ns: int) -> None:
         late_ns = round(MS * self.random.uniform(0, self.late_ms))

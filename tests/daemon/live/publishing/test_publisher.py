@@ -18,7 +18,7 @@ import zmq
 
 from daemon.bootstrap.sinks import open_publisher
 from daemon.common.errors import DaemonError
-from daemon.live.items import LoneItem
+from daemon.live.items import UnpairedFrame
 from daemon.live.publishing.preview import overlay
 from daemon.live.publishing.publisher import Publisher
 from fringed import FringedError, SilenceError, WireError, asubscribe, subscribe, wire
@@ -184,7 +184,7 @@ def test_offering_never_waits_and_overtaken_clouds_are_counted(monkeypatch: pyte
         for seq in (1, 2, 3):  # the thread is held up: all return at once, the last one stays
             assert made.offer(clouds.item(seq))
         assert made.status()["dropped"] == 2
-        assert made.offer(LoneItem(clouds.frame("left", 1, "rgb8", clouds.SIZE)))
+        assert made.offer(UnpairedFrame(clouds.frame("left", 1, "rgb8", clouds.SIZE)))
         go_on.set()
         clouds.until(lambda: clouds.sent(made, "cloud/full") == 2)
     assert not made.offer(clouds.item(3)), "closed: refused"

@@ -47,11 +47,11 @@ def running(tmp_path: Path, options: dict[str, Any]) -> Iterator[tuple[Any, Serv
 
     def measured(pairs: int) -> bool:
         """Whether so many pairs came, and all of them were measured or dropped."""
-        return service.desk.pairs == pairs == service.worker.clouds + service.drops["pairs_pipeline_busy"]
+        return service.pairer.pairs == pairs == service.worker.clouds + service.drops["pairs_pipeline_busy"]
 
     def trigger() -> None:
         nonlocal taken
-        pairs, due = service.desk.pairs, check._due_ns <= clock.now_ns + 50_000_000
+        pairs, due = service.pairer.pairs, check._due_ns <= clock.now_ns + 50_000_000
         step(made)
         wait_until(lambda: measured(pairs + 1))
         if due:
