@@ -15,8 +15,8 @@ from pipeline.calibrate.bundle.initialise.relative_pose_check import Placed, pla
 from pipeline.calibrate.bundle.initialise.relative_poses import assemble
 from pipeline.calibrate.bundle.initialise.single_device import Mono, mono
 from pipeline.calibrate.bundle.options import Options
-from pipeline.calibrate.bundle.quality.observability import refuse_uncertain
-from pipeline.calibrate.bundle.quality.view_advice import missing, refuse_degenerate
+from pipeline.calibrate.bundle.quality.observability import require_determined
+from pipeline.calibrate.bundle.quality.view_assessment import missing, require_non_degenerate
 from pipeline.calibrate.bundle.solution import Rejection, Solution
 from pipeline.calibrate.bundle.summary import summarise
 from pipeline.calibrate.bundle.view_rejection import bad_views, few_marks
@@ -71,7 +71,7 @@ def calibrate(
     _enough(data, views, options, rejected)
     advice = missing(board, views, sizes, start=start)
     if options.check:
-        refuse_degenerate(advice)
+        require_non_degenerate(advice)
     monos = [
         mono(data.of(number), board.points, len(views), sizes[name], options, name=name, start=start.get(name))
         for number, name in enumerate(devices)
@@ -82,7 +82,7 @@ def calibrate(
     adjusted, numbers, more = _settled(board, views, devices, placed, options, monos)
     solution = summarise(board, views, devices, sizes, adjusted, numbers, rejected + more, options)
     if options.check:
-        refuse_uncertain(solution, sizes, options, advice)
+        require_determined(solution, sizes, options, advice)
     return solution
 
 

@@ -1,1 +1,1 @@
-"""Calibration targets: what is printed on them, and where their marks are in an image."""
+"""Calibration targets: their geometry, and the detection of their marks in an image."""

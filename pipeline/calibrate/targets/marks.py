@@ -1,4 +1,4 @@
-"""Marks of a board that were located in one device's image."""
+"""Marks of a board localised in one device's image."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """Marks found in one image, in any order; for a projector, where its own image meets the marks.
+    """Marks localised in one image, in any order; for a projector, its own pixels that light the marks.
 
     Args:
         ids: (n,) numbers of the marks, see :class:`pipeline.calibrate.targets.board.board.Board`; none twice.
         pixels: (n, 2) u, v. For circles this is the centroid of the circle's image, not the image of its centre.
         sigma_px: (n,) expected standard deviation of each coordinate from the image's noise.
-        areas_px: (n,) areas of the circles' images where ``pixels`` are their centroids, so that whoever fits a model
-            must predict centroids; None where they are images of points (corners; a projector's marks).
+        areas_px: (n,) areas of the circles' images where ``pixels`` are their centroids, which a model must then
+            predict as centroids; None where they are images of points (corners; a projector's marks).
     """
 
     ids: NDArray[np.int64]
@@ -36,7 +36,7 @@ class Marks:
         if self.areas_px is not None and self.areas_px.shape != (n,):
             raise ValueError(f"marks: areas_px {self.areas_px.shape}, expected {(n,)}")
         if len(np.unique(self.ids)) != n:
-            raise ValueError("marks: a mark is there twice")
+            raise ValueError("marks: a number occurs twice")
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -49,7 +49,7 @@ class Marks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardView:
-    """One place of the board, seen by some of the devices ``left``, ``right``, ``projector``."""
+    """Marks of one board pose in some of the devices ``left``, ``right``, ``projector``."""
 
     name: str
     marks: dict[str, Marks]

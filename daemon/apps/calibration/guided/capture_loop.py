@@ -9,7 +9,7 @@ from typing import Protocol
 
 from daemon.apps.calibration.guided.capture import Progress, Shooter, Shots
 from daemon.apps.calibration.guided.session_folder import SessionFolder
-from daemon.apps.calibration.guided.session_state import Found, Limits, Session, Sight, State, Told
+from daemon.apps.calibration.guided.session_state import Detection, Limits, Session, Sight, State, Told
 from daemon.apps.calibration.images.image_files import Image, unpacked
 from daemon.apps.calibration.views.open_source import white_frame
 from daemon.common.errors import DaemonError
@@ -21,7 +21,7 @@ from pipeline.common.errors import TargetError
 from pipeline.pattern.sequence import Sequence
 
 Probe = tuple[Sequence, Callable[[Shots], str]]
-Find = Callable[[Image, Board], Found]
+Find = Callable[[Image, Board], Detection]
 _MOST_LOOKS, _MOST_STEADY = 20, 4
 """A simulated hand leaves a pose that became no view after more looks, and after more times the steady time."""
 MOST_FAILURES = 5
@@ -173,7 +173,7 @@ def sighted(shots: Shots, frame: int, board: Board, find: Find, clock: Clock) ->
     images: dict[str, Image] = {
         side: unpacked(raw, shots.encoding) for side, raw in zip(SIDES, shots.pairs[frame], strict=True)
     }
-    found: dict[str, Found] = {}
+    found: dict[str, Detection] = {}
     problems: dict[str, str] = {}
     for side, image in images.items():
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.bundle.quality.view_advice import Pose
+from pipeline.calibrate.bundle.quality.view_assessment import Pose
 from pipeline.calibrate.targets.board.board import Board
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 
 from daemon.apps.calibration.guided.pose_similarity import alike
-from pipeline.calibrate.bundle.quality.view_advice import Advice, missing
+from pipeline.calibrate.bundle.quality.view_assessment import ViewAssessment, missing
 from pipeline.calibrate.bundle.quality.view_coverage import Look, looks, pooled
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.marks import BoardView, Marks
@@ -38,7 +38,7 @@ class State(StrEnum):
     DONE = "done"
 
 
-class Found(Protocol):
+class Detection(Protocol):
     """What a search for marks gives, see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
 
     @property
@@ -83,7 +83,7 @@ class Sight:
     """
 
     t_s: float
-    found: Mapping[str, Found] = field(default_factory=dict)
+    found: Mapping[str, Detection] = field(default_factory=dict)
     problems: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -126,7 +126,7 @@ class Session:
         self.views: list[BoardView] = []
         self.refused = 0
         self.state = State.LOOKING
-        self.advice: Advice = missing(board, [], self.sizes)
+        self.advice: ViewAssessment = missing(board, [], self.sizes)
         self._frames = frames
         self._looks: list[Look] = []
         self._still: deque[Sight] = deque()

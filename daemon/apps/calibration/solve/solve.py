@@ -22,7 +22,7 @@ from daemon.rig.calibration_file import CamerasFile
 from pipeline.calibrate.bundle import Options, Solution, calibrate
 from pipeline.calibrate.bundle.quality.layout import layout_advice
 from pipeline.calibrate.bundle.quality.solution_figures import quality_of
-from pipeline.calibrate.bundle.quality.view_advice import missing
+from pipeline.calibrate.bundle.quality.view_assessment import missing
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.common.errors import CalibrationError, TargetError
 from pipeline.rig.calibration import Cameras

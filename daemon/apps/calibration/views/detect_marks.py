@@ -14,9 +14,9 @@ from daemon.apps.calibration.images.image_files import Image, unpacked
 from daemon.apps.calibration.views.open_source import Source, View, white_frame
 from pipeline.calibrate.projector.absolute_phase import Coordinate, evenly_lit
 from pipeline.calibrate.targets.board.board import Board
-from pipeline.calibrate.targets.detect.detection import edge_sigma_px, too_blurred
-from pipeline.calibrate.targets.find_marks import Found, find_marks
-from pipeline.calibrate.targets.localise.gray_image import to_grey
+from pipeline.calibrate.targets.detect.detection_errors import edge_sigma_px, too_blurred
+from pipeline.calibrate.targets.find_marks import Detection, find_marks
+from pipeline.calibrate.targets.localise.gray_image import to_gray
 from pipeline.calibrate.targets.marks import BoardView, Marks
 from pipeline.common.errors import TargetError
 from pipeline.pattern.sequence import Sequence
@@ -46,7 +46,7 @@ class Seen:
     file: str
     size: tuple[int, int]
     thumbnail: bytes
-    found: Found | None = None
+    found: Detection | None = None
     problem: str = ""
 
 
@@ -152,12 +152,12 @@ def thumbnail(image: Image) -> bytes:
     return bytes(data) if done else b""
 
 
-def _found(image: Image, board: Board) -> tuple[Found | None, str]:
+def _found(image: Image, board: Board) -> tuple[Detection | None, str]:
     try:
         return find_marks(image, board), ""
     except TargetError as error:
         # In an image out of focus some marks melt together, and what is found then is misleading.
-        sigma = edge_sigma_px(to_grey(image))
+        sigma = edge_sigma_px(to_gray(image))
         if sigma > BLURRED_PX and "saturated" not in str(error):
             error = too_blurred(sigma, BLURRED_PX)
         return None, str(error).rstrip(".")

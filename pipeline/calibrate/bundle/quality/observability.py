@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pipeline.calibrate.bundle.options import Options
-from pipeline.calibrate.bundle.quality.view_advice import Advice, what_to_add
+from pipeline.calibrate.bundle.quality.view_assessment import ViewAssessment, missing_views_text
 from pipeline.calibrate.bundle.solution import Solution
 from pipeline.common.errors import CalibrationError
 
@@ -13,8 +13,8 @@ _LEAST_NOISE_PX = 0.02
 """Views that only just determine everything are refused also when their marks agree better than this by chance."""
 
 
-def refuse_uncertain(
-    solution: Solution, sizes: Mapping[str, tuple[int, int]], options: Options, advice: Advice
+def require_determined(
+    solution: Solution, sizes: Mapping[str, tuple[int, int]], options: Options, advice: ViewAssessment
 ) -> None:
     """Raise if a focal length or principal point is not determined well enough.
 
@@ -39,5 +39,5 @@ def refuse_uncertain(
                 what = "focal length" if focal else "principal point"
                 raise CalibrationError(
                     f"the views do not determine the {what} of {name}: {key} {value:.1f} px has a standard deviation "
-                    f"of {sigma:.2g} px (limit {limit:.2g} px); {what_to_add(advice)}"
+                    f"of {sigma:.2g} px (limit {limit:.2g} px); {missing_views_text(advice)}"
                 )

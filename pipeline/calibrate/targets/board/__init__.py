@@ -1,1 +1,1 @@
-"""Boards: which there are, and what is printed on them."""
+"""Boards: their kinds, marks and drawings."""

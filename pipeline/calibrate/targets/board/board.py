@@ -1,4 +1,4 @@
-"""What is printed on a flat calibration board, and where.
+"""The kinds of flat calibration boards and the positions of their marks.
 
 Frame of the board: origin at mark 0, x along the columns, y along the rows, z into the board, so that a board seen
 from the front has about the identity as rotation. Marks are numbered by rows: mark ``row * columns + column``.
@@ -20,7 +20,7 @@ Kind = Literal["circles", "acircles", "chessboard", "charuco"]
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
 DIAMETER_SHARE = 0.6
-"""Diameter of a circle as a share of the pitch, where nothing else is told."""
+"""Diameter of a circle as a share of the pitch, where none is given."""
 _MOST_MARKS = 2500
 _FORMS = {
     "circles": "circles:COLSxROWS:PITCH_MM[:DIAMETER_MM]",
@@ -40,7 +40,7 @@ class Board:
         columns, rows: of circles, of inner corners (chessboard), or of squares (charuco).
         pitch_mm: distance of neighbours in a row of circles, or side of a square. In ``acircles`` rows are half a
             pitch apart, and odd rows begin half a pitch further right (OpenCV's asymmetric grid).
-        diameter_mm: of a circle; 0 = not told, then it is measured in the images.
+        diameter_mm: of a circle; 0 = not given, then it is measured in the images.
         marker_mm, dictionary: of ``charuco``: side of a marker, name such as ``DICT_4X4_100``.
     """
 
@@ -61,9 +61,9 @@ class Board:
             )
         if not 0 < self.pitch_mm < 1e5:
             raise TargetError(f"board pitch {self.pitch_mm} mm: expected more than 0 mm and less than 100 m")
-        room = self.pitch_mm * (np.sqrt(0.5) if self.kind == "acircles" else 1.0)
-        if not 0 <= self.diameter_mm < room:
-            raise TargetError(f"circle diameter {self.diameter_mm} mm: expected less than {room:g} mm, or they touch")
+        limit = self.pitch_mm * (np.sqrt(0.5) if self.kind == "acircles" else 1.0)
+        if not 0 <= self.diameter_mm < limit:
+            raise TargetError(f"circle diameter {self.diameter_mm} mm: expected less than {limit:g} mm, or they touch")
         if self.kind == "charuco" and not 0 < self.marker_mm < self.pitch_mm:
             raise TargetError(f"marker {self.marker_mm} mm: expected more than 0 and less than {self.pitch_mm} mm")
 
@@ -79,7 +79,7 @@ class Board:
 
     @property
     def printed_diameter_mm(self) -> float:
-        """Diameter of the circles as they are drawn when nothing else is told."""
+        """Diameter of the circles in the drawing: the given one, or the default share of the pitch."""
         return self.diameter_mm or DIAMETER_SHARE * self.pitch_mm * (0.7 if self.kind == "acircles" else 1.0)
 
     @property
@@ -109,22 +109,22 @@ def parse_board(text: str) -> Board:
     """The board of a text such as ``circles:11x9:32.0`` or ``charuco:12x9:30:22:DICT_4X4_100``.
 
     Raises:
-        TargetError: it says which form is expected.
+        TargetError: the text has another form; the message names the expected one.
     """
     name, *rest = text.split(":")
-    kind = next((known for known in KINDS if known == name), None)
+    kind = next((one for one in KINDS if one == name), None)
     if kind is None:
         raise TargetError(f"board {text!r:.80}: unknown kind; expected one of {', '.join(_FORMS.values())}")
-    wrong = TargetError(f"board {text!r:.80}: expected {_FORMS[kind]}")
+    form_error = TargetError(f"board {text!r:.80}: expected {_FORMS[kind]}")
     size = re.fullmatch(r"(\d{1,4})x(\d{1,4})", rest[0]) if rest else None
     counts = {"circles": (2, 3), "acircles": (2, 3), "chessboard": (2,), "charuco": (4,)}[kind]
     if size is None or len(rest) not in counts:
-        raise wrong
+        raise form_error
     columns, rows = int(size[1]), int(size[2])
     try:
         lengths = [float(value) for value in rest[1:3]]
     except ValueError:
-        raise wrong from None
+        raise form_error from None
     if kind == "charuco":
         return Board(kind, columns, rows, lengths[0], marker_mm=lengths[1], dictionary=rest[3])
     diameter = lengths[1] if len(lengths) > 1 else 0.0

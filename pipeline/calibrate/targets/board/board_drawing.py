@@ -1,7 +1,7 @@
 """The drawing of a board: black shapes on white paper, as a list and as an image.
 
-Both are in the board's frame (mm, origin at mark 0, see :mod:`pipeline.calibrate.targets.board.board`), so that the
-printer, the simulator and the finder speak of the same places.
+Both are in the board's frame (mm, origin at mark 0, see :mod:`pipeline.calibrate.targets.board.board`), which printer,
+simulator and detectors share.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pipeline.common.errors import TargetError
 Array = NDArray[np.float64]
 
 MARGIN = {"circles": 0.375, "acircles": 0.375, "chessboard": 0.5, "charuco": 0.5}
-"""White between the outermost black and the edge of the paper, in pitches. The finders need about this much."""
+"""White between the outermost black and the edge of the paper, in pitches. The detectors need about this much."""
 _MOST_PIXELS = 1 << 27
 _STRIPS = 16
 """Strips a pixel is cut into where the edge of a disc crosses it; along a strip the covered length is exact."""
@@ -27,7 +27,7 @@ _STRIPS = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Printed:
-    """Everything that is black on a sheet of white paper.
+    """All black shapes on a sheet of white paper.
 
     Args:
         width_mm, height_mm: of the sheet.
@@ -44,7 +44,7 @@ class Printed:
 
 
 def shapes(board: Board, *, paper_mm: tuple[float, float] | None = None) -> Printed:
-    """What to print for a board.
+    """The drawing of a board as a list of shapes.
 
     Args:
         board: any kind.
@@ -80,7 +80,7 @@ def raster(
         paper_mm: see :func:`shapes`.
 
     Returns:
-        (H, W) share of white, 0 = black to 1 = white, exact to about 1e-4 (edges are area averages), and the place
+        (H, W) share of white, 0 = black to 1 = white, exact to about 1e-4 (edges are area averages), and the position
         (x, y) in mm of the centre of pixel (0, 0) in the board's frame; x grows with the column, y with the row.
 
     Raises:
@@ -122,20 +122,20 @@ def _squares(board: Board) -> Array:
 
 def _markers(board: Board) -> Array:
     """Black cells of the ArUco markers, neighbours in a row joined."""
-    described = charuco(board)
-    markers = described.getDictionary()
+    charuco_board = charuco(board)
+    markers = charuco_board.getDictionary()
     cells = int(markers.markerSize) + 2
     side = board.marker_mm / cells
-    found = []
-    for number, corners in zip(described.getIds().ravel(), described.getObjPoints(), strict=True):
+    cells_of_markers = []
+    for number, corners in zip(charuco_board.getIds().ravel(), charuco_board.getObjPoints(), strict=True):
         image = cv2.aruco.generateImageMarker(markers, int(number), cells)
         edges = np.diff((image == 0).astype(np.int8), axis=1, prepend=0, append=0)
         row, first = np.nonzero(edges > 0)
         last = np.nonzero(edges < 0)[1]
         origin = np.asarray(corners)[0, :2] - board.pitch_mm
         cell = np.stack([first, row, last, row + 1], axis=1) * side
-        found.append(cell + np.tile(origin, 2))
-    return np.concatenate(found)
+        cells_of_markers.append(cell + np.tile(origin, 2))
+    return np.concatenate(cells_of_markers)
 
 
 def _covered(start: float, stop: float, size: int) -> tuple[slice, Array]:

@@ -15,12 +15,12 @@ def dictionary(name: str) -> Any:
     """The predefined dictionary of markers ``DICT_4X4_100`` and the like.
 
     Raises:
-        TargetError: there is none of this name; it names some.
+        TargetError: there is none of this name; the message lists those that exist.
     """
     number = getattr(cv2.aruco, name, None) if re.fullmatch(r"DICT_[0-9A-Za-z_]+", name) else None
     if not isinstance(number, int):
-        known = sorted(n for n in dir(cv2.aruco) if re.fullmatch(r"DICT_\dX\d_\d+", n))
-        raise TargetError(f"ArUco dictionary {name!r:.60} is not known; expected one of {', '.join(known)}")
+        names = sorted(n for n in dir(cv2.aruco) if re.fullmatch(r"DICT_\dX\d_\d+", n))
+        raise TargetError(f"ArUco dictionary {name!r:.60} does not exist; expected one of {', '.join(names)}")
     return cv2.aruco.getPredefinedDictionary(number)
 
 
@@ -35,12 +35,12 @@ def charuco(board: Board, *, legacy: bool = False) -> Any:
         TargetError: the dictionary is unknown or has too few markers.
     """
     markers, needed = dictionary(board.dictionary), board.columns * board.rows // 2
-    there = len(markers.bytesList)
-    if needed > there:
+    available = len(markers.bytesList)
+    if needed > available:
         raise TargetError(
-            f"board {board}: needs {needed} markers and {board.dictionary} has {there}; "
+            f"board {board}: needs {needed} markers and {board.dictionary} has {available}; "
             "take a larger dictionary or fewer squares"
         )
-    described = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, board.marker_mm, markers)
-    described.setLegacyPattern(legacy)
-    return described
+    charuco_board = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, board.marker_mm, markers)
+    charuco_board.setLegacyPattern(legacy)
+    return charuco_board

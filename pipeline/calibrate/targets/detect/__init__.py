@@ -1,1 +1,1 @@
-"""Marks detected in an image, and numbered."""
+"""Detection and numbering of marks in an image."""

@@ -1,4 +1,4 @@
-"""The inner corners of a chessboard in an image: found by OpenCV, numbered and located by a fit of our own."""
+"""Detection of the inner corners of a chessboard: found by OpenCV, then numbered, and refined by a fit."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibrate.targets.board.board import Board
-from pipeline.calibrate.targets.detect import detection as answers
-from pipeline.calibrate.targets.detect.detection import Found
+from pipeline.calibrate.targets.detect import detection_errors as errors
+from pipeline.calibrate.targets.detect.detection import Detection
 from pipeline.calibrate.targets.detect.grid_numbering import oriented, symmetries
 from pipeline.calibrate.targets.localise.corner_fit import CornerFits, fit_crossings
 from pipeline.calibrate.targets.localise.gray_image import GrayImage
@@ -28,7 +28,7 @@ _QUICK_SIDE = 1100
 _THOROUGH = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
 
-def find_chessboard(image: GrayImage, board: Board, *, refine: bool = True) -> Found:
+def find_chessboard(image: GrayImage, board: Board, *, refine: bool = True) -> Detection:
     """The inner corners of a chessboard; see :func:`pipeline.calibrate.targets.find_marks.find_marks`."""
     eight_bit_image = eight_bit(image)
     corners = _corners(eight_bit_image, board.grid, quick=not refine)
@@ -40,26 +40,26 @@ def find_chessboard(image: GrayImage, board: Board, *, refine: bool = True) -> F
     ids = oriented(np.arange(len(at)), corners, board, _by_colour(fits, board))
     side = shorter_side(corners, board)
     if not refine:
-        return answer(image, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
+        return detection_of(image, ids, corners, np.full(len(ids), _SIGMA_UNREFINED_PX), fits)
     good = usable(fits, corners, side)
     if good.any() and float(np.median(fits.blur_px[good])) > _BLURRED * side:
-        raise answers.too_blurred(float(np.median(fits.blur_px[good])), _BLURRED * side)
+        raise errors.too_blurred(float(np.median(fits.blur_px[good])), _BLURRED * side)
     if good.sum() < _LEAST_SHARE * len(at):
-        raise answers.too_few(board, int(good.sum()), image)
+        raise errors.too_few(board, int(good.sum()), image)
     if _corners(_without(eight_bit_image, corners, board), board.grid, quick=True) is not None:
-        raise answers.two_boards(board)
-    return answer(image, ids[good], fits.centres[good], fits.sigma_px[good], fits)
+        raise errors.two_boards(board)
+    return detection_of(image, ids[good], fits.centres[good], fits.sigma_px[good], fits)
 
 
 def eight_bit(image: GrayImage) -> Eight:
-    """The image stretched to 8 bit, as OpenCV's finders want it."""
+    """The image stretched to 8 bit, as OpenCV's detectors expect it."""
     low, high = np.quantile(image.values[::4, ::4], [0.002, 0.998])
     stretched = (image.values - low) * (255 / max(float(high - low), 1e-12))
     return np.asarray(np.clip(np.round(stretched), 0, 255), dtype=np.uint8)
 
 
 def usable(fits: CornerFits, corners: Array, side: float) -> NDArray[np.bool_]:
-    """Which fits are corners: near where they were found, like the others in residuals and contrast."""
+    """Which fits are corners: near their detection, with the residuals and the contrast of the others."""
     good = fits.good & (np.linalg.norm(fits.centres - corners, axis=1) < max(1.5, 0.1 * side))
     if good.any():
         good &= fits.misfit < max(_MISFIT_OVER_MEDIAN * float(np.median(fits.misfit[good])), 0.05)
@@ -67,15 +67,15 @@ def usable(fits: CornerFits, corners: Array, side: float) -> NDArray[np.bool_]:
     return good
 
 
-def answer(image: GrayImage, ids: NDArray[np.int64], pixels: Array, sigma: Array, fits: CornerFits) -> Found:
-    """Marks with what the fits say of the image."""
+def detection_of(image: GrayImage, ids: NDArray[np.int64], pixels: Array, sigma: Array, fits: CornerFits) -> Detection:
+    """The marks with sharpness and contrast of the image, from the fits."""
     order = np.argsort(ids)
     marks = Marks(ids[order], pixels[order], sigma[order])
     if not fits.good.any():
-        return Found(marks, float("nan"), float("nan"), image.saturated)
+        return Detection(marks, float("nan"), float("nan"), image.saturated)
     contrast = (fits.contrast / np.maximum(fits.level, 1e-12))[fits.good]
     blur = float(np.median(fits.blur_px[fits.good]))
-    return Found(marks, blur, float(np.clip(np.median(contrast), 0, 1)), image.saturated)
+    return Detection(marks, blur, float(np.clip(np.median(contrast), 0, 1)), image.saturated)
 
 
 def shorter_side(corners: Array, board: Board) -> float:
@@ -88,7 +88,7 @@ def shorter_side(corners: Array, board: Board) -> float:
 
 
 def _corners(eight_bit_image: Eight, grid: tuple[int, int], *, quick: bool) -> Array | None:
-    """OpenCV's two finders, the newer first; large images are searched in a smaller copy as well."""
+    """Detect by OpenCV's two methods, the newer first; large images are searched in a smaller copy as well."""
     scale = max(1.0, max(eight_bit_image.shape) / _QUICK_SIDE) if quick else 1.0
     small = (
         eight_bit_image
@@ -107,7 +107,7 @@ def _corners(eight_bit_image: Eight, grid: tuple[int, int], *, quick: bool) -> A
 
 
 def _right_handed(corners: Array, board: Board) -> Array:
-    """Corners by rows such that rows run right of where columns run down, never mirrored."""
+    """Reorder the corners so that rows and columns form a right-handed grid, never a mirrored one."""
     columns, rows = board.grid
     grid = corners.reshape(rows, columns, 2)
     along, down = (np.diff(grid, axis=axis).mean(axis=(0, 1)) for axis in (1, 0))
@@ -138,19 +138,19 @@ def _is_quarter(choice: NDArray[np.int64], board: Board) -> bool:
 
 
 def _without(eight_bit_image: Eight, corners: Array, board: Board) -> Eight:
-    """The image with the board painted over, to look for a second one."""
+    """The image with the board masked, for the detection of a second one."""
     columns, rows = board.grid
     at = board.points[:, :2] / board.pitch_mm
     plane, _ = cv2.findHomography(at, corners, 0)
     edge = np.array([[-1.2, -1.2], [columns + 0.2, -1.2], [columns + 0.2, rows + 0.2], [-1.2, rows + 0.2]])
     outline = cv2.perspectiveTransform(edge[None], plane)[0]
-    painted = eight_bit_image.copy()
-    cv2.fillConvexPoly(painted, np.round(outline).astype(np.int32), int(np.median(eight_bit_image)))
-    return painted
+    masked = eight_bit_image.copy()
+    cv2.fillConvexPoly(masked, np.round(outline).astype(np.int32), int(np.median(eight_bit_image)))
+    return masked
 
 
 def _shows_something(image: GrayImage) -> bool:
-    """Whether more than noise is there: stretched to 8 bit, OpenCV finds small boards in an even image's noise."""
+    """Whether the image holds more than noise: in a stretched even image OpenCV detects small boards."""
     values = np.asarray(image.values, dtype=np.float32)
     smooth = cv2.GaussianBlur(values, (0, 0), _SMOOTH_PX)
     low, high = np.quantile(smooth[::4, ::4], [0.002, 0.998])
@@ -159,9 +159,9 @@ def _shows_something(image: GrayImage) -> bool:
 
 
 def _reason(image: GrayImage, eight_bit_image: Eight, board: Board) -> Exception:
-    """Why there is no board: another size, only a part, or nothing."""
+    """The error for an image without the board: another size, only a part, or nothing."""
     if not _shows_something(image):
-        return answers.nothing(board, image)
+        return errors.nothing(board, image)
     scale = max(1.0, max(eight_bit_image.shape) / _QUICK_SIDE)
     small = (
         eight_bit_image
@@ -173,11 +173,11 @@ def _reason(image: GrayImage, eight_bit_image: Eight, board: Board) -> Exception
     )
     if ok and meta is not None:
         rows, columns = (int(count) for count in meta.shape[:2])
-        places = corners.reshape(-1, 2) * scale
+        pixels = corners.reshape(-1, 2) * scale
         smaller = rows * columns < board.columns * board.rows
-        if smaller and answers.runs_out(image, places, float(np.linalg.norm(places[1] - places[0]))):
-            return answers.too_few(board, len(corners), image)
+        if smaller and errors.runs_out(image, pixels, float(np.linalg.norm(pixels[1] - pixels[0]))):
+            return errors.too_few(board, len(corners), image)
         if sorted((rows, columns)) != sorted(board.grid):
-            return answers.wrong_size(board, max(columns, rows), min(columns, rows))
-        return answers.too_few(board, len(corners), image)
-    return answers.nothing(board, image)
+            return errors.wrong_size(board, max(columns, rows), min(columns, rows))
+        return errors.too_few(board, len(corners), image)
+    return errors.nothing(board, image)

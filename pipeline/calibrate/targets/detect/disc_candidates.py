@@ -1,8 +1,8 @@
-"""Discs in an image: places that could be a circle of a board, in any size, under any light.
+"""Detection of disc candidates: regions that may be circles of a board, of any size, under uneven light.
 
 On every level of a pyramid a pixel is compared with the middle of the darkest and brightest pixel around it. Such a
 threshold follows shade and illumination, and it finds discs from about 4 pixels across to half of the window; the next
-level finds discs twice as large. A region is taken for a disc when its area is that of the ellipse of its moments.
+level finds discs twice as large. A region is a disc if its area is that of the ellipse of its moments.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.targets.localise.gray_image import Grey, image_noise
+from pipeline.calibrate.targets.localise.gray_image import GrayPlane, image_noise
 
 Array = NDArray[np.float64]
 
@@ -53,27 +53,27 @@ class Discs:
         return np.sqrt(np.abs(np.linalg.det(self.shapes)))
 
 
-def find_discs(values: Grey, *, dark: bool = True, first_level: int = 0) -> Discs:
+def find_discs(values: GrayPlane, *, dark: bool = True, first_level: int = 0) -> Discs:
     """All candidates of one polarity, strongest contrast first, none twice.
 
     Args:
         values: (H, W).
         dark: dark discs on a light ground; else light ones on a dark ground.
-        first_level: levels below are skipped: discs under ``4 * 2**first_level`` pixels across are not seen.
+        first_level: levels below are skipped: discs under ``4 * 2**first_level`` pixels across are not detected.
     """
     level = values if dark else -values
-    found, scale = [], 1
+    levels, scale = [], 1
     for index in range(12):
         if index >= first_level:
-            found.append(_on_level(level, scale))
+            levels.append(_on_level(level, scale))
         if min(level.shape) < 2 * _WINDOW:
             break
         level = np.asarray(cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.float32)
         scale *= 2
-    return _distinct(found)
+    return _distinct(levels)
 
 
-def _on_level(values: Grey, scale: int) -> Discs:
+def _on_level(values: GrayPlane, scale: int) -> Discs:
     smooth = cv2.GaussianBlur(values, (0, 0), 0.7)
     kernel = np.ones((_WINDOW, _WINDOW), np.uint8)
     low, high = float(smooth.min()), float(smooth.max())
@@ -89,10 +89,10 @@ def _on_level(values: Grey, scale: int) -> Discs:
     labels = np.asarray(components, dtype=np.int32)
     height, width = values.shape
     box = stats[:, :4]
-    whole = (box[:, 0] > 0) & (box[:, 1] > 0)
-    whole &= (box[:, 0] + box[:, 2] < width) & (box[:, 1] + box[:, 3] < height)
+    inside_image = (box[:, 0] > 0) & (box[:, 1] > 0)
+    inside_image &= (box[:, 0] + box[:, 2] < width) & (box[:, 1] + box[:, 3] < height)
     area = stats[:, cv2.CC_STAT_AREA]
-    chosen = whole & (area >= _LEAST_AREA) & (np.maximum(box[:, 2], box[:, 3]) <= 0.9 * _WINDOW)
+    chosen = inside_image & (area >= _LEAST_AREA) & (np.maximum(box[:, 2], box[:, 3]) <= 0.9 * _WINDOW)
     chosen &= area > 0.3 * box[:, 2] * box[:, 3]
     chosen[0] = False
     if not chosen.any():
@@ -110,16 +110,16 @@ def _measured(
     unit: float,
 ) -> Discs:
     """Moments of the chosen components; those that are not filled ellipses are left out."""
-    places = np.flatnonzero(chosen.take(labels.ravel()))
-    label = labels.ravel()[places]
-    v, u = np.divmod(places, labels.shape[1])
-    depth = middle.ravel()[places].astype(np.float64) - eight.ravel()[places]
+    pixels = np.flatnonzero(chosen.take(labels.ravel()))
+    label = labels.ravel()[pixels]
+    v, u = np.divmod(pixels, labels.shape[1])
+    depth = middle.ravel()[pixels].astype(np.float64) - eight.ravel()[pixels]
 
     def total(weight: Array | None) -> Array:
         return np.bincount(label, weight, count)[chosen].astype(np.float64)
 
-    area, whole = total(None), total(depth)
-    centre = np.stack([total(depth * u), total(depth * v)], axis=1) / whole[:, None]
+    area, weight_sum = total(None), total(depth)
+    centre = np.stack([total(depth * u), total(depth * v)], axis=1) / weight_sum[:, None]
     plain = np.stack([total(u.astype(np.float64)), total(v.astype(np.float64))], axis=1) / area[:, None]
     index = np.zeros(count, np.intp)
     index[chosen] = np.arange(chosen.sum())
@@ -135,7 +135,7 @@ def _measured(
     good &= np.linalg.norm(centre - plain, axis=1) < 0.25 * np.sqrt(spread[:, 1]) + 0.3
     half = 2 * np.sqrt(spread) * np.sqrt(filled)[:, None]
     shapes = np.einsum("nij,nj,nkj->nik", axes, half, axes)
-    contrast = 2 * whole / area * unit
+    contrast = 2 * weight_sum / area * unit
     return Discs(((centre + 0.5) * scale - 0.5)[good], shapes[good] * scale, contrast[good])
 
 
@@ -153,12 +153,12 @@ def _distinct(levels: list[Discs]) -> Discs:
     kept = levels[0] if levels else _none()
     for coarse in levels[1:]:
         if len(kept) and len(coarse):
-            radii, known = coarse.radii, kept.radii
-            alone = np.empty(len(coarse), dtype=bool)
+            radii, kept_radii = coarse.radii, kept.radii
+            distinct = np.empty(len(coarse), dtype=bool)
             for index, centre in enumerate(coarse.centres):
                 apart = np.hypot(*(kept.centres - centre).T)
-                alone[index] = (apart > 0.5 * np.maximum(radii[index], known)).all()
-            coarse = coarse.some(alone)
+                distinct[index] = (apart > 0.5 * np.maximum(radii[index], kept_radii)).all()
+            coarse = coarse.some(distinct)
         kept = Discs(*(np.concatenate([getattr(kept, k), getattr(coarse, k)]) for k in Discs.__slots__))
     order = np.argsort(-kept.contrast, kind="stable")[:_MOST]
     return kept.some(order)

@@ -1,4 +1,4 @@
-"""Numbered discs: how much of the image belongs to each, and where the ones that are missing must be."""
+"""Numbered discs: the surroundings of each, and the predicted positions of missing ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 _NEAREST = 12
 _ASIDE_PX, _ASIDE_OVER_MEDIAN = 0.25, 7.0
-"""How far a mark may be from where its neighbours predict it: pixels, or times the median over all marks."""
+"""Largest distance of a mark from its prediction by the neighbours: pixels, or times the median over all marks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Grid:
 
 
 def reach_px(discs: Discs) -> Array:
-    """Half of the way from each disc's edge to the nearest other disc's edge, pixels, at least 1.5."""
+    """Half the distance from each disc's edge to the nearest other disc's edge, pixels, at least 1.5."""
     n = len(discs)
     away = discs.centres[None] - discs.centres[:, None]
     distance = np.linalg.norm(away, axis=2)
@@ -50,7 +50,7 @@ def reach_px(discs: Discs) -> Array:
     return np.asarray(np.maximum(0.5 * (apart - own - others).min(axis=1) + 0.5, 1.5))
 
 
-def room_px(grid: Grid, board: Board) -> Array:
+def clearance_px(grid: Grid, board: Board) -> Array:
     """Pixels from the outermost circles' edges to the end of a sheet with a narrow margin; infinite inside."""
     columns, rows = board.grid
     row, column = np.divmod(grid.ids, columns)
@@ -63,7 +63,7 @@ def room_px(grid: Grid, board: Board) -> Array:
 
 
 def completed(grid: Grid, board: Board) -> Grid:
-    """With the marks that were not found, where their neighbours predict them."""
+    """Add the marks that were not detected, at the positions that their neighbours predict."""
     missing = np.setdiff1d(np.arange(len(board.points)), grid.ids)
     if not len(missing):
         return grid
@@ -71,7 +71,7 @@ def completed(grid: Grid, board: Board) -> Grid:
     centres, shapes = [], []
     for mark in missing:
         nearest = np.argsort(np.linalg.norm(at[grid.ids] - at[mark], axis=1), kind="stable")[:_NEAREST]
-        guess = _predicted(at[mark], at[grid.ids[nearest]], grid.discs.centres[nearest])
+        guess = predicted(at[mark], at[grid.ids[nearest]], grid.discs.centres[nearest])
         if not np.isfinite(guess).all():
             return grid
         centres.append(guess)
@@ -87,20 +87,20 @@ def completed(grid: Grid, board: Board) -> Grid:
 
 
 def among_neighbours(at: Array, pixels: Array) -> NDArray[np.bool_]:
-    """Marks that are where their neighbours predict them, (n,); the edge of a shadow can draw a disc aside."""
+    """Whether each mark is where its neighbours predict it, (n,); the edge of a shadow can shift a disc."""
     if len(at) <= _NEAREST:
         return np.ones(len(at), dtype=bool)
     away = np.empty(len(at))
     for index in range(len(at)):
         nearest = np.argsort(np.linalg.norm(at - at[index], axis=1), kind="stable")[1 : _NEAREST + 1]
-        away[index] = np.linalg.norm(_predicted(at[index], at[nearest], pixels[nearest]) - pixels[index])
+        away[index] = np.linalg.norm(predicted(at[index], at[nearest], pixels[nearest]) - pixels[index])
     return away < max(_ASIDE_PX, _ASIDE_OVER_MEDIAN * float(np.nanmedian(away)))
 
 
-def _predicted(place: Array, known: Array, pixels: Array) -> Array:
-    """Where a place of the board is in the image, from the plane through some places; NaN where they tell none."""
-    plane = np.asarray(cv2.findHomography(known, pixels, 0)[0])
+def predicted(position: Array, positions: Array, pixels: Array) -> Array:
+    """Pixel of a position on the board, by the homography of others; NaN where that is not determined."""
+    plane = np.asarray(cv2.findHomography(positions, pixels, 0)[0])
     if plane.shape != (3, 3):
         return np.full(2, np.nan)
-    u, v, w = plane @ [*place, 1.0]
+    u, v, w = plane @ [*position, 1.0]
     return np.array([u / w, v / w])

@@ -1,8 +1,8 @@
-"""Discs that stand in a square lattice: which of them are neighbours.
+"""Search for square lattices among discs.
 
-A tilted circle tells how its surroundings are stretched: measured in its own half axes the four neighbours of a disc
-stand at equal distances and right angles, under any tilt. Four discs that do so start a lattice; it grows disc by disc
-to the places that its nearest rows and columns predict, so that neither perspective nor a lens's distortion matters.
+The shape of a tilted circle gives the local affine distortion: measured in its half axes the four neighbours of a disc
+have equal distances and right angles under any tilt. Four such discs start a lattice; it grows disc by disc to the
+positions that the nearest rows and columns predict, so that perspective and lens distortion do not matter.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.calibrate.targets.detect.disc_candidates import Discs
 
 Array = NDArray[np.float64]
-Place = tuple[int, int]
+Position = tuple[int, int]
 
 _NEIGHBOURS = 14
 _NEAREST, _FARTHEST = 1.8, 11.0
@@ -27,10 +27,10 @@ _TONES = 0.25
 _RIGHT_ANGLE = 0.42
 _SIDES = 0.7
 _CLOSES = 0.2
-"""How far the fourth disc of a square may be from where the three others want it, in sides."""
+"""Largest distance of the fourth disc of a square from its prediction by the other three, in sides."""
 _REACH = 0.3
-"""How far a disc may be from its predicted place, in steps."""
-_STEPS: tuple[Place, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
+"""Largest distance of a disc from its predicted position, in steps."""
+_STEPS: tuple[Position, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
 _LEAST = 4
 _MOST_SEEDS = 60
 
@@ -40,12 +40,12 @@ class Lattice:
     """Discs in a lattice.
 
     Args:
-        places: (n, 2) integer places a, b; the step in a, then the step in b turns clockwise in the image (from
+        positions: (n, 2) integer positions a, b; the step in a, then the step in b turns clockwise in the image (from
             right to down), so a lattice is never mirrored.
         indices: (n,) of the discs.
     """
 
-    places: NDArray[np.int64]
+    positions: NDArray[np.int64]
     indices: NDArray[np.int64]
 
     def __len__(self) -> int:
@@ -59,33 +59,33 @@ def lattices(discs: Discs, *, most: int = 4) -> list[Lattice]:
     near, apart = _neighbours(discs)
     seeds = _squares(discs, near, apart)
     free = np.ones(len(discs), dtype=bool)
-    found: list[Lattice] = []
+    candidates: list[Lattice] = []
     tried = 0
     for seed in seeds:
         if not free[list(seed)].all():
             continue
-        grown = _grow(discs, seed, free)
+        lattice_nodes = _grow(discs, seed, free)
         tried += 1
-        if len(grown) >= _LEAST:
-            places = np.array(list(grown), dtype=np.int64)
-            found.append(Lattice(places, np.array(list(grown.values()), dtype=np.int64)))
-            # A false start must not keep its discs from the true lattice.
-            if len(grown) >= 9:
-                free[found[-1].indices] = False
-        if tried >= _MOST_SEEDS or sum(len(lattice) >= 9 for lattice in found) >= 3 * most:
+        if len(lattice_nodes) >= _LEAST:
+            positions = np.array(list(lattice_nodes), dtype=np.int64)
+            candidates.append(Lattice(positions, np.array(list(lattice_nodes.values()), dtype=np.int64)))
+            # Discs of a small lattice stay free: it may be a false start.
+            if len(lattice_nodes) >= 9:
+                free[candidates[-1].indices] = False
+        if tried >= _MOST_SEEDS or sum(len(lattice) >= 9 for lattice in candidates) >= 3 * most:
             break
-    found.sort(key=lambda lattice: -len(lattice))
-    return _apart(found)[:most]
+    candidates.sort(key=lambda lattice: -len(lattice))
+    return _apart(candidates)[:most]
 
 
-def _apart(found: list[Lattice]) -> list[Lattice]:
-    taken: set[int] = set()
+def _apart(candidates: list[Lattice]) -> list[Lattice]:
+    used_indices: set[int] = set()
     kept = []
-    for lattice in found:
+    for lattice in candidates:
         indices = set(lattice.indices.tolist())
-        if not indices & taken:
+        if not indices & used_indices:
             kept.append(lattice)
-            taken |= indices
+            used_indices |= indices
     return kept
 
 
@@ -111,9 +111,9 @@ def _neighbours(discs: Discs) -> tuple[NDArray[np.int64], Array]:
 
 
 def _squares(discs: Discs, near: NDArray[np.int64], apart: Array) -> list[tuple[int, int, int, int]]:
-    """Squares (p, p + a, p + b, p + a + b) of discs, the most regular ones with the nearest discs first."""
+    """Find squares (p, p + a, p + b, p + a + b) of discs, the most regular ones with the nearest discs first."""
     inverse = np.linalg.inv(discs.shapes)
-    found: list[tuple[float, tuple[int, int, int, int]]] = []
+    candidates: list[tuple[float, tuple[int, int, int, int]]] = []
     for index in range(len(discs)):
         others = near[index][near[index] >= 0]
         if len(others) < 3:
@@ -127,8 +127,8 @@ def _squares(discs: Discs, near: NDArray[np.int64], apart: Array) -> list[tuple[
             np.minimum.outer(length, length) > _SIDES * np.maximum.outer(length, length)
         )
         x, y = vectors.T
-        turns = np.outer(x, y) > np.outer(y, x)
-        for a, b in zip(*np.nonzero(square & turns), strict=True):
+        clockwise = np.outer(x, y) > np.outer(y, x)
+        for a, b in zip(*np.nonzero(square & clockwise), strict=True):
             error = np.linalg.norm((vectors - vectors[a] - vectors[b]) @ inverse[index], axis=1)
             c = int(error.argmin())
             side = 0.5 * (length[a] + length[b])
@@ -139,35 +139,35 @@ def _squares(discs: Discs, near: NDArray[np.int64], apart: Array) -> list[tuple[
             if middle > _CLOSES * side:
                 unlike = error[c] / side + abs(cosine[a, b]) + abs(length[a] - length[b]) / side
                 rank = unlike + 0.1 * side
-                found.append((rank, (index, int(others[a]), int(others[b]), int(others[c]))))
-    found.sort()
-    return _seeds_apart(found)
+                candidates.append((rank, (index, int(others[a]), int(others[b]), int(others[c]))))
+    candidates.sort()
+    return _seeds_apart(candidates)
 
 
-def _seeds_apart(found: list[tuple[float, tuple[int, int, int, int]]]) -> list[tuple[int, int, int, int]]:
+def _seeds_apart(candidates: list[tuple[float, tuple[int, int, int, int]]]) -> list[tuple[int, int, int, int]]:
     """Seeds in order of rank, one for each first disc, so that one bad neighbourhood does not use up all trials."""
-    seen: set[int] = set()
+    first_discs: set[int] = set()
     kept = []
-    for _, seed in found:
-        if seed[0] not in seen:
+    for _, seed in candidates:
+        if seed[0] not in first_discs:
             kept.append(seed)
-            seen.add(seed[0])
+            first_discs.add(seed[0])
     return kept
 
 
-def _grow(discs: Discs, seed: tuple[int, int, int, int], free: NDArray[np.bool_]) -> dict[Place, int]:
+def _grow(discs: Discs, seed: tuple[int, int, int, int], free: NDArray[np.bool_]) -> dict[Position, int]:
     """All discs that continue the square ``seed`` without a gap."""
     centres, radii, tones = discs.centres, discs.radii, discs.contrast
-    nodes: dict[Place, int] = dict(zip(((0, 0), (1, 0), (0, 1), (1, 1)), seed, strict=True))
+    nodes: dict[Position, int] = dict(zip(((0, 0), (1, 0), (0, 1), (1, 1)), seed, strict=True))
     used = ~free
     used[list(seed)] = True
-    refused: set[tuple[Place, int]] = set()
+    rejected: set[tuple[Position, int]] = set()
     while True:
-        best = _predictions(nodes, centres, refused)
+        best = _predictions(nodes, centres, rejected)
         if not best:
             return nodes
-        for support, place, guess, step, beside in best:
-            if place in nodes:
+        for support, position, guess, step, beside in best:
+            if position in nodes:
                 continue
             far = np.linalg.norm(centres - guess, axis=1)
             alike = (np.minimum(radii, radii[beside]) > _SIZES * np.maximum(radii, radii[beside])) & (
@@ -176,17 +176,17 @@ def _grow(discs: Discs, seed: tuple[int, int, int, int], free: NDArray[np.bool_]
             far[used | ~alike] = np.inf
             nearest = int(far.argmin())
             if far[nearest] < _REACH * step:
-                nodes[place], used[nearest] = nearest, True
+                nodes[position], used[nearest] = nearest, True
             else:
-                refused.add((place, support))
+                rejected.add((position, support))
 
 
 def _predictions(
-    nodes: dict[Place, int], centres: Array, refused: set[tuple[Place, int]]
-) -> list[tuple[int, Place, Array, float, int]]:
-    """Empty places beside the lattice, best supported first: support, place, where, length of a step, a neighbour."""
+    nodes: dict[Position, int], centres: Array, rejected: set[tuple[Position, int]]
+) -> list[tuple[int, Position, Array, float, int]]:
+    """Empty positions beside the lattice, best supported first: support, position, pixel, step length, neighbour."""
     around = {(a + da, b + db) for a, b in nodes for da, db in _STEPS if (a + da, b + db) not in nodes}
-    found = []
+    candidates = []
     for a, b in sorted(around):
         guesses, steps, beside = [], [], -1
         for da, db in _STEPS:
@@ -198,7 +198,7 @@ def _predictions(
             if two is not None:
                 step = centres[one] - centres[two]
                 steps.append(step)
-                # In perspective steps change by a factor; the change seen last goes on.
+                # In perspective steps change by a factor; the last change is continued.
                 change = step - (centres[two] - centres[three]) if three is not None else 0.0
                 guesses.append(centres[one] + step + change)
             for sa, sb in ((db, da), (-db, -da)):
@@ -207,9 +207,9 @@ def _predictions(
                     step = centres[side] - centres[corner]
                     steps.append(step)
                     guesses.append(centres[one] + step)
-        if guesses and ((a, b), len(guesses)) not in refused:
+        if guesses and ((a, b), len(guesses)) not in rejected:
             length = float(np.min([np.linalg.norm(step) for step in steps]))
-            found.append((len(guesses), (a, b), np.mean(guesses, axis=0), length, beside))
-    found.sort(key=lambda item: -item[0])
-    most = found[0][0] if found else 0
-    return [item for item in found if item[0] >= min(most, 3)] if most else []
+            candidates.append((len(guesses), (a, b), np.mean(guesses, axis=0), length, beside))
+    candidates.sort(key=lambda item: -item[0])
+    most = candidates[0][0] if candidates else 0
+    return [item for item in candidates if item[0] >= min(most, 3)] if most else []

@@ -1,1 +1,1 @@
-"""Detected marks localised to fractions of a pixel."""
+"""Sub-pixel localisation of detected marks."""

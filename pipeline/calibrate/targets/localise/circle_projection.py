@@ -1,4 +1,4 @@
-"""Where a printed circle's image has its centroid, and how large it is, under the full camera model.
+"""Centroid and area of a printed circle's image under the full camera model.
 
 The image of a circle's centre is not the centroid of the circle's image: perspective makes the near half larger
 (the centre of an ellipse is not the image of the centre), and a lens's distortion moves it once more. Both follow from
@@ -51,7 +51,7 @@ def centroids(device: CameraModel, rotation: Array, translation: Array, points: 
 def offsets(device: CameraModel, rotation: Array, translation: Array, points: Array, radius_mm: float) -> Array:
     """Centroid of the image minus image of the centre, (n, 2) pixels; arguments as :func:`centroids`.
 
-    It changes so little with the model that a bundle adjustment may hold it fixed between its outer steps.
+    It changes so little with the model that a bundle adjustment may keep it fixed between its outer steps.
     """
     centres = device.to_pixels(device.distort(_normalised(points @ rotation.T + translation)))
     return centroids(device, rotation, translation, points, radius_mm) - centres

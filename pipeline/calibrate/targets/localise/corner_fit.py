@@ -1,4 +1,4 @@
-"""Places of chessboard corners by maximum likelihood: a blurred crossing is fitted to the intensities around each."""
+"""Maximum-likelihood localisation of chessboard corners: a blurred crossing fitted to the intensities around each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.targets.localise.corner_kernel import PARAMETERS, fit_corners
 from pipeline.calibrate.targets.localise.ellipse_fit import LEAST_SIGMA_PX
-from pipeline.calibrate.targets.localise.fit_noise import noise_line, together
+from pipeline.calibrate.targets.localise.fit_noise import noise_correlation, noise_line
 from pipeline.calibrate.targets.localise.gray_image import GrayImage, image_noise
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ _SAMPLE = 24
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CornerFits:
-    """What was fitted, one row a corner.
+    """Fits of corners, one row each.
 
     Args:
         centres: (n, 2) pixels.
@@ -51,7 +51,7 @@ def fit_crossings(image: GrayImage, corners: Array, at: Array, *, reach: float) 
     Args:
         image: grey.
         corners: (n, 2) pixels, within about two pixels.
-        at: (n, 2) places on the board in squares; they tell how the edges run.
+        at: (n, 2) positions on the board in squares, which give the directions of the edges.
         reach: radius of the pixels to use, as a share of the shorter side of a square; at most 0.45.
     """
     values, n = image.values, len(corners)
@@ -76,10 +76,10 @@ def fit_crossings(image: GrayImage, corners: Array, at: Array, *, reach: float) 
         parameters[~good] = first[~good]
         fit_corners(values, starts, windows, noise, blur, image.clip, _LAST_STEPS, parameters, results)
         good = results[:, 9] > 0
-    # In the middle of a black square is nothing but noise; a light one may hold a marker.
+    # The middle of a black square holds only noise; a light one may hold a marker.
     black = np.flatnonzero(good & (parameters[:, 8] < 0))[:_SAMPLE]
-    alike = together(values, starts[black] + steps[black].sum(axis=2) / 2, 0.25 * side[black])
-    variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * alike
+    correlation = noise_correlation(values, starts[black] + steps[black].sum(axis=2) / 2, 0.25 * side[black])
+    variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * correlation
     contrast = 2 * np.abs(parameters[:, 8])
     flat = np.maximum(results[:, 6] + results[:, 8], 1)
     misfit = np.sqrt((results[:, 5] + results[:, 7]) / flat) / np.maximum(contrast, 1e-12)

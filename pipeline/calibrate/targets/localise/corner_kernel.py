@@ -59,8 +59,8 @@ def _fit(
 ) -> None:
     out[:] = 0.0
     height, width = image.shape
-    room = window + 1.0
-    if start[0] < room or start[1] < room or start[0] > width - 1 - room or start[1] > height - 1 - room:
+    margin = window + 1.0
+    if start[0] < margin or start[1] < margin or start[0] > width - 1 - margin or start[1] > height - 1 - margin:
         return
     if p[5] == 0.0 and p[8] == 0.0:
         _levels(image, start, window, p)
@@ -182,9 +182,9 @@ def _normal_equations(
             row[8], row[9], row[10] = shape, shape * sx + blend * gx, shape * sy + blend * gy
             weight = 1.0 / (noise[0] + noise[1] * max(model, 0.0))
             add_row(normal, right, row, residual, weight, _N)
-            tells = gx * gx + gy * gy
-            out[3] += tells * weight * residual * residual
-            edges += tells
+            edge_strength = gx * gx + gy * gy
+            out[3] += edge_strength * weight * residual * residual
+            edges += edge_strength
             out[4] += 1.0
             if abs(shape) > 0.95:
                 if q * shape < 0.0:
@@ -201,9 +201,9 @@ def _normal_equations(
     add_row(normal, right, row, blur[0] - sigma, 1.0 / (blur[1] * blur[1]), _N)
     # Light acts on the dark and the light squares alike: the slope of Q is that of P times Q / P.
     k = p[8] / p[5] if p[5] != 0.0 else 0.0
-    known = 1.0 / (_SLOPE * p[8]) ** 2
+    slope_weight = 1.0 / (_SLOPE * p[8]) ** 2
     for j in range(2):
         row[:] = 0.0
         row[9 + j], row[6 + j] = 1.0, -k
-        add_row(normal, right, row, k * p[6 + j] - p[9 + j], known, _N)
+        add_row(normal, right, row, k * p[6 + j] - p[9 + j], slope_weight, _N)
     return True

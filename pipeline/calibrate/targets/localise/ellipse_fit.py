@@ -1,8 +1,7 @@
-"""Centres of circles' images by maximum likelihood: a blurred ellipse is fitted to the intensities around each.
+"""Maximum-likelihood localisation of circles: a blurred ellipse is fitted to the intensities around each.
 
-The weights come from the image's own noise, dark and bright measured apart (shot noise), so that the covariance of
-the fit is the standard deviation of the centre that the noise really causes; noise of neighbouring pixels that goes
-together (demosaicing) is counted too.
+The weights come from the image's noise, measured separately in dark and bright parts (shot noise), so that the
+covariance of the fit is that of the centre; correlated noise of neighbouring pixels (demosaicing) is included.
 """
 
 from __future__ import annotations
@@ -13,28 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibrate.targets.localise.ellipse_kernel import PARAMETERS, fit_all
-from pipeline.calibrate.targets.localise.fit_noise import noise_line, together
-from pipeline.calibrate.targets.localise.gray_image import Grey, image_noise
+from pipeline.calibrate.targets.localise.fit_noise import noise_correlation, noise_line
+from pipeline.calibrate.targets.localise.gray_image import GrayPlane, image_noise
 
 Array = NDArray[np.float64]
 
 _FIRST_STEPS, _LAST_STEPS = 14, 6
 _BLUR = np.array([1.0, 1.0])
-"""What is known of the edges' sigma before anything was seen: mean and standard deviation, pixels."""
+"""Prior of the edges' sigma: mean and standard deviation, pixels."""
 _BLUR_ALIKE = np.array([1.0, 0.2])
 """The same in shares of the median over the discs of the image."""
 
 
 LEAST_SIGMA_PX = 5e-4
-"""No centre is claimed to be better known than this: then the model of the edge is wrong by more."""
+"""Lower bound of a centre's standard deviation: below it the error of the edge model is larger."""
 _TAIL = 2.0
-"""Sigmas of blur within which an edge is felt."""
+"""Extent of an edge's blur, in sigmas."""
 _LEAST_REACH = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fits:
-    """What was fitted, one row a disc; ``good`` tells which rows hold a fit.
+    """Fits of discs, one row each; ``good`` marks the rows that hold a fit.
 
     Args:
         centres: (n, 2) pixels, centre of the ellipse = centroid of its area.
@@ -63,7 +62,13 @@ class Fits:
 
 
 def fit_ellipses(
-    values: Grey, centres: Array, shapes: Array, *, reach: Array, room: Array | None = None, clip: float = np.inf
+    values: GrayPlane,
+    centres: Array,
+    shapes: Array,
+    *,
+    reach: Array,
+    clearance: Array | None = None,
+    clip: float = np.inf,
 ) -> Fits:
     """Fit every disc.
 
@@ -71,9 +76,9 @@ def fit_ellipses(
         values: (H, W) float32.
         centres, shapes: (n, 2) and (n, 2, 2), where to begin: within about a quarter of the radius.
         reach: (n,) pixels beyond the edge that belong to the disc's surroundings alone.
-        room: (n,) pixels between the edge and whatever else may be there, such as the end of the paper; the blur
-            of that is kept out of the fit. None = nothing else is near.
-        clip: samples from here on are clipped: they tell only that the light was at least that.
+        clearance: (n,) pixels between the edge and any other edge, such as that of the paper, whose blur is kept out
+            of the fit. None = there is none.
+        clip: samples from this value on are saturated; they bound the light only from below.
     """
     n = len(centres)
     parameters, results = np.zeros((n, PARAMETERS)), np.zeros((n, 10))
@@ -87,8 +92,8 @@ def fit_ellipses(
         noise = _noise(parameters[good], results[good])
         sigma = float(np.median(parameters[good, 5]))
         parameters[~good] = 0
-        if room is not None:
-            reach = np.maximum(np.minimum(reach, room - _TAIL * sigma), _LEAST_REACH)
+        if clearance is not None:
+            reach = np.maximum(np.minimum(reach, clearance - _TAIL * sigma), _LEAST_REACH)
         fit_all(values, starts, shapes, reach, noise, sigma * _BLUR_ALIKE, clip, _LAST_STEPS, parameters, results)
         good = results[:, 9] > 0
     return _fits(values, starts, parameters, results, good)
@@ -101,18 +106,18 @@ def _noise(parameters: Array, results: Array) -> Array:
     return noise_line(inside, outside) if disc < ground else noise_line(outside, inside)
 
 
-def _fits(values: Grey, starts: Array, parameters: Array, results: Array, good: NDArray[np.bool_]) -> Fits:
+def _fits(values: GrayPlane, starts: Array, parameters: Array, results: Array, good: NDArray[np.bool_]) -> Fits:
     p = parameters
     shapes = np.stack([np.stack([p[:, 2], p[:, 3]], axis=1), np.stack([p[:, 3], p[:, 4]], axis=1)], axis=1)
     centres = starts + p[:, :2]
     total = results[:, 5] + results[:, 7]
     samples = np.maximum(results[:, 6] + results[:, 8], 1)
     misfit = np.sqrt(total / samples) / np.maximum(np.abs(p[:, 9]), 1e-12)
-    # Noise that goes together in neighbouring pixels averages out less than the covariance believes.
+    # Correlated noise of neighbouring pixels averages out less than the covariance assumes.
     inner = 0.5 * (p[:, 2] + p[:, 4] - np.hypot(p[:, 2] - p[:, 4], 2 * p[:, 3])) - 4 * p[:, 5]
     spread = np.linspace(0, good.sum() - 1, min(int(good.sum()), 24)).astype(int)
-    alike = together(values, centres[good][spread], (inner / np.sqrt(2))[good][spread])
-    variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * alike
+    correlation = noise_correlation(values, centres[good][spread], (inner / np.sqrt(2))[good][spread])
+    variance = 0.5 * (results[:, 0] + results[:, 1]) * results[:, 3] * correlation
     return Fits(
         centres, shapes, np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)), p[:, 5], p[:, 9], p[:, 6], misfit, good
     )

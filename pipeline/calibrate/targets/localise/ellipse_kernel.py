@@ -26,8 +26,8 @@ _FAR = 1e-5
 _FULL_STEPS = 6
 """From here on steps are halved: samples that enter and leave can make full ones swing."""
 _INSIDE_SLOPE = 0.02
-"""How well the slope of light inside a disc is known beforehand, as a share of the contrast over the radius: shade
-changes it in proportion to the ground. Decides only where a disc is so small that its pixels cannot tell."""
+"""Prior of the slope of light inside a disc, as a share of the contrast over the radius: shade changes it in
+proportion to the ground. It matters only where the pixels of a small disc do not determine the slope."""
 
 
 @serial
@@ -50,13 +50,13 @@ def fit_all(
         starts, shapes: (n, 2) and (n, 2, 2) where to begin.
         reach: (n,) pixels beyond the edge that may be used.
         noise: (2,) variance of a sample of intensity I is ``noise[0] + noise[1] * max(I, 0)``.
-        blur: (2,) what is known of sigma beforehand: mean and standard deviation, pixels.
+        blur: (2,) prior of sigma: mean and standard deviation, pixels.
         clip: samples from here on are clipped.
         steps: most Gauss-Newton steps.
         parameters: (n, 12) out; where ``parameters[i, 5] > 0`` on entry all twelve are taken as the start.
         results: (n, 10) out: variance of u, of v, covariance; mean squared residual over the expected noise, each
-            sample counted as it tells of the edge's place; samples; sum of squared residuals and samples inside; the
-            same outside; 1 where the fit converged.
+            sample weighted by its information on the edge's position; samples; sum of squared residuals and samples
+            inside; the same outside; 1 where the fit converged.
     """
     for i in range(len(starts)):
         _fit(image, starts[i], shapes[i], reach[i], noise, blur, clip, steps, parameters[i], results[i])
@@ -135,7 +135,7 @@ def _fit(
 
 @serial
 def _move(p: Any, step: Any, most: float) -> bool:
-    """Take ``most`` of a step, or what of it is sensible; True when it was so small that the next would not matter."""
+    """Take a share ``most`` of a step, less where it is too large; return whether it was negligible."""
     radius = np.sqrt(p[2] * p[4] - p[3] * p[3])
     factor = most
     for k in range(5):
@@ -147,8 +147,8 @@ def _move(p: Any, step: Any, most: float) -> bool:
     for k in range(_N):
         p[k] += factor * step[k]
     p[5] = max(p[5], _LEAST_SIGMA)
-    done = factor == most and abs(step[0]) < 2e-3 and abs(step[1]) < 2e-3 and abs(step[5]) < 0.02
-    return done and abs(step[2]) + abs(step[3]) + abs(step[4]) < 0.02
+    centre_converged = factor == most and abs(step[0]) < 2e-3 and abs(step[1]) < 2e-3 and abs(step[5]) < 0.02
+    return centre_converged and abs(step[2]) + abs(step[3]) + abs(step[4]) < 0.02
 
 
 @serial
@@ -258,9 +258,9 @@ def _normal_equations(
     add_row(normal, right, row, blur[0] - sigma, 1.0 / (blur[1] * blur[1]), _N)
     # Shade acts on disc and ground alike: the slope of Q is that of P times Q / P.
     k = p[9] / p[6] if p[6] != 0.0 else 0.0
-    known = 1.0 / (_INSIDE_SLOPE * p[9]) ** 2
+    slope_weight = 1.0 / (_INSIDE_SLOPE * p[9]) ** 2
     for j in range(2):
         row[:] = 0.0
         row[10 + j], row[7 + j] = 1.0, -k
-        add_row(normal, right, row, k * p[7 + j] - p[10 + j], known, _N)
+        add_row(normal, right, row, k * p[7 + j] - p[10 + j], slope_weight, _N)
     return True

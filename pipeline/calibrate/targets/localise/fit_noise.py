@@ -1,11 +1,11 @@
-"""The noise of an image as the residuals of a fit show it."""
+"""Estimation of an image's noise from the residuals of a fit."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.targets.localise.gray_image import Grey
+from pipeline.calibrate.targets.localise.gray_image import GrayPlane
 
 Array = NDArray[np.float64]
 
@@ -14,7 +14,7 @@ _FAR_FROM = 8
 _LEAST_HALF = 4
 _LEAST_SAMPLES = 30
 _MOST_BLOCKS = 12
-_TOO_LIVELY = 3.0
+_MAX_VARIANCE_RATIO = 3.0
 
 
 def noise_line(dark: tuple[float, float, float], light: tuple[float, float, float]) -> Array:
@@ -36,7 +36,7 @@ def noise_line(dark: tuple[float, float, float], light: tuple[float, float, floa
     return np.array([at_zero, slope])
 
 
-def together(values: Grey, centres: Array, halves: Array) -> float:
+def noise_correlation(values: GrayPlane, centres: Array, halves: Array) -> float:
     """Sum of the noise's autocorrelation over the nearest pixels: 1 for white noise, 2 or more after demosaicing.
 
     A mean over many pixels is that much less certain than the variance of one pixel promises.
@@ -46,21 +46,21 @@ def together(values: Grey, centres: Array, halves: Array) -> float:
         centres: (n, 2) pixels, middles of blocks in which nothing but noise and a plane of light is expected.
         halves: (n,) half sides of the blocks, pixels; blocks under 4 are not used.
     """
-    found = []
+    sums = []
     for (u, v), half in zip(np.round(centres).astype(int), np.floor(halves).astype(int), strict=True):
         if half < _LEAST_HALF or min(u, v) < half:
             continue
         block = values[v - half : v + half + 1, u - half : u + half + 1]
         if block.shape == (2 * half + 1, 2 * half + 1):
-            found.append(_sums(_flat(block.astype(np.float64)), 2 if half >= _FAR_FROM else 1))
-        if len(found) >= _MOST_BLOCKS:
+            sums.append(_sums(_flat(block.astype(np.float64)), 2 if half >= _FAR_FROM else 1))
+        if len(sums) >= _MOST_BLOCKS:
             break
-    if not found:
+    if not sums:
         return 1.0
-    whole, variance = np.array(found).T
-    calm = variance <= _TOO_LIVELY * np.median(variance)
-    total = float(variance[calm].sum())
-    return float(np.clip(whole[calm].sum() / total, 1.0, 25.0)) if total > 0 else 1.0
+    summed, variance = np.array(sums).T
+    plain = variance <= _MAX_VARIANCE_RATIO * np.median(variance)
+    total = float(variance[plain].sum())
+    return float(np.clip(summed[plain].sum() / total, 1.0, 25.0)) if total > 0 else 1.0
 
 
 def _sums(block: Array, lags: int) -> tuple[float, float]:
@@ -73,8 +73,8 @@ def _sums(block: Array, lags: int) -> tuple[float, float]:
             b = block[max(-dv, 0) : height + min(-dv, 0), max(-du, 0) : width + min(-du, 0)]
             total += float((a * b).mean())
     # The plane's three parameters take 3 / n of the power out of every lag.
-    taken = 3 / block.size
-    return total / (1 - taken * (2 * lags + 1) ** 2), float((block * block).mean()) / (1 - taken)
+    removed = 3 / block.size
+    return total / (1 - removed * (2 * lags + 1) ** 2), float((block * block).mean()) / (1 - removed)
 
 
 def _flat(block: Array) -> Array:

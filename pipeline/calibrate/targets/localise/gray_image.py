@@ -1,4 +1,4 @@
-"""A camera's image as the finders want it: one grey float plane, and which of its samples are clipped."""
+"""The input of the detectors: one grey float plane of a camera's image, and its saturation level."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.common.errors import TargetError
 
-Grey = NDArray[np.float32]
+GrayPlane = NDArray[np.float32]
 
 _MAX_SATURATED_SHARE = 0.002
 _LEAST_SIDE, _MOST_SIDE = 16, 16384
@@ -26,12 +26,12 @@ class GrayImage:
         saturated: share of the samples of the whole image, all colours, that are clipped.
     """
 
-    values: Grey
+    values: GrayPlane
     clip: float
     saturated: float
 
 
-def to_grey(image: NDArray[Any], *, channel: int | None = None) -> GrayImage:
+def to_gray(image: NDArray[Any], *, channel: int | None = None) -> GrayImage:
     """The grey plane of an image.
 
     The mean of the three colours has the least noise; a colour of which more than 0.2 % is clipped is left out as long
@@ -73,7 +73,7 @@ def to_grey(image: NDArray[Any], *, channel: int | None = None) -> GrayImage:
     return GrayImage(values, top, float(saturated.mean()))
 
 
-def image_noise(values: Grey) -> float:
+def image_noise(values: GrayPlane) -> float:
     """Standard deviation of the noise from second differences along the rows; edges are outvoted by the median."""
     step = max(1, values.shape[0] // 128)
     rows = values[::step]

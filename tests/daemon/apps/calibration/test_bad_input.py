@@ -56,7 +56,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "empty": (
         lambda f: every(f, lambda p: np.full_like(p, 90)),
-        r"L/00.png: no marks found: the image shows nothing of the board circles:9x7:24:14",
+        r"L/00.png: no marks found: the board circles:9x7:24:14 is not in the image",
     ),
     "right camera mirrored": (
         lambda f: every(f, lambda p: p[:, ::-1], sides="R"),
@@ -133,7 +133,7 @@ def test_swapped_cameras_are_told(images: Path, capsys: pytest.CaptureFixture[st
 def test_the_wrong_board_is_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
     told = refused(images, capsys, "cameras", "--left", left, "--right", right, "--board", "circles:8x6:24")
-    assert "L/00.png: wrong board: the image shows a grid of 9x7 marks and 8x6 was told" in told
+    assert "L/00.png: wrong board: the image shows a grid of 9x7 marks, but 8x6 is expected" in told
 
 
 def test_images_of_one_camera_for_both_are_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibrate.bundle import Options, calibrate
-from pipeline.calibrate.bundle.quality.view_advice import missing
+from pipeline.calibrate.bundle.quality.view_assessment import missing
 from pipeline.calibrate.bundle.quality.view_coverage import looks
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
 from pipeline.common.errors import CalibrationError

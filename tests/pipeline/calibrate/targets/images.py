@@ -52,8 +52,8 @@ def clean(board, device, pose, *, blur_px=0.7, shade=(0.0, 0.0), light=200.0, da
     # Pixels of the drawing as large as the samples are apart: linear interpolation then keeps every edge in its place.
     step = float(np.median(depth)) / device.matrix[0, 0] / ss
     paper, origin = raster(board, step)
-    places = ((at - origin) / step).astype(np.float32)
-    fine = cv2.resize(places, (width * ss, height * ss), interpolation=cv2.INTER_LINEAR)
+    positions = ((at - origin) / step).astype(np.float32)
+    fine = cv2.resize(positions, (width * ss, height * ss), interpolation=cv2.INTER_LINEAR)
     albedo = dark + (0.9 - dark) * paper
     seen = cv2.remap(albedo, fine[..., 0], fine[..., 1], cv2.INTER_LINEAR, borderValue=background)
     u, v = (np.arange(n * ss) / (n * ss) - 0.5 for n in (width, height))

@@ -89,5 +89,5 @@ def test_opencv_reads_the_drawing():
     image, origin = raster(board, 0.5)
     corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco(board)).detectBoard((image * 255).astype(np.uint8))
     assert sorted(ids.ravel()) == list(range(20))
-    places = corners.reshape(-1, 2) * 0.5 + origin
-    assert np.abs(places - board.points[ids.ravel(), :2]).max() < 0.1
+    positions = corners.reshape(-1, 2) * 0.5 + origin
+    assert np.abs(positions - board.points[ids.ravel(), :2]).max() < 0.1

@@ -19,9 +19,9 @@ def tilted():
     return clean(DEFAULT_BOARD, DEVICE, TILTED)
 
 
-def errors(found, board, device, pose, places=truth):
+def errors(found, board, device, pose, positions=truth):
     """Found minus true places (n, 2), in that numbering which the board allows and the image asks for."""
-    expected = places(board, device, pose)
+    expected = positions(board, device, pose)
     trials = [found.marks.pixels - expected[np.array(s)][found.marks.ids] for s in symmetries(board)]
     return min(trials, key=lambda error: np.abs(error).max())
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.calibrate.targets.board.board import parse_board
-from pipeline.calibrate.targets.detect.grid_numbering import board_places, clear, extent, match, oriented, symmetries
+from pipeline.calibrate.targets.detect.grid_numbering import board_positions, clear, extent, match, oriented, symmetries
 
 BOARDS = [
     "circles:11x9:1",
@@ -48,19 +48,19 @@ def test_in_how_many_ways_a_board_looks_the_same(text, ways):
 @given(st.sampled_from(BOARDS[:4]), st.integers(0, 3), st.integers(-9, 9), st.integers(-9, 9), st.integers(0, 4))
 def test_a_turned_shifted_and_incomplete_lattice_is_numbered_as_the_board(text, turn, right, down, missing):
     board = parse_board(text)
-    places = board_places(board) @ np.linalg.matrix_power([[0, -1], [1, 0]], turn).T + (right, down)
-    kept = np.delete(np.arange(len(places)), np.linspace(3, len(places) - 6, missing).astype(int))
-    found = match(places[kept], board)
-    assert found.hits == len(kept) and found.rival < found.hits
+    positions = board_positions(board) @ np.linalg.matrix_power([[0, -1], [1, 0]], turn).T + (right, down)
+    kept = np.delete(np.arange(len(positions)), np.linspace(3, len(positions) - 6, missing).astype(int))
+    found = match(positions[kept], board)
+    assert found.hits == len(kept) and found.runner_up_hits < found.hits
     assert any((np.array(choice)[found.ids] == kept).all() for choice in symmetries(board))
 
 
 def test_a_missing_row_makes_the_numbering_unclear():
     board = parse_board("circles:11x9:1")
-    places = board_places(board)
-    assert clear(match(places, board), board)
-    assert not clear(match(places[places[:, 1] > 0], board), board)
-    assert extent(places[places[:, 1] > 0], board) == (11, 8)
+    positions = board_positions(board)
+    assert clear(match(positions, board), board)
+    assert not clear(match(positions[positions[:, 1] > 0], board), board)
+    assert extent(positions[positions[:, 1] > 0], board) == (11, 8)
 
 
 def test_the_numbering_is_the_same_wherever_it_began():

@@ -33,7 +33,7 @@ def empty(seed=0):
 def test_empty(board):
     even = [noisy(np.full((410, 512), 120.0), seed) for seed in range(4)]
     for image in (empty(), np.full((410, 512), 90, np.uint8), *even):
-        with pytest.raises(TargetError, match="no marks found: the image shows nothing of the board"):
+        with pytest.raises(TargetError, match="no marks found: the board .* is not in the image"):
             find_marks(image, board)
 
 
@@ -60,7 +60,7 @@ def test_a_board_that_runs_out_of_the_image_is_not_another_board(board):
 
 
 @pytest.mark.parametrize(
-    ("shown", "told", "seen"),
+    ("shown", "expected", "detected"),
     [
         ("circles:11x9:32:20", "circles:10x9:32:20", "11x9"),
         ("circles:10x9:32:20", "circles:11x9:32:20", "10x9"),
@@ -71,9 +71,9 @@ def test_a_board_that_runs_out_of_the_image_is_not_another_board(board):
         ("charuco:9x7:34:24:DICT_4X4_50", "charuco:10x7:34:24:DICT_4X4_50", "8x6"),
     ],
 )
-def test_another_size_is_named(shown, told, seen):
-    with pytest.raises(TargetError, match=f"wrong board: the image shows a grid of {seen} marks"):
-        find_marks(noisy(clean(parse_board(shown), DEVICE, Pose(10, 20, 5, (0, 0, 1900)), ss=2)), parse_board(told))
+def test_another_size_is_named(shown, expected, detected):
+    with pytest.raises(TargetError, match=f"wrong board: the image shows a grid of {detected} marks"):
+        find_marks(noisy(clean(parse_board(shown), DEVICE, Pose(10, 20, 5, (0, 0, 1900)), ss=2)), parse_board(expected))
 
 
 @pytest.mark.parametrize("board", ALL, ids=str)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.apps.calibration.guided.pose_overlay import USUAL_FOCAL, outline, within
-from pipeline.calibrate.bundle.quality.view_advice import Pose, missing
+from pipeline.calibrate.bundle.quality.view_assessment import Pose, missing
 from pipeline.calibrate.bundle.quality.view_coverage import looks
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from pipeline.calibrate.targets.marks import BoardView, Marks

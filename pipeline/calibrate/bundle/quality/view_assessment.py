@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-GOOD_VIEWS = 10
-GOOD_TILT_DEG = 20.0
+TARGET_VIEWS = 10
+TARGET_TILT_DEG = 20.0
 """Wanted to both sides about both axes."""
-GOOD_COVERAGE = 0.85
+TARGET_COVERAGE = 0.85
 """Share of the cells of each camera's image that hold marks in some view."""
-GOOD_DISTANCES = 1.08
+TARGET_DISTANCE_RATIO = 1.08
 """Furthest over nearest distance."""
 LEAST_TILT_DEG = 8.0
 """Sets whose largest tilt stays below this do not determine the focal length."""
@@ -61,7 +61,7 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class Advice:
+class ViewAssessment:
     """What a set of views has, and what it lacks.
 
     Args:
@@ -101,7 +101,7 @@ def missing(
     *,
     solution: Solution | None = None,
     start: Mapping[str, CameraModel] | None = None,
-) -> Advice:
+) -> ViewAssessment:
     """What is missing. Works from the first view on; a solution or known devices make the tilts' signs surer.
 
     Args:
@@ -121,12 +121,12 @@ def missing(
     distance = [look.distance_mm for look in together.values()] or [1.0]
     wanted = _wanted(together, tilts_x, tilts_y, {name: coverage[name] for name in cameras}, cameras, distance)
     numbers = {
-        "views": min(1.0, len(together) / GOOD_VIEWS),
-        "tilt": min(1.0, max(0.0, min(max(tilts_x), -min(tilts_x), max(tilts_y), -min(tilts_y))) / GOOD_TILT_DEG),
-        "coverage": min(1.0, min((coverage[name] for name in cameras), default=0.0) / GOOD_COVERAGE),
-        "distance": min(1.0, (max(distance) / min(distance) - 1) / (GOOD_DISTANCES - 1)),
+        "views": min(1.0, len(together) / TARGET_VIEWS),
+        "tilt": min(1.0, max(0.0, min(max(tilts_x), -min(tilts_x), max(tilts_y), -min(tilts_y))) / TARGET_TILT_DEG),
+        "coverage": min(1.0, min((coverage[name] for name in cameras), default=0.0) / TARGET_COVERAGE),
+        "distance": min(1.0, (max(distance) / min(distance) - 1) / (TARGET_DISTANCE_RATIO - 1)),
     }
-    return Advice(
+    return ViewAssessment(
         len(together),
         (min(tilts_x), max(tilts_x)),
         (min(tilts_y), max(tilts_y)),
@@ -141,17 +141,17 @@ def missing(
     )
 
 
-def refuse_degenerate(advice: Advice) -> None:
+def require_non_degenerate(advice: ViewAssessment) -> None:
     """Raise if the views cannot be calibrated from.
 
     Raises:
         CalibrationError: why, and what to add.
     """
     if advice.degenerate:
-        raise CalibrationError(f"{advice.degenerate}; {what_to_add(advice)}")
+        raise CalibrationError(f"{advice.degenerate}; {missing_views_text(advice)}")
 
 
-def what_to_add(advice: Advice) -> str:
+def missing_views_text(advice: ViewAssessment) -> str:
     """One sentence for messages."""
     wishes = "; ".join(advice.missing[:4]) or "more views"
     return f"add: {wishes} (next: {advice.next_pose.text})"
@@ -173,20 +173,20 @@ def _wanted(
     cameras: dict[str, dict[int, Look]], distance: list[float]
 ) -> list[str]:  # fmt: skip
     wishes = []
-    if len(together) < GOOD_VIEWS:
-        wishes.append(f"{GOOD_VIEWS - len(together)} more views ({len(together)} of {GOOD_VIEWS})")
+    if len(together) < TARGET_VIEWS:
+        wishes.append(f"{TARGET_VIEWS - len(together)} more views ({len(together)} of {TARGET_VIEWS})")
     for axis, tilts, edges in (("horizontal", tilts_x, ("lower", "upper")), ("vertical", tilts_y, ("right", "left"))):
         for edge, largest in zip(edges, (max(tilts), -min(tilts)), strict=True):
-            if largest < GOOD_TILT_DEG:
+            if largest < TARGET_TILT_DEG:
                 wishes.append(
                     f"a tilt of about 30 degrees about the {axis} axis, {edge} edge away "
                     f"(now {max(round(largest), 0)} degrees)"
                 )
     for name, share in coverage.items():
-        if share < GOOD_COVERAGE:
+        if share < TARGET_COVERAGE:
             where = _empty_corners(_cells(cameras[name]))
             wishes.append(f"views that reach {where} of the {name} image ({share:.0%} of it covered)")
-    if max(distance) / min(distance) < GOOD_DISTANCES:
+    if max(distance) / min(distance) < TARGET_DISTANCE_RATIO:
         wishes.append(
             f"views nearer and further away by 5 to 10 % (distances differ by {max(distance) / min(distance) - 1:.0%})"
         )
