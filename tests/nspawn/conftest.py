@@ -1,4 +1,4 @@
-"""The containers: skipped with their reason where there can be none, which in CI is a failure."""
+"""The containers: skipped with the reason where none can be started, which in CI is a failure."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def container() -> type[Machine]:
 
 @pytest.fixture(scope="session")
 def installed(container: type[Machine]) -> Iterator[Fringed]:
-    """A machine where the service was installed, which starts it; every module starts it with the rig that it needs."""
+    """A machine with the installed service; every module starts it with the rig that it needs."""
     with container() as machine:
         (machine.root / "root/rig.yaml").write_text(rig())
-        # Kernels that are compiled beside the sources are taken along, so this takes seconds.
+        # Kernels compiled beside the sources are copied too, so this takes seconds.
         machine.fringed("install", "--share-packages", "--rig", "/root/rig.yaml", timeout_s=500)
         made = Fringed(machine)
         made.wait_active()

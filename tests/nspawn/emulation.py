@@ -1,4 +1,4 @@
-"""The rig in a box inside the container: emulated cameras in front of the X server that the service brings along."""
+"""Emulated hardware inside the container: cameras in front of the service's own X server."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ENVIRONMENT = {
     "XAUTHORITY": "/run/fringed-x/authority",
 }
 DROP_IN = f"ReadWritePaths={FOLDER}\nEnvironment=FRINGED_GENTL_DIR={GENTL}"
-"""What a rig of emulated cameras needs besides: they are files, where real ones are devices."""
+"""Settings of the units for emulated cameras, which are files where real ones are devices."""
 
 
 def start_x(fringed: Fringed) -> None:
@@ -45,7 +45,7 @@ def start_x(fringed: Fringed) -> None:
 
 
 def start_box(fringed: Fringed) -> str:
-    """Cameras, light and triggers; returns the rig.yaml of a service that measures with them."""
+    """Start cameras, light and triggers; return the rig.yaml of a service that measures with them."""
     fringed.write("/etc/fringed/box.yaml", yaml.safe_dump(OPTIONS))
     properties = [f"--property=Environment={key}={value}" for key, value in _ENVIRONMENT.items()]
     fringed.machine.run(
@@ -69,5 +69,5 @@ def start_box(fringed: Fringed) -> str:
 
 
 def plug(fringed: Fringed, number: int, where: str) -> None:
-    """Pull a camera's plug (``out``), or put it back (``in``)."""
+    """Unplug a camera (``out``), or plug it in (``in``)."""
     fringed.machine.python("-m", "tests.nspawn.plug", GENTL, str(number), where)

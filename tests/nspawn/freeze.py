@@ -1,4 +1,4 @@
-"""Holds one thread of a process of the container, as a driver that never comes back would."""
+"""Stops one thread of a process of the container, like a driver call that never returns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WALL = 0x40000000
 
 
 def thread_of(pid: int, name: str) -> int:
-    """The first thread of a name, of a process as seen from here; threads of libraries have their maker's name."""
+    """Return the first thread of a name in a process (pid outside); library threads inherit their maker's name."""
     found = [int(t.name) for t in Path(f"/proc/{pid}/task").iterdir() if (t / "comm").read_text().strip() == name]
     assert found, f"process {pid} has no thread {name}"
     return min(found)
@@ -22,19 +22,19 @@ def thread_of(pid: int, name: str) -> int:
 
 @contextmanager
 def frozen(tid: int) -> Iterator[None]:
-    """Inside the block the thread does nothing; the others go on, and all of them can be killed."""
+    """Stop the thread inside the block; the others run on, and all of them can be killed."""
     held, over = threading.Event(), threading.Event()
     problems: list[OSError] = []
 
     def hold() -> None:
-        """All by one thread: the kernel lets nobody else ask."""
+        """Attach, wait and detach in one thread, as the kernel requires."""
         try:
             _ptrace(_SEIZE, tid)
             _ptrace(_INTERRUPT, tid)
         except OSError as error:
             problems.append(error)
         held.set()
-        # What is killed while it is held stays until its holder has seen it.
+        # A thread killed while it is traced stays until its tracer has waited for it.
         while not problems and not _ended(tid):
             if over.wait(0.05):
                 _ptrace(_DETACH, tid)

@@ -1,4 +1,4 @@
-"""An installed service in a container: rigs for it, its status, and what was waited for."""
+"""An installed service in a container: rigs for it, its status, and waiting for conditions."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ RIG = "/etc/fringed/rig.yaml"
 _SHOWN = "ActiveState", "SubState", "MainPID", "NRestarts", "StatusText", "Result"
 
 MARKS = [pytest.mark.nspawn, pytest.mark.slow, pytest.mark.timeout(600)]
-"""Every wait in these tests has a limit of its own, which is told with the journal; the time-out is the last resort."""
+"""Every wait in these tests has its own limit and reports the journal; the time-out is the last resort."""
 
 
 def rig(**sections: Any) -> str:
-    """A small simulated rig as the service has it; None takes a section away."""
+    """Return rig.yaml of a small simulated rig of the service; None removes a section."""
     data: dict[str, Any] = {
         "device": {"name": "nspawn"},
         "cameras": {"driver": "sim"},
@@ -44,19 +44,19 @@ class Fringed:
         self.machine = machine
 
     def write(self, path: str, text: str) -> None:
-        """Put a file into the container, in place, so that its owner and mode stay."""
+        """Write a file of the container in place, so that its owner and mode stay."""
         target = self.machine.root / path[1:]
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text)
 
     def configure(self, rig_yaml: str, drop_in: str = "") -> None:
-        """Another rig and other settings of the unit, from the next start on."""
+        """Set another rig and other settings of the unit, from the next start on."""
         self.write(RIG, rig_yaml)
         self.write(f"/etc/systemd/system/{SERVICE}.d/test.conf", f"[Service]\n{drop_in}\n")
         self.machine.systemctl("daemon-reload")
 
     def start(self, rig_yaml: str, drop_in: str = "", *, wait: bool = True) -> None:
-        """Stop what runs and start anew with this rig."""
+        """Restart with this rig."""
         self.stop()
         self.configure(rig_yaml, drop_in)
         self.machine.systemctl("start", "--no-block", SERVICE)
@@ -64,37 +64,37 @@ class Fringed:
             self.wait_active()
 
     def stop(self) -> None:
-        """Stop, and forget that it ever failed."""
+        """Stop, and reset the failed state."""
         self.machine.systemctl("stop", SERVICE)
         self.machine.systemctl("reset-failed", SERVICE, check=False)
 
     def show(self) -> dict[str, str]:
-        """What systemd knows of it."""
+        """Return its properties in systemd."""
         return self.machine.show(SERVICE, *_SHOWN)
 
     def wait(self, what: str, good: Callable[[dict[str, str]], bool]) -> dict[str, str]:
-        """What systemd knows, as soon as it is good."""
+        """Return its properties in systemd once the condition holds."""
         return self.machine.wait_show(SERVICE, what, good, *_SHOWN)
 
     def wait_active(self, *, not_pid: str = "") -> dict[str, str]:
-        """Wait until it is ready, with another process than this one."""
+        """Wait until it is ready, as another process than this one."""
         return self.wait(
             "the service being ready",
             lambda shown: shown["ActiveState"] == "active" and shown["MainPID"] not in ("0", not_pid),
         )
 
     def status(self, timeout_s: float = 30.0) -> dict[str, Any]:
-        """The daemon's own status."""
+        """Return the daemon's own status."""
         with self.control(timeout_s) as client:
             answer: dict[str, Any] = client.call("status")
         return answer
 
     def control(self, timeout_s: float = 30.0) -> ControlClient:
-        """A connection to its control socket."""
+        """Return a connection to its control socket."""
         return ControlClient(f"ipc://{self.machine.root}/run/fringed/control", timeout_s=timeout_s)
 
     def wait_status(self, what: str, good: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """The daemon's status, as soon as it is good; while it does not answer, it is not."""
+        """Return the daemon's status once it answers and the condition holds."""
         last: dict[str, Any] = {}
 
         def look() -> bool:
@@ -112,12 +112,12 @@ class Fringed:
         return last
 
     def wait_clouds(self, more: int = 2) -> dict[str, Any]:
-        """Wait until so many more clouds were measured."""
+        """Wait for this number of further clouds."""
         before = self.wait_status("an answer", bool)["clouds"]
         return self.wait_status(f"{more} more clouds", lambda status: status["clouds"] >= before + more)
 
     def pid_outside(self, pid: str | int) -> int:
-        """The number that a process of this container has out here."""
+        """Return the process id outside of a process of this container."""
         space = Path(f"/proc/{self.machine.leader}/ns/pid").readlink()
         for status in Path("/proc").glob("[0-9]*/status"):
             try:
@@ -131,14 +131,14 @@ class Fringed:
         raise AssertionError(f"no process {pid} in the container")
 
     def said(self, text: str, since: str = "") -> bool:
-        """Whether a line of the service's journal has a text."""
+        """Return whether a line of the service's journal has a text."""
         return any(text in str(line.get("MESSAGE", "")) for line in self.lines(since))
 
     def lines(self, since: str = "") -> list[dict[str, Any]]:
-        """Its journal, after a cursor."""
+        """Return its journal after a cursor."""
         return self.machine.journal(SERVICE, *([f"--after-cursor={since}"] if since else []))
 
     def cursor(self) -> str:
-        """The end of its journal now."""
+        """Return the cursor at the end of its journal."""
         lines = self.lines()
         return str(lines[-1]["__CURSOR"]) if lines else ""

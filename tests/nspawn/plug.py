@@ -1,4 +1,4 @@
-"""``python -m tests.nspawn.plug DIR NUMBER out|in``: pulls the plug of an emulated camera of another process."""
+"""``python -m tests.nspawn.plug DIR NUMBER out|in``: unplugs an emulated camera of another process, or plugs it in."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.gentl import memory
 
 
 def main(directory: Path, number: int, plugged: bool) -> None:
-    """Write what Cable.unplug and Cable.plug write."""
+    """Write the same state as Cable.unplug and Cable.plug."""
     state = np.memmap(directory / f"cam{number}.state", dtype=memory.STATE_DTYPE, mode="r+", shape=(1,))[0]
     if plugged:
         state["power_cycles"] = int(state["power_cycles"]) + 1
@@ -26,7 +26,7 @@ def main(directory: Path, number: int, plugged: bool) -> None:
         try:
             wake.sendto(struct.pack("<Q", memory.WAKE_MAGIC), str(directory / f"cam{number}.sock"))
         except OSError:
-            return  # nobody has it open
+            return  # not open in any process
 
 
 if __name__ == "__main__":

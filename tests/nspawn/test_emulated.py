@@ -32,7 +32,7 @@ def started(installed: Fringed, rig_yaml: str) -> Iterator[Fringed]:
 
 @pytest.fixture
 def running(started: Fringed, rig_yaml: str) -> Fringed:
-    """Measuring, whatever the test before did to it."""
+    """The service, measuring, whatever the previous test did to it."""
     if started.show()["ActiveState"] != "active":
         started.start(rig_yaml, emulation.DROP_IN)
     started.wait_clouds(1)
@@ -53,7 +53,7 @@ def test_its_processes_are_in_its_own_group_and_run_as_its_user(running: Fringed
     assert set(running.machine.run("ps", "-o", "user=", "-p", ",".join(listed)).stdout.split()) == {"fringed"}
 
 
-def test_nobody_else_gets_into_the_projectors_x_server(running: Fringed) -> None:
+def test_other_users_have_no_access_to_the_projectors_x_server(running: Fringed) -> None:
     asked = "xrandr", "--display", ":9", "--query"
     assert running.machine.run(*asked, user="nobody", check=False).returncode != 0
     inside = running.machine.run(*asked, user="fringed", env={"XAUTHORITY": "/run/fringed-x/authority"})
@@ -64,7 +64,7 @@ def test_nobody_else_gets_into_the_projectors_x_server(running: Fringed) -> None
     assert not [line for line in listening if ":1779" in line]  # 6009, of display 9
 
 
-def test_a_pulled_camera_is_waited_for(running: Fringed) -> None:
+def test_an_unplugged_camera_is_retried_until_it_returns(running: Fringed) -> None:
     before = running.show()
     emulation.plug(running, 1, "out")
     running.wait_status("the loss", lambda status: any("camera right" in reason for reason in status["reasons"]))
@@ -76,7 +76,7 @@ def test_a_pulled_camera_is_waited_for(running: Fringed) -> None:
     assert (after["MainPID"], after["NRestarts"]) == (before["MainPID"], before["NRestarts"])
 
 
-def test_a_killed_x_server_comes_back_and_the_pattern_with_it(running: Fringed) -> None:
+def test_a_killed_x_server_is_restarted_with_the_pattern(running: Fringed) -> None:
     before, server = running.show(), running.machine.show(emulation.X, "MainPID")["MainPID"]
     running.machine.systemctl("kill", "--signal=KILL", "--kill-who=main", emulation.X)
     running.machine.wait_show(
@@ -90,13 +90,13 @@ def test_a_killed_x_server_comes_back_and_the_pattern_with_it(running: Fringed) 
     assert (after["MainPID"], after["NRestarts"]) == (before["MainPID"], before["NRestarts"])
 
 
-def test_without_triggers_the_watchdog_stays_calm(running: Fringed) -> None:
+def test_without_triggers_the_watchdog_does_not_fire(running: Fringed) -> None:
     before = running.show()
     watched_s = int(running.machine.show(SERVICE, "WatchdogUSec")["WatchdogUSec"].removesuffix("s"))
     running.machine.systemctl("kill", "--signal=STOP", "--kill-who=main", emulation.BOX)
     try:
         began = running.status()["uptime_s"]
-        running.wait_status("a silent while", lambda status: status["uptime_s"] > began + watched_s + 3)
+        running.wait_status("a time without triggers", lambda status: status["uptime_s"] > began + watched_s + 3)
         assert running.show()["MainPID"] == before["MainPID"]
     finally:
         running.machine.systemctl("kill", "--signal=CONT", "--kill-who=main", emulation.BOX)
@@ -104,7 +104,7 @@ def test_without_triggers_the_watchdog_stays_calm(running: Fringed) -> None:
     assert running.show()["NRestarts"] == before["NRestarts"]
 
 
-def test_killed_it_comes_back_with_cameras_and_projector(running: Fringed) -> None:
+def test_after_sigkill_it_restarts_with_cameras_and_projector(running: Fringed) -> None:
     before = running.show()
     running.machine.systemctl("kill", "--signal=KILL", "--kill-who=main", SERVICE)
     running.wait_active(not_pid=before["MainPID"])

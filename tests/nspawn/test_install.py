@@ -1,4 +1,4 @@
-"""What ``fringed install`` puts onto a machine, with modes and owners as promised, and what it takes away again."""
+"""Files of ``fringed install`` on a machine with the documented modes and owners, and their removal by uninstall."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def machine(container: type[Machine]) -> Iterator[Machine]:
 
 @pytest.fixture(scope="module")
 def rights(machine: Machine) -> dict[str, str]:
-    """Mode, owner and group of everything of ours, by path."""
+    """Return mode, owner and group of every installed file, by path."""
     said = machine.run("find", *OURS, "/etc/systemd", "/etc/udev", "/etc/sysusers.d", "/etc/tmpfiles.d",
                        "-printf", "%p\t%m %u %g\n").stdout  # fmt: skip
     return dict(line.split("\t") for line in said.splitlines())
 
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: str(place.path))
-def test_mode_and_owner_are_as_promised(rights: dict[str, str], place: Place) -> None:
+def test_mode_and_owner_are_as_documented(rights: dict[str, str], place: Place) -> None:
     assert rights[str(place.path)] == f"{place.mode:o} {place.owner} {place.group}"
 
 
-def test_nobody_else_can_write_anything_of_it(machine: Machine) -> None:
+def test_other_users_cannot_write_any_installed_file(machine: Machine) -> None:
     assert machine.run("find", *OURS, "-not", "-type", "l", "-perm", "/002").stdout == ""
 
 
@@ -51,20 +51,20 @@ def test_the_services_user_owns_neither_program_nor_configuration(machine: Machi
     )
 
 
-def test_nobody_can_log_in_as_its_users(machine: Machine) -> None:
+def test_login_as_its_users_is_impossible(machine: Machine) -> None:
     users = [line.split(":") for line in machine.run("cat", "/etc/passwd").stdout.splitlines() if "fringed" in line]
     assert {user[0] for user in users} == {"fringed", "fringed-view"}
     assert {user[6].rsplit("/", 1)[-1] for user in users} == {"nologin"}
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_exposure_is_small(machine: Machine, unit: str) -> None:
+def test_the_exposure_score_is_below_the_limit(machine: Machine, unit: str) -> None:
     said = machine.run("systemd-analyze", "security", "--no-pager", unit).stdout
     level = re.search(r"Overall exposure level for \S+: ([\d.]+)", said)
     assert level is not None and float(level[1]) <= 2.5, said
 
 
-def test_systemd_has_nothing_to_say_about_the_units(machine: Machine) -> None:
+def test_systemd_analyze_verify_reports_nothing_about_the_units(machine: Machine) -> None:
     done = machine.run("systemd-analyze", "verify", *UNITS, check=False)
     said = [line for line in (done.stdout + done.stderr).splitlines() if "fringed" in line]
     assert (done.returncode, said) == (0, [])
@@ -89,7 +89,7 @@ def test_a_rig_file_of_the_user_is_kept(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize("prefix", ["/", "/usr", "/root", "opt/fringed", "/opt/../etc"])
-def test_a_prefix_that_is_not_ours_is_refused(machine: Machine, prefix: str) -> None:
+def test_a_foreign_prefix_is_refused(machine: Machine, prefix: str) -> None:
     done = machine.fringed(*_INSTALL, "--prefix", prefix, check=False)
     assert done.returncode != 0 and "--prefix" in done.stderr
 

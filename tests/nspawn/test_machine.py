@@ -1,4 +1,4 @@
-"""The container itself: it boots, keeps to itself, and ends with whoever started it."""
+"""The container itself: it boots, is isolated, and ends with the process that started it."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def test_it_boots_without_a_failed_unit(bare: Machine) -> None:
     assert bare.show("multi-user.target", "ActiveState") == {"ActiveState": "active"}
 
 
-def test_it_sees_the_project_wherever_that_lies(bare: Machine) -> None:
+def test_the_project_is_mounted_from_any_path(bare: Machine) -> None:
     assert "usage" in bare.fringed("--help").stdout.lower()
 
 
-def test_what_it_writes_stays_inside(bare: Machine) -> None:
+def test_writes_inside_do_not_change_the_machine(bare: Machine) -> None:
     here = Path(__file__).resolve().relative_to(Path(__file__).resolve().parents[2])
     bare.run("sh", "-c", f"echo changed > /checkout/{here}; echo changed > /etc/hostname; touch /usr/mark /tmp/mark")
     assert bare.run("cat", "/etc/hostname").stdout == "changed\n"
@@ -40,7 +40,7 @@ def test_what_it_writes_stays_inside(bare: Machine) -> None:
     assert Path(__file__).read_text() != "changed\n"
 
 
-def test_it_has_a_loopback_of_its_own_and_nothing_else(bare: Machine) -> None:
+def test_its_network_is_a_loopback_of_its_own_only(bare: Machine) -> None:
     names = [line.split(":")[0].strip() for line in bare.run("cat", "/proc/net/dev").stdout.splitlines()[2:]]
     assert names == ["lo"]
 
@@ -50,7 +50,7 @@ def test_services_have_cgroups_of_their_own(bare: Machine) -> None:
     assert "/system.slice/seen.service" in done.stdout
 
 
-def test_a_failing_command_is_told_with_what_it_said(bare: Machine) -> None:
+def test_the_error_of_a_failing_command_has_its_output(bare: Machine) -> None:
     with pytest.raises(MachineError, match=r"(?s)ended with 3:.*no such thing"):
         bare.run("sh", "-c", "echo no such thing >&2; exit 3")
 

@@ -1,4 +1,4 @@
-"""The service under a real systemd: ready, told, supervised, reloaded, stopped."""
+"""The service under a real systemd: readiness, status line, watchdog, reload, stop."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ pytestmark = MARKS
 
 @pytest.fixture(scope="module")
 def started(installed: Fringed) -> Iterator[Fringed]:
-    """Whatever it does at the moment."""
+    """The service, in any state."""
     yield installed
     installed.stop()
 
 
 @pytest.fixture
 def running(started: Fringed) -> Fringed:
-    """Measuring, whatever the test before did to it."""
+    """The service, measuring, whatever the previous test did to it."""
     if started.show()["ActiveState"] != "active":
         started.start(rig())
     started.wait_clouds(1)
@@ -39,7 +39,7 @@ def test_it_starts_with_the_machine(started: Fringed) -> None:
     assert started.machine.systemctl("is-enabled", SERVICE) == "enabled"
 
 
-def test_without_a_trigger_it_waits_and_says_so(started: Fringed) -> None:
+def test_without_a_trigger_it_waits_and_the_status_line_reports_it(started: Fringed) -> None:
     stepped = rig(simulation={"scene": "plane", "frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}})
     started.start(stepped, wait=False)
     started.wait("the wait for the trigger", lambda shown: "waiting for the trigger" in shown["StatusText"])
@@ -49,7 +49,7 @@ def test_without_a_trigger_it_waits_and_says_so(started: Fringed) -> None:
     assert (shown["ActiveState"], shown["NRestarts"], status["clouds"]) == ("activating", "0", 0)
 
 
-def test_ready_means_that_there_is_a_cloud(started: Fringed) -> None:
+def test_it_is_ready_only_with_a_first_cloud(started: Fringed) -> None:
     started.start(rig(), wait=False)
     seen = {"activating": False}
 
@@ -86,13 +86,13 @@ def test_it_runs_as_a_user_with_no_rights(running: Fringed) -> None:
     assert set(fields["Uid"].split()) == {running.machine.run("id", "-u", "fringed").stdout.strip()} != {"0"}
 
 
-def test_sockets_are_for_its_group_alone(running: Fringed) -> None:
+def test_sockets_are_accessible_to_its_group_only(running: Fringed) -> None:
     there = running.machine.run("stat", "-c", "%A %U %G %n", "/run/fringed", "/run/fringed/control").stdout.split("\n")
     assert there[0] == "drwxr-x--- fringed fringed /run/fringed"
     assert re.fullmatch(r"srw.{4}--- fringed fringed /run/fringed/control", there[1]), there
 
 
-def test_it_listens_on_this_machine_alone(running: Fringed) -> None:
+def test_it_listens_on_loopback_only(running: Fringed) -> None:
     listening = re.findall(r"^\s*\d+: (\S+):(\S+) \S+ 0A", running.machine.run("cat", "/proc/net/tcp").stdout, re.M)
     six = running.machine.run("cat", "/proc/net/tcp6").stdout
     assert ("0100007F", f"{5555:04X}") in listening
@@ -109,7 +109,7 @@ def test_the_command_finds_the_service(running: Fringed) -> None:
     assert "running" in running.machine.run("fringed", "status").stdout
 
 
-def test_killed_it_comes_back(running: Fringed) -> None:
+def test_after_sigkill_it_restarts(running: Fringed) -> None:
     before = running.show()
     running.machine.systemctl("kill", "--signal=KILL", "--kill-who=main", SERVICE)
     after = running.wait_active(not_pid=before["MainPID"])
@@ -117,7 +117,7 @@ def test_killed_it_comes_back(running: Fringed) -> None:
     assert running.wait_clouds()["pid"] == int(after["MainPID"])
 
 
-def test_a_frozen_process_is_killed_and_comes_back(running: Fringed) -> None:
+def test_a_frozen_process_is_killed_and_restarted(running: Fringed) -> None:
     since, before = running.cursor(), running.show()
     os.kill(running.pid_outside(before["MainPID"]), signal.SIGSTOP)
     running.wait_active(not_pid=before["MainPID"])
@@ -126,7 +126,7 @@ def test_a_frozen_process_is_killed_and_comes_back(running: Fringed) -> None:
 
 
 @pytest.mark.parametrize("thread", ["pipeline", "camera-left"])
-def test_one_frozen_thread_is_enough(running: Fringed, thread: str) -> None:
+def test_one_frozen_thread_triggers_the_watchdog(running: Fringed, thread: str) -> None:
     since, before = running.cursor(), running.show()
     with frozen(thread_of(running.pid_outside(before["MainPID"]), thread)):
         running.wait_active(not_pid=before["MainPID"])
@@ -136,13 +136,13 @@ def test_one_frozen_thread_is_enough(running: Fringed, thread: str) -> None:
     running.wait_clouds()
 
 
-def test_a_good_change_is_taken_over_while_it_measures(running: Fringed) -> None:
+def test_a_valid_change_takes_effect_while_it_measures(running: Fringed) -> None:
     before, since = running.show(), running.cursor()
     points = running.wait_clouds()["points"]
     running.write(RIG, rig(pipeline={"settings": {"min_modulation": 100.0}}))
     running.machine.systemctl("reload", SERVICE)
     running.wait_status("clouds under the new setting", lambda status: status["points"] < points // 10)
-    wait_until(lambda: running.said("reloaded", since), WAIT_S, "the line that tells of it")
+    wait_until(lambda: running.said("reloaded", since), WAIT_S, "the line that reports it")
     running.write(RIG, rig())
     running.machine.systemctl("reload", SERVICE)
     running.wait_status("clouds as before", lambda status: status["points"] > points // 2)
@@ -154,7 +154,7 @@ def test_a_good_change_is_taken_over_while_it_measures(running: Fringed) -> None
     ("bad", "told"),
     [("pipeline: {settings: {min_modulation: high}}\n", "min_modulation"), ("{ no yaml\n", f"{RIG}:")],
 )
-def test_a_bad_file_changes_nothing(running: Fringed, bad: str, told: str) -> None:
+def test_an_invalid_file_changes_nothing(running: Fringed, bad: str, told: str) -> None:
     before, since = running.show(), running.cursor()
     running.write(RIG, rig() + bad)
     done = running.machine.run("systemctl", "reload", SERVICE, check=False)
@@ -165,7 +165,7 @@ def test_a_bad_file_changes_nothing(running: Fringed, bad: str, told: str) -> No
     running.write(RIG, rig())
 
 
-def test_what_needs_a_restart_is_told_and_nothing_is_changed(running: Fringed) -> None:
+def test_a_setting_that_needs_a_restart_is_reported_and_nothing_changes(running: Fringed) -> None:
     before, since = running.show(), running.cursor()
     points = running.wait_clouds()["points"]
     running.write(RIG, rig(device={"name": "another"}, pipeline={"settings": {"min_modulation": 100.0}}))
@@ -181,10 +181,10 @@ def test_what_needs_a_restart_is_told_and_nothing_is_changed(running: Fringed) -
     running.write(RIG, rig())
 
 
-def test_a_rig_that_cannot_be_is_not_tried_for_ever(started: Fringed) -> None:
+def test_an_invalid_rig_is_not_retried(started: Fringed) -> None:
     since = started.cursor()
     started.start(rig() + "nonsense: 1\n", wait=False)
-    shown = started.wait("the end of trying", lambda shown: shown["ActiveState"] == "failed")
+    shown = started.wait("the failed state", lambda shown: shown["ActiveState"] == "failed")
     assert shown["NRestarts"] == "0"
     assert started.said("nonsense", since)
     started.stop()

@@ -1,4 +1,4 @@
-"""The variant for desktop PCs: the daemon belongs to the user who is logged in, and so does everything it makes."""
+"""The unit for desktop PCs: the daemon runs as the logged-in user, who owns all its files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ USER, UNIT = "desk", "fringed-user.service"
 
 
 class Session:
-    """One user's own systemd."""
+    """The systemd instance of one user."""
 
     def __init__(self, fringed: Fringed) -> None:
         self.machine = fringed.machine
@@ -49,7 +49,7 @@ def session(installed: Fringed) -> Iterator[Session]:
         f"/home/{USER}/.config/fringed/rig.yaml",
         rig(stream=own, control=None, recording={"dir": f"/home/{USER}/takes"}, selfcheck=None),
     )
-    # Compiled once is enough: the kernels of the service, copied for this user.
+    # The kernels of the service are copied for this user, which saves compiling.
     machine.run("cp", "-a", "/var/cache/fringed/numba", f"/home/{USER}/kernels")
     installed.write(f"/home/{USER}/.config/fringed/environment", f"NUMBA_CACHE_DIR=/home/{USER}/kernels\n")
     machine.run("chown", "-R", f"{USER}:{USER}", f"/home/{USER}")
@@ -65,11 +65,11 @@ def test_the_users_own_systemd_supervises_it(session: Session) -> None:
     assert "clouds" in session.run("fringed", "status")
 
 
-def test_its_sockets_are_for_this_user_alone(session: Session) -> None:
+def test_its_sockets_are_accessible_to_this_user_only(session: Session) -> None:
     assert session.run("stat", "-c", "%A %U", f"/run/user/{session.uid}/fringed") == f"drwx------ {USER}"
 
 
-def test_killed_it_comes_back(session: Session) -> None:
+def test_after_sigkill_it_restarts(session: Session) -> None:
     before = session.show()
     session.run("systemctl", "--user", "kill", "--signal=KILL", "--kill-who=main", UNIT)
     after = session.wait(

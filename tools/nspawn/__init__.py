@@ -1,4 +1,4 @@
-"""A real systemd in a container that leaves this machine as it is: what the service's tests and benchmark run in."""
+"""A real systemd in a container, for the service's tests and benchmark; the machine itself is not changed."""
 
 from tools.nspawn.machine import Machine, MachineError, missing
 

@@ -9,7 +9,7 @@ from tools.nspawn.machine import Machine, missing
 
 
 def main(command: list[str]) -> int:
-    """The command's exit code; 2 when there can be no container here."""
+    """Return the command's exit code; 2 when no container can be started."""
     if reason := missing():
         sys.stderr.write(f"tools.nspawn: {reason}\n")
         return 2

@@ -1,7 +1,7 @@
-"""``python -m tools.nspawn.boot``: runs in namespaces of its own, makes the container's root and becomes its systemd.
+"""``python -m tools.nspawn.boot``: makes the container's root in namespaces of its own, then becomes systemd-nspawn.
 
-The root is an overlay: below is this machine's root, read only in effect, above is memory. Both mounts belong to the
-mount namespace of this process and are gone with it.
+The root is an overlay of memory over this machine's root, which is effectively read only. Both mounts belong to the
+mount namespace of this process and end with it.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import uuid
 from pathlib import Path
 
 CHECKOUT = "/checkout"
-"""Where the container finds the project."""
+"""Path of the project in the container."""
 VENV = "/opt/venv"
-"""Where it finds an environment with the packages of the one that the tests run in."""
+"""Path of an environment with the packages of the one that runs the tests."""
 PYTHON = "/opt/python"
-"""Where it finds an interpreter that is not the system's; in a home directory no service could see it."""
+"""Path of an interpreter that is not the system's; a service has no access to home directories."""
 
-# Of this machine, and none of the container's business. The container's own /run, /tmp and /dev are new anyway.
+# Files of this machine, hidden in the container, whose /run, /tmp and /dev are new in any case.
 _REMOVED = (
     "etc/fringed",
     "etc/machine-id",
@@ -57,24 +57,24 @@ _JOURNAL = "[Journal]\nStorage=volatile\nRateLimitBurst=0\nRuntimeMaxUse=64M\nFo
 
 
 def main() -> None:
-    """Arguments: a folder to mount on, the machine's name, the checkout, the packages, ``sys.base_prefix``."""
+    """Boot; arguments: mount point, the machine's name, the checkout, the packages, ``sys.base_prefix``."""
     folder, name, checkout, packages, base_prefix = sys.argv[1:6]
-    os.umask(0o022)  # what is made for the container is for all its users, whatever this process was told
+    os.umask(0o022)  # files of the container are for all its users, whatever umask this process inherited
     root = mount(Path(folder))
     prepare(root)
-    # Writable, or the compiled kernels beside the sources are not used; what is written goes away with the container.
+    # Writable, else compiled kernels beside the sources are not used; writes are discarded with the container.
     own = overlay(Path(folder), "checkout", checkout)
     binds = [f"--bind={own}:{CHECKOUT}", f"--bind-ro={packages}:{VENV}/{Path(packages).relative_to(sys.prefix)}"]
     if not base_prefix.startswith("/usr"):
         binds.append(f"--bind-ro={base_prefix}:{PYTHON}")
-        # Linked with its library by the path that a service cannot see.
+        # The interpreter is linked with its library by a path that a service cannot access.
         (root / "etc/ld.so.conf.d/000-fringed-test.conf").write_text(f"{PYTHON}/lib\n")
     make_environment(root, base_prefix if base_prefix.startswith("/usr") else PYTHON)
     start(root, name, binds)
 
 
 def make_environment(root: Path, base: str) -> None:
-    """What ``python -m venv`` makes, around packages that are there already."""
+    """Make the files of ``python -m venv`` around existing packages."""
     programs = root / VENV[1:] / "bin"
     programs.mkdir(parents=True)
     program = f"{base}/bin/python{sys.version_info.major}.{sys.version_info.minor}"
@@ -83,13 +83,13 @@ def make_environment(root: Path, base: str) -> None:
 
 
 def mount(folder: Path) -> Path:
-    """The container's root, below a folder that exists."""
+    """Mount the container's root below an existing folder."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", "mode=755,size=6g", "fringed-nspawn", str(folder)], check=True)
     return overlay(folder, "root", "/")
 
 
 def overlay(folder: Path, name: str, lower: str) -> Path:
-    """A directory with the contents of another one, which stays as it is."""
+    """Mount a writable overlay of a directory, which itself does not change."""
     upper, work, merged = (folder / f"{name}-{part}" for part in ("upper", "work", "merged"))
     for made in (upper, work, merged):
         made.mkdir()
@@ -100,12 +100,12 @@ def overlay(folder: Path, name: str, lower: str) -> Path:
 
 
 def _escaped(path: str) -> str:
-    """A path as an option of the mount: colons and commas part options there."""
+    """Escape a path for the mount options, where colons and commas are separators."""
     return path.replace("\\", "\\\\").replace(":", "\\:").replace(",", "\\,")
 
 
 def prepare(root: Path) -> None:
-    """Take away what this machine has started at boot, and what was installed here before."""
+    """Remove the units that this machine starts at boot, and earlier installations."""
     assert root.is_mount(), f"{root} is no overlay; nothing may be removed from there"
     for gone in _REMOVED:
         path = root / gone
@@ -126,9 +126,9 @@ def prepare(root: Path) -> None:
 
 
 def start(root: Path, name: str, binds: list[str]) -> None:
-    """Become systemd-nspawn; never returns."""
+    """Become systemd-nspawn; does not return."""
     command = ["systemd-nspawn", "--quiet", f"--directory={root}", f"--machine={name}", "--boot", *binds]
-    # Not told to a systemd outside, which may not be there; no terminal; a network of its own, with loopback alone.
+    # Not registered with a systemd outside, which may be absent; no terminal; a network of its own, loopback only.
     command += ["--register=no", "--keep-unit", "--link-journal=no", "--console=pipe", "--private-network"]
     command += ["--resolv-conf=off", "--timezone=off", "--", "--show-status=no", "--log-target=journal"]
     os.execvp(command[0], command)

@@ -1,4 +1,4 @@
-"""One booted container: commands inside, units' properties, conditions to wait for, the journal."""
+"""One booted container: commands inside, properties of units, waiting for conditions, the journal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from tools.nspawn.boot import CHECKOUT, VENV
 
 WAIT_S = 90.0
-"""How long a condition may take on a machine that is busy with other things."""
+"""Longest wait for a condition on a busy machine, seconds."""
 _POLL_S = 0.05
 _NEEDED = ("systemd-nspawn", "nsenter", "unshare", "setpriv", "mount")
 _ENVIRONMENT = {
@@ -31,11 +31,11 @@ T = TypeVar("T")
 
 
 class MachineError(RuntimeError):
-    """The container does not start, or what was waited for did not come; the message ends with what it said."""
+    """The container does not start, or a wait timed out; the message ends with the output."""
 
 
 def missing() -> str:
-    """Why no container can be started here, or nothing."""
+    """Return why no container can be started here; empty if one can."""
     if os.geteuid() != 0:
         return "a container of systemd needs root"
     gone = [name for name in _NEEDED if shutil.which(name) is None]
@@ -45,11 +45,11 @@ def missing() -> str:
 class Machine:
     """A container with systemd as its first process; for ``with``.
 
-    It ends with this process, whatever ends that: all its processes live in a process namespace whose first one the
-    kernel kills, its mounts in a mount namespace that goes with them.
+    It ends with this process, in any case: its processes live in a process namespace whose first one the kernel kills,
+    its mounts in a mount namespace that ends with them.
 
     Attributes:
-        leader: process id of its systemd, seen from here; root: its root directory, seen from here.
+        leader: process id of its systemd, seen from outside; root: its root directory, seen from outside.
     """
 
     def __init__(self) -> None:
@@ -73,11 +73,11 @@ class Machine:
 
     @property
     def root(self) -> Path:
-        """The container's root directory, seen from here."""
+        """The container's root directory, seen from outside."""
         return Path(f"/proc/{self.leader}/root")
 
     def close(self) -> None:
-        """Kill everything in it; may be called twice."""
+        """Kill all its processes; may be called twice."""
         if self._outer is not None:
             self._outer.kill()
             self._outer.wait()
@@ -98,7 +98,7 @@ class Machine:
         Args:
             command: program and arguments, no shell.
             check: raise MachineError when it does not end with 0.
-            env: beside PATH, LANG and HOME, which are all it gets; user: who runs it, root if empty.
+            env: added to PATH, LANG and HOME, the only others; user: its user, root if empty.
         """
         done = subprocess.run(
             self._inside(command, env or {}, user),
@@ -109,26 +109,26 @@ class Machine:
         return done
 
     def python(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-        """Run the interpreter inside with the checkout and the environment's packages."""
+        """Run the interpreter inside, with the checkout and the environment's packages."""
         env = {"PYTHONPATH": CHECKOUT, "PYTHONDONTWRITEBYTECODE": "1"} | dict(options.pop("env", None) or {})
         return self.run(f"{VENV}/bin/python", *arguments, env=env, **options)
 
     def fringed(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-        """``fringed`` of the checkout, not of what is installed inside."""
+        """Run ``fringed`` of the checkout, not of the installation inside."""
         start = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
         return self.python("-c", start, *arguments, **options)
 
     def systemctl(self, *arguments: str, check: bool = True, timeout_s: float = WAIT_S) -> str:
-        """What systemctl says."""
+        """Run systemctl and return its output."""
         return self.run("systemctl", "--no-pager", *arguments, check=check, timeout_s=timeout_s).stdout.strip()
 
     def show(self, unit: str, *names: str) -> dict[str, str]:
-        """Properties of a unit."""
+        """Return properties of a unit."""
         said = self.systemctl("show", unit, f"--property={','.join(names)}")
         return dict(line.partition("=")[::2] for line in said.splitlines() if "=" in line)
 
     def wait_show(self, unit: str, what: str, good: Callable[[dict[str, str]], bool], *names: str) -> dict[str, str]:
-        """The unit's properties as soon as they are good; MachineError with its journal after WAIT_S."""
+        """Return the unit's properties once the condition holds; MachineError with its journal after WAIT_S."""
         last: dict[str, str] = {}
 
         def look() -> bool:
@@ -143,12 +143,12 @@ class Machine:
         return last
 
     def journal(self, unit: str, *more: str) -> list[dict[str, Any]]:
-        """All messages of a unit, oldest first, with all their fields."""
+        """Return all messages of a unit, oldest first, with all their fields."""
         said = self.run("journalctl", "--no-pager", "--output=json", f"--unit={unit}", *more).stdout
         return [json.loads(line) for line in said.splitlines() if line.startswith("{")]
 
     def tail(self, unit: str, lines: int = 60) -> str:
-        """The end of a unit's journal, for messages of failure."""
+        """Return the end of a unit's journal, for messages of failure."""
         said = self.run("journalctl", "--no-pager", f"--lines={lines}", f"--unit={unit}", check=False).stdout
         return said or "its journal is empty"
 
@@ -186,7 +186,7 @@ class Machine:
         wait_until(look, WAIT_S, what)
 
     def _find_leader(self) -> bool:
-        """The child of systemd-nspawn, which is what the child of unshare became."""
+        """Return the process id of systemd-nspawn's child; the child of unshare became systemd-nspawn."""
         assert self._outer is not None
         for boot in _children(self._outer.pid):
             for leader in _children(boot):
@@ -213,7 +213,7 @@ def _alive(pid: int) -> bool:
 
 
 def _children(pid: int) -> list[int]:
-    """Processes that a process started; none when it is gone."""
+    """Return the children of a process; none when it has ended."""
     found = []
     for status in Path("/proc").glob("[0-9]*/status"):
         try:

@@ -1,4 +1,4 @@
-"""SIGHUP: a wish to reload, or the end of a terminal."""
+"""SIGHUP: a request to reload, or the end of a terminal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.daemon.bootstrap.systemd.manager import PATIENT, wait_until
 pytestmark = PATIENT
 
 
-def test_a_wish_waits_until_the_daemon_is_ready() -> None:
+def test_a_request_waits_until_the_daemon_is_ready() -> None:
     done, ready = threading.Event(), [False]
     reloads = Reloads(done.set, ready=lambda: ready[0])
     reloads.ask()
@@ -27,7 +27,7 @@ def test_a_wish_waits_until_the_daemon_is_ready() -> None:
     assert done.wait(90)
 
 
-def test_wishes_during_a_reload_become_one_more() -> None:
+def test_requests_during_a_reload_are_merged_into_one() -> None:
     begun, go_on, count = threading.Semaphore(0), threading.Semaphore(0), [0]
 
     def reload() -> None:
@@ -53,7 +53,7 @@ def test_wishes_during_a_reload_become_one_more() -> None:
     assert count == [2]
 
 
-def test_a_reload_that_fails_is_told_and_harms_nobody(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failed_reload_is_reported_and_changes_nothing(caplog: pytest.LogCaptureFixture) -> None:
     def reload() -> None:
         raise ValueError("rig.yaml:3:1: no such key")
 
@@ -67,18 +67,18 @@ def test_a_reload_that_fails_is_told_and_harms_nobody(caplog: pytest.LogCaptureF
     assert "not reloaded" in caplog.text and "rig.yaml:3:1" in caplog.text
 
 
-def test_the_signal_asks_for_a_reload_and_does_not_stop() -> None:
+def test_the_signal_requests_a_reload_and_does_not_stop() -> None:
     asked: list[str] = []
     with StopFlag().on_signals() as flag:
         flag.stop = lambda: asked.append("stop")
-        os.kill(os.getpid(), signal.SIGHUP)  # nobody reloads yet: nothing happens
+        os.kill(os.getpid(), signal.SIGHUP)  # no reload is registered yet: nothing happens
         flag.reload = lambda: asked.append("reload")
         os.kill(os.getpid(), signal.SIGHUP)
         os.kill(os.getpid(), signal.SIGTERM)
     assert asked == ["reload", "stop"]
 
 
-def test_a_terminal_that_was_closed_is_told_from_one_that_is_there() -> None:
+def test_a_closed_terminal_differs_from_an_open_one() -> None:
     master, slave = os.openpty()
     reader, writer = os.pipe()
     ours = terminals((slave, reader))

@@ -1,4 +1,4 @@
-"""What the doctor says of an installed service."""
+"""Findings of the doctor about an installed service."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ def found(root: Path) -> dict[str, Finding]:
     return {finding.name: finding for finding in service.check(Subject(Machine(root, {})))}
 
 
-def test_where_it_is_not_installed_there_is_nothing_to_say(tmp_path: Path) -> None:
+def test_without_an_installation_there_is_one_note(tmp_path: Path) -> None:
     (finding,) = found(tmp_path).values()
     assert finding.level == "note" and "not installed" in finding.text
 
 
 @as_root
-def test_a_fresh_installation_is_well(image: Path) -> None:
+def test_a_fresh_installation_has_no_problem(image: Path) -> None:
     assert {name: finding.level for name, finding in found(image).items()} == dict.fromkeys(
         ("program", "groups", "rights"), "ok"
     )
 
 
 @as_root
-def test_rights_that_were_changed_are_told_with_the_command_that_mends_them(image: Path) -> None:
+def test_changed_permissions_are_reported_with_the_command_that_restores_them(image: Path) -> None:
     takes = image / "var/lib/fringed/takes"
     takes.chmod(0o777)
     finding = found(image)["rights"]
@@ -57,7 +57,7 @@ def test_rights_that_were_changed_are_told_with_the_command_that_mends_them(imag
 
 
 @as_root
-def test_a_missing_group_and_a_missing_program_are_told(image: Path) -> None:
+def test_a_missing_group_and_a_missing_program_are_reported(image: Path) -> None:
     groups, link = image / "etc/group", image / "opt/fringed/env"
     before, to = groups.read_text(), link.readlink()
     groups.write_text("\n".join(line for line in before.splitlines() if not line.startswith("plugdev:")))

@@ -1,4 +1,4 @@
-"""Installing into the image of a machine: modes and owners as promised, twice the same, and away again."""
+"""Installation into the image of a machine: modes and owners as documented, repeatable, and removable."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files
 
 @pytest.fixture(scope="module")
 def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A machine with nothing on it but the program; tests must not change it."""
+    """An image with the installed program only; tests must not change it."""
     needs_systemd()
     root = tmp_path_factory.mktemp("image")
     steps.install(Target(root), SOURCE, WISHES, print)
@@ -38,7 +38,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture
 def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An image whose environment is made of nothing: quick, for what has to do with files only."""
+    """An image with a placeholder for the environment: fast, for tests of files only."""
     needs_systemd()
 
     def fake(target: Target, _: Source) -> bool:
@@ -64,7 +64,7 @@ def install(root: Path, **wishes: object) -> list[str]:
 
 @as_root
 @pytest.mark.parametrize("place", [*DIRECTORIES, *FILES.values(), *PROGRAMS.values(), layout.CONFIG_FILES], ids=str)
-def test_modes_and_owners_are_as_promised(image: Path, place: Place) -> None:
+def test_modes_and_owners_are_as_documented(image: Path, place: Place) -> None:
     target = Target(image)
     there = target.path(place.path).stat()
     assert stat.S_IMODE(there.st_mode) == place.mode
@@ -84,7 +84,7 @@ def test_the_service_owns_nothing_but_its_data_and_nothing_is_open_to_all(image:
             assert not status.st_mode & stat.S_IWOTH, place
 
 
-def test_the_program_runs_from_where_it_was_put(image: Path) -> None:
+def test_the_program_runs_from_its_installed_place(image: Path) -> None:
     python = image / "opt/fringed/env/bin/python"
     plain = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     code = "import daemon, daemon.apps.install.files as f; print(daemon.__file__); print(f.sources())"
@@ -101,7 +101,7 @@ def test_the_command_names_the_prefix_and_takes_nothing_from_the_current_directo
     assert (image / "usr/local/bin/fringed").readlink() == Path("/opt/fringed/bin/fringed")
 
 
-def test_the_rig_that_is_installed_is_a_good_one(image: Path) -> None:
+def test_the_installed_rig_file_is_valid(image: Path) -> None:
     config = parse_rig((image / "etc/fringed/rig.yaml").read_text())
     assert Path(config.recording.dir).is_relative_to(layout.STATE)
     assert Path(config.selfcheck.dir).is_relative_to(layout.STATE)
@@ -109,7 +109,7 @@ def test_the_rig_that_is_installed_is_a_good_one(image: Path) -> None:
     assert not (image / "etc/systemd/system/fringed.service.wants").exists()  # a simulated rig needs no X server
 
 
-def test_the_second_time_changes_nothing(image: Path) -> None:
+def test_a_second_installation_changes_nothing(image: Path) -> None:
     def all_times() -> dict[Path, int]:
         kept = (path for path in image.rglob("*") if path.is_file() and "etc/." not in str(path))
         return {path: path.stat().st_mtime_ns for path in kept if path.name != MARK}
@@ -121,7 +121,7 @@ def test_the_second_time_changes_nothing(image: Path) -> None:
     assert said == [f"installed into the image {image}"]
 
 
-def test_a_rig_of_the_user_is_kept_and_the_new_one_put_beside_it(bare: Path) -> None:
+def test_a_rig_file_of_the_user_is_kept_and_the_new_one_written_beside_it(bare: Path) -> None:
     install(bare)
     rig = bare / RIG.relative_to("/")
     rig.write_text("# mine\n")
@@ -131,7 +131,7 @@ def test_a_rig_of_the_user_is_kept_and_the_new_one_put_beside_it(bare: Path) -> 
     assert any("rig.yaml is kept" in text for text in said)
 
 
-def test_a_rig_comes_with_the_files_that_it_names(bare: Path, tmp_path: Path) -> None:
+def test_the_files_named_by_a_rig_file_are_installed_too(bare: Path, tmp_path: Path) -> None:
     (tmp_path / "volume.json").write_text('{"near_mm": 300.0, "far_mm": 900.0}')
     rig = tmp_path / "rig.yaml"
     rig.write_text("cameras: {driver: sim}\nvolume: volume.json\n")
@@ -148,7 +148,7 @@ def test_a_service_writes_below_its_state_directory(tmp_path: Path, monkeypatch:
     assert (config.recording.dir, config.selfcheck.dir) == ("/var/lib/fringed/takes", "/srv/check")
 
 
-def test_a_rig_with_a_projector_at_an_output_gets_the_x_server(bare: Path, tmp_path: Path) -> None:
+def test_a_rig_with_the_x11_projector_gets_the_x_server(bare: Path, tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text("cameras: {driver: sim}\n")
     install(bare, rig=rig)
@@ -159,7 +159,7 @@ def test_a_rig_with_a_projector_at_an_output_gets_the_x_server(bare: Path, tmp_p
     assert (wants / "multi-user.target.wants/fringed-view.service").is_symlink()
 
 
-def test_a_bad_rig_is_refused_before_anything_is_touched(bare: Path, tmp_path: Path) -> None:
+def test_an_invalid_rig_file_is_refused_before_any_change(bare: Path, tmp_path: Path) -> None:
     rig = tmp_path / "bad.yaml"
     rig.write_text("cameras: {driver: smi}\n")
     with pytest.raises(ConfigError, match="smi"):
@@ -171,7 +171,7 @@ def test_a_bad_rig_is_refused_before_anything_is_touched(bare: Path, tmp_path: P
     assert list(bare.iterdir()) == []
 
 
-def test_another_prefix_stands_in_every_file(bare: Path) -> None:
+def test_another_prefix_is_written_into_every_file(bare: Path) -> None:
     target = Target(bare, Path("/srv/rig/fringed"))
     steps.install(target, SOURCE, WISHES, lambda _: None)
     assert not (bare / "opt").exists()
@@ -220,7 +220,7 @@ def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
         steps.uninstall(Target(bare), said.append)
 
 
-def test_purge_takes_all(bare: Path) -> None:
+def test_purge_removes_everything(bare: Path) -> None:
     install(bare)
     drop_in = bare / "etc/systemd/system/fringed.service.d/override.conf"
     drop_in.parent.mkdir()
@@ -233,7 +233,7 @@ def test_purge_takes_all(bare: Path) -> None:
         assert "fringed" not in (bare / "etc/passwd").read_text()
 
 
-def test_somebody_elses_command_is_left_alone(bare: Path) -> None:
+def test_a_foreign_command_of_the_same_name_is_kept(bare: Path) -> None:
     other = bare / "usr/local/bin/fringed"
     other.parent.mkdir(parents=True)
     other.write_text("mine")
@@ -243,7 +243,7 @@ def test_somebody_elses_command_is_left_alone(bare: Path) -> None:
     assert other.read_text() == "mine"
 
 
-def test_an_interpreter_that_the_service_cannot_reach_is_refused(tmp_path: Path) -> None:
+def test_an_interpreter_without_access_for_the_service_is_refused(tmp_path: Path) -> None:
     closed = tmp_path / "home/bin"
     closed.mkdir(parents=True)
     python = closed / "python3"
@@ -254,7 +254,7 @@ def test_an_interpreter_that_the_service_cannot_reach_is_refused(tmp_path: Path)
         Source(python).check(Target())
 
 
-def test_the_environment_before_stays_for_a_daemon_that_runs_with_it(tmp_path: Path) -> None:
+def test_the_previous_environment_is_kept_for_a_daemon_that_runs_in_it(tmp_path: Path) -> None:
     target = Target(tmp_path, Path("/opt/fringed"))
     prefix = target.path(PREFIX)
     for number, name in enumerate(("env-a", "env-b", "env-c", "env-broken")):
@@ -268,11 +268,11 @@ def test_the_environment_before_stays_for_a_daemon_that_runs_with_it(tmp_path: P
     assert {path.name for path in prefix.iterdir()} == {"env", "env-b", "env-c"}
 
 
-def test_the_environment_is_known_by_what_it_is_made_from() -> None:
+def test_the_environment_is_identified_by_its_inputs() -> None:
     assert fingerprint(SOURCE) == fingerprint(SOURCE) != fingerprint(Source(default_python()))
 
 
-def test_the_command_tells_what_is_wrong(fringed: object, tmp_path: Path) -> None:
+def test_the_command_reports_the_reason_of_a_failure(fringed: object, tmp_path: Path) -> None:
     done = fringed("install", "--root", str(tmp_path / "none"), "--prefix", "/opt/x")  # type: ignore[operator]
     assert done.returncode == 1 and "make it first" in done.stderr
     done = fringed("install", "--root", str(tmp_path), "--prefix", "/usr")  # type: ignore[operator]

@@ -1,4 +1,4 @@
-"""The unit files: what they promise, and what systemd itself says of them."""
+"""The unit files: their settings, and their verification by systemd itself."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def needs_systemd() -> None:
 
 
 def unit(name: str) -> dict[str, list[str]]:
-    """Every value of every key of a unit file."""
+    """Return every value of every key of a unit file."""
     values: dict[str, list[str]] = defaultdict(list)
     for line in (sources() / name).read_text().splitlines():
         if line and line[0] not in "#;[":
@@ -47,7 +47,7 @@ def test_every_file_beside_the_units_is_installed() -> None:
     assert there == set(FILES) | set(PROGRAMS)
 
 
-def test_the_daemon_is_watched_and_comes_back() -> None:
+def test_the_daemon_has_a_watchdog_and_is_restarted() -> None:
     daemon = unit(layout.SERVICE)
     assert daemon["Type"] == ["notify"] and daemon["NotifyAccess"] == ["main"]
     assert daemon["WatchdogSec"] == ["10"] and daemon["Restart"] == ["on-failure"]
@@ -76,7 +76,7 @@ def test_modes_and_owners_of_tmpfiles_are_those_of_the_table() -> None:
 
 
 @pytest.mark.parametrize("name", UNITS)
-def test_no_capability_and_nothing_writable_but_its_own(name: str) -> None:
+def test_no_capability_and_only_its_own_directories_writable(name: str) -> None:
     values = unit(name)
     assert values["CapabilityBoundingSet"] == [""] and values["AmbientCapabilities"] == [""]
     assert values["NoNewPrivileges"] == ["yes"] and values["ProtectSystem"] == ["strict"]
@@ -89,7 +89,7 @@ def test_the_measuring_may_compile_and_choose_processors() -> None:
     assert not any("@resources" in value for value in daemon["SystemCallFilter"])
 
 
-def test_the_viewer_is_for_this_machine_alone() -> None:
+def test_the_viewer_is_reachable_from_this_machine_only() -> None:
     view = unit(layout.VIEW)
     assert view["IPAddressDeny"] == ["any"] and view["IPAddressAllow"] == ["localhost"]
     assert view["User"] == [layout.VIEW_USER]
@@ -106,9 +106,9 @@ def test_exposure_is_within_the_limit(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*UNITS, "user/fringed-user.service"])
-def test_systemd_understands_every_line(name: str, tmp_path: Path) -> None:
+def test_systemd_accepts_every_line(name: str, tmp_path: Path) -> None:
     needs_systemd()
-    # What the units name is not on this machine: stand-ins, so that only real mistakes are told.
+    # Placeholders for programs that the units name, so that only real mistakes are reported.
     text = (sources() / name).read_text()
     stand_in = tmp_path / "program"
     stand_in.write_text("#!/bin/sh\n")
@@ -127,7 +127,7 @@ def test_systemd_understands_every_line(name: str, tmp_path: Path) -> None:
     assert told == []
 
 
-def test_a_mistake_in_a_unit_would_be_found(tmp_path: Path) -> None:
+def test_a_mistake_in_a_unit_is_detected(tmp_path: Path) -> None:
     needs_systemd()
     place = tmp_path / "fringed.service"
     place.write_text("[Service]\nExecStart=/bin/true\nProtectSytem=strict\n")

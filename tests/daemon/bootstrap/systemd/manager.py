@@ -1,4 +1,4 @@
-"""A service manager as the daemon sees it: a socket that messages come to."""
+"""A service manager for tests: a socket that receives the daemon's messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def wait_until(condition: Callable[[], object], timeout_s: float = 90.0) -> None
 
 
 class Manager:
-    """Keeps every message, one dictionary each; reads only when it is asked."""
+    """Keeps every message, one dictionary each; reads only on request."""
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -43,7 +43,7 @@ class Manager:
         return {"NOTIFY_SOCKET": self.address} | watchdog
 
     def read(self) -> list[dict[str, str]]:
-        """Those that came since the last call."""
+        """Return the messages since the last call."""
         new = []
         while True:
             try:
@@ -55,12 +55,12 @@ class Manager:
         return new
 
     def values(self, key: str) -> list[str]:
-        """Every value of a variable so far, in order."""
+        """Return every value of a variable so far, in order."""
         self.read()
         return [message[key] for message in self.messages if key in message]
 
     def wait_for(self, key: str, value: str | None = None, timeout_s: float = 90.0) -> str:
-        """Wait for a variable (with a part of its value); returns the value."""
+        """Wait for a variable (with a part of its value); return the value."""
 
         def found() -> str | None:
             return next((said for said in self.values(key) if value is None or value in said), None)

@@ -1,4 +1,4 @@
-"""Log lines with fields, as the journal gets them."""
+"""Log lines with fields, as the journal receives them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from daemon.bootstrap.systemd.journal import JournalHandler, begun_by_systemd, e
 
 
 class Journal:
-    """The other end: reads a record, from the datagram or from the file that came with it."""
+    """A journal for tests: reads a record from the datagram or from the attached file."""
 
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -36,7 +36,7 @@ class Journal:
 
 
 def decode(data: bytes) -> dict[str, str]:
-    """The native protocol, read as the journal reads it."""
+    """Parse the native protocol like the journal."""
     fields = {}
     while data:
         line, _, rest = data.partition(b"\n")
@@ -82,7 +82,7 @@ class Beside(logging.Handler):
         self.lines.append(record.getMessage())
 
 
-def test_a_line_carries_session_device_and_what_it_speaks_of(journal: Journal, log: logging.Logger) -> None:
+def test_a_line_carries_session_device_and_its_own_fields(journal: Journal, log: logging.Logger) -> None:
     log.warning("camera %s is lost", "left", extra={"side": "left", "reason": "unplugged"})
     fields = journal.read()
     assert fields["MESSAGE"] == "camera left is lost" and fields["PRIORITY"] == "4"
@@ -108,18 +108,18 @@ def test_a_traceback_is_one_entry(journal: Journal, log: logging.Logger) -> None
     assert message.startswith("it failed\nTraceback") and message.endswith("two\nlines")
 
 
-def test_a_line_too_long_for_a_datagram_goes_as_a_file(journal: Journal, log: logging.Logger) -> None:
+def test_a_line_too_long_for_a_datagram_is_sent_as_a_file(journal: Journal, log: logging.Logger) -> None:
     log.info("%s", "x" * 900_000)
     assert journal.read()["MESSAGE"] == "x" * 900_000
 
 
-def test_without_a_journal_the_lines_go_beside(log: logging.Logger) -> None:
+def test_without_a_journal_the_lines_go_to_the_fallback(log: logging.Logger) -> None:
     log.info("hello")
     beside = handler_of(log)._beside
     assert isinstance(beside, Beside) and beside.lines == ["hello"]
 
 
-def test_a_journal_that_does_not_read_loses_lines_and_holds_nobody_up(journal: Journal, log: logging.Logger) -> None:
+def test_a_journal_that_does_not_read_loses_lines_without_blocking(journal: Journal, log: logging.Logger) -> None:
     while not handler_of(log).lost:
         log.info("x")
     assert journal.read()["MESSAGE"] == "x"
@@ -127,12 +127,12 @@ def test_a_journal_that_does_not_read_loses_lines_and_holds_nobody_up(journal: J
 
 @settings(deadline=None, max_examples=50)
 @given(st.dictionaries(st.text("ABCDEFG_", min_size=1, max_size=20), st.text(), max_size=5))
-def test_what_is_encoded_is_read_as_it_was(fields: dict[str, str]) -> None:
+def test_encoded_records_are_read_back_unchanged(fields: dict[str, str]) -> None:
     expected = {name: value.encode("utf-8", "replace").decode() for name, value in fields.items()}
     assert decode(encode(fields)) == expected
 
 
-def test_systemd_is_known_by_device_and_inode_of_standard_error(tmp_path: Path) -> None:
+def test_systemd_is_detected_by_device_and_inode_of_standard_error(tmp_path: Path) -> None:
     handle = os.open(tmp_path / "stream", os.O_CREAT | os.O_WRONLY)
     there = os.fstat(handle)
     assert begun_by_systemd({"JOURNAL_STREAM": f"{there.st_dev}:{there.st_ino}"}, handle)

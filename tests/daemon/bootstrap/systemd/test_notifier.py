@@ -13,7 +13,7 @@ from daemon.bootstrap.systemd.notifier import Notifier
 from tests.daemon.bootstrap.systemd.manager import Manager
 
 
-def test_every_message_has_the_form_that_systemd_reads(manager: Manager) -> None:
+def test_every_message_has_the_format_of_systemd(manager: Manager) -> None:
     notifier = Notifier(manager.address, watchdog_s=10.0)
     assert notifier.ready("30 clouds/s") and notifier.alive() and notifier.extend(2.5)
     assert notifier.reloading() and notifier.stopping()
@@ -52,7 +52,7 @@ def test_the_variables_are_taken_out_of_the_environment(manager: Manager) -> Non
         {},
     ],
 )
-def test_a_watchdog_for_another_process_or_without_sense_is_none(environ: dict[str, str]) -> None:
+def test_a_watchdog_for_another_process_or_of_invalid_time_is_ignored(environ: dict[str, str]) -> None:
     notifier = Notifier.from_environment(environ)
     assert notifier.watchdog_s is None
     notifier.close()
@@ -64,7 +64,7 @@ def test_without_a_manager_nothing_is_sent(address: str) -> None:
     assert not notifier.wanted and not notifier.ready("x") and notifier.failed == 0
 
 
-def test_a_manager_that_is_gone_or_does_not_read_makes_nobody_wait(tmp_path: Path, manager: Manager) -> None:
+def test_a_manager_that_has_ended_or_does_not_read_blocks_no_caller(tmp_path: Path, manager: Manager) -> None:
     nobody = Notifier(str(tmp_path / "nobody"))
     assert not nobody.alive() and nobody.failed == 1
     full = Notifier(manager.address)
@@ -77,7 +77,7 @@ def test_a_manager_that_is_gone_or_does_not_read_makes_nobody_wait(tmp_path: Pat
 
 @settings(deadline=None, max_examples=50)
 @given(st.text())
-def test_no_status_can_smuggle_in_another_message(text: str) -> None:
+def test_a_status_cannot_contain_another_message(text: str) -> None:
     manager = Manager.abstract()
     notifier = Notifier(manager.address)
     assert notifier.status(text)

@@ -48,7 +48,7 @@ def started(rig_file: Path, manager: Manager) -> Iterator[subprocess.Popen[str]]
         process.wait()
 
 
-def test_a_life_from_the_first_cloud_over_reloads_to_an_orderly_end(
+def test_ready_with_the_first_cloud_then_reloads_then_a_graceful_stop(
     started: subprocess.Popen[str], rig_file: Path, manager: Manager
 ) -> None:
     log = rig_file.parent / "log"
@@ -66,14 +66,14 @@ def test_a_life_from_the_first_cloud_over_reloads_to_an_orderly_end(
     assert started.poll() is None
 
     started.send_signal(signal.SIGTERM)
-    started.send_signal(signal.SIGHUP)  # while it stops: must not end it in disorder
+    started.send_signal(signal.SIGHUP)  # while it stops: must not interrupt the stop
     assert started.wait(60) == 0
     assert manager.values("STOPPING") == ["1"]
     assert "Traceback" not in log.read_text()
 
 
 @pytest.mark.parametrize(("supervised", "status"), [(True, 78), (False, 1)])
-def test_a_wrong_rig_file_has_an_exit_status_of_its_own_for_a_manager(
+def test_an_invalid_rig_file_has_an_exit_status_of_its_own_for_a_manager(
     tmp_path: Path, manager: Manager, supervised: bool, status: int
 ) -> None:
     path = tmp_path / "rig.yaml"

@@ -1,4 +1,4 @@
-"""Ready with the first cloud, a status line, and a watchdog that is fed only while life is proven."""
+"""Ready with the first cloud, the status line, and a watchdog that depends on the heartbeats of all threads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = PATIENT
 
 @dataclass
 class HandClock:
-    """Monotonic time that the test moves on."""
+    """Monotonic time, advanced by the test."""
 
     now_ns: int = 1_700_000_000_000_000_000
 
@@ -37,7 +37,7 @@ class HandClock:
 
 @dataclass
 class Running:
-    """A service on a stepped rig with a manager that listens; the clock stands unless the test moves it."""
+    """A service on a stepped rig with a receiving manager; only the test advances the clock."""
 
     manager: Manager
     service: Service
@@ -49,7 +49,7 @@ class Running:
     gate: threading.Event = field(default_factory=threading.Event)
 
     def fed(self) -> bool:
-        """Whether the watchdog is fed from now on, seen over turns of the main loop."""
+        """Return whether the watchdog is fed during further turns of the main loop."""
         self.manager.read()
         self.turns(3)
         return any("WATCHDOG" in message for message in self.manager.read())
@@ -87,7 +87,7 @@ def running(tmp_path: Path, manager: Manager) -> Iterator[Running]:
 
 
 def measure(running: Running) -> None:
-    """The first pairs are believed when the count of both cameras has been seen a few times."""
+    """Trigger a few pairs: the pairer releases the first ones after several consistent counts of both cameras."""
     for _ in range(4):
         step(running.devices)
     wait_until(lambda: running.service.worker.clouds == 4)
@@ -104,7 +104,7 @@ def test_ready_comes_with_the_first_cloud_and_not_before(running: Running) -> No
     assert running.manager.values("READY") == ["1"]
 
 
-def test_while_there_is_no_trigger_the_status_says_so(running: Running) -> None:
+def test_a_missing_trigger_is_reported_in_the_status(running: Running) -> None:
     running.supervisor.told(running.service.status().as_dict())
     assert "waiting for the trigger" in running.manager.wait_for("STATUS")
     measure(running)
@@ -118,14 +118,14 @@ def test_without_a_trigger_and_paused_the_watchdog_is_fed(running: Running) -> N
     assert running.fed()
 
 
-def test_a_camera_that_is_gone_and_retried_is_a_known_state(running: Running) -> None:
+def test_an_absent_camera_under_retry_is_an_idle_state(running: Running) -> None:
     measure(running)
     running.devices.cameras["left"].set_present(False)  # type: ignore[attr-defined]
     wait_until(lambda: running.service.cameras["left"].status.state == "lost")
     assert running.fed()
 
 
-def test_a_pipeline_that_hangs_is_not_fed_for(running: Running, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_pipeline_that_hangs_stops_the_watchdog_messages(running: Running, caplog: pytest.LogCaptureFixture) -> None:
     measure(running)
     hang(running)
     step(running.devices)
@@ -141,7 +141,7 @@ def test_a_pipeline_that_hangs_is_not_fed_for(running: Running, caplog: pytest.L
 
 
 def hang(running: Running) -> None:
-    """The next measurement does not come back until the gate is opened."""
+    """Block the next measurement until the gate is opened."""
     made = running.service.worker._reconstructor
     assert made is not None
     reconstruct = made.reconstruct
@@ -154,7 +154,7 @@ def hang(running: Running) -> None:
     made.reconstruct = hanging  # type: ignore[method-assign,assignment]
 
 
-def test_a_camera_driver_that_hangs_is_not_fed_for(running: Running) -> None:
+def test_a_camera_driver_that_hangs_stops_the_watchdog_messages(running: Running) -> None:
     measure(running)
     camera = running.service.cameras["right"]
     read = camera._camera.read
@@ -172,7 +172,7 @@ def test_a_camera_driver_that_hangs_is_not_fed_for(running: Running) -> None:
     assert "camera right" in running.manager.wait_for("STATUS", "not alive")
 
 
-def test_a_sink_that_does_not_turn_is_not_fed_for(running: Running) -> None:
+def test_a_sink_that_does_not_turn_stops_the_watchdog_messages(running: Running) -> None:
     from daemon.common.heartbeat import Heartbeat
 
     sink = running.service.sinks["stream"]
@@ -182,7 +182,7 @@ def test_a_sink_that_does_not_turn_is_not_fed_for(running: Running) -> None:
     wait_until(lambda: not running.fed())
 
 
-def test_a_reload_is_told_from_its_beginning_to_its_end(running: Running) -> None:
+def test_a_reload_is_reported_from_its_beginning_to_its_end(running: Running) -> None:
     measure(running)
     running.manager.wait_for("READY")
     running.manager.read()
@@ -190,7 +190,7 @@ def test_a_reload_is_told_from_its_beginning_to_its_end(running: Running) -> Non
     assert running.manager.read()[-1]["READY"] == "1"
 
 
-def test_without_a_manager_the_service_is_left_alone(tmp_path: Path) -> None:
+def test_without_a_manager_no_tick_is_registered(tmp_path: Path) -> None:
     service = Service(config(tmp_path), rig_of(devices()), {})
     Supervisor(Notifier()).watch(service)
     assert service.on_tick == []
