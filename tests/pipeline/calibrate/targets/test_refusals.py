@@ -33,7 +33,7 @@ def empty(seed=0):
 def test_empty(board):
     even = [noisy(np.full((410, 512), 120.0), seed) for seed in range(4)]
     for image in (empty(), np.full((410, 512), 90, np.uint8), *even):
-        with pytest.raises(TargetError, match="no marks found: the board .* is not in the image"):
+        with pytest.raises(TargetError, match=r"no marks found: the board .* is not in the image"):
             find_marks(image, board)
 
 
