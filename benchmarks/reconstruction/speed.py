@@ -30,9 +30,9 @@ FRAMES, RATE_HZ = 12, 30.0
 KINDS = {"three-chip": CASES[0], "Bayer": next(case for case in CASES if case.encoding != "rgb8")}
 WAYS: dict[str, dict[str, Any]] = {
     "by itself": {},
-    "following": {"follow": True},
-    "half": {"every": 2},
-    "half, following": {"every": 2, "follow": True},
+    "following": {"use_prior": True},
+    "half": {"stride": 2},
+    "half, following": {"stride": 2, "use_prior": True},
 }
 """How a pair of the moving scene is measured, as options of the reconstruction."""
 
@@ -52,16 +52,16 @@ def measure(
     """Time a case and score its clouds: the mean of all shots."""
     with tempfile.TemporaryDirectory() as folder:
         timing = timed(case, pairs, threads, repeats, clouds=Path(folder), **options)
-        every = options.get("every", 1)
-        scores = [scored(np.load(f"{folder}/{i}.npy"), pair.truth_left, every) for i, pair in enumerate(pairs)]
+        stride = options.get("stride", 1)
+        scores = [scored(np.load(f"{folder}/{i}.npy"), pair.truth_left, stride) for i, pair in enumerate(pairs)]
     return timing, mean_score(scores)
 
 
-def scored(xyz: NDArray[np.float32], truth: Truth, every: int) -> Score:
+def scored(xyz: NDArray[np.float32], truth: Truth, stride: int) -> Score:
     """Score a cloud that knows only every n-th pixel of both axes, by these pixels."""
-    if every > 1 and xyz.shape == truth.xyz.shape:
-        xyz = xyz[::every, ::every]
-    return score(xyz, Truth(**{item.name: getattr(truth, item.name)[::every, ::every] for item in fields(Truth)}))
+    if stride > 1 and xyz.shape == truth.xyz.shape:
+        xyz = xyz[::stride, ::stride]
+    return score(xyz, Truth(**{item.name: getattr(truth, item.name)[::stride, ::stride] for item in fields(Truth)}))
 
 
 def mean_score(scores: Sequence[Score]) -> Score:
@@ -109,7 +109,7 @@ def live(repeats: int, frames: int) -> tuple[Table, Table, dict[str, Timing]]:
     )
     for way, options in WAYS.items():
         timed(case, pairs[:1], THREADS[-1], 1, **options)
-        if "every" not in options and len(THREADS) > 1:
+        if "stride" not in options and len(THREADS) > 1:
             timings[f"{way}/1"] = timed(case, pairs, 1, repeats, **options)
         timings[f"{way}/{THREADS[-1]}"], found = measure(case, pairs, THREADS[-1], repeats, **options)
         ms = median(timings[f"{way}/{THREADS[-1]}"])

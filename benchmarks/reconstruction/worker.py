@@ -37,7 +37,7 @@ class Job:
         calibration, pattern, volume, encoding: of the rig.
         files: of :mod:`benchmarks.reconstruction.rendered`, shown in turn, forth and back.
         threads: of the process; repeats: pairs to time, after two that are not.
-        every: spacing of the measured pixels; follow: with the temporal prior.
+        stride: spacing of the measured pixels; use_prior: with the temporal prior.
         clouds: folder for the points of every file, ``0.npy`` and so on, made after the timing.
     """
 
@@ -48,8 +48,8 @@ class Job:
     files: tuple[Path, ...]
     threads: int
     repeats: int
-    every: int = 1
-    follow: bool = False
+    stride: int = 1
+    use_prior: bool = False
     clouds: Path | None = None
 
 
@@ -112,7 +112,7 @@ def work(job: Job) -> Timing:
     )
     reconstructor.warm_up()
     ready_s = time.perf_counter() - start
-    options: dict[str, Any] = {"every": job.every, "follow": job.follow}
+    options: dict[str, Any] = {"stride": job.stride, "use_prior": job.use_prior}
     shown = there_and_back(len(pairs))
     for _ in range(2):
         # The first pair sets the projector's correction, and the prior of those that follow.

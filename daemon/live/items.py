@@ -38,7 +38,7 @@ class CloudItem:
         left, right: the raw frames, the last ones of a set.
         latency_ms: from the start of exposure to the finished cloud.
         dropped: pairs that were dropped so far because the pipeline was busy or not ready.
-        every: spacing of the measured pixels of the left camera, 2 under overload.
+        stride: spacing of the measured pixels of the left camera, 2 under overload.
         mode: name; frames: images of a set; span_ms: between the starts of its first and its last exposure.
     """
 
@@ -49,7 +49,7 @@ class CloudItem:
     right: Frame
     latency_ms: float
     dropped: int = 0
-    every: int = 1
+    stride: int = 1
     mode: str = "single"
     frames: int = 1
     span_ms: float = 0.0

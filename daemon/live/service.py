@@ -248,7 +248,7 @@ class Service:
             cloud_rate_hz=round(self.worker.rate.per_second(now_ns), 2),
             points=self.worker.points,
             valid=round(self.worker.valid, 4),
-            measured_every=self.worker.every,
+            measured_every=self.worker.stride,
             latency_ms=self.worker.latency_ms.summary(),
             publish_latency_ms=sinks.get("stream", {}).pop("latency_ms", {}),
             stages_ms=self.worker.stages_ms,
@@ -271,7 +271,7 @@ class Service:
         ]
         sizes = (size_problem(side, c.status.size, self.rig.calibration) for side, c in self.cameras.items())
         reasons += filter(None, (*sizes, self.mode_controller.problem()))
-        if self.worker.every > 1:
+        if self.worker.stride > 1:
             reasons.append("the pipeline is overloaded: every second pixel is measured")
         for name, sink in self.sinks.items():
             problem = sink.status().get("problem")

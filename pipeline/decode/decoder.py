@@ -62,11 +62,11 @@ class PhaseMap:
         """Equalised phase, made anew at every call."""
         return normalised_phase(self.descriptors)
 
-    def every(self, step: int) -> PhaseMap:
+    def subsampled(self, stride: int) -> PhaseMap:
         """Every n-th pixel of every n-th row, copied."""
         planes: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "saturated"}
         for name, plane in planes.items():
-            planes[name] = np.ascontiguousarray(plane[::step, ::step])
+            planes[name] = np.ascontiguousarray(plane[::stride, ::stride])
         return replace(self, **planes)
 
 

@@ -13,34 +13,34 @@ _NOWHERE = np.int16(-1)
 
 
 @parallel
-def conceal(valid: Any, order: Any, every: int, xyz: Any, sigma: Any, order_out: Any) -> None:
+def conceal(valid: Any, order: Any, stride: int, xyz: Any, sigma: Any, order_out: Any) -> None:
     """Unknown points become NaN; the orders of the others are copied.
 
     Args:
         valid: (h, w) uint8, 1 where a point is certain; order: (h, w) int16.
-        every: pixel (a, b) of those is the cloud's (every a, every b); in between nothing is known.
+        stride: pixel (a, b) of those is the cloud's (every a, every b); in between nothing is known.
         xyz: (H, W, 3), sigma: (H, W), float32, changed; order_out: (H, W) int16, written, -1 where unknown.
     """
     height, width = sigma.shape
     for i in prange(height):
-        if every != 1:
+        if stride != 1:
             order_out[i, :] = _NOWHERE
-            if i % every != 0:
+            if i % stride != 0:
                 xyz[i, :, :], sigma[i, :] = _NAN, _NAN
                 continue
             for j in range(width):
-                if j % every != 0:
+                if j % stride != 0:
                     xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
-        a = i // every
+        a = i // stride
         here, orders = valid[a], order[a]
-        if every == 1:
+        if stride == 1:
             out = order_out[i]
             for j in range(width):
                 one = orders[j]
                 out[j] = one if here[j] != 0 else _NOWHERE
         for b in range(here.shape[0]):
-            m = np.uint32(every * b)
+            m = np.uint32(stride * b)
             if here[b] == 0:
                 xyz[i, m, 0], xyz[i, m, 1], xyz[i, m, 2], sigma[i, m] = _NAN, _NAN, _NAN, _NAN
-            elif every != 1:
+            elif stride != 1:
                 order_out[i, m] = orders[b]

@@ -33,28 +33,28 @@ class OrderSearch:
         self._coarse, self._fine = _Lattice(view, view.table.every_second()), _Lattice(view, view.table)
         self._turn, self._expects = 0, False
 
-    def mean_best_cost(self, here: PhaseMap, there: PhaseMap, correction: F64, *, every: int) -> float:
+    def mean_best_cost(self, here: PhaseMap, there: PhaseMap, correction: F64, *, stride: int) -> float:
         """Mean least cost of the pixels with two candidates at least, on every n-th lattice row."""
         level = self._fine
         level.settled[:] = semi_global_aggregation.NONE
-        level.price(here, there, correction, NO_TURN, every)
-        count = level.count[::every]
+        level.price(here, there, correction, NO_TURN, stride)
+        count = level.count[::stride]
         several = count >= 2
         if not several.any():
             return 0.0
-        costs = level.costs[::every].reshape(*count.shape, self._view.labels)
+        costs = level.costs[::stride].reshape(*count.shape, self._view.labels)
         there_are = np.arange(self._view.labels) < count[..., None]
         return float(np.where(there_are, costs, np.inf).min(axis=2)[several].mean(dtype=np.float64))
 
-    def search(self, here: PhaseMap, there: PhaseMap, correction: F64, *, follow: bool) -> NDArray[np.int16]:
+    def search(self, here: PhaseMap, there: PhaseMap, correction: F64, *, use_prior: bool) -> NDArray[np.int16]:
         """Orders (h, w) of the lattice pixels, valid until the next call.
 
         Args:
             here, there: phases of this camera's image and of the other's.
-            follow: look only near what :meth:`expect` was told last, but for a few rows in turn.
+            use_prior: look only near what :meth:`expect` was told last, but for a few rows in turn.
         """
         coarse, fine, table, view = self._coarse, self._fine, self._view.table, self._view
-        if follow and self._expects:
+        if use_prior and self._expects:
             # One look at each pixel is less than what a quarter of them and the way between takes.
             self._turn = (self._turn + 1) % search.REFRESH
             fine.settled[:] = semi_global_aggregation.NONE
@@ -105,7 +105,7 @@ class _Lattice:
         self.expected = np.full((h, w), np.nan, np.float32)
         self.settled = np.full((h, w), semi_global_aggregation.NONE, np.int16)
 
-    def price(self, here: PhaseMap, there: PhaseMap, correction: F64, turn: int, every: int) -> None:
+    def price(self, here: PhaseMap, there: PhaseMap, correction: F64, turn: int, stride: int) -> None:
         """Price the candidates of the pixels that are not settled, and aggregate along the rows."""
         view, table, s = self._view, self.table, self._view.settings
         single = correction.astype(np.float32)
@@ -113,7 +113,7 @@ class _Lattice:
             order_candidates.order_limits(table.along, table.limits, view.phases, single, self._rays)
             self._correction = correction.copy()
         search.search_rows(
-            table.top, table.down, table.left, table.step, every, self._rays,
+            table.top, table.down, table.left, table.step, stride, self._rays,
             here.phase, here.descriptors, here.valid, there.descriptors,
             view.columns, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),

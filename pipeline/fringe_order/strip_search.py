@@ -25,7 +25,7 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 
 @parallel
 def search_rows(
-    top: int, down: int, left: int, step: int, every: int, rays: Any,
+    top: int, down: int, left: int, step: int, stride: int, rays: Any,
     phase: Any, descriptors: Any, valid: Any, other_descriptors: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
     inv: Any, texture: Any, penalty: Any, settled: Any, expected: Any, turn: int, limit: Any,
@@ -64,17 +64,17 @@ def search_rows(
         nodes, pixels = np.empty(STRIP * w, np.int32), np.empty(STRIP * w, np.int32)
         n = 0
         for a in range(a0, a1):
-            follow = turn >= 0 and a % REFRESH != turn
+            use_prior = turn >= 0 and a % REFRESH != turn
             here = state[a - a0]
             for b in range(w):
                 pixel = (top + down * a, left + step * b)
                 flat_first[a * w + b], flat_count[a * w + b] = 0, 0
-                if a % every or not valid[pixel]:
+                if a % stride or not valid[pixel]:
                     here[b] = 1
                 elif settled[a, b] != NONE:
                     here[b] = 1
                     flat_first[a * w + b], flat_count[a * w + b] = settled[a, b], 1
-                elif follow and expected[a, b] == expected[a, b]:
+                elif use_prior and expected[a, b] == expected[a, b]:
                     here[b] = 3
                     nodes[n], pixels[n] = a * w + b, pixel[0] * pixels_across + pixel[1]
                     n += 1
@@ -126,7 +126,7 @@ def search_rows(
         paths = np.full(6 * labels, NO_SUCH)
         for a in range(a0, a1):
             i = top + down * a
-            if a % every == 0:
+            if a % stride == 0:
                 row_links(phase[i], valid[i], left, step, slope, count[a], jump, trust)
                 along_row(costs[a], first[a], count[a], jump, trust, penalty, labels, paths, total[a])
 

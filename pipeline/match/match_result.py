@@ -76,6 +76,6 @@ class Points(NamedTuple):
         """Planes to be written."""
         return Points(np.empty((*shape, 3), np.float32), np.empty(shape, np.float32))
 
-    def depth_mm(self, every: int) -> F32:
+    def depth_mm(self, stride: int) -> F32:
         """Of every n-th pixel of both axes, along the left camera's z axis."""
-        return self.xyz[::every, ::every, 2]
+        return self.xyz[::stride, ::stride, 2]

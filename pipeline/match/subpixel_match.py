@@ -41,7 +41,7 @@ _PER_TURN = np.float32(TURN_STEPS / (2 * np.pi))
 def refine(
     order: Any, rays_x: Any, rays_y: Any, phase: Any, descriptors: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
-    columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float, every: int,
+    columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float, stride: int,
     xyz: Any, sigma: Any, valid: Any, right_u: Any, right_v: Any, projector_u: Any, projector_v: Any,
     absolute_phase: Any, residual_normalised: Any, residual: Any,
 ) -> None:  # fmt: skip
@@ -149,7 +149,7 @@ def refine(
             end = j0 + n
             _store_phases(t, n, absolute_phase[i, j0:end], residual_normalised[i, j0:end], residual[i, j0:end])
             _store_places(t, n, right_u[i, j0:end], right_v[i, j0:end], projector_u[i, j0:end], projector_v[i, j0:end])
-            _store_points(t, n, variance[i, j0:end], j0, every, xyz[every * i], sigma[every * i], valid[i, j0:end])
+            _store_points(t, n, variance[i, j0:end], j0, stride, xyz[stride * i], sigma[stride * i], valid[i, j0:end])
 
 
 @inline
@@ -190,7 +190,7 @@ def _put_back(few: Any, pixels: Any, t: Any) -> None:
 
 
 @inline
-def _store_points(t: Any, n: int, variance: Any, j0: int, every: int, xyz: Any, sigma: Any, valid: Any) -> None:
+def _store_points(t: Any, n: int, variance: Any, j0: int, stride: int, xyz: Any, sigma: Any, valid: Any) -> None:
     for j in range(n):
         z = _ONE / t[W + j]
         rx, ry = t[RX + j], t[RY + j]
@@ -198,7 +198,7 @@ def _store_points(t: Any, n: int, variance: Any, j0: int, every: int, xyz: Any, 
         t[T1 + j] = root((variance[j] + t[VARIANCE + j]) * (rx * rx + ry * ry + _ONE)) / t[SLOPE + j] * z * z
     for j in range(n):
         valid[j] = np.uint8(t[OK + j] > _ZERO)
-    if every == 1:
+    if stride == 1:
         points, sigmas = xyz[j0 : j0 + n], sigma[j0 : j0 + n]
         for j in range(n):
             z = t[T0 + j]
@@ -207,7 +207,7 @@ def _store_points(t: Any, n: int, variance: Any, j0: int, every: int, xyz: Any, 
             sigmas[j] = t[T1 + j]
         return
     for j in range(n):
-        z, m = t[T0 + j], every * (j0 + j)
+        z, m = t[T0 + j], stride * (j0 + j)
         xyz[m, 0], xyz[m, 1], xyz[m, 2] = t[RX + j] * z, t[RY + j] * z, z
         sigma[m] = t[T1 + j]
 

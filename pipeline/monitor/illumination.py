@@ -50,29 +50,29 @@ def lighting(
     modulation: NDArray[np.uint8],
     *,
     period_px: float,
-    every: int = 1,
+    stride: int = 1,
     axis: str = "x",
 ) -> Lighting:
     """Look at some lines of a raw image.
 
     Args:
-        image: (H, W) or (H, W, 3), uint8, or uint16 of full scale 65535; modulation: of every ``every``-th pixel.
+        image: (H, W) or (H, W, 3), uint8, or uint16 of full scale 65535; modulation: of every ``stride``-th pixel.
         period_px: of the fringes; axis: along which the phase grows.
     """
     if axis == "y":
         image, modulation = image.swapaxes(0, 1), modulation.swapaxes(0, 1)
-    parts = [_channel(*plane, period_px) for plane in _planes(image, encoding, modulation, every, axis)]
+    parts = [_channel(*plane, period_px) for plane in _planes(image, encoding, modulation, stride, axis)]
     return Lighting(tuple(p[0] for p in parts), tuple(p[1] for p in parts))
 
 
 def _planes(
-    image: NDArray[Any], encoding: str, modulation: NDArray[np.uint8], every: int, axis: str
+    image: NDArray[Any], encoding: str, modulation: NDArray[np.uint8], stride: int, axis: str
 ) -> list[tuple[Plane, NDArray[np.bool_], int]]:
     """For each channel its samples of the chosen lines, where they are lit, and their spacing in pixels."""
     mosaic = BAYER.get(encoding)
     rows = np.linspace(0, image.shape[0] - 2, min(LINES, image.shape[0] // 2) + 2)[1:-1].astype(int) // 2 * 2
-    lit = modulation[np.minimum(rows // every, modulation.shape[0] - 1)] >= _LEAST
-    lit = lit.repeat(every, axis=1) if every > 1 else lit
+    lit = modulation[np.minimum(rows // stride, modulation.shape[0] - 1)] >= _LEAST
+    lit = lit.repeat(stride, axis=1) if stride > 1 else lit
     scale = np.float32(255 / 65535) if image.dtype == np.uint16 else np.float32(1)
     if mosaic is None:
         lines = image[rows].astype(np.float32) * scale

@@ -57,7 +57,7 @@ class ColorSets:
             one.correction, one.calibrated = correction, calibrated
             one.forget()
 
-    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], every: int, watch: Stopwatch) -> Cloud:
+    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], stride: int, watch: Stopwatch) -> Cloud:
         """The cloud of a set."""
         for side, images in (("left", lefts), ("right", rights)):
             if len(images) != len(self._reconstructors):
@@ -77,5 +77,5 @@ class ColorSets:
             self._absolute_phase,
         )  # fmt: skip
         watch.lap("agreement")
-        cloud = first.stage(every).cloud(left, right, self._order, first.correction, watch)
+        cloud = first.stage(stride).cloud(left, right, self._order, first.correction, watch)
         return replace(cloud, moved=int(moved))

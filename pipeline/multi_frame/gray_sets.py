@@ -71,7 +71,7 @@ class GreySets:
         """As it was at :meth:`keep`."""
         self.correction, self.calibrated = kept
 
-    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], every: int, watch: Stopwatch) -> Cloud:
+    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], stride: int, watch: Stopwatch) -> Cloud:
         """The cloud of a set."""
         left = self._decoders[0].decode(lefts, "left")
         right = self._decoders[1].decode(rights, "right")
@@ -79,7 +79,7 @@ class GreySets:
         if not self.calibrated:
             self._calibrate_columns(left, right)
             watch.lap("self_calibration")
-        cloud = self._stage(every).cloud(
+        cloud = self._stage(stride).cloud(
             left.map, right.map, left.order, self.correction, watch, confirm=lambda found: self._confirm(found, right)
         )
         return replace(cloud, moved=max(left.moved, right.moved))
@@ -112,13 +112,13 @@ class GreySets:
     def _match(self, left: SetPhase, right: SetPhase, correction: NDArray[np.float64]) -> MatchResult:
         """Points of a coarse lattice, confirmed by the right image."""
         order = np.ascontiguousarray(left.order[::_COARSE, ::_COARSE])
-        match = self._stage(_COARSE).match(left.map.every(_COARSE), right.map, order, correction)
+        match = self._stage(_COARSE).match(left.map.subsampled(_COARSE), right.map, order, correction)
         self._confirm(match, right)
         return match
 
-    def _stage(self, every: int) -> SurfaceStage:
-        if every not in self._stages:
-            self._stages[every] = SurfaceStage(
-                self._calibration, self._left, self._settings, self._correlation, every=every
+    def _stage(self, stride: int) -> SurfaceStage:
+        if stride not in self._stages:
+            self._stages[stride] = SurfaceStage(
+                self._calibration, self._left, self._settings, self._correlation, stride=stride
             )
-        return self._stages[every]
+        return self._stages[stride]

@@ -70,11 +70,11 @@ class SetReconstructor:
         """Of the projector's columns: offset, slope along, slope across; observed minus calibrated coordinate."""
         return self._sets.correction
 
-    def warm_up(self, *, every: tuple[int, ...] = (1,)) -> None:
+    def warm_up(self, *, strides: tuple[int, ...] = (1,)) -> None:
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
 
         Args:
-            every: spacings that will be asked for.
+            strides: spacings that will be requested.
         """
         kept = self._sets.keep()
         rng = np.random.default_rng(0)
@@ -84,17 +84,17 @@ class SetReconstructor:
             [rng.integers(40, 200, (*camera.size[::-1], *deep), dtype=kind)] * len(self.sequence)
             for camera in (self.calibration.left, self.calibration.right)
         ]
-        for step in every:
-            self.reconstruct(*sides, every=step)
+        for stride in strides:
+            self.reconstruct(*sides, stride=stride)
         warm_up_conflicts()
         self._sets.restore(kept)
 
-    def reconstruct(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], *, every: int = 1) -> Cloud:
+    def reconstruct(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], *, stride: int = 1) -> Cloud:
         """The cloud of a set of raw images, one of each camera for each frame of the sequence, in its order.
 
         Args:
             lefts, rights: (H, W, 3) for rgb8, else (H, W), of the calibrated sizes; uint16 for mono16, else uint8.
-            every: points only on every n-th pixel of every n-th row; the others are unknown.
+            stride: points only on every n-th pixel of every n-th row; the others are unknown.
 
         Raises:
             ImageError: another number of images, or an image of another size or type.
@@ -102,4 +102,4 @@ class SetReconstructor:
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
-        return self._sets.cloud(lefts, rights, every, watch)
+        return self._sets.cloud(lefts, rights, stride, watch)

@@ -26,15 +26,15 @@ class SurfaceStage:
 
     Args:
         left: the left camera's view; correlation: of neighbouring phases' noise in the right image.
-        every: step of the pixels that get points, in both directions.
+        stride: step of the pixels that get points, in both directions.
     """
 
     def __init__(
-        self, calibration: Calibration, left: View, settings: Settings, correlation: float, *, every: int
+        self, calibration: Calibration, left: View, settings: Settings, correlation: float, *, stride: int
     ) -> None:
-        self._view, self._every = left, every
+        self._view, self._stride = left, stride
         self._size = calibration.left.size[::-1]
-        rays = calibration.left.rays()[::every, ::every].astype(np.float32)
+        rays = calibration.left.rays()[::stride, ::stride].astype(np.float32)
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         shape = self._rays_x.shape
         self._match = MatchResult.empty(shape)
@@ -43,8 +43,9 @@ class SurfaceStage:
             np.float32(correlation),
         )
         self._gates = Gates(
-            shape, calibration.right.size, calibration.projector.size, (every * left.slopes[0], every * left.slopes[1]),
-            left.depth, left.order_step, settings, smallest=max(settings.min_component // every**2, 1),
+            shape, calibration.right.size, calibration.projector.size,
+            (stride * left.slopes[0], stride * left.slopes[1]), left.depth, left.order_step, settings,
+            smallest=max(settings.min_component // stride**2, 1),
         )  # fmt: skip
 
     def match(
@@ -60,7 +61,7 @@ class SurfaceStage:
             order, self._rays_x, self._rays_y, left.phase, left.descriptors, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
-            correction.astype(np.float32), self._floor_sq, self._correlation, self._every,
+            correction.astype(np.float32), self._floor_sq, self._correlation, self._stride,
             points.xyz, points.sigma_mm, *self._match,
         )  # fmt: skip
         return self._match
@@ -79,16 +80,18 @@ class SurfaceStage:
 
         ``confirm`` may forget points before the gates look at them.
         """
-        part, some = (left, order) if self._every == 1 else (left.every(self._every), _every(order, self._every))
+        part, some = (
+            (left, order) if self._stride == 1 else (left.subsampled(self._stride), _subsampled(order, self._stride))
+        )
         points = Points.empty(self._size)
         match = self.match(part, right, some, correction, points)
         if confirm is not None:
             confirm(match)
         watch.lap("refinement")
-        valid = self._gates.certain(match, points.depth_mm(self._every), part.modulation)
+        valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation)
         watch.lap("gates")
         kept = np.empty(self._size, np.int16)
-        conceal(valid, some, self._every, points.xyz, points.sigma_mm, kept)
+        conceal(valid, some, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,
@@ -102,5 +105,5 @@ class SurfaceStage:
         return cloud
 
 
-def _every(plane: NDArray[Any], step: int) -> NDArray[Any]:
-    return np.ascontiguousarray(plane[::step, ::step])
+def _subsampled(plane: NDArray[Any], stride: int) -> NDArray[Any]:
+    return np.ascontiguousarray(plane[::stride, ::stride])

@@ -32,8 +32,8 @@ class Reconstructor:
     """Built once for a calibration, a pattern and a volume; then :meth:`reconstruct` for every pair.
 
     The result of a pair does not depend on earlier pairs but for the projector's column correction, which the first
-    pair sets (see :meth:`calibrate_columns`), and for the orders that a pair with ``follow`` expects; nor on the number
-    of threads. Not for use from two threads at once.
+    pair sets (see :meth:`calibrate_columns`), and for the orders that a pair with ``use_prior`` expects; nor on the
+    number of threads. Not for use from two threads at once.
 
     Args:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
@@ -88,11 +88,11 @@ class Reconstructor:
         self._order = np.empty(calibration.left.size[::-1], np.int16)
         self._stages: dict[int, SurfaceStage] = {}
 
-    def warm_up(self, *, every: tuple[int, ...] = (1,), follow: bool = False) -> None:
+    def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
 
         Args:
-            every: spacings that will be asked for; follow: whether pairs will follow each other.
+            strides: spacings that will be requested; use_prior: whether pairs will follow each other.
         """
         width, height = self.calibration.left.size
         right_width, right_height = self.calibration.right.size
@@ -101,20 +101,22 @@ class Reconstructor:
         rng = np.random.default_rng(0)
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
-        for step in every:
-            self.reconstruct(left, right, every=step, follow=follow)
+        for stride in strides:
+            self.reconstruct(left, right, stride=stride, use_prior=use_prior)
         warm_up_conflicts()
         self.forget()
         self.correction, self.calibrated = kept
 
-    def reconstruct(self, left: NDArray[Any], right: NDArray[Any], *, every: int = 1, follow: bool = False) -> Cloud:
+    def reconstruct(
+        self, left: NDArray[Any], right: NDArray[Any], *, stride: int = 1, use_prior: bool = False
+    ) -> Cloud:
         """The cloud of a pair of raw images.
 
         Args:
             left, right: uint8, (H, W, 3) for rgb8, (H, W) for a mosaic, of the calibrated sizes.
-            every: points only on every n-th pixel of every n-th row; the others are unknown.
-            follow: expect the orders of the pair before, if that was reconstructed with ``follow`` too, and search
-                only where this pair contradicts them.
+            stride: points only on every n-th pixel of every n-th row; the others are unknown.
+            use_prior: expect the orders of the pair before, if that was reconstructed with ``use_prior`` too, and
+                search only where this pair contradicts them.
 
         Raises:
             ImageError: an image of another size or type.
@@ -122,23 +124,23 @@ class Reconstructor:
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
-        decided = self.decide(left, right, watch, follow=follow)
-        return self.stage(every).cloud(*decided, self.correction, watch)
+        decided = self.decide(left, right, watch, use_prior=use_prior)
+        return self.stage(stride).cloud(*decided, self.correction, watch)
 
     def decide(
-        self, left: NDArray[Any], right: NDArray[Any], watch: Stopwatch, *, follow: bool = False
+        self, left: NDArray[Any], right: NDArray[Any], watch: Stopwatch, *, use_prior: bool = False
     ) -> tuple[PhaseMap, PhaseMap, NDArray[np.int16]]:
         """Phases of a pair and the fringe order of every left pixel, valid until the next call; arguments as above."""
         left = checked(left, "left", self.encoding, self.calibration.left.size)
         right = checked(right, "right", self.encoding, self.calibration.right.size)
-        if not follow:
+        if not use_prior:
             self.forget()
         maps = self._left.decode(left), self._right.decode(right)
         watch.lap("decode")
         if not self.calibrated:
             self.calibrate_columns(*maps)
             watch.lap("self_calibration")
-        return *maps, self._orders(*maps, watch, follow=follow)
+        return *maps, self._orders(*maps, watch, use_prior=use_prior)
 
     def forget(self) -> None:
         """The next pair follows none: it is searched in full."""
@@ -149,41 +151,41 @@ class Reconstructor:
         """Find the projector's column correction from a pair and keep it."""
         best, least = 0.0, np.inf
         for offset in column_correction.offsets_to_try(self.settings.self_calibration_range):
-            cost = self._searches[0].mean_best_cost(left, right, np.array([offset, 0.0, 0.0]), every=8)
+            cost = self._searches[0].mean_best_cost(left, right, np.array([offset, 0.0, 0.0]), stride=8)
             if cost < least - 1e-6:
                 best, least = float(offset), cost
         self.correction = np.array([best, 0.0, 0.0])
         self.calibrated = True
         self.forget()
-        orders = self._orders(left, right, Stopwatch(None), follow=False)
+        orders = self._orders(left, right, Stopwatch(None), use_prior=False)
         match = self.stage(1).match(left, right, orders, self.correction)
         difference, along, across = self._left.column_differences(match, self.correction)
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
 
-    def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, follow: bool) -> NDArray[np.int16]:
+    def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, use_prior: bool) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""
         decided = [
-            side.search(here, there, self.correction, follow=follow)
+            side.search(here, there, self.correction, use_prior=use_prior)
             for side, here, there in zip(self._searches, (left, right), (right, left), strict=True)
         ]
         watch.lap("orders")
         self._left.cross_check(left, decided[0], self._right, right, decided[1], self.correction, self._kept)
         self._left.spread(left, self._kept, self._order)
-        if follow:
+        if use_prior:
             self._searches[0].expect(left, self._kept)
             self._searches[1].expect(right, decided[1])
         watch.lap("propagation")
         return self._order
 
-    def stage(self, every: int) -> SurfaceStage:
+    def stage(self, stride: int) -> SurfaceStage:
         """What makes a cloud of decided orders, for points on every n-th pixel."""
-        if every not in self._stages:
-            self._stages[every] = SurfaceStage(
-                self.calibration, self._left, self.settings, self._correlation, every=every
+        if stride not in self._stages:
+            self._stages[stride] = SurfaceStage(
+                self.calibration, self._left, self.settings, self._correlation, stride=stride
             )
-        return self._stages[every]
+        return self._stages[stride]
 
 
 def volume_of_right(calibration: Calibration, volume: Volume) -> Volume:

@@ -68,7 +68,7 @@ def devices(rate_hz: float = 200.0) -> tuple[RigDevices, FreeProjector, SimWorld
 class FlatReconstructor:
     """Gives a cloud without any point, and compiles nothing."""
 
-    def reconstruct(self, left: Any, right: Any, *, every: int = 1, follow: bool = False) -> Cloud:  # noqa: ARG002
+    def reconstruct(self, left: Any, right: Any, *, stride: int = 1, use_prior: bool = False) -> Cloud:  # noqa: ARG002
         shape = left.shape[:2]
         xyz, sigma = np.full((*shape, 3), np.nan, np.float32), np.full(shape, np.nan, np.float32)
         dark = np.zeros(shape, np.uint8)

@@ -117,7 +117,7 @@ def compile_all(modes: Sequence[str] = ()) -> None:
     layout = small_layout()
     for encoding in ENCODINGS:
         made = Reconstructor(layout.calibration_for(Optics()), layout.pattern(), layout.volume(), encoding=encoding)
-        made.warm_up(every=(1, 2), follow=True)
+        made.warm_up(strides=(1, 2), use_prior=True)
         pair = small_pair(encoding)
         made.reconstruct(pair.left, pair.right)
     warm_up()

@@ -51,20 +51,20 @@ class Replay:
     """The reconstruction of a take under given settings.
 
     The clouds depend on nothing but the take, the calibration and the settings: not on ``threads``, not on time, and
-    without ``follow`` not on other pairs.
+    without ``use_prior`` not on other pairs.
 
     Args:
         take: the recording, open.
         settings: of the pipeline; threads: 0 = all.
         calibration: file to use instead of the one that is attached.
-        follow: begin a pair with the surface of the one before where that is close in time, as a live run does.
+        use_prior: begin a pair with the surface of the one before where that is close in time, as a live run does.
     """
 
     take: TakeReader
     settings: Settings = field(default_factory=Settings)
     threads: int = 0
     calibration: Path | None = None
-    follow: bool = False
+    use_prior: bool = False
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
     _made: Any = None
@@ -106,12 +106,12 @@ class Replay:
             pair = shot.pair
             reconstructor = self._reconstructor(pair.encoding, sequence)
             runs: list[Run] = []
-            follow = self.follow and sequel.follows(pair.sequence, pair.t_ns, 1)
+            use_prior = self.use_prior and sequel.follows(pair.sequence, pair.t_ns, 1)
             try:
                 for _ in range(repeat):
-                    cloud, run = _timed(reconstructor, shot, sequence, follow=follow)
+                    cloud, run = _timed(reconstructor, shot, sequence, use_prior=use_prior)
                     runs.append(run)
-                    follow = self.follow  # a repeated run has the pair itself before it
+                    use_prior = self.use_prior  # a repeated run has the pair itself before it
             except PipelineError as error:
                 sequel.forget()
                 self.failures.append(Failure(pair.sequence, str(error)))
@@ -132,7 +132,7 @@ class Replay:
         calibration, volume = self.calibration_file.calibration, self.take.volume()
         if sequence is None:
             single = Reconstructor(calibration, self.take.pattern(), volume, **options)
-            single.warm_up(follow=self.follow)
+            single.warm_up(use_prior=self.use_prior)
             self._made = single
         else:
             from pipeline.multi_frame.set_reconstructor import SetReconstructor
@@ -142,10 +142,10 @@ class Replay:
         return self._made
 
 
-def _timed(reconstructor: Any, shot: Shot, sequence: Sequence | None, *, follow: bool) -> tuple[Cloud, Run]:
+def _timed(reconstructor: Any, shot: Shot, sequence: Sequence | None, *, use_prior: bool) -> tuple[Cloud, Run]:
     start_ns = time.perf_counter_ns()
     if sequence is None:
-        cloud = reconstructor.reconstruct(shot.lefts[0], shot.rights[0], follow=follow)
+        cloud = reconstructor.reconstruct(shot.lefts[0], shot.rights[0], use_prior=use_prior)
     else:
         cloud = reconstructor.reconstruct(shot.lefts, shot.rights)
     total_ms = (time.perf_counter_ns() - start_ns) / 1e6

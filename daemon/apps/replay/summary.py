@@ -34,7 +34,7 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "calibration": replay.calibration_file.identity,
         "settings": changed,
         "threads": replay.threads,
-        "follow": replay.follow,
+        "follow": replay.use_prior,
         **sets,
         "pairs": len(runs) + len(replay.failures) if sequence is None else counts.pairs,
         "clouds": len(runs),

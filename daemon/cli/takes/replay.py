@@ -47,7 +47,7 @@ def main(
         list[str] | None, typer.Option("--set", help="Change a setting: key=value. May be repeated.")
     ] = None,
     threads: Annotated[int, typer.Option(min=0, max=256, help="Worker threads; 0 = all.")] = 0,
-    follow: Annotated[
+    use_prior: Annotated[
         bool, typer.Option("--follow", help="Begin each pair with the surface before it, as a live run does.")
     ] = False,
     rerun: Annotated[str | None, typer.Option(metavar="[FILE.rrd]", help="Show the clouds, or save for Rerun.")] = None,
@@ -78,7 +78,7 @@ def main(
     cell = _cell(expected, bless)
     with TakeReader(take) as reader:
         settings = parsed_settings(set_ or [])
-        replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, follow=follow)
+        replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, use_prior=use_prior)
         runs, figures = _replay(replay, None if no_output else out, kind, repeat, rerun, cell)
         _tell(replay, runs, out)
         if bless is not None:

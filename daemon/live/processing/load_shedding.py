@@ -34,13 +34,13 @@ class LoadShedding:
         self._half_ms: deque[float] = deque(maxlen=_COMPARED)
         self._since_ns = 0
         #: 1 = every pixel is measured, 2 = every second of both axes.
-        self.every = 1
+        self.stride = 1
 
     def enable(self, enabled: bool) -> None:
         """Allow half measurements from now on, or end them."""
         self._enabled = enabled
         if not enabled:
-            self.every = 1
+            self.stride = 1
             self._behind.clear()
 
     def offered(self, now_ns: int) -> None:
@@ -51,9 +51,9 @@ class LoadShedding:
         """A pair was dropped because the pipeline was busy."""
         self._dropped_ns, self._dropped_meanwhile = now_ns, True
 
-    def measured(self, busy_ms: float, every: int, now_ns: int) -> bool:
-        """A pair was measured so; True when :attr:`every` has changed."""
-        if every == 1:
+    def measured(self, busy_ms: float, stride: int, now_ns: int) -> bool:
+        """A pair was measured so; True when :attr:`stride` has changed."""
+        if stride == 1:
             self._full_ms.append(busy_ms)
         else:
             self._half_ms.append(busy_ms)
@@ -62,17 +62,17 @@ class LoadShedding:
         if self._dropped_meanwhile:
             self._behind.append(now_ns)
             self._dropped_meanwhile = False
-        before = self.every
+        before = self.stride
         if before == 1 and self._enabled and self._steadily_behind(now_ns):
-            self.every = 2
+            self.stride = 2
             self._half_ms.clear()
             self._first_half_ms.clear()
         elif before == 2 and self._has_room(now_ns):
-            self.every = 1
+            self.stride = 1
             self._behind.clear()
-        if self.every != before:
+        if self.stride != before:
             self._since_ns = now_ns
-        return self.every != before
+        return self.stride != before
 
     def _steadily_behind(self, now_ns: int) -> bool:
         return sum(t_ns > now_ns - _WINDOW_NS for t_ns in self._behind) >= _BEHIND

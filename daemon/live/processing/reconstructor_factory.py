@@ -45,6 +45,6 @@ def make_reconstructor(
 def warm_up(made: Reconstructor | ReconstructsSets, config: Pipeline) -> None:
     """Compile every kernel that this configuration may need, up to a minute after an update."""
     if isinstance(made, Reconstructor):
-        made.warm_up(every=(1, 2) if config.overload == "half" else (1,), follow=config.temporal_prior)
+        made.warm_up(strides=(1, 2) if config.overload == "half" else (1,), use_prior=config.temporal_prior)
     else:
         made.warm_up()

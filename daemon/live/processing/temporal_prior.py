@@ -14,24 +14,24 @@ class TemporalPrior:
     def __init__(self) -> None:
         self._last: tuple[int, int, int] | None = None
 
-    def follows(self, seq: int, t_ns: int, every: int) -> bool:
+    def follows(self, seq: int, t_ns: int, stride: int) -> bool:
         """Whether a pair comes at most four trigger periods (or 0.2 s) after the last one.
 
         Args:
-            seq: number of the trigger; t_ns: start of exposure; every: spacing of the pixels to be measured, which
+            seq: number of the trigger; t_ns: start of exposure; stride: spacing of the pixels to be measured, which
                 must be that of the last pair.
         """
         if self._last is None:
             return False
-        last_seq, last_ns, last_every = self._last
+        last_seq, last_ns, last_stride = self._last
         periods, passed_ns = (seq - last_seq) % TRIGGER_MODULUS, t_ns - last_ns
-        if every != last_every or not 0 < periods < TRIGGER_MODULUS // 2 or passed_ns <= 0:
+        if stride != last_stride or not 0 < periods < TRIGGER_MODULUS // 2 or passed_ns <= 0:
             return False
         return periods <= _MAX_PERIODS or passed_ns <= _MIN_NS
 
-    def measured(self, seq: int, t_ns: int, every: int) -> None:
+    def measured(self, seq: int, t_ns: int, stride: int) -> None:
         """This pair has been measured."""
-        self._last = seq, t_ns, every
+        self._last = seq, t_ns, stride
 
     def forget(self) -> None:
         """The next pair begins anew: settings changed, or a pair failed."""

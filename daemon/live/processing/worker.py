@@ -34,11 +34,11 @@ _TURN_S, _MEASURE_S, _MAKE_S = 10.0, 30.0, 900.0  # longest times of a turn; com
 class Reconstructs(Protocol):
     """What the worker needs of a reconstructor."""
 
-    def reconstruct(self, left: Any, right: Any, *, every: int = 1, follow: bool = False) -> Cloud:
+    def reconstruct(self, left: Any, right: Any, *, stride: int = 1, use_prior: bool = False) -> Cloud:
         """The cloud of two raw images.
 
         Args:
-            every: spacing of the pixels that are measured, 1 or 2; follow: the last pair's surface is a good guess.
+            stride: spacing of the pixels that are measured, 1 or 2; use_prior: the last pair's surface is a good guess.
         """
 
 
@@ -86,9 +86,9 @@ class Worker:
         self._ended: Future[None] = Future()
 
     @property
-    def every(self) -> int:
+    def stride(self) -> int:
         """Spacing of the pixels that are measured now: 2 while the pipeline is overloaded and may skip pixels."""
-        return self._overload.every
+        return self._overload.stride
 
     @property
     def waiting(self) -> int:
@@ -248,19 +248,19 @@ class Worker:
         if getattr(reconstructor, "mode", SINGLE) != SINGLE:
             self._drop(pair, "of_another_mode")
             return
-        every, t_ns = self._overload.every, pair.left.t_exposure_ns
-        follow = self._config.temporal_prior and self._sequel.follows(pair.seq, t_ns, every)
+        stride, t_ns = self._overload.stride, pair.left.t_exposure_ns
+        use_prior = self._config.temporal_prior and self._sequel.follows(pair.seq, t_ns, stride)
         began_ns = self._clock.monotonic_ns()
-        cloud = reconstructor.reconstruct(pair.left.image, pair.right.image, every=every, follow=follow)
+        cloud = reconstructor.reconstruct(pair.left.image, pair.right.image, stride=stride, use_prior=use_prior)
         # The latency is taken here, where the result is made, not where it is written or shown.
         latency_ms = (self._clock.realtime_ns() - t_ns) / 1e6
-        item = CloudItem(pair.seq, t_ns, cloud, pair.left, pair.right, latency_ms, self.dropped, every)
+        item = CloudItem(pair.seq, t_ns, cloud, pair.left, pair.right, latency_ms, self.dropped, stride)
         now_ns = self._clock.monotonic_ns()
         self._note(item, now_ns)
         self._emit(item)
-        self._sequel.measured(pair.seq, t_ns, every)
-        if self._overload.measured((now_ns - began_ns) / 1e6, every, now_ns):
-            log.info("load: every %s pixel is measured", "second" if self._overload.every == 2 else "single")
+        self._sequel.measured(pair.seq, t_ns, stride)
+        if self._overload.measured((now_ns - began_ns) / 1e6, stride, now_ns):
+            log.info("load: every %s pixel is measured", "second" if self._overload.stride == 2 else "single")
 
     def _measure_set(self, shot: ImageSet) -> None:
         """Every pixel, however long it takes: the scene is at rest."""

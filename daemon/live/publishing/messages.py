@@ -121,8 +121,8 @@ def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
     height, width = item.cloud.gray.shape
     valid = item.cloud.points / (width * height)
     stats: dict[str, Any] = {"valid": round(valid, 4), "latency_ms": round(item.latency_ms, 2), "dropped": item.dropped}
-    if item.every > 1:
-        stats["every"] = item.every  # the grid has every second row and column of the camera
+    if item.stride > 1:
+        stats["every"] = item.stride  # the grid has every second row and column of the camera
     if item.frames > 1:
         stats |= {"mode": item.mode, "frames": item.frames, "span_ms": round(item.span_ms, 2), "moved": item.moved}
     return wire.CloudHeader(

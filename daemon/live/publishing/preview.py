@@ -52,7 +52,7 @@ def overlay(item: CloudItem) -> Image:
     image: NDArray[Any] = item.left.image
     bright = np.minimum(item.cloud.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
     if bright.shape != image.shape[:2]:  # measured with fewer pixels
-        bright = bright.repeat(item.every, axis=0).repeat(item.every, axis=1)[: image.shape[0], : image.shape[1]]
+        bright = bright.repeat(item.stride, axis=0).repeat(item.stride, axis=1)[: image.shape[0], : image.shape[1]]
     out = np.repeat(bright[..., None], 3, axis=2)
     saturated = image >= np.iinfo(image.dtype).max
     out[saturated.any(axis=2) if image.ndim == 3 else saturated] = _MARK_BGR

@@ -37,7 +37,7 @@ _FARTHEST_PX = 2.5
 _ROUGHEST_PX = 0.3
 
 
-def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, every: int = 6) -> Samples:
+def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, stride: int = 6) -> Samples:
     """Of a single-shot measurement.
 
     The equalised phase is taken: on coloured surfaces the pointwise one is off, in both cameras alike, which a match
@@ -45,9 +45,9 @@ def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, ev
 
     Args:
         cloud: of the pair; phases: of its left image, before the decoder has another one.
-        every: step of the pixels taken, in both directions; beyond the decoder's window they err independently.
+        stride: step of the pixels taken, in both directions; beyond the decoder's window they err independently.
     """
-    part = np.s_[every // 2 :: every, every // 2 :: every]
+    part = np.s_[stride // 2 :: stride, stride // 2 :: stride]
     order, points = cloud.order[part].astype(np.float64), cloud.xyz[part].astype(np.float64)
     wrapped, normalised = phases.phase[part].astype(np.float64), phases.phase_normalised[part].astype(np.float64)
     valid = np.isfinite(points[..., 2]) & (cloud.order[part] >= 0)
@@ -67,7 +67,7 @@ class PairSampler:
         calibration: of the rig; pattern: what the projector shows; volume: where surfaces may be.
         encoding: of the raw images.
         settings: of the reconstruction.
-        every: see :func:`samples_of_cloud`.
+        stride: see :func:`samples_of_cloud`.
     """
 
     def __init__(
@@ -78,18 +78,18 @@ class PairSampler:
         *,
         encoding: str = "rgb8",
         settings: Settings | None = None,
-        every: int = 6,
+        stride: int = 6,
     ) -> None:
         self._made = Reconstructor(calibration, pattern, volume, encoding=encoding, settings=settings)
         mosaic = mosaic_of(encoding)
         self._view = View.of(calibration, pattern, volume, self._made.settings, calibration.left_color, mosaic)
-        self._every = every
+        self._stride = stride
 
     def __call__(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Samples:
         """Samples of a pair of raw images, as :class:`pipeline.reconstruct.reconstructor.Reconstructor` takes them."""
         cloud = self._made.reconstruct(left, right)
         image = checked(left, "left", self._made.encoding, self._made.calibration.left.size)
-        return samples_of_cloud(cloud, self._view.decode(image), self._made.pattern, every=self._every)
+        return samples_of_cloud(cloud, self._view.decode(image), self._made.pattern, stride=self._stride)
 
 
 def samples_of_phases(
@@ -97,7 +97,7 @@ def samples_of_phases(
     left: tuple[Coordinate, Coordinate],
     right: tuple[Coordinate, Coordinate],
     *,
-    every: int = 6,
+    stride: int = 6,
 ) -> Samples:
     """Of a scene at rest under a sequence: projector columns and rows (x, y) of both cameras' pixels.
 
@@ -105,7 +105,7 @@ def samples_of_phases(
     find where the same coordinates are.
 
     Args:
-        every: step of the left pixels taken, in both directions.
+        stride: step of the left pixels taken, in both directions.
     """
     light = _stacked(left)
     there = _stacked(right)
@@ -113,7 +113,7 @@ def samples_of_phases(
         if field.shape[:2] != device.size[::-1]:
             raise CalibrationError(f"{name} phases are {field.shape[:2]}, the camera's image is {device.size[::-1]}")
     rows, columns = light.shape[:2]
-    v, u = (index.ravel() for index in np.mgrid[every // 2 : rows : every, every // 2 : columns : every])
+    v, u = (index.ravel() for index in np.mgrid[stride // 2 : rows : stride, stride // 2 : columns : stride])
     place, _, fine = _fits(light, u, v)
     u, v, place = u[fine], v[fine], place[fine]
     found_u, found_v, fine = _lookup(there, place, calibration.projector.size)

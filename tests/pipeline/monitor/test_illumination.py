@@ -35,8 +35,8 @@ def mosaic(image: Any, encoding: str) -> Any:
     return raw
 
 
-def lit(value: int = 40, every: int = 1) -> Any:
-    return np.full((-(-HEIGHT // every), -(-WIDTH // every)), value, np.uint8)
+def lit(value: int = 40, stride: int = 1) -> Any:
+    return np.full((-(-HEIGHT // stride), -(-WIDTH // stride)), value, np.uint8)
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -72,7 +72,7 @@ def test_where_there_is_no_light_nothing_is_known() -> None:
 
 
 def test_half_measured_and_monochrome_images_are_looked_at_too() -> None:
-    assert lighting(fringes(), "rgb8", lit(every=2), period_px=PERIOD, every=2).amplitude == pytest.approx(
+    assert lighting(fringes(), "rgb8", lit(stride=2), period_px=PERIOD, stride=2).amplitude == pytest.approx(
         AMPLITUDE, rel=0.1
     )
     grey = fringes()[..., 2]

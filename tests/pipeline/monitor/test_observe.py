@@ -93,9 +93,9 @@ def test_every_second_pixel_of_the_cloud_is_enough() -> None:
     left, right = made.scene().pair(0)
     full, half = (
         Observer(made.calibration, made.pattern, made.volume, patches=400).observe(
-            left, right, made.reconstructor.reconstruct(left, right, every=every)
+            left, right, made.reconstructor.reconstruct(left, right, stride=stride)
         )
-        for every in (1, 2)
+        for stride in (1, 2)
     )
     assert half.patches > 0.8 * full.patches
     assert half.readings["column_px"].value == pytest.approx(full.readings["column_px"].value, abs=0.005)

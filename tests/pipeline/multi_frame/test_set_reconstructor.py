@@ -84,7 +84,7 @@ def test_a_saturated_channel_is_left_out():
 def test_the_result_depends_neither_on_earlier_sets_nor_on_the_number_of_threads():
     for mode in MODES:
         fresh, other = made(mode, threads=1), made(mode, threads=2)
-        other.warm_up(every=(1, 2))
+        other.warm_up(strides=(1, 2))
         first, second = fresh.reconstruct(*taken(mode)), other.reconstruct(*taken(mode))
         assert (other.correction == fresh.correction).all()
         for name in ("xyz", "sigma_mm", "gray", "order"):
@@ -96,7 +96,7 @@ def test_the_result_depends_neither_on_earlier_sets_nor_on_the_number_of_threads
 
 def test_points_on_every_second_pixel_are_those_of_the_whole_cloud():
     reconstructor = made("heterodyne", settings=Settings(min_component=20, self_calibrate=False))
-    whole, part = (reconstructor.reconstruct(*taken("heterodyne"), every=n) for n in (1, 2))
+    whole, part = (reconstructor.reconstruct(*taken("heterodyne"), stride=n) for n in (1, 2))
     both = np.isfinite(whole.xyz[..., 2]) & np.isfinite(part.xyz[..., 2])
     assert both[::2, ::2].mean() > 0.6
     assert not np.isfinite(part.xyz[1::2]).any()

@@ -11,7 +11,7 @@ from tests.pipeline.small import images, pair, reconstructor, upright
 def test_a_mirrored_rig_measures_the_same(scene):
     rendered = pair(scene)
     standing, lying = (reconstructor(axis) for axis in "xy")
-    one, other = standing.reconstruct(*images(rendered)), lying.reconstruct(*images(rendered, "y"), every=1)
+    one, other = standing.reconstruct(*images(rendered)), lying.reconstruct(*images(rendered, "y"), stride=1)
     xyz, order = upright(other, "y")
     assert np.abs(standing.correction[0] - lying.correction[0]) < 0.02
     both = (one.order >= 0) & (order >= 0)

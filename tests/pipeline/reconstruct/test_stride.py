@@ -17,7 +17,7 @@ def clouds(axis, scene):
     """The cloud of all pixels and that of every second one."""
     rendered, found = pair(scene), reconstructor(axis)
     full = found.reconstruct(*images(rendered, axis))
-    return full, found.reconstruct(*images(rendered, axis), every=2)
+    return full, found.reconstruct(*images(rendered, axis), stride=2)
 
 
 @AXES
@@ -66,5 +66,5 @@ def test_resolutions_may_alternate(axis):
     full, half = clouds(axis, "mixed")
     found, shown = reconstructor(axis), images(pair("mixed"), axis)
     for _ in range(2):
-        assert same(found.reconstruct(*shown, every=2), half)
+        assert same(found.reconstruct(*shown, stride=2), half)
         assert same(found.reconstruct(*shown), full)

@@ -36,7 +36,7 @@ def followed(axis):
     """The clouds of the moving scene's frames, each following the one before."""
     found = calibrated(axis)
     found.forget()
-    return [found.reconstruct(*images(pair("moving", n), axis), follow=True) for n in FRAMES]
+    return [found.reconstruct(*images(pair("moving", n), axis), use_prior=True) for n in FRAMES]
 
 
 def judged(axis, rendered, cloud):
@@ -63,7 +63,7 @@ def test_the_first_pair_is_searched_in_full(axis):
 def test_following_is_another_way_than_searching_in_full():
     # Without this the laws above would hold for a prior that does nothing: one that believes too much must show.
     found = calibrated.__wrapped__("x", settings=dataclasses.replace(SETTINGS, follow_cost=1.5))
-    clouds = [found.reconstruct(*images(pair("moving", n)), follow=True) for n in (0, 1)]
+    clouds = [found.reconstruct(*images(pair("moving", n)), use_prior=True) for n in (0, 1)]
     assert not same(clouds[1], alone("x", pair("moving", 1)))
 
 
@@ -73,9 +73,9 @@ def test_a_cut_to_another_scene_costs_nothing(axis, scene):
     found = calibrated(axis)
     found.forget()
     for n in (0, 1):
-        found.reconstruct(*images(pair("moving", n), axis), follow=True)
+        found.reconstruct(*images(pair("moving", n), axis), use_prior=True)
     for rendered in (pair(scene), pair("moving", 2)):
-        after = judged(axis, rendered, found.reconstruct(*images(rendered, axis), follow=True))
+        after = judged(axis, rendered, found.reconstruct(*images(rendered, axis), use_prior=True))
         before = judged(axis, rendered, alone(axis, rendered))
         assert after.wrong < before.wrong + 0.002
         assert after.reconstructed > before.reconstructed - 0.01
@@ -87,9 +87,9 @@ def test_a_pair_alone_does_not_depend_on_what_came_before(axis):
     expected = alone(axis, rendered)
     found = calibrated(axis)
     for n in (0, 1, 2):
-        found.reconstruct(*images(pair("moving", n), axis), follow=True)
+        found.reconstruct(*images(pair("moving", n), axis), use_prior=True)
     assert same(found.reconstruct(*images(rendered, axis)), expected)
-    found.reconstruct(*images(pair("mixed"), axis), follow=True, every=2)
+    found.reconstruct(*images(pair("mixed"), axis), use_prior=True, stride=2)
     assert same(found.reconstruct(*images(rendered, axis)), expected)
 
 
@@ -98,14 +98,14 @@ def test_following_does_not_depend_on_the_number_of_threads():
         found = calibrated("x", threads=threads)
         found.forget()
         for n in FRAMES[:4]:
-            assert same(found.reconstruct(*images(pair("moving", n)), follow=True), followed("x")[n])
+            assert same(found.reconstruct(*images(pair("moving", n)), use_prior=True), followed("x")[n])
 
 
 def test_points_on_every_second_pixel_serve_the_next_pair_as_well():
     found = calibrated("x")
     found.forget()
     for n in FRAMES[:4]:
-        cloud = found.reconstruct(*images(pair("moving", n)), follow=True, every=1 + n % 2)
+        cloud = found.reconstruct(*images(pair("moving", n)), use_prior=True, stride=1 + n % 2)
         if n % 2 == 0:
             assert same(cloud, followed("x")[n])
 
@@ -120,33 +120,33 @@ def recalibration(found):
 
 
 @pytest.mark.parametrize(
-    "ended_by", [gap, recalibration, lambda found: found.forget(), lambda found: found.warm_up(follow=True)]
+    "ended_by", [gap, recalibration, lambda found: found.forget(), lambda found: found.warm_up(use_prior=True)]
 )
 def test_the_first_pair_after_an_end_is_searched_in_full(ended_by):
     found = calibrated("x")
     for n in (0, 1):
-        found.reconstruct(*images(pair("moving", n)), follow=True)
+        found.reconstruct(*images(pair("moving", n)), use_prior=True)
     ended_by(found)
     rendered = pair("moving", 2)
-    assert same(found.reconstruct(*images(rendered), follow=True), alone("x", rendered))
+    assert same(found.reconstruct(*images(rendered), use_prior=True), alone("x", rendered))
 
 
 def test_what_follows_an_end_is_as_after_a_start():
     found = calibrated("x")
     for n in (3, 4, 5):
-        found.reconstruct(*images(pair("moving", n)), follow=True)
+        found.reconstruct(*images(pair("moving", n)), use_prior=True)
     found.forget()
     for n in FRAMES[:3]:
-        assert same(found.reconstruct(*images(pair("moving", n)), follow=True), followed("x")[n])
+        assert same(found.reconstruct(*images(pair("moving", n)), use_prior=True), followed("x")[n])
 
 
 def test_no_error_outlives_a_round_of_the_refreshed_rows():
     # A still scene: what a wrong start left behind is searched again row by row, and all is as if searched in full.
     found, still = calibrated("x"), pair("mixed")
     found.forget()
-    found.reconstruct(*images(pair("moving")), follow=True)
+    found.reconstruct(*images(pair("moving")), use_prior=True)
     for _ in range(17):
-        cloud = found.reconstruct(*images(still), follow=True)
+        cloud = found.reconstruct(*images(still), use_prior=True)
     expected = alone("x", still)
     both = (cloud.order >= 0) & (expected.order >= 0)
     assert (cloud.order != expected.order)[both].mean() < 0.001

@@ -17,10 +17,10 @@ def compiled():
 
 encoding = sys.argv[1]
 made = reconstructor(encoding=encoding)
-made.warm_up(every=(1, 2), follow=True)
+made.warm_up(strides=(1, 2), use_prior=True)
 before = compiled()
-for number, every, follow in ((0, 1, False), (1, 1, True), (2, 2, True), (3, 1, True)):
-    made.reconstruct(*images(pair("moving", number, encoding)), every=every, follow=follow)
+for number, stride, use_prior in ((0, 1, False), (1, 1, True), (2, 2, True), (3, 1, True)):
+    made.reconstruct(*images(pair("moving", number, encoding)), stride=stride, use_prior=use_prior)
 print(before > 20, compiled() - before)
 """
 

@@ -31,7 +31,7 @@ class Light:
         out = {"coverage_lit": _coverage(item)}
         for side, frame, modulation in zip(SIDES, (item.left, item.right), item.cloud.modulation, strict=True):
             seen = lighting(
-                frame.image, frame.encoding, modulation, period_px=self._period_px, every=item.every, axis=self._axis
+                frame.image, frame.encoding, modulation, period_px=self._period_px, stride=item.stride, axis=self._axis
             )
             out |= _named(side, seen)
         return out

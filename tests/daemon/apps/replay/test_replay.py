@@ -97,19 +97,19 @@ def test_a_take_is_measured_by_stage(take: Path, tmp_path: Path, monkeypatch: py
         assert ms == pytest.approx(np.median(times), abs=0.002)
 
 
-@pytest.mark.parametrize(("follow", "seen"), [(False, [False] * 6), (True, [False, True, True, True, True, True])])
+@pytest.mark.parametrize(("use_prior", "seen"), [(False, [False] * 6), (True, [False, True, True, True, True, True])])
 def test_only_when_asked_a_pair_begins_with_the_surface_before_it(
-    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, follow: bool, seen: list[bool]
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, use_prior: bool, seen: list[bool]
 ) -> None:
     real, follows = Reconstructor.reconstruct, []
 
     def noted(self: Reconstructor, left: Any, right: Any, **options: Any) -> Any:
-        follows.append(options.get("follow"))
+        follows.append(options.get("use_prior"))
         return real(self, left, right, **options)
 
     monkeypatch.setattr(Reconstructor, "reconstruct", noted)
     monkeypatch.setattr(Reconstructor, "warm_up", lambda _, **__: None)
-    assert replay(take, "--out", tmp_path, "--repeat", 2, *(["--follow"] if follow else [])) == 0
+    assert replay(take, "--out", tmp_path, "--repeat", 2, *(["--follow"] if use_prior else [])) == 0
     assert follows == seen
 
 

@@ -39,21 +39,21 @@ class Rig:
             self.changes += self.overload.measured(*self.busy, self.now_ms * 10**6)
             self.busy = None
         if self.busy is None and self.waits:
-            every = self.overload.every
-            ms = slowness * (FULL_MS if every == 1 else HALF_MS)
-            self.busy, self.free_at_ms, self.waits = (ms, every), self.now_ms + ms, False
+            stride = self.overload.stride
+            ms = slowness * (FULL_MS if stride == 1 else HALF_MS)
+            self.busy, self.free_at_ms, self.waits = (ms, stride), self.now_ms + ms, False
 
 
 def test_enough_time_never_changes_anything() -> None:
     rig = Rig()
     rig.run(20, rate_hz=15)
-    assert rig.drops == rig.changes == 0 and rig.overload.every == 1
+    assert rig.drops == rig.changes == 0 and rig.overload.stride == 1
 
 
 def test_pairs_that_come_too_fast_are_measured_by_half_and_hardly_dropped() -> None:
     rig = Rig()
     rig.run(20, rate_hz=30)
-    assert rig.overload.every == 2
+    assert rig.overload.stride == 2
     assert rig.drops <= 5 and rig.changes == 1
 
 
@@ -67,26 +67,26 @@ def test_one_long_measurement_changes_nothing_however_many_pairs_it_costs() -> N
 def test_without_leave_pairs_are_skipped_for_ever() -> None:
     rig = Rig(enabled=False)
     rig.run(20, rate_hz=30)
-    assert rig.overload.every == 1 and rig.changes == 0 and rig.drops > 100
+    assert rig.overload.stride == 1 and rig.changes == 0 and rig.drops > 100
 
 
 def test_a_slower_trigger_brings_the_full_image_back_after_seconds() -> None:
     rig = Rig()
     rig.run(10, rate_hz=30)
     rig.run(2, rate_hz=10)
-    assert rig.overload.every == 2
+    assert rig.overload.stride == 2
     rig.run(4, rate_hz=10)
-    assert rig.overload.every == 1 and rig.changes == 2
+    assert rig.overload.stride == 1 and rig.changes == 2
 
 
 def test_a_machine_that_was_slowed_down_for_a_while_comes_back() -> None:
     rig = Rig()
     rig.run(10, rate_hz=12)
-    assert rig.overload.every == 1
+    assert rig.overload.stride == 1
     rig.run(10, rate_hz=12, slowness=2.0)
-    assert rig.overload.every == 2
+    assert rig.overload.stride == 2
     rig.run(10, rate_hz=12)
-    assert rig.overload.every == 1
+    assert rig.overload.stride == 1
 
 
 @pytest.mark.parametrize("rate_hz", [14.0, 16.0, 17.0, 20.0, 25.0])

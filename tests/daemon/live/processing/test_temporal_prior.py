@@ -10,7 +10,7 @@ PERIOD_NS = 33_000_000
 
 
 @pytest.mark.parametrize(
-    ("seq", "periods", "every", "follows"),
+    ("seq", "periods", "stride", "follows"),
     [
         (11, 1, 1, True),
         (14, 4, 1, True),
@@ -23,11 +23,11 @@ PERIOD_NS = 33_000_000
     ],
 )
 def test_a_pair_follows_the_last_one_if_little_time_has_passed(
-    seq: int, periods: int, every: int, follows: bool
+    seq: int, periods: int, stride: int, follows: bool
 ) -> None:
     sequel = TemporalPrior()
     sequel.measured(10, 0, 1)
-    assert sequel.follows(seq, periods * PERIOD_NS, every) is follows
+    assert sequel.follows(seq, periods * PERIOD_NS, stride) is follows
 
 
 def test_a_slow_trigger_counts_in_periods() -> None:

@@ -37,10 +37,10 @@ class Stub:
     calls: list[tuple[int, bool]] = field(default_factory=list)
     gate: threading.Semaphore | None = None
 
-    def reconstruct(self, left: Any, right: Any, *, every: int = 1, follow: bool = False) -> Cloud:
+    def reconstruct(self, left: Any, right: Any, *, stride: int = 1, use_prior: bool = False) -> Cloud:
         if self.gate is not None:
             assert self.gate.acquire(timeout=20)
-        self.calls.append((every, follow))
+        self.calls.append((stride, use_prior))
         if (left == right).all() and left[0, 0] == 1:
             raise PipelineError("refused")
         return CLOUD
@@ -70,7 +70,7 @@ class Line:
 
     @property
     def follows(self) -> list[bool]:
-        return [follow for _, follow in self.stub.calls]
+        return [use_prior for _, use_prior in self.stub.calls]
 
 
 @pytest.fixture
@@ -108,8 +108,8 @@ def test_without_the_temporal_prior_every_pair_stands_alone() -> None:
     assert line.worker.stop(20)
 
 
-@pytest.mark.parametrize(("overload", "every"), [("half", 2), ("skip", 1)])
-def test_dropped_pairs_bring_half_images_where_that_is_wanted(overload: str, every: int) -> None:
+@pytest.mark.parametrize(("overload", "stride"), [("half", 2), ("skip", 1)])
+def test_dropped_pairs_bring_half_images_where_that_is_wanted(overload: str, stride: int) -> None:
     line = Line(overload=overload)
     line.stub.gate = threading.Semaphore(0)
     line.start()
@@ -126,9 +126,9 @@ def test_dropped_pairs_bring_half_images_where_that_is_wanted(overload: str, eve
         line.stub.gate.release()
     wait_until(lambda: len(line.stub.calls) == 3)
     assert line.drops["pairs_pipeline_busy"] == 4
-    assert [call[0] for call in line.stub.calls] == [1, 1, every] and line.worker.every == every
+    assert [call[0] for call in line.stub.calls] == [1, 1, stride] and line.worker.stride == stride
     assert line.worker.stop(20)
-    assert [cloud.every for cloud in line.clouds] == [1, 1, every]
+    assert [cloud.stride for cloud in line.clouds] == [1, 1, stride]
 
 
 def test_pairs_that_come_before_the_kernels_are_ready_are_counted_and_stopping_waits_for_no_compiler() -> None:

@@ -55,7 +55,7 @@ def half(seq: int) -> CloudItem:
     whole = item(seq)
     cloud = whole.cloud
     gray, xyz, sigma = cloud.gray[::2, ::2].copy(), cloud.xyz[::2, ::2].copy(), cloud.sigma_mm[::2, ::2].copy()
-    return replace(whole, every=2, cloud=Cloud(xyz, sigma, gray, (gray, gray), gray.astype(np.int16)))
+    return replace(whole, stride=2, cloud=Cloud(xyz, sigma, gray, (gray, gray), gray.astype(np.int16)))
 
 
 def frame(side: Any, seq: int, encoding: str, size: tuple[int, int]) -> Frame:

@@ -65,7 +65,7 @@ def test_marks_are_found_as_well_as_they_are_told(view: RenderedViews) -> None:
 
 def test_a_board_that_was_lit_by_a_sequence_brings_a_knocked_projector_back(view: RenderedViews) -> None:
     rig = LAYOUT.calibration()
-    samples = samples_of_phases(rig, _phases(view, 0, 7), _phases(view, 1, 7), every=3)
+    samples = samples_of_phases(rig, _phases(view, 0, 7), _phases(view, 1, 7), stride=3)
     assert spread(rig.projector, samples).systematic_px < 0.005
     disturbance = {"cx": 0.5, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
     got = refine_projector(Calibration(rig.left, rig.right, moved(rig.projector, disturbance)), samples)
@@ -79,7 +79,7 @@ def test_matches_by_light_need_nothing_of_the_projector() -> None:
     both = {side: seen(LAYOUT, BOARD, POSE, side) for side in ("left", "right")}
     left, right = ((both[side].x, both[side].y) for side in ("left", "right"))
     wrong = replace(rig, projector=moved(rig.projector, {"cx": 3.0, "rotation_z": 0.01}))
-    samples = samples_of_phases(wrong, left, right, every=5)
+    samples = samples_of_phases(wrong, left, right, stride=5)
     assert len(samples) > 1000
     rotation, place = POSE.in_world(BOARD, LAYOUT)
     heights = (samples.points - place) @ rotation[:, 2]

@@ -23,7 +23,7 @@ def test_one_pair_brings_a_knocked_projector_back() -> None:
     true, pattern = layout.calibration_for(optics), layout.pattern()
     disturbed = replace(true, projector=moved(true.projector, DISTURBANCE))
     pair = render_pair(layout, build("spheres"), pattern, optics, seed=3)
-    samples = PairSampler(disturbed, pattern, layout.volume(), every=3)(pair.left, pair.right)
+    samples = PairSampler(disturbed, pattern, layout.volume(), stride=3)(pair.left, pair.right)
     assert len(samples) > 5000
     assert spread(true.projector, samples).systematic_px < 0.02
     got = refine_projector(disturbed, samples)
