@@ -108,11 +108,11 @@ def test_every_series_holds_the_standard_case() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"follow": True}, {"every": 2}], ids=str)
+@pytest.mark.parametrize("options", [{}, {"use_prior": True}, {"stride": 2}], ids=str)
 def test_a_job_is_timed_in_a_process_of_its_own(pair: StoredPair, tmp_path: Path, options: dict[str, object]) -> None:
     timing = timed(SMALL, [pair], 1, 3, clouds=tmp_path, **options)
     assert len(timing.total_ms) == 3 and all(len(ms) == 3 for ms in timing.stage_ms.values())
     assert sum(ms[0] for ms in timing.stage_ms.values()) <= timing.total_ms[0] + 1e-3
     assert timing.peak_mib > timing.images_mib > 0 and timing.ready_s > 0
     cloud = np.load(tmp_path / "0.npy")
-    assert scored(cloud, pair.truth_left, int(options.get("every", 1))).reconstructed > 0.9  # type: ignore[call-overload]
+    assert scored(cloud, pair.truth_left, int(options.get("stride", 1))).reconstructed > 0.9  # type: ignore[call-overload]
