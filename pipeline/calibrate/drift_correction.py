@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.apps.calibration.errors import SourceError
-from daemon.common.errors import DaemonError
 from pipeline.calibrate.projector.trinocular_residual import Samples, refine_projector
 from pipeline.common.errors import CalibrationError
 from pipeline.monitor.explain import DEVICES, GEOMETRY, Turn, clear, explain, turned
@@ -36,10 +34,6 @@ _ROUNDS = 3
 _PATCHES = 600
 _WORTH = 3.0  # standard deviations that a residual must have before anything is corrected
 _SMALL_PX = 0.01
-
-
-class RefineError(DaemonError):
-    """Nothing that can be corrected, or not from this; the message tells why and what to do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +83,7 @@ class _Look:
             found.append(self._observer.patches(left, right, cloud))
         patches = Patches(*(np.concatenate([getattr(one, name) for one in found]) for name in Patches.__slots__))
         if len(patches) < _FEWEST_PATCHES:
-            raise RefineError(
+            raise CalibrationError(
                 f"only {len(patches)} smooth pieces of surface are seen, at least {_FEWEST_PATCHES} are needed; show a "
                 "scene that fills the images, or calibrate again if hardly anything is measured any more"
             )
@@ -119,11 +113,11 @@ def refine(
         device: ``left``, ``right`` or ``projector``; None = the one that alone explains the readings.
 
     Raises:
-        RefineError: too few pairs or surfaces, nothing to be corrected, more than one device would explain it, or a
-            drift too large for this.
+        CalibrationError: too few pairs or surfaces, nothing to be corrected, more than one device would explain it, or
+            a drift too large for this.
     """
     if len(pairs) < _FEWEST_PAIRS:
-        raise RefineError(f"{len(pairs)} pairs of images, at least {_FEWEST_PAIRS} are needed")
+        raise CalibrationError(f"{len(pairs)} pairs of images, at least {_FEWEST_PAIRS} are needed")
     chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).astype(int))]
     train, judge = chosen[::2], chosen[1::2]
     steps = _ROUNDS + 3
@@ -177,7 +171,7 @@ def _require_drift(readings: dict[str, Reading]) -> None:
     known = [readings[name] for name in GEOMETRY if name in readings]
     if all(abs(one.value) < max(_WORTH * one.sigma, _SMALL_PX) for one in known):
         worst = max((abs(one.value) for one in known), default=0.0)
-        raise RefineError(
+        raise CalibrationError(
             f"there is nothing to correct: the largest residual is {worst:.3f} px, which is noise; "
             "the calibration fits these images"
         )
@@ -186,7 +180,7 @@ def _require_drift(readings: dict[str, Reading]) -> None:
 def _require_small(turn_deg: NDArray[np.float64], device: str) -> None:
     size = float(np.linalg.norm(turn_deg))
     if size > LARGEST_DEG:
-        raise RefineError(
+        raise CalibrationError(
             f"the {device} would have to be turned by {size:.2f} degrees, limit {LARGEST_DEG} degrees: that is no "
             "small drift; calibrate again"
         )
@@ -199,7 +193,7 @@ def _the_one(explanations: list[Turn]) -> str:
     texts = ", ".join(
         f"{one.device} {np.linalg.norm(one.turn_deg):.3f} degrees (misfit {one.misfit:.1f})" for one in explanations
     )
-    raise RefineError(
+    raise CalibrationError(
         f"more than one device would explain the residuals, or none does: {texts}. Name the one that was touched "
         f"with --device {'|'.join(DEVICES)}, or calibrate again"
     )
@@ -232,10 +226,3 @@ def table(found: Refinement) -> list[str]:
         out.append(f"{text:40} {cells[0]:>18} {cells[1]:>18}")
     out.append(f"{'points of a pair':40} {found.points[0]:>18} {found.points[1]:>18}")
     return out
-
-
-def encoding_of(encodings: set[str], name: str) -> str:
-    """The one encoding of all pairs."""
-    if len(encodings) != 1:
-        raise SourceError(f"{name}: images of several encodings, {', '.join(sorted(encodings)) or 'none at all'}")
-    return next(iter(encodings))

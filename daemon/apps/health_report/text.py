@@ -14,7 +14,7 @@ _EVENTS = 8
 _SPREAD = ("p50", "p95", "p99", "max")
 
 
-def text(report: Mapping[str, Any], events: list[dict[str, Any]]) -> str:
+def report_text(report: Mapping[str, Any], events: list[dict[str, Any]]) -> str:
     """Verdict, limits, windows, drops, events."""
     return "\n".join(line[:WIDTH].rstrip() for line in _lines(report, events))
 

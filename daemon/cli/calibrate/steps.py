@@ -10,9 +10,11 @@ import typer
 from daemon.cli.calibrate.board import BOARD_HELP
 
 if TYPE_CHECKING:
+    from daemon.apps.calibration.guided.rerun_view import Kind as ViewKind
+    from daemon.apps.calibration.guided.run_session import What
     from daemon.apps.calibration.solve.archive import Stored
     from daemon.apps.calibration.solve.solve import Calibrated
-    from daemon.apps.calibration.views.open_source import Source
+    from daemon.apps.calibration.views.view import Source
     from daemon.rig.calibration_file import CamerasFile
     from pipeline.calibrate.bundle import Options
 
@@ -98,8 +100,10 @@ def color(
 ) -> None:
     """Calibrate black level, crosstalk, lateral colour and the projector's response, from a white board at rest."""
     if rig is not None:
-        options: dict[str, Any] = {"calibration": calibration, "out": out, "board": board, "force": force}
-        return _live("color", rig, None, None, views, options | {"poses": poses, "view": view, "session": session})
+        return _live(
+            "color", rig, None, None, views, board=board, poses=poses, view=view, session=session,
+            calibration=calibration, out=out, force=force,
+        )  # fmt: skip
     from daemon.apps.calibration.solve.color import colored
     from daemon.cli.options.progress import rendering
 
@@ -133,11 +137,11 @@ def everything(
 
 
 def _step(
-    step: str, *, rig: Path | None, left: str | None, right: str | None, views: list[Path] | None, **options: Any
+    step: What, *, rig: Path | None, left: str | None, right: str | None, views: list[Path] | None, **options: Any
 ) -> None:
     """A step that finds geometry, live or on images; ``options`` are the command's other arguments by name."""
     if rig is not None:
-        _live(step, rig, left, right, views, options)
+        _live(step, rig, left, right, views, **options)
         return
     solving = _options(options["skew"], options["k3"], options["refine_board"], options["distance"])
     _geometry(
@@ -237,10 +241,25 @@ def _options(skew: bool, k3: bool, refine_board: bool, distance: str | None) -> 
 
 
 def _live(
-    step: str, rig: Path, left: str | None, right: str | None, views: list[Path] | None, options: dict[str, Any]
+    step: What,
+    rig: Path,
+    left: str | None,
+    right: str | None,
+    views: list[Path] | None,
+    *,
+    board: str,
+    poses: int,
+    view: ViewKind,
+    session: Path | None,
+    **options: Any,
 ) -> None:
     if left or right or views:
         raise typer.BadParameter("a rig.yaml calibrates live; --left, --right and --views are images: give one kind")
-    import importlib
+    from daemon.cli.calibrate.guided import run
 
-    importlib.import_module("daemon.cli.calibrate.guided").run(step, rig, **options)
+    command: Any = {"cameras": cameras, "projector": projector, "color": color, "all": everything}[step]
+
+    def solve(folders: list[Path]) -> None:
+        command(views=folders, board=board, **options)
+
+    run(step, rig, solve, board=board, poses=poses, view=view, session=session)

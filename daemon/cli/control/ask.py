@@ -27,8 +27,20 @@ def ask(
     **params: Any,
 ) -> Any:
     """The daemon's answer; ControlError in its own words."""
-    from daemon.cli.control.status import control_endpoint
     from daemon.control.rpc.client import ControlClient
 
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout_s, keys=keys) as client:
         return client.call(method, **params)
+
+
+def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
+    """The endpoint that was named, that of a rig file, or the default."""
+    if endpoint is not None:
+        return endpoint
+    if rig is not None:
+        from daemon.config import load_rig
+
+        return load_rig(rig).control.endpoint
+    from daemon.common.ipc_endpoints import found_control_endpoint as default
+
+    return default()

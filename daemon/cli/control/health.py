@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from daemon.cli.control.ask import control_endpoint
+
 EXIT = {"healthy": 0, "warning": 0, "ill": 1, "unknown": 4}
 NO_DAEMON = 3
 
@@ -28,8 +30,7 @@ def main(
 
     Exit status: 0 healthy, or with a warning; 1 ill; 3 no daemon; 4 nothing to judge by, it starts or is paused.
     """
-    from daemon.apps.health_report import text as words
-    from daemon.cli.control.status import control_endpoint
+    from daemon.apps.health_report.text import report_text
     from daemon.common.errors import ControlError
     from daemon.control.rpc.client import ControlClient
 
@@ -42,7 +43,7 @@ def main(
             raise typer.Exit(NO_DAEMON) from error
         report, events = client.call("health"), client.call("health.events", most=100)
         _write(client.call, seconds, html, png)
-    typer.echo(json.dumps(report | {"events": events}, indent=2) if as_json else words.text(report, events))
+    typer.echo(json.dumps(report | {"events": events}, indent=2) if as_json else report_text(report, events))
     raise typer.Exit(EXIT[report["verdict"]])
 
 

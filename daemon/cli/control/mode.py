@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from daemon.cli.control.ask import control_endpoint
+
 _PATIENCE_S = 200.0  # kernels that were never used are compiled
 
 
@@ -18,7 +20,6 @@ def main(
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
 ) -> None:
     """Tell or change the mode of a running daemon, until it ends; rig.yaml says with which it begins."""
-    from daemon.cli.control.status import control_endpoint
     from daemon.control.rpc.client import ControlClient
 
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=_PATIENCE_S) as client:

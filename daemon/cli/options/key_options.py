@@ -30,13 +30,3 @@ def chosen_keys(key: Path | None, server_key: Path | None) -> Keys | None:
     if key is None or server_key is None:
         raise typer.BadParameter("--key and --server-key belong together: your own key, and the daemon's public one")
     return Keys.load(key, server_key)
-
-
-def remote_rows(remote: dict[str, object]) -> list[tuple[str, str]]:
-    """Lines of the status about other machines; none when there is no gate."""
-    if not remote:
-        return []
-    refused = remote.get("refused")
-    counted = ", ".join(f"{name} {count}" for name, count in refused.items()) if isinstance(refused, dict) else ""
-    let_in = f"{remote.get('connections')} connections, {remote.get('accepted')} let in, {remote.get('keys')} keys"
-    return [("remote", f"{let_in}; refused: {counted or 'nobody'}")]

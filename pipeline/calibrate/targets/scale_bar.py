@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.apps.calibration.images.image_files import Image
 from pipeline.calibrate.targets.detect.disc_candidates import find_discs
 from pipeline.calibrate.targets.localise.ellipse_fit import fit_ellipses
 from pipeline.calibrate.targets.localise.gray_image import to_gray
@@ -19,8 +20,11 @@ _SURROUNDINGS = 0.5
 _MOST_CANDIDATES = 200
 
 
-def two_circles(image: Image, name: str) -> NDArray[np.float64]:
+def two_circles(image: NDArray[Any], name: str) -> NDArray[np.float64]:
     """Centres (2, 2) of the two circles, pixels; both dark on light, or both light on dark.
+
+    Args:
+        image: (H, W) grey or (H, W, 3) red, green, blue; uint8 or uint16. name: of the image, for errors.
 
     Raises:
         TargetError: not exactly two circles stand out.

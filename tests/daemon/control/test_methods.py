@@ -113,7 +113,7 @@ def test_measuring_stops_and_starts(methods: Methods) -> None:
 def test_the_status_is_plain_json(methods: Methods) -> None:
     import json
 
-    from daemon.cli.control.status import table
+    from daemon.cli.control.status_rows import table
 
     status = json.loads(json.dumps(call(methods, "status")))
     assert status["state"] == "running" and "camera left" in table(status)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.cli.control.status import recorder_text
+from daemon.cli.control.status_rows import recorder_text
 from daemon.common.errors import ConfigError, DaemonError
 from daemon.config import RigConfig, parse_rig
 from daemon.live.items import CloudItem

@@ -11,7 +11,7 @@ from daemon.apps.calibration.guided.capture import Progress, Shooter, Shots
 from daemon.apps.calibration.guided.session_folder import SessionFolder
 from daemon.apps.calibration.guided.session_state import Detection, Limits, Session, Sight, State, Told
 from daemon.apps.calibration.images.image_files import Image, unpacked
-from daemon.apps.calibration.views.open_source import white_frame
+from daemon.apps.calibration.views.view import white_frame
 from daemon.common.errors import DaemonError
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from drivers.errors import DriverError

@@ -152,28 +152,28 @@ def shrunk(image: NDArray[Any]) -> tuple[NDArray[np.uint8], float]:
 
 
 @contextmanager
-def viewer(kind: Kind, say: Callable[[str], None]) -> Iterator[Shown | None]:
+def viewer(kind: Kind, notify: Callable[[str], None]) -> Iterator[Shown | None]:
     """A watcher behind a viewer of that kind; None without one, also where it does not start: the session goes on.
 
     Args:
-        say: told the address of a web viewer, or why there is none.
+        notify: called with the address of a web viewer, or with the reason why there is none.
     """
     with ExitStack() as stack:
-        yield None if kind == "none" else _opened(kind, stack, say)
+        yield None if kind == "none" else _opened(kind, stack, notify)
 
 
-def _opened(kind: Kind, stack: ExitStack, say: Callable[[str], None]) -> Shown | None:
+def _opened(kind: Kind, stack: ExitStack, notify: Callable[[str], None]) -> Shown | None:
     try:
         from daemon.apps.viewer import rerun_targets
 
         if kind == "web":
             recording, address = stack.enter_context(rerun_targets.web_recording(web_port=None, grpc_port=None))
-            say(f"live view: {address}")
+            notify(f"live view: {address}")
         else:
             recording, _ = stack.enter_context(rerun_targets.native_recording())
         shown = Shown(recording)
     except (DaemonError, ImportError, OSError, RuntimeError) as error:
-        say(f"no live view: {error}")
+        notify(f"no live view: {error}")
         return None
     stack.callback(shown.close)
     return shown

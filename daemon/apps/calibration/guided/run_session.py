@@ -35,8 +35,8 @@ _HAND_S = 0.2
 """A simulated hand is still at once."""
 
 
-def unsaid(text: str) -> None:
-    """A sentence that nobody wants to hear."""
+def ignore(text: str) -> None:
+    """Drop a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def run_session(
     view: ViewKind = "none",
     find: Find | None = None,
     watcher: Watcher | None = None,
-    say: Callable[[str], None] = unsaid,
+    notify: Callable[[str], None] = ignore,
     progress: Callable[[int, int], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, Outcome]:
@@ -99,7 +99,7 @@ def run_session(
         rig: rig.yaml. folder: of the session; None = a new one under ``calibration-sessions`` beside rig.yaml.
         view: a live view in Rerun. find: finds the marks; None =
             :func:`pipeline.calibrate.targets.find_marks.find_marks`.
-        watcher: shows how it goes; None = the terminal. say: told single sentences.
+        watcher: shows how it goes; None = the terminal. notify: called with each message.
         progress: told (done, of) while a simulated rig is rendered.
         stopped: asked again and again whether to end; what was captured so far stays.
 
@@ -118,11 +118,11 @@ def run_session(
     place = folder or new_folder(base_dir / "calibration-sessions", what)
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as stack:
-        shooter = open_shooter(config, rig, progress=progress, say=say, stopped=stopped)
+        shooter = open_shooter(config, rig, progress=progress, notify=notify, stopped=stopped)
         stack.callback(shooter.close)
         for note in shooter.notes:
-            say(note)
-        shown = stack.enter_context(viewer(view, say))
+            notify(note)
+        shown = stack.enter_context(viewer(view, notify))
         watching = watcher if watcher is not None else _entered(terminal(), stack)
         if shown is not None:
             watching = Several(watching, shown)
@@ -154,7 +154,7 @@ def open_shooter(
     rig: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
-    say: Callable[[str], None] = unsaid,
+    notify: Callable[[str], None] = ignore,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Shooter:
     """The running daemon of this rig, or else its devices."""
@@ -166,7 +166,7 @@ def open_shooter(
             client.close()
             raise
     except ControlError:
-        say("no daemon is running: the rig's devices are used directly")
+        notify("no daemon is running: the rig's devices are used directly")
         try:
             devices = open_devices(config, rig.resolve().parent, progress=progress)
         except OptionsError as error:
@@ -178,7 +178,7 @@ def open_shooter(
             f"the daemon at {config.control.endpoint} (version {hello.get('version')}) cannot capture; stop it, or "
             "start it anew with this version"
         )
-    say(f"the running daemon {hello.get('device')} is asked for the images")
+    notify(f"the running daemon {hello.get('device')} is asked for the images")
     client.close()
     return DaemonShooter(ControlClient(config.control.endpoint, timeout_s=10.0), cancelled=stopped)
 

@@ -13,7 +13,7 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.solve.archive import Stored, store
 from daemon.apps.calibration.solve.solve import Calibrated
 from daemon.apps.calibration.solve.solve import with_colors as _with_colors
-from daemon.apps.calibration.views.open_source import Progress, Source
+from daemon.apps.calibration.views.view import Progress, Source
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
 from pipeline.calibrate.color import ColorSolution, calibrate_color
 from pipeline.common.errors import ImageError, PatternError

@@ -16,11 +16,11 @@ from daemon.apps.calibration.solve.keep_colors import with_old_colors
 from daemon.apps.calibration.solve.projector_check import last_look
 from daemon.apps.calibration.views.detect_marks import Looked, look, require
 from daemon.apps.calibration.views.detect_projector_marks import look_with_projector
-from daemon.apps.calibration.views.open_source import Progress, Source
+from daemon.apps.calibration.views.view import Progress, Source
 from daemon.common.files import write_atomically
 from daemon.rig.calibration_file import CamerasFile
 from pipeline.calibrate.bundle import Options, Solution, calibrate
-from pipeline.calibrate.bundle.quality.layout import layout_advice
+from pipeline.calibrate.bundle.quality.order_check import layout_advice
 from pipeline.calibrate.bundle.quality.solution_figures import quality_of
 from pipeline.calibrate.bundle.quality.view_assessment import missing
 from pipeline.calibrate.targets.board.board import Board

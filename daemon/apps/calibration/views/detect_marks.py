@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Sequence as Items
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -11,7 +10,7 @@ import cv2
 import numpy as np
 
 from daemon.apps.calibration.images.image_files import Image, unpacked
-from daemon.apps.calibration.views.open_source import Source, View, white_frame
+from daemon.apps.calibration.views.view import Progress, Source, View, white_frame
 from pipeline.calibrate.projector.absolute_phase import Coordinate, evenly_lit
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.detect.detection_errors import edge_sigma_px, too_blurred
@@ -21,7 +20,6 @@ from pipeline.calibrate.targets.marks import BoardView, Marks
 from pipeline.common.errors import TargetError
 from pipeline.pattern.sequence import Sequence
 
-Progress = Callable[[int, int], None]
 THUMBNAIL_PX = 520
 BLURRED_PX = 4.0
 """Sigma of an image's strongest edges from where on nothing else is said about it."""
@@ -115,7 +113,7 @@ def look(sources: Items[Source], board: Board, progress: Progress) -> Looked:
     for source in sources:
         for view in source.views(progress, only=white_frame(source.sequence)):
             looked.add(view, 0, board)
-        looked.left_out += getattr(source, "left_out", [])
+        looked.left_out += source.left_out
     return looked
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.views.detect_marks import Looked
-from daemon.apps.calibration.views.open_source import Progress, Source, View, white_frame
+from daemon.apps.calibration.views.view import Progress, Source, View, white_frame
 from pipeline.calibrate.projector.absolute_phase import coordinates, levels
 from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
 from pipeline.calibrate.targets.board.board import Board
@@ -44,7 +44,7 @@ def look_with_projector(sources: Sequence[Source], board: Board, progress: Progr
                 )
             for view in source.views(progress):
                 add_with_fringes(looked, view, sequence, board)
-        looked.left_out += getattr(source, "left_out", [])
+        looked.left_out += source.left_out
     return looked
 
 

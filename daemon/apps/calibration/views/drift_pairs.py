@@ -10,7 +10,7 @@ from typing import Any
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.live.items import Item, PairItem
-from pipeline.calibrate.drift_correction import MOST_PAIRS, Pair, encoding_of
+from pipeline.calibrate.drift_correction import MOST_PAIRS, Pair
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.volume import Volume
 
@@ -114,3 +114,12 @@ def of_rig(path: Path, progress: Callable[[int, int], None], *, timeout_s: float
     if len(keep.pairs) < 2:
         raise SourceError(f"{path}: the rig gave {len(keep.pairs)} pairs of images within {timeout_s:.0f} s")
     return Scene(rig.pattern, rig.volume, encoding_of(keep.encodings, str(path)), keep.pairs)
+
+
+def encoding_of(encodings: set[str], name: str) -> str:
+    """The one encoding of all pairs; SourceError if there are several or none."""
+    if len(encodings) != 1:
+        raise SourceError(
+            f"{name}: the images have the encodings {', '.join(sorted(encodings)) or '(no images)'}, expected one"
+        )
+    return next(iter(encodings))

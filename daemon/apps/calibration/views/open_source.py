@@ -3,53 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import MOST_IMAGES, Image, as_raw, matching, read_image
+from daemon.apps.calibration.views.take_source import TakeSource
+from daemon.apps.calibration.views.view import Progress, Source, View, described_sequence
 from daemon.common.bounded import read_at_most
-from pipeline.common.errors import PatternError
-from pipeline.pattern import sequence as sequences
-from pipeline.pattern.sequence import Sequence, Uniform
-
-Progress = Callable[[int, int], None]
+from pipeline.pattern.sequence import Sequence
 
 CAPTURE = "capture.json"
 _CAPTURE_LIMIT = 4 << 20
 ENCODINGS = ("rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8", "mono8", "mono16")
 SIDES = ("left", "right")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """One place of the board: an image of each camera, or one for every frame of a sequence.
-
-    Args:
-        name: short, for tables: ``view_03`` or ``left03.jpg``.
-        files: what errors call the images of the left and the right camera.
-        left, right: as the sensor gave them, in ``encoding``; one of them may be empty (only one camera was told).
-        encoding: ``rgb8``, ``bayer_rggb8`` ..., ``mono8``, ``mono16``; ``rgb8`` also for 16-bit colour.
-    """
-
-    name: str
-    files: tuple[str, str]
-    left: tuple[Image, ...]
-    right: tuple[Image, ...]
-    encoding: str
-
-
-class Source(Protocol):
-    """Something that gives views one after the other."""
-
-    name: str
-    sequence: Sequence | None
-
-    def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
-        """Every view; of a sequence all frames, or only the one of that number."""
-        ...
 
 
 class ImagePairs:
@@ -66,6 +34,7 @@ class ImagePairs:
 
     def __init__(self, left: str, right: str) -> None:
         self.name = f"{left}, {right}"
+        self.left_out: list[str] = []
         self._left, self._right = matching(left, "--left"), matching(right, "--right")
         if len(self._left) != len(self._right):
             raise SourceError(
@@ -98,6 +67,7 @@ class CaptureFolder:
 
     def __init__(self, folder: Path) -> None:
         self.name = str(folder)
+        self.left_out: list[str] = []
         described = _object(folder / CAPTURE)
         encoding = described.get("encoding")
         if encoding not in ENCODINGS:
@@ -151,29 +121,7 @@ def open_source(path: Path) -> Source:
         return CaptureFolder(path)
     if path.is_dir() and not any(path.glob("*.mcap*")):
         raise SourceError(f"{path}: holds neither {CAPTURE} with views nor a take; plain images are named by --left")
-    from daemon.apps.calibration.views.take_source import TakeSource
-
     return TakeSource(path)
-
-
-def white_frame(sequence: Sequence | None) -> int:
-    """Number of the brightest even frame, on which marks are found; 0 where there is no sequence."""
-    if sequence is None:
-        return 0
-    even = [(sum(f.color), -n) for n, f in enumerate(sequence.frames) if isinstance(f, Uniform)]
-    if not even or max(even)[0] == 0:
-        raise SourceError(f"sequence {sequence.name}: it has no even image with light, marks cannot be found in it")
-    return -max(even)[1]
-
-
-def described_sequence(data: Any, name: str) -> Sequence | None:
-    """The sequence of a pattern description; None for a description of a single image, or for none."""
-    if not isinstance(data, Mapping) or data.get("kind") != "sequence":
-        return None
-    try:
-        return sequences.from_mapping(data)
-    except PatternError as error:
-        raise SourceError(f"{name}: {error}") from error
 
 
 def _object(path: Path) -> dict[str, Any]:

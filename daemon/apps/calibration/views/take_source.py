@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import MOST_IMAGES
-from daemon.apps.calibration.views.open_source import Progress, View, described_sequence
+from daemon.apps.calibration.views.view import Progress, View, described_sequence
 from daemon.recording.read.take_reader import TakePair, TakeReader
 
 _NUMBERS = 1 << 32

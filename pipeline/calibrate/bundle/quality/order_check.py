@@ -9,13 +9,14 @@ at a quarter (4) of the baseline. The best place divides the baseline in the gol
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.calibrate.bundle.solution import Solution
 from pipeline.common.errors import CalibrationError
-from pipeline.rig.calibration import Calibration
+from pipeline.rig.calibration import Calibration, Cameras
 from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.volume import Volume
 
@@ -115,6 +116,27 @@ def merit_of(ratio: float, ratio_right: float, shifts: float) -> tuple[float, in
             share = max(1 - m * rho / (shifts + 1), 1 / (shifts + 1))
             worst = min(worst, (m * away / share, m, 2 * float(np.pi) * away))
     return min(1.0, worst[0] / GOLDEN), worst[1], worst[2]
+
+
+def layout_advice(cameras: Cameras, solution: Solution) -> tuple[list[str], dict[str, Any]]:
+    """Sentences about the rig's layout, and figures for the file's quality.
+
+    The layout is judged for the depths at which the board was shown.
+    """
+    base = cameras.baseline_mm
+    if cameras.projector is None:
+        return [
+            f"place the projector {GOLDEN * base:.0f} or {(1 - GOLDEN) * base:.0f} mm along the {base:.0f} mm from the "
+            "left to the right camera, not in the middle: at an integer ratio of the baselines flat things carry no "
+            "fringe order"
+        ], {}
+    places = [solution.board_points @ pose[0].T + pose[1] for pose in solution.poses if pose is not None]
+    depths = np.concatenate(places)[:, 2]
+    try:
+        check = order_check(cameras.complete(), Volume(float(depths.min()), float(depths.max())))
+    except CalibrationError as error:
+        return [str(error)], {}
+    return [check.advice], {"order_ratio": round(check.ratio, 4), "order_merit": round(check.merit, 3)}
 
 
 def _ratio(

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import read_image, unpacked
 from daemon.apps.calibration.images.image_size import image_size
-from daemon.apps.calibration.views.open_source import CaptureFolder, View, open_source, white_frame
+from daemon.apps.calibration.views.open_source import CaptureFolder, open_source
 from daemon.apps.calibration.views.take_source import TakeSource
+from daemon.apps.calibration.views.view import View, white_frame
 from daemon.recording.write.part_writer import PartWriter
 from drivers.protocols import SIDES, Frame
 from pipeline.decode.raw_image import BAYER

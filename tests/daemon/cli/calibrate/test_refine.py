@@ -16,7 +16,8 @@ from daemon.apps.calibration.views import drift_pairs
 from daemon.apps.calibration.views.drift_pairs import of_take
 from daemon.cli.calibrate import refine as calibrate_refine
 from daemon.rig.calibration_file import calibration_bytes, parse_calibration, read_calibration
-from pipeline.calibrate.drift_correction import Pair, RefineError, refine, table
+from pipeline.calibrate.drift_correction import Pair, refine, table
+from pipeline.common.errors import CalibrationError
 from pipeline.monitor.explain import turned
 from sim.rig.disturbance import Disturbance
 from tests.golden.make import TAKE
@@ -55,18 +56,18 @@ def test_a_turned_projector_is_refined(rig: Rig) -> None:
 
 def test_what_fits_is_left_alone_and_what_is_far_off_too(rig: Rig) -> None:
     taken = pairs(rig)
-    with pytest.raises(RefineError, match="nothing to correct"):
+    with pytest.raises(CalibrationError, match="nothing to correct"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
-    with pytest.raises(RefineError, match="at least 2"):
+    with pytest.raises(CalibrationError, match="at least 2"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken[:1])
     empty = [tuple(np.full_like(image, 40) for image in pair) for pair in taken]
-    with pytest.raises(RefineError, match="smooth pieces"):
+    with pytest.raises(CalibrationError, match="smooth pieces"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", empty)  # type: ignore[arg-type]
 
 
 def test_a_drift_that_several_devices_explain_needs_a_name(rig: Rig) -> None:
     taken = pairs(rig, Disturbance("right", turn_deg=(0.03, 0.0, 0.0)))
-    with pytest.raises(RefineError, match="--device"):
+    with pytest.raises(CalibrationError, match="--device"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from daemon.apps.health_report.text import text
+from daemon.apps.health_report.text import report_text
 from daemon.monitoring.health.events import KEPT
 from daemon.monitoring.health.monitor import Monitor
 from daemon.monitoring.health.observe.clock_sync import ClockSync
@@ -126,7 +126,7 @@ def test_the_reports_are_plain_and_bounded() -> None:
     report = json.loads(json.dumps(course.monitor.report(course.now_ns)))
     assert set(report["values"]) == set(NAMES) and report["windows"]["10s"]["stages_ms"]["decode"]["p50"] == 4.0
     assert len(json.dumps(course.monitor.short())) < 900
-    told = text(report, [event.as_dict() for event in course.monitor.judge.events()])
+    told = report_text(report, [event.as_dict() for event in course.monitor.judge.events()])
     assert "ILL" in told and max(len(line) for line in told.splitlines()) <= 80
     page = exposition(report)
     assert 'fringed_health{verdict="ill"} 1\n' in page and 'fringed_drops_total{reason="pairs_not_ready"} 3\n' in page

@@ -50,7 +50,7 @@ def test_without_a_daemon_the_devices_are_used_and_every_phase_gets_its_folder(
 
     monkeypatch.setattr(run_module, "phases", short)
     said: list[str] = []
-    outcomes = run_session("all", rig, BOARD, rig.parent / "s", views=3, find=find, say=said.append)
+    outcomes = run_session("all", rig, BOARD, rig.parent / "s", views=3, find=find, notify=said.append)
     assert {name: outcome.views for name, outcome in outcomes.items()} == {"color": 1, "board": 3}
     assert said == ["no daemon is running: the rig's devices are used directly"]
     for name, outcome in outcomes.items():
@@ -103,27 +103,27 @@ driver_table.RIGS["hand"] = "tests.daemon.apps.calibration.guided.hand_rig:open_
 run_session.run_session.__kwdefaults__["find"] = hand_rig.find
 from typer import Exit
 try:
-    guided.run("projector", Path(sys.argv[1]), session=Path(sys.argv[2]), poses=9)
+    guided.run("projector", Path(sys.argv[1]), print, session=Path(sys.argv[2]), poses=9)
 except Exit as stop:
     sys.exit(stop.exit_code)
 """
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_what_was_captured_and_tells_how_to_go_on(rig: Path) -> None:
+def test_ctrl_c_keeps_the_captured_views_and_prints_the_command_that_continues(rig: Path) -> None:
     session = rig.parent / "s"
     command = [sys.executable, "-c", _PROGRAM, str(rig), str(session)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         wait_until((session / "board" / "view_01").exists, 60)
         process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=30)
-    assert process.returncode == 130, told
+        _, output = process.communicate(timeout=30)
+    assert process.returncode == 130, output
     views = len(list(CaptureFolder(session / "board").views(lambda *_: None)))
-    assert f"kept are {views} views in {session / 'board'}" in told
-    assert f"fringed calibrate projector --views {session / 'board'}" in told
+    assert f"kept {views} views in {session / 'board'}" in output
+    assert f"fringed calibrate projector --views {session / 'board'}" in output
 
 
 def test_nothing_captured_is_nothing_to_calibrate_from(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daemon.cli.calibrate.guided.run_session", lambda *_, **__: {})
-    with pytest.raises(DaemonError, match="nothing was captured"):
-        run_command("cameras", rig)
+    with pytest.raises(DaemonError, match="captured no view"):
+        run_command("cameras", rig, lambda _: None)

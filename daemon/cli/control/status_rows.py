@@ -1,0 +1,93 @@
+"""The status as rows and as a table of text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+def table(status: dict[str, Any]) -> str:
+    """The status as a table of text."""
+    from io import StringIO
+
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = Table(show_header=False, box=None, pad_edge=False)
+    shown.add_column(style="bold")
+    shown.add_column()
+    for name, value in rows(status):
+        shown.add_row(name, value)
+    console = Console(file=StringIO(), width=110)
+    console.print(shown)
+    text: str = console.file.getvalue()  # type: ignore[attr-defined]
+    return "\n".join(line.rstrip() for line in text.splitlines())
+
+
+def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of every line of the table."""
+    latency, published = status["latency_ms"], status["publish_latency_ms"]
+    out = [
+        ("state", f"{status['state']}{''.join(f'; {reason}' for reason in status['reasons'])}"),
+        *(("warning", warning) for warning in status["warnings"]),
+        ("device", f"{status['device']}, fringed {status['version']}, up {status['uptime_s']:.0f} s"),
+        ("calibration", status["calibration"]),
+        *([] if status["mode"] == "single" else [("mode", mode_text(status["mode"], status["sequence"]))]),
+        ("clouds", f"{status['clouds']}, {status['cloud_rate_hz']:.1f} per second"),
+        ("points", f"{status['points']} ({100 * status['valid']:.0f} % of the pixels)"),
+        ("latency", "  ".join(f"{name} {value:.0f} ms" for name, value in latency.items()) or "no cloud yet"),
+        ("published", "  ".join(f"{name} {value:.0f} ms" for name, value in published.items()) or "nobody reads"),
+        ("pairs", f"{status['pairs']}, {status['pair_rate_hz']:.1f} per second"),
+    ]
+    for side, camera in status["cameras"].items():
+        fates = ", ".join(f"{name} {count}" for name, count in camera["fates"].items() if count)
+        text = f"{camera['state']}, {camera['rate_hz']:.1f} frames per second, {camera['losses']} losses; {fates}"
+        out.append((f"camera {side}", text))
+        counted = [f"{name} {count}" for name, count in camera["driver"].items() if count]
+        warm = [f"{camera['temperature_c']:.0f} °C"] if camera["temperature_c"] is not None else []
+        out.append(("", f"driver: {', '.join(warm + counted) or 'nothing to tell'}"))
+    out.append(("dropped", ", ".join(f"{name} {count}" for name, count in status["drops"].items()) or "nothing"))
+    check = status.get("selfcheck", {})
+    if check.get("enabled"):
+        shown = [f"{name} {one['value']:+.3f}" for name, one in check["observables"].items() if "value" in one]
+        out.append(
+            ("self-check", f"{check['verdict']}, {check['checked']} pairs; {', '.join(shown) or 'nothing seen yet'}")
+        )
+    health = status.get("health", {})
+    if health.get("enabled"):
+        out.append(("health", "; ".join([health["verdict"], *health["open"].values()])))
+    out.extend(remote_rows(status.get("sinks", {}).get("remote", {})))
+    out.append(("recorder", recorder_text(status["recorder"])))
+    return out
+
+
+def mode_text(mode: str, sequence: dict[str, Any]) -> str:
+    """A multi-frame mode, in a line."""
+    told = f"{mode}, {sequence['frames']} images a cloud, {sequence['sets']} sets, {sequence['sets_incomplete']} lost"
+    return f"{told}; held by {', '.join(sequence['held'])}" if sequence["held"] else told
+
+
+def recorder_text(recorder: dict[str, Any]) -> str:
+    """What the recorder does, in a line."""
+    kept = [f"{recorder['before']['kept_s']:.1f} s before now kept"] if "before" in recorder else []
+    if "file" not in recorder:
+        return ", ".join(["off", *kept])
+    told = [
+        Path(recorder["file"]).name,
+        f"{recorder['pairs']} pairs, {recorder['bytes'] / 1e6:.1f} MB in {recorder['parts']} file(s)",
+        f"safe up to trigger {recorder['synced']['up_to_sequence']}",
+    ]
+    told += [f"{recorder['queued']} waiting"] if recorder["queued"] else []
+    told += [f"{count} {name.replace('_', ' ')}" for name, count in recorder["dropped"].items()]
+    told += [f"interrupted {recorder['interruptions']}x"] if "interruptions" in recorder else []
+    return ", ".join([*told, *kept])
+
+
+def remote_rows(remote: dict[str, object]) -> list[tuple[str, str]]:
+    """Lines of the status about other machines; none when there is no gate."""
+    if not remote:
+        return []
+    refused = remote.get("refused")
+    counted = ", ".join(f"{name} {count}" for name, count in refused.items()) if isinstance(refused, dict) else ""
+    let_in = f"{remote.get('connections')} connections, {remote.get('accepted')} let in, {remote.get('keys')} keys"
+    return [("remote", f"{let_in}; refused: {counted or 'nobody'}")]
