@@ -21,7 +21,7 @@ os.umask(UMASK)
 
 WITHOUT_KERNELS = (
     "daemon/apps/calibration", "daemon/cli/calibrate", "daemon/live/publishing", "daemon/monitoring", "drivers",
-    "fringed", "pipeline/calibrate", "sim/boards", "sim/gentl", "tools",
+    "fringed", "pipeline/calibrate", "sim/boards", "sim/gentl", "test_module_names.py", "tools",
 )  # fmt: skip
 """Directories of tests that neither measure nor render."""
 
