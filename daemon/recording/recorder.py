@@ -1,4 +1,4 @@
-"""The recording switch of a running daemon: a sink that keeps the last seconds and passes on to one take at a time."""
+"""The recorder of a running daemon: a sink that buffers the last seconds and passes items on to one take at a time."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from daemon.common.errors import DaemonError
 from daemon.config.rig_config import RigConfig
 from daemon.live.items import CloudItem, Item, Sink
 from daemon.live.service import Service
-from daemon.recording.read.catalog import scan
-from daemon.recording.write.frame_queue import Image
-from daemon.recording.write.pretrigger_buffer import MEGABYTE, Before
+from daemon.recording.read.catalog import Listing, scan
+from daemon.recording.write.frame_queue import RawItem
+from daemon.recording.write.pretrigger_buffer import MEGABYTE, PretriggerBuffer
 from daemon.rig.open_rig import Rig
 
 SINK = "recorder"
-MOST_TAKES, MOST_GARBAGE = 1000, 100
-"""So many takes, the newest, and so many other files are told over the control socket."""
+MOST_TAKES, MOST_OTHER_FILES = 1000, 100
+"""The newest takes and the other files that are listed over the control socket."""
 
 
 class Take(Sink, Protocol):
     """A take that is being written."""
 
-    def take_over(self, items: Iterable[Image]) -> None:
-        """Write these first."""
+    def take_over(self, items: Iterable[RawItem]) -> None:
+        """Write these items first."""
 
 
 class Recorder:
@@ -34,8 +34,8 @@ class Recorder:
 
     Args:
         service: whose pairs are recorded.
-        directory: of the takes, as it is when one begins; made then.
-        open_take: makes the writer of a take from its path; the path's end is the take's to choose.
+        directory: of the takes, as it is when one begins; created then.
+        open_take: makes the writer of a take from its path.
     """
 
     def __init__(
@@ -43,15 +43,15 @@ class Recorder:
     ) -> None:
         self._service, self._directory, self._open_take = service, directory, open_take
         self._switch = threading.Lock()  # held while a take begins or ends, which may take long
-        self._hand = threading.Lock()  # held for moments: who takes an item, ring or take
+        self._routing = threading.Lock()  # held briefly: guards which buffer or take gets an item
         self._path: Path | None = None
         self._take: Take | None = None
-        self._before = Before(self._limits, service.clock.monotonic_ns)
+        self._pretrigger = PretriggerBuffer(self._limits, service.clock.monotonic_ns)
         service.add_sink(SINK, self)
 
     @property
     def directory(self) -> Path:
-        """Of the takes, as it is now."""
+        """Directory of the takes, as it is now."""
         return self._directory if isinstance(self._directory, Path) else self._directory()
 
     @property
@@ -60,13 +60,13 @@ class Recorder:
         return self._path is not None
 
     def start(self, name: str, before_s: float = 0.0) -> dict[str, Any]:
-        """Begin a take; its file is told, and the seconds before that it begins with.
+        """Begin a take; return its file and the number of items from before that it begins with.
 
         Args:
-            before_s: begin so long before now, as far as ``recording.before_s`` kept it.
+            before_s: begin this long before now, as far as ``recording.before_s`` kept it.
 
         Raises:
-            DaemonError: when one is being written already, the directory cannot be written, or nothing was kept.
+            DaemonError: a take is being written already, the directory cannot be written, or nothing was kept.
         """
         kept_s = self._limits()[0]
         if before_s > kept_s:
@@ -78,8 +78,8 @@ class Recorder:
                 raise DaemonError(f"a take is being written already: {self._path}; stop it first")
             path = self._new_path(name)
             take: Take = self._opened(path)
-            with self._hand:
-                early = self._before.last(before_s) if before_s > 0 else []
+            with self._routing:
+                early = self._pretrigger.last(before_s) if before_s > 0 else []
                 if early:
                     take.take_over(early)
                 self._take, self._path = take, path
@@ -90,7 +90,9 @@ class Recorder:
         try:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise DaemonError(f"{directory}: cannot be made: {error.strerror or error}; set recording.dir") from error
+            raise DaemonError(
+                f"{directory}: cannot be created: {error.strerror or error}; set recording.dir"
+            ) from error
         stamp = datetime.fromtimestamp(self._service.clock.realtime_ns() / 1e9, tz=UTC)
         path = directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
         if path.exists():
@@ -103,13 +105,13 @@ class Recorder:
         except OSError as error:
             raise DaemonError(
                 f"{error.filename or path}: cannot be written: {error.strerror or error}; "
-                "mend the directory's permissions or set recording.dir"
+                "correct the directory's permissions or set recording.dir"
             ) from error
 
     def stop(self) -> dict[str, Any]:
-        """End the take; returns when it is whole on the disk."""
+        """End the take; return when it is complete on the disk."""
         with self._switch:
-            with self._hand:
+            with self._routing:
                 take, self._take = self._take, None
             path, self._path = self._path, None
             if take is None:
@@ -118,45 +120,45 @@ class Recorder:
             return {"file": str(path), **take.status(), "recording": False}
 
     def takes(self) -> dict[str, Any]:
-        """The takes of the directory and the files there that are none; may read from a slow disk."""
+        """List the takes of the directory and its other files; may read from a slow disk."""
         directory = self.directory
-        told: dict[str, Any] = {"directory": str(directory), "takes": [], "garbage": {}}
-        if directory.is_dir():
-            listing = scan(directory)
-            told["takes"] = [take.brief() for take in listing.takes[-MOST_TAKES:]]
-            told["garbage"] = dict(list(listing.garbage.items())[:MOST_GARBAGE])
-        return told
+        listing = scan(directory) if directory.is_dir() else Listing()
+        return {
+            "directory": str(directory),
+            "takes": [take.brief() for take in listing.takes[-MOST_TAKES:]],
+            "garbage": dict(list(listing.other_files.items())[:MOST_OTHER_FILES]),
+        }
 
     def offer(self, item: Item) -> bool:
-        """Keep an item for later, and pass it on to the take; False when the take refuses it. Never blocks."""
+        """Buffer an item and pass it on to the take; False when the take refuses it. Never blocks."""
         if isinstance(item, CloudItem):
             return True
-        with self._hand:
-            self._before.add(item)
+        with self._routing:
+            self._pretrigger.add(item)
             return self._take is None or self._take.offer(item)
 
     def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:  # noqa: ARG002 - the protocol's
-        """With another mode begin other images: those that were kept show a pattern that no take will have."""
+        """Prepare to clear the buffer with the mode: its images show a pattern that no take will have."""
         before = self._service.config.mode
 
         def commit() -> None:
             if config.mode != before:
-                with self._hand:
-                    self._before.clear()
+                with self._routing:
+                    self._pretrigger.clear()
 
         return commit
 
     def close(self) -> None:
-        """End the take, if there is one, and forget what is kept."""
+        """End the take, if there is one, and clear the buffer."""
         self.stop()
-        with self._hand:
-            self._before.clear()
+        with self._routing:
+            self._pretrigger.clear()
 
     def status(self) -> dict[str, Any]:
-        """The take's status, ``recording: false`` without one, and what is kept ``before``."""
-        with self._hand:
+        """Return the take's status, ``recording: false`` without one, and the buffer's as ``before``."""
+        with self._routing:
             take = self._take
-            kept = {"before": self._before.status()} if self._limits()[0] > 0 else {}
+            kept = {"before": self._pretrigger.status()} if self._limits()[0] > 0 else {}
         return {"recording": False, **(take.status() if take is not None else {}), **kept}
 
     def _limits(self) -> tuple[float, int]:

@@ -1,4 +1,4 @@
-"""Give a file that was cut off or damaged its end again: everything that is sound goes into a new file."""
+"""Repair of a cut or damaged file of a take: its undamaged frames are copied into a new, complete file."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ BROKEN = ".broken"
 
 
 @dataclass(frozen=True, slots=True)
-class Repaired:
-    """What became of a file.
+class RepairResult:
+    """Result of a repair.
 
     Args:
-        file: the sound one; kept: what was there before, under another name; frames: saved; problems: that it had.
+        file: the repaired one; kept: the damaged one under its new name; frames: number saved; problems: of the file.
     """
 
     file: Path
@@ -35,14 +35,14 @@ class Repaired:
     problems: list[str]
 
 
-def repair(path: Path, progress: Callable[[int, int], Any] | None = None) -> Repaired | None:
+def repair(path: Path, progress: Callable[[int, int], Any] | None = None) -> RepairResult | None:
     """Repair one file of a take; None if nothing is wrong with it.
 
     Args:
-        progress: told bytes read and bytes in all.
+        progress: called with bytes read and bytes in all.
 
     Raises:
-        TakeError: the file is being written, is none of ours, or its new name is taken. OSError: the disk is full.
+        TakeError: the file is being written, is not a take, or its new name exists. OSError: the disk is full.
     """
     if being_written(path):
         raise TakeError(f"{path}: it is being written; stop the recording first")
@@ -52,41 +52,41 @@ def repair(path: Path, progress: Callable[[int, int], Any] | None = None) -> Rep
     try:
         frames = sum(1 for _ in part.frames())
         if not part.problems:
-            return _named(path, final, frames)
+            return _rename_whole(path, final, frames)
         for name in (kept, *([final] if final != path else [])):
             if name.exists():
-                raise TakeError(f"{path}: {name} is there already; move it away first")
-        fresh = _copied(part, final, progress)
+                raise TakeError(f"{path}: {name} exists already; move it away first")
+        fresh = _copy_undamaged(part, final, progress)
     finally:
         part.close()
     path.rename(kept)
     fresh.rename(final)
     sync_directory(path.parent)
-    return Repaired(final, kept, frames, part.problems)
+    return RepairResult(final, kept, frames, part.problems)
 
 
-def _named(path: Path, final: Path, frames: int) -> Repaired | None:
-    """Give a file that is whole its final name, which a crash may have kept from it."""
+def _rename_whole(path: Path, final: Path, frames: int) -> RepairResult | None:
+    """Give a whole file its final name, which is missing after a crash between write and rename."""
     if path == final:
         return None
     if final.exists():
-        raise TakeError(f"{path}: {final} is there already; move it away first")
+        raise TakeError(f"{path}: {final} exists already; move it away first")
     path.rename(final)
     sync_directory(final.parent)
-    return Repaired(final, final, frames, ["only the name was missing"])
+    return RepairResult(final, final, frames, ["only the name was missing"])
 
 
-def _copied(part: PartReader, final: Path, progress: Callable[[int, int], Any] | None) -> Path:
-    """A new file beside the old one, with everything that is sound, frames that were written together still so."""
+def _copy_undamaged(part: PartReader, final: Path, progress: Callable[[int, int], Any] | None) -> Path:
+    """Copy the undamaged frames into a new file beside the old one; frames of one chunk stay together."""
     fresh = final.with_name(f".{final.name}.repairing")
-    for left_behind in (fresh, fresh.with_name(fresh.name + PARTIAL)):
-        left_behind.unlink(missing_ok=True)
+    for leftover in (fresh, fresh.with_name(fresh.name + PARTIAL)):
+        leftover.unlink(missing_ok=True)
     out = PartWriter(fresh, attachments=part.attachments, metadata=part.metadata, created_ns=time.time_ns())
     try:
         for offset, frames in _chunks(part):
             out.write(*frames)
             if progress is not None:
-                progress(offset, part.survey.size)
+                progress(offset, part.index.size)
         out.finish()
     except BaseException:
         out.abandon()
@@ -97,5 +97,5 @@ def _copied(part: PartReader, final: Path, progress: Callable[[int, int], Any] |
 
 
 def _chunks(part: PartReader) -> Iterator[tuple[int, list[Frame]]]:
-    for offset, rows in groupby(part.frames(), key=lambda row: row[1].place.offset):
+    for offset, rows in groupby(part.frames(), key=lambda row: row[1].chunk.offset):
         yield offset, [frame for frame, _ in rows]

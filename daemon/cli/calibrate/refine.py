@@ -19,7 +19,7 @@ def main(
 ) -> None:
     """Correct the turn of one device by the residuals of ordinary images; shows what it changes, then asks."""
     from daemon.apps.calibration.solve import archive
-    from daemon.apps.calibration.views.drift_pairs import of_rig, of_take
+    from daemon.apps.calibration.views.drift_pairs import files_of_take, of_rig
     from daemon.cli.options.progress import rendering
     from daemon.rig.calibration_file import read_calibration
     from pipeline.calibrate.drift_correction import refine, table
@@ -29,7 +29,7 @@ def main(
         raise typer.BadParameter(f"--device is {device!r}, expected one of {', '.join(DEVICES)}")
     file = read_calibration(calibration)
     with rendering("Reading pairs") as progress:
-        scene = (of_rig if source.suffix in (".yaml", ".yml") else of_take)(source, progress)
+        scene = (of_rig if source.suffix in (".yaml", ".yml") else files_of_take)(source, progress)
     with rendering("Finding the drift") as progress:
         found = refine(
             file.calibration, scene.pattern, scene.volume, scene.encoding, scene.pairs, device=device, progress=progress

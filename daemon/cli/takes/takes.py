@@ -38,10 +38,10 @@ def list_(context: typer.Context, directory: DirOption = None, rig: RigOption = 
     where, listing = _scanned(context, directory, rig)
     if as_json:
         takes = [take.as_dict() for take in listing.takes]
-        typer.echo(json.dumps({"directory": str(where), "takes": takes, "garbage": listing.garbage}, indent=2))
+        typer.echo(json.dumps({"directory": str(where), "takes": takes, "garbage": listing.other_files}, indent=2))
         return
     _print(("take", "begun", "length", "pairs", "files", "size", "state"), map(row, listing.takes))
-    for name, problem in listing.garbage.items():
+    for name, problem in listing.other_files.items():
         typer.echo(f"{where / name}: no take: {problem}", err=True)
 
 
@@ -77,7 +77,7 @@ def check(
     where, listing = _scanned(context, directory, rig)
     takes = [listing.find(name) for name in names] if names else listing.takes
     good = [_checked(where, take) for take in takes]
-    garbage = {} if names else listing.garbage
+    garbage = {} if names else listing.other_files
     for name, problem in garbage.items():
         typer.echo(f"{where / name}: no take: {problem}", err=True)
     if garbage or not all(good):

@@ -1,4 +1,4 @@
-"""What can go wrong with a take."""
+"""The error of takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are being written are locked, so that nobody repairs or removes them meanwhile."""
+"""Locks on files that are being written, so that no other program repairs or removes them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 
 
 def lock(handle: int) -> None:
-    """Mark a file as being written, until it is closed; some network disks know no locks."""
+    """Mark a file as being written until it is closed; some network disks support no locks."""
     with suppress(OSError):
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def being_written(path: Path) -> bool:
-    """Whether a running program writes this file."""
+    """Return whether a running program writes this file."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:

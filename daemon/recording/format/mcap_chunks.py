@@ -1,4 +1,4 @@
-"""The messages of a chunk, its compression undone and its checksum proven."""
+"""The messages of a chunk, decompressed and verified by its checksum."""
 
 from __future__ import annotations
 
@@ -6,41 +6,49 @@ import zlib
 from collections.abc import Iterator
 from typing import BinaryIO
 
-from daemon.recording.format.mcap_index import Survey, read_record, split_records
-from daemon.recording.format.mcap_records import MAX_CHUNK, RECORD_HEAD, Cursor, DamageError, Message, Opcode, Place
+from daemon.recording.format.mcap_index import FileIndex, read_record, split_records
+from daemon.recording.format.mcap_records import (
+    MAX_CHUNK,
+    RECORD_HEAD,
+    Cursor,
+    DamageError,
+    Message,
+    Opcode,
+    RecordLocation,
+)
 
 
-def load(file: BinaryIO, place: Place) -> bytes | memoryview:
-    """The records of a chunk (or the one record of a message outside chunks), as bytes.
+def load(file: BinaryIO, location: RecordLocation) -> bytes | memoryview:
+    """Return the records of a chunk (or the one record of a message outside chunks) as bytes.
 
     Raises:
-        DamageError: when the chunk is not what it was when it was written.
+        DamageError: the content of the chunk has changed since it was written.
     """
-    content = read_record(file, place, MAX_CHUNK + 4096)
-    if place.opcode == Opcode.MESSAGE:
-        return bytes([Opcode.MESSAGE]) + (place.length - RECORD_HEAD).to_bytes(8, "little") + content
+    content = read_record(file, location, MAX_CHUNK + 4096)
+    if location.opcode == Opcode.MESSAGE:
+        return bytes([Opcode.MESSAGE]) + (location.length - RECORD_HEAD).to_bytes(8, "little") + content
     cursor = Cursor(content)
     cursor.take(16)
     size, crc, compression = cursor.u64(), cursor.u32(), cursor.text()
-    records = unpacked(cursor.take(cursor.u64()), compression, size)
+    records = decompress(cursor.take(cursor.u64()), compression, size)
     if len(records) != size:
         raise DamageError(f"its content has {len(records)} bytes instead of {size}")
     if crc and zlib.crc32(records) != crc:
-        raise DamageError("its checksum does not fit")
+        raise DamageError("its checksum does not match")
     return records
 
 
-def messages(records: bytes | memoryview, known: Survey) -> Iterator[tuple[Message, int]]:
-    """Every message of a chunk and its offset there; schemas and channels are learnt on the way."""
+def messages(records: bytes | memoryview, index: FileIndex) -> Iterator[tuple[Message, int]]:
+    """Yield every message of a chunk and its offset in it; add the chunk's schemas and channels to the index."""
     for opcode, content, at in split_records(records):
         if opcode == Opcode.MESSAGE:
             yield Message.parse(content), at
         else:
-            known.learn(opcode, content)
+            index.add_definition(opcode, content)
 
 
-def unpacked(data: memoryview, compression: str, size: int) -> bytes | memoryview:
-    """Bytes without their compression; never more than announced, whatever the data say."""
+def decompress(data: memoryview, compression: str, size: int) -> bytes | memoryview:
+    """Return the decompressed bytes, never more than ``size``."""
     if size > MAX_CHUNK:
         raise DamageError(f"a chunk of {size} bytes, limit {MAX_CHUNK}")
     if compression == "":

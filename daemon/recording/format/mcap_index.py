@@ -1,4 +1,4 @@
-"""Where everything lies in an MCAP file: by its index if that is sound, else by walking up to the damage."""
+"""The records of an MCAP file, located by its index if that is valid, else by a scan up to the damage."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from daemon.recording.format.mcap_records import (
     Cursor,
     DamageError,
     Opcode,
-    Place,
+    RecordLocation,
     Schema,
-    index_place,
+    indexed_location,
 )
 
 _SMALL = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
@@ -29,20 +29,20 @@ _INDEXES = (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
 
 
 @dataclass(slots=True)
-class Survey:
-    """What lies where.
+class FileIndex:
+    """The locations of an MCAP file's records.
 
     Args:
         size: of the file, bytes.
         data: chunks (and messages outside chunks) in the order of the file; small: attachments and metadata.
         messages: count by channel; first_ns, last_ns: log times of the first and the last, 0 without any.
-        whole: the file has its end; ``readable_to`` is the byte up to which it can be read, ``problem`` says why no
-            further.
+        whole: the file has its end; ``readable_to`` is the byte up to which it can be read, ``problem`` the reason
+            where that is not its end.
     """
 
     size: int
-    data: list[Place] = field(default_factory=list)
-    small: list[Place] = field(default_factory=list)
+    data: list[RecordLocation] = field(default_factory=list)
+    small: list[RecordLocation] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     messages: Counter[int] = field(default_factory=Counter)
@@ -52,11 +52,11 @@ class Survey:
     readable_to: int = 0
     problem: str = ""
 
-    def learn(self, opcode: int, content: bytes | memoryview, *, again: bool = True) -> None:
-        """Keep a schema or a channel; other records are passed over.
+    def add_definition(self, opcode: int, content: bytes | memoryview, *, again: bool = True) -> None:
+        """Add a schema or a channel; other records are ignored.
 
         Args:
-            again: replace what is known already; False for the repetition in a summary that is not proven.
+            again: replace what is there already; False for the repetition in a summary that is not verified.
         """
         if opcode == Opcode.SCHEMA:
             schema = Schema.parse(content)
@@ -67,18 +67,18 @@ class Survey:
             if again or channel.id not in self.channels:
                 self.channels[channel.id] = channel
 
-    def times(self, first_ns: int, last_ns: int) -> None:
-        """There are messages from one time to another."""
+    def extend_times(self, first_ns: int, last_ns: int) -> None:
+        """Extend the time range by that of some messages."""
         self.first_ns = min(self.first_ns or first_ns, first_ns)
         self.last_ns = max(self.last_ns, last_ns)
 
-    def statistics(self, content: memoryview) -> int:
-        """Learn from the record of this kind; returns the number of messages."""
+    def add_statistics(self, content: memoryview) -> int:
+        """Add a statistics record; return its number of messages."""
         cursor = Cursor(content)
         count = cursor.u64()
         cursor.take(18)
         if count:
-            self.times(cursor.u64(), cursor.u64())
+            self.extend_times(cursor.u64(), cursor.u64())
         else:
             cursor.take(16)
         rows = Cursor(cursor.take(cursor.u32()))
@@ -87,11 +87,11 @@ class Survey:
         return count
 
 
-def survey(file: BinaryIO) -> Survey:
-    """Find everything in an MCAP file.
+def read_index(file: BinaryIO) -> FileIndex:
+    """Locate every record of an MCAP file.
 
     Raises:
-        DamageError: when it is no MCAP file at all.
+        DamageError: the file is not an MCAP file.
     """
     size = file.seek(0, 2)
     file.seek(0)
@@ -100,27 +100,31 @@ def survey(file: BinaryIO) -> Survey:
     try:
         return _by_index(file, size)
     except DamageError as error:
-        found = _by_walking(file, size)
-        found.problem = found.problem or f"its index cannot be used ({error}); everything else was found"
-        return found
+        index = _by_walking(file, size)
+        index.problem = index.problem or f"its index cannot be used ({error}); everything else was found"
+        return index
 
 
-def read_record(file: BinaryIO, place: Place, limit: int) -> bytes:
-    """The content of a record whose head must say what ``place`` says."""
-    if not RECORD_HEAD <= place.length <= limit:
-        raise DamageError(f"a record of {place.length} bytes, limit {limit}")
-    file.seek(place.offset)
+def read_record(file: BinaryIO, location: RecordLocation, limit: int) -> bytes:
+    """Return the content of a record, whose head must match ``location``."""
+    if not RECORD_HEAD <= location.length <= limit:
+        raise DamageError(f"a record of {location.length} bytes, limit {limit}")
+    file.seek(location.offset)
     head = file.read(RECORD_HEAD)
-    if len(head) < RECORD_HEAD or head[0] != place.opcode or int.from_bytes(head[1:], "little") + 9 != place.length:
+    if (
+        len(head) < RECORD_HEAD
+        or head[0] != location.opcode
+        or int.from_bytes(head[1:], "little") + 9 != location.length
+    ):
         raise DamageError("its head is damaged")
-    content = file.read(place.length - RECORD_HEAD)
-    if len(content) != place.length - RECORD_HEAD:
+    content = file.read(location.length - RECORD_HEAD)
+    if len(content) != location.length - RECORD_HEAD:
         raise DamageError("cut off")
     return content
 
 
 def split_records(data: bytes | memoryview) -> Iterator[tuple[int, memoryview, int]]:
-    """Kind, content and offset of every record in bytes that hold nothing else."""
+    """Yield opcode, content and offset of every record in bytes that hold records only."""
     cursor = Cursor(data)
     while cursor.left:
         at = cursor.at
@@ -128,28 +132,28 @@ def split_records(data: bytes | memoryview) -> Iterator[tuple[int, memoryview, i
         yield opcode, cursor.take(cursor.u64()), at
 
 
-def _by_index(file: BinaryIO, size: int) -> Survey:
+def _by_index(file: BinaryIO, size: int) -> FileIndex:
     start, summary = _summary(file, size)
-    found = Survey(size, whole=True, readable_to=size)
+    index = FileIndex(size, whole=True, readable_to=size)
     messages = 0
     for opcode, content, _ in split_records(summary):
         if opcode in _INDEXES:
-            place = index_place(opcode, content)
-            if place.offset < len(MAGIC) or place.length < RECORD_HEAD or place.end > start:
+            location = indexed_location(opcode, content)
+            if location.offset < len(MAGIC) or location.length < RECORD_HEAD or location.end > start:
                 raise DamageError("it points outside the file")
-            (found.data if place.opcode == Opcode.CHUNK else found.small).append(place)
+            (index.data if location.opcode == Opcode.CHUNK else index.small).append(location)
         elif opcode == Opcode.STATISTICS:
-            messages = found.statistics(content)
+            messages = index.add_statistics(content)
         else:
-            found.learn(opcode, content)
-    if messages and not found.data:
+            index.add_definition(opcode, content)
+    if messages and not index.data:
         raise DamageError("it lists no chunks")
-    found.data.sort(key=lambda place: place.offset)
-    return found
+    index.data.sort(key=lambda location: location.offset)
+    return index
 
 
 def _summary(file: BinaryIO, size: int) -> tuple[int, bytes]:
-    """Offset and bytes of the summary, proven by its checksum."""
+    """Return offset and bytes of the summary, verified by its checksum."""
     if size < len(MAGIC) + FOOTER_BYTES:
         raise DamageError("the file ends early")
     file.seek(size - FOOTER_BYTES)
@@ -163,66 +167,66 @@ def _summary(file: BinaryIO, size: int) -> tuple[int, bytes]:
     file.seek(start)
     summary = file.read(length)
     if zlib.crc32(footer[: RECORD_HEAD + 16], zlib.crc32(summary)) != crc:
-        raise DamageError("its checksum does not fit")
+        raise DamageError("its checksum does not match")
     return start, summary
 
 
-def _by_walking(file: BinaryIO, size: int) -> Survey:
-    """Go from record to record until the end or something impossible."""
-    found = Survey(size, readable_to=len(MAGIC))
+def _by_walking(file: BinaryIO, size: int) -> FileIndex:
+    """Read record after record, up to the end or an impossible one."""
+    index = FileIndex(size, readable_to=len(MAGIC))
     in_data = True
-    while not found.whole:
-        place = _next(file, found)
-        if place is None:
+    while not index.whole:
+        location = _next(file, index)
+        if location is None:
             break
         try:
-            if place.opcode in _SMALL:
-                content = read_record(file, place, MAX_SMALL_RECORD)
-                found.learn(place.opcode, content, again=in_data)
-            elif place.opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX) and in_data:
-                _count(file, place, found)
+            if location.opcode in _SMALL:
+                content = read_record(file, location, MAX_SMALL_RECORD)
+                index.add_definition(location.opcode, content, again=in_data)
+            elif location.opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX) and in_data:
+                _count(file, location, index)
         except DamageError as error:
-            found.problem = found.problem or f"damaged at byte {place.offset}: {error}"
-        if in_data and place.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-            found.data.append(place)
-        elif place.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
-            found.small.append(place)
-        in_data = in_data and place.opcode != Opcode.DATA_END
-        found.readable_to = place.end
-        if place.opcode == Opcode.FOOTER:
-            file.seek(place.end)
-            found.whole = file.read(len(MAGIC)) == MAGIC
-    return found
+            index.problem = index.problem or f"damaged at byte {location.offset}: {error}"
+        if in_data and location.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+            index.data.append(location)
+        elif location.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+            index.small.append(location)
+        in_data = in_data and location.opcode != Opcode.DATA_END
+        index.readable_to = location.end
+        if location.opcode == Opcode.FOOTER:
+            file.seek(location.end)
+            index.whole = file.read(len(MAGIC)) == MAGIC
+    return index
 
 
-def _count(file: BinaryIO, place: Place, found: Survey) -> None:
-    """Learn counts and times from the heads of chunks and their indexes; the messages themselves are not read."""
-    file.seek(place.offset + RECORD_HEAD)
-    head = Cursor(file.read(min(22, place.length - RECORD_HEAD)))
-    if place.opcode == Opcode.MESSAGE_INDEX:
-        found.messages[head.u16()] += head.u32() // 16
-    elif place.opcode == Opcode.CHUNK:
-        found.times(head.u64(), head.u64())
+def _count(file: BinaryIO, location: RecordLocation, index: FileIndex) -> None:
+    """Add counts and times from the heads of chunks and their indexes; no message is read."""
+    file.seek(location.offset + RECORD_HEAD)
+    head = Cursor(file.read(min(22, location.length - RECORD_HEAD)))
+    if location.opcode == Opcode.MESSAGE_INDEX:
+        index.messages[head.u16()] += head.u32() // 16
+    elif location.opcode == Opcode.CHUNK:
+        index.extend_times(head.u64(), head.u64())
     else:
-        found.messages[head.u16()] += 1
+        index.messages[head.u16()] += 1
         head.take(4)
         t_ns = head.u64()
-        found.times(t_ns, t_ns)
+        index.extend_times(t_ns, t_ns)
 
 
-def _next(file: BinaryIO, found: Survey) -> Place | None:
-    """The record that follows; None, with the reason noted, where there is none."""
-    offset = found.readable_to
+def _next(file: BinaryIO, index: FileIndex) -> RecordLocation | None:
+    """Return the next record's location; None, with ``problem`` set, where there is none."""
+    offset = index.readable_to
     file.seek(offset)
     head = file.read(RECORD_HEAD)
     if len(head) < RECORD_HEAD:
-        found.problem = f"the file was cut off at byte {found.size}"
+        index.problem = f"the file was cut off at byte {index.size}"
         return None
-    place = Place(head[0], offset, RECORD_HEAD + int.from_bytes(head[1:], "little"))
-    if head[0] == 0 or place.length > max(MAX_CHUNK, MAX_SMALL_RECORD):
-        found.problem = f"damaged at byte {offset}: there is no record; what follows cannot be read"
+    location = RecordLocation(head[0], offset, RECORD_HEAD + int.from_bytes(head[1:], "little"))
+    if head[0] == 0 or location.length > max(MAX_CHUNK, MAX_SMALL_RECORD):
+        index.problem = f"damaged at byte {offset}: there is no record; what follows cannot be read"
         return None
-    if place.end > found.size:
-        found.problem = f"the file was cut off at byte {found.size}, or is damaged at byte {offset}"
+    if location.end > index.size:
+        index.problem = f"the file was cut off at byte {index.size}, or is damaged at byte {offset}"
         return None
-    return place
+    return location

@@ -1,4 +1,4 @@
-"""MCAP records as bytes, read with every length checked; nothing here trusts the file."""
+"""MCAP records parsed from bytes, every length checked before it is used."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Opcode(IntEnum):
 
 
 class DamageError(ValueError):
-    """Bytes that are not the record they should be."""
+    """Bytes that are not a valid record of the expected kind."""
 
 
 class Cursor:
-    """Reads numbers and texts from bytes, one after the other."""
+    """Reads numbers and strings from bytes, one after the other."""
 
     def __init__(self, data: bytes | memoryview) -> None:
         self._data = memoryview(data)
@@ -51,34 +51,34 @@ class Cursor:
         return len(self._data) - self.at
 
     def take(self, length: int) -> memoryview:
-        """The next bytes, not copied."""
+        """Return the next bytes, not copied."""
         if length > self.left:
-            raise DamageError(f"{length} bytes wanted, {self.left} left")
+            raise DamageError(f"{length} bytes expected, {self.left} left")
         piece = self._data[self.at : self.at + length]
         self.at += length
         return piece
 
     def u16(self) -> int:
-        """A number of two bytes."""
+        """Return a number of two bytes."""
         return int.from_bytes(self.take(2), "little")
 
     def u32(self) -> int:
-        """A number of four bytes."""
+        """Return a number of four bytes."""
         return int.from_bytes(self.take(4), "little")
 
     def u64(self) -> int:
-        """A number of eight bytes."""
+        """Return a number of eight bytes."""
         return int.from_bytes(self.take(8), "little")
 
     def text(self) -> str:
-        """A text after its length."""
+        """Return a string, which follows its length."""
         try:
             return bytes(self.take(self.u32())).decode("utf-8")
         except UnicodeDecodeError as error:
-            raise DamageError("a text that is not UTF-8") from error
+            raise DamageError("a string is not UTF-8") from error
 
     def texts(self) -> dict[str, str]:
-        """A map of texts after its length in bytes."""
+        """Return a map of strings, which follows its length in bytes."""
         inner = Cursor(self.take(self.u32()))
         out: dict[str, str] = {}
         while inner.left:
@@ -89,7 +89,7 @@ class Cursor:
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """What the messages of a channel look like."""
+    """The format of a channel's messages."""
 
     id: int
     name: str
@@ -97,7 +97,7 @@ class Schema:
 
     @classmethod
     def parse(cls, data: bytes | memoryview) -> Schema:
-        """From the content of the record."""
+        """Parse the content of the record."""
         cursor = Cursor(data)
         return cls(cursor.u16(), cursor.text(), cursor.text())
 
@@ -113,7 +113,7 @@ class Channel:
 
     @classmethod
     def parse(cls, data: bytes | memoryview) -> Channel:
-        """From the content of the record."""
+        """Parse the content of the record."""
         cursor = Cursor(data)
         return cls(cursor.u16(), cursor.u16(), cursor.text(), cursor.text())
 
@@ -130,7 +130,7 @@ class Message:
 
     @classmethod
     def parse(cls, data: memoryview) -> Message:
-        """From the content of the record."""
+        """Parse the content of the record."""
         if len(data) < 22:
             raise DamageError(f"a message of {len(data)} bytes")
         channel_id, sequence, log_ns, publish_ns = struct.unpack_from("<HIQQ", data)
@@ -147,7 +147,7 @@ class Attachment:
 
     @classmethod
     def parse(cls, data: bytes | memoryview) -> Attachment:
-        """From the content of the record; its checksum must fit."""
+        """Parse the content of the record; its checksum must match."""
         cursor = Cursor(data)
         cursor.take(16)
         name, media_type = cursor.text(), cursor.text()
@@ -155,27 +155,27 @@ class Attachment:
         checked = cursor.at
         crc = cursor.u32()
         if crc and crc != zlib.crc32(memoryview(data)[:checked]):
-            raise DamageError(f"attachment {name!r}: its checksum does not fit")
+            raise DamageError(f"attachment {name!r}: its checksum does not match")
         return cls(name, media_type, content)
 
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """Named texts."""
+    """A named table of strings."""
 
     name: str
     values: dict[str, str]
 
     @classmethod
     def parse(cls, data: bytes | memoryview) -> Metadata:
-        """From the content of the record."""
+        """Parse the content of the record."""
         cursor = Cursor(data)
         return cls(cursor.text(), cursor.texts())
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where a whole record lies in the file, its nine bytes of head included."""
+class RecordLocation:
+    """Location of a record in the file, its nine bytes of head included."""
 
     opcode: int
     offset: int
@@ -187,11 +187,11 @@ class Place:
         return self.offset + self.length
 
 
-def index_place(opcode: int, data: bytes | memoryview) -> Place:
-    """Where the record lies that an index record points at."""
+def indexed_location(opcode: int, data: bytes | memoryview) -> RecordLocation:
+    """Return the location that an index record points at."""
     cursor = Cursor(data)
     if opcode == Opcode.CHUNK_INDEX:
         cursor.take(16)
-        return Place(Opcode.CHUNK, cursor.u64(), cursor.u64())
+        return RecordLocation(Opcode.CHUNK, cursor.u64(), cursor.u64())
     kind = Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA
-    return Place(kind, cursor.u64(), cursor.u64())
+    return RecordLocation(kind, cursor.u64(), cursor.u64())

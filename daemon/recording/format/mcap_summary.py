@@ -1,4 +1,4 @@
-"""What an MCAP file holds, collected while it is written, and the index and footer made from it."""
+"""The contents of an MCAP file, collected while it is written, and the index and footer made from them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Contents:
     last_ns: int = 0
 
     def attachment(self, offset: int, record: bytes, t_ns: int, name: str, media_type: str, size: int) -> None:
-        """An attachment stands at this offset."""
+        """Add the attachment at this offset."""
         self.attachments.append(
             mcap_records.AttachmentIndex(
                 offset=offset,
@@ -42,7 +42,7 @@ class Contents:
         )
 
     def metadata(self, offset: int, record: bytes, name: str) -> None:
-        """A metadata record stands at this offset."""
+        """Add the metadata record at this offset."""
         self.metadatas.append(mcap_records.MetadataIndex(offset=offset, length=len(record), name=name))
 
     def chunk(
@@ -55,7 +55,7 @@ class Contents:
         stored: int,
         size: int,
     ) -> None:
-        """A chunk stands at this offset, its message indexes directly behind it.
+        """Add the chunk at this offset, directly followed by its message indexes.
 
         Args:
             places: (channel, log_ns, offset in the chunk) of every message; indexes: one a channel, by its number.
@@ -85,7 +85,7 @@ class Contents:
         self.last_ns = max(self.last_ns, *times)
 
     def ending(self, offset: int) -> bytes:
-        """Everything from the end of the data, at this offset, to the end of the file."""
+        """Return the bytes from the end of the data, at this offset, to the end of the file."""
         data_end, summary, offsets = RecordBuilder(), RecordBuilder(), []
         mcap_records.DataEnd(0).write(data_end)
         head = data_end.end()

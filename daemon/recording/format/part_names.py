@@ -12,12 +12,12 @@ PARTIAL = ".partial"
 
 
 def part_path(path: Path, number: int) -> Path:
-    """The file of a part; the first part has the name of the take."""
+    """Return the file of a part; the first part has the name of the take."""
     return path if number == 1 else path.with_name(f"{path.stem}_part{number:03d}{path.suffix}")
 
 
-def of_take(path: Path) -> list[Path]:
-    """The existing files of a take in order, given its first or their directory; any of them may be unfinished.
+def files_of_take(path: Path) -> list[Path]:
+    """Return the existing files of a take in order, given its first or their directory; any may be unfinished.
 
     Any other file is a take of its own.
     """
@@ -31,18 +31,18 @@ def of_take(path: Path) -> list[Path]:
 
 
 def _later_parts(first: Path) -> list[Path]:
-    """The parts after the first, by number; some may have been removed by an endless recording."""
-    found: dict[int, Path] = {}
+    """Return the parts after the first, by number; an endless recording may have removed some."""
+    parts: dict[int, Path] = {}
     with suppress(OSError):
         for file in sorted(first.parent.iterdir()):
             match = _numbered(first, file.name)
             if match is not None:
-                found.setdefault(match, file)  # sorted: the finished one before the unfinished
-    return [found[number] for number in sorted(found)]
+                parts.setdefault(match, file)  # sorted: the finished one before the unfinished
+    return [parts[number] for number in sorted(parts)]
 
 
 def _numbered(first: Path, name: str) -> int | None:
-    """The number in the name of a later part of this take; None for other files."""
+    """Return the number in the name of a later part of this take; None for other files."""
     middle = name.removesuffix(PARTIAL).removesuffix(first.suffix)
     digits = middle.removeprefix(f"{first.stem}_part")
     if middle == name or digits == middle or not (digits.isascii() and digits.isdigit() and 3 <= len(digits) <= 6):

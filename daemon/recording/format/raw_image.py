@@ -1,4 +1,4 @@
-"""foxglove.RawImage as bytes: the few lines of protobuf that an image needs, decoded without a copy."""
+"""foxglove.RawImage messages: the part of protobuf that an image needs, decoded without a copy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
 class ImageError(TakeError):
-    """A message that is no image, or an image that no message can carry."""
+    """A message that is not a valid image, or an image that the message format cannot represent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,12 +48,12 @@ class RawImage:
 
 
 def encode(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> bytes:
-    """The message of an image; ImageError when image and encoding contradict each other."""
+    """Encode an image as a message; ImageError when image and encoding do not match."""
     return b"".join(pieces(t_ns, frame_id, encoding, image))
 
 
 def pieces(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> tuple[bytes, memoryview]:
-    """The message in two pieces, the second the pixels themselves: they are not copied unless they have gaps."""
+    """Encode an image as two pieces; the second is a view of the pixels, copied only if they have gaps."""
     dtype, channels = _encoding(encoding)
     shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
     if image.shape != shape or image.size == 0 or image.dtype != np.dtype(dtype).newbyteorder("="):
@@ -69,10 +69,10 @@ def pieces(t_ns: int, frame_id: str, encoding: str, image: Pixels) -> tuple[byte
 
 
 def decode(data: bytes | memoryview) -> RawImage:
-    """The image of a message, a read-only view of ``data`` wherever its rows are not padded.
+    """Decode the image of a message; a read-only view of ``data`` unless its rows are padded.
 
     Raises:
-        ImageError: bytes that are not a RawImage, or sizes that contradict each other.
+        ImageError: bytes that are not a RawImage, or sizes that do not match each other.
     """
     try:
         fields = _fields(memoryview(data))
@@ -100,7 +100,7 @@ def _view(pixels: memoryview, encoding: str, width: int, height: int, step: int)
     strides = (step, item) if channels == 1 else (step, item * channels, item)
     image: Any = np.ndarray(shape, dtype=dtype, buffer=pixels, strides=strides)
     if step != row or not image.flags.aligned:
-        # Compiled kernels want rows without gaps and aligned numbers.
+        # Compiled kernels need rows without gaps and aligned numbers.
         image = np.array(image, dtype=image.dtype.newbyteorder("="), order="C")
     image.setflags(write=False)
     return image  # type: ignore[no-any-return]
@@ -139,7 +139,7 @@ def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
 
 
 def _fields(data: memoryview) -> dict[int, Any]:
-    """Field number -> value (the last one wins, as protobuf wants it); unknown fields are kept and ignored."""
+    """Field number -> value (the last one wins, as in protobuf); unknown fields are kept and ignored."""
     fields: dict[int, Any] = {}
     at = 0
     while at < len(data):
@@ -157,7 +157,7 @@ def _fields(data: memoryview) -> dict[int, Any]:
         elif kind == _BYTES:
             size, at = _read_varint(data, at)
             if size > len(data) - at:
-                raise ValueError(f"field {tag >> 3} claims {size} bytes, {len(data) - at} are left")
+                raise ValueError(f"field {tag >> 3} has a length of {size} bytes, {len(data) - at} are left")
             fields[tag >> 3] = data[at : at + size]
             at += size
         else:

@@ -1,1 +1,1 @@
-"""Takes read: their parts, catalogue and inspection."""
+"""Reading of takes: parts, catalogue and inspection."""

@@ -1,7 +1,7 @@
-"""Which takes lie in a directory, told from the files' ends without reading the images, and remembered.
+"""The takes of a directory, listed from the files' indexes without reading the images, and cached.
 
-``takes.json`` in the directory keeps what was found of finished files, by size and time of change; it may be removed
-at any time, and what does not fit is looked at again.
+``takes.json`` in the directory caches the entries of finished files, by size and time of change; it may be removed at
+any time, and files that do not match their entry are read again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _VERSION = 2
 
 @dataclass(frozen=True, slots=True)
 class FileEntry:
-    """What one file says of itself; ``problem`` if it says nothing or has no end."""
+    """One file of a take; ``problem`` if it cannot be read or has no end."""
 
     name: str
     size: int
@@ -45,11 +45,11 @@ class FileEntry:
 
 @dataclass(slots=True)
 class TakeEntry:
-    """A take: its files in order and what they add up to.
+    """A take: its files in order and their totals.
 
     Args:
         state: ``whole``, ``writing``, ``unfinished`` (a file has no end yet) or ``damaged``.
-        frames: left, right; interruptions: parts that say that they continue an interrupted one.
+        frames: left, right; interruptions: parts that continue an interrupted one.
     """
 
     name: str
@@ -80,28 +80,29 @@ class TakeEntry:
 
 @dataclass(slots=True)
 class Listing:
-    """The takes of a directory, oldest first, and files that are none, with the reason."""
+    """The takes of a directory, oldest first, and files that are not takes, with the reason."""
 
     takes: list[TakeEntry] = field(default_factory=list)
-    garbage: dict[str, str] = field(default_factory=dict)
+    other_files: dict[str, str] = field(default_factory=dict)
 
     def find(self, name: str) -> TakeEntry:
-        """The take of this name, or the only one whose name begins so.
+        """Return the take of this name, or the only one whose name begins with it.
 
         Raises:
             TakeError: there is none, or there are several.
         """
         name = Path(name).name.removesuffix(PARTIAL).removesuffix(".mcap")
-        found = [take for take in self.takes if take.name == name]
-        found = found or [take for take in self.takes if take.name.startswith(name)]
-        if len(found) == 1:
-            return found[0]
-        there = ", ".join(take.name for take in (found or self.takes)[:8]) or "none"
-        raise TakeError(f"{name}: {'several takes begin so' if found else 'there is no such take'}; there are: {there}")
+        matches = [take for take in self.takes if take.name == name]
+        matches = matches or [take for take in self.takes if take.name.startswith(name)]
+        if len(matches) == 1:
+            return matches[0]
+        names = ", ".join(take.name for take in (matches or self.takes)[:8]) or "none"
+        reason = "several takes begin with this name" if matches else "there is no such take"
+        raise TakeError(f"{name}: {reason}; there are: {names}")
 
 
 def scan(directory: Path) -> Listing:
-    """Look at every file of a directory that has a take's name.
+    """List the takes of a directory from every file that has a take's name.
 
     Raises:
         TakeError: the directory cannot be read.
@@ -110,35 +111,35 @@ def scan(directory: Path) -> Listing:
         files = sorted(file for file in directory.iterdir() if file.name.removesuffix(PARTIAL).endswith(".mcap"))
     except OSError as error:
         raise TakeError(f"{directory}: {error.strerror or error}") from error
-    known = _read_cache(directory)
-    entries = [entry for file in files if (entry := _entry(file, known)) is not None]
-    _write_cache(directory, entries, known)
+    cached = _read_cache(directory)
+    entries = [entry for file in files if (entry := _entry(file, cached)) is not None]
+    _write_cache(directory, entries, cached)
     return _listing(directory, entries)
 
 
-def _entry(file: Path, known: dict[str, FileEntry]) -> FileEntry | None:
+def _entry(file: Path, cache: dict[str, FileEntry]) -> FileEntry | None:
     try:
         stat = file.stat()
-    except OSError:  # it has just got its final name, or is gone
+    except OSError:  # the file was renamed or removed meanwhile
         return None
-    held = known.get(file.name)
-    if held is not None and (held.size, held.mtime_ns) == (stat.st_size, stat.st_mtime_ns):
-        return held
+    cached = cache.get(file.name)
+    if cached is not None and (cached.size, cached.mtime_ns) == (stat.st_size, stat.st_mtime_ns):
+        return cached
     try:
         part = PartReader(file)
     except TakeError as error:
         return FileEntry(file.name, stat.st_size, stat.st_mtime_ns, str(error).removeprefix(f"{file}: "))
     try:
-        return _told(part, file.name, stat.st_mtime_ns)
+        return _described(part, file.name, stat.st_mtime_ns)
     finally:
         part.close()
 
 
-def _told(part: PartReader, name: str, mtime_ns: int) -> FileEntry:
-    found, counts = part.survey, part.counts()
+def _described(part: PartReader, name: str, mtime_ns: int) -> FileEntry:
+    index, counts = part.index, part.counts()
     return FileEntry(
         name,
-        found.size,
+        index.size,
         mtime_ns,
         "; ".join(part.problems),
         part.metadata.get("session", ""),
@@ -146,8 +147,8 @@ def _told(part: PartReader, name: str, mtime_ns: int) -> FileEntry:
         part.metadata.get("continues", ""),
         counts["left"],
         counts["right"],
-        found.first_ns,
-        found.last_ns,
+        index.first_ns,
+        index.last_ns,
     )
 
 
@@ -156,7 +157,7 @@ def _listing(directory: Path, entries: list[FileEntry]) -> Listing:
     groups: dict[tuple[str, str], list[FileEntry]] = {}
     for entry in entries:
         if entry.problem and not entry.first_ns and not entry.session:
-            out.garbage[entry.name] = entry.problem
+            out.other_files[entry.name] = entry.problem
         else:
             groups.setdefault((_parsed(entry)[0], entry.session), []).append(entry)
     for members in groups.values():
@@ -166,7 +167,7 @@ def _listing(directory: Path, entries: list[FileEntry]) -> Listing:
 
 
 def _parsed(entry: FileEntry) -> tuple[str, int]:
-    """Name of the take and number of the part."""
+    """Return the name of the take and the number of the part."""
     match = _PART.fullmatch(entry.name.removesuffix(PARTIAL))
     return (match["take"], int(match["number"] or 1)) if match else (entry.name, 1)
 
@@ -207,17 +208,17 @@ def _read_cache(directory: Path) -> dict[str, FileEntry]:
 
 
 def _checked(rows: list[dict[str, Any]]) -> Iterator[FileEntry]:
-    """Entries of the right shape only: the file is anybody's to change."""
+    """Yield the entries of the right shape only: any program may have changed the file."""
     kinds = {name: type(value) for name, value in asdict(FileEntry("", 0, 0)).items()}
     for row in rows:
         if {name: type(value) for name, value in row.items()} == kinds:
             yield FileEntry(**row)
 
 
-def _write_cache(directory: Path, entries: list[FileEntry], known: dict[str, FileEntry]) -> None:
+def _write_cache(directory: Path, entries: list[FileEntry], cached: dict[str, FileEntry]) -> None:
     finished = {entry.name: entry for entry in entries if not entry.name.endswith(PARTIAL)}
-    if finished == known:
+    if finished == cached:
         return
     rows = [asdict(entry) for entry in finished.values()]
-    with suppress(OSError):  # a directory that cannot be written is looked at anew each time
+    with suppress(OSError):  # a directory that cannot be written is read again each time
         write_atomically(directory / CACHE, json.dumps({"version": _VERSION, "files": rows}).encode())

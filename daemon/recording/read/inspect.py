@@ -1,4 +1,4 @@
-"""What a take holds and whether it is whole: every image is read and its checksum proven."""
+"""The contents of a take and whether it is whole: every image is read and its checksum verified."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_GAPS = 8
 
 @dataclass(slots=True)
 class _Tally:
-    """What the frames of a take add up to."""
+    """Totals over the frames of a take."""
 
     frames: Counter[Side] = field(default_factory=Counter)
     pairs: int = 0
@@ -31,7 +31,7 @@ class _Tally:
     last: int | None = None
 
     def part(self, frames: dict[Side, set[int]]) -> None:
-        """Close the books of a part: both frames of a pair lie in the same one."""
+        """Count the pairs of a finished part: both frames of a pair lie in the same one."""
         left, right = frames["left"], frames["right"]
         self.pairs += len(left & right)
         self.unpaired["left"] += len(left - right)
@@ -53,7 +53,7 @@ class _Tally:
 
 
 def unwrapped(number: int, last: int | None) -> int:
-    """A trigger number without the wrap at 2**32: the one nearest to the number before."""
+    """Return a trigger number without the wrap at 2**32: the one nearest to the number before."""
     if last is None:
         return number
     step = (number - last + TRIGGER_MODULUS // 2) % TRIGGER_MODULUS - TRIGGER_MODULUS // 2
@@ -61,27 +61,26 @@ def unwrapped(number: int, last: int | None) -> int:
 
 
 def gaps(numbers: set[int]) -> list[tuple[int, int]]:
-    """First and last missing number of every hole, trigger numbers as they were sent."""
-    ordered = sorted(numbers)
-    holes = [(a + 1, b - 1) for a, b in pairwise(ordered) if b > a + 1]
-    return [(first % TRIGGER_MODULUS, last % TRIGGER_MODULUS) for first, last in holes]
+    """Return first and last missing number of every gap, as trigger numbers modulo 2**32."""
+    missing = [(a + 1, b - 1) for a, b in pairwise(sorted(numbers)) if b > a + 1]
+    return [(first % TRIGGER_MODULUS, last % TRIGGER_MODULUS) for first, last in missing]
 
 
 def inspect(take: TakeReader, progress: Callable[[int], Any] | None = None) -> dict[str, Any]:
-    """Everything worth knowing of a take, as plain values.
+    """Read a take and return its report as plain values.
 
     Args:
-        progress: told the number of bytes read so far.
+        progress: called with the number of bytes read so far.
     """
     tally, done = _Tally(), 0
     for part in take.parts:
         seen: dict[Side, set[int]] = {side: set() for side in SIDES}
-        for frame, where in part.frames():
+        for frame, location in part.frames():
             tally.frame(frame, seen)
             if progress is not None:
-                progress(done + where.place.offset)
+                progress(done + location.chunk.offset)
         tally.part(seen)
-        done += part.survey.size
+        done += part.index.size
     files = [_file(part) for part in take.parts]
     return {
         "take": str(take.path),
@@ -97,11 +96,11 @@ def inspect(take: TakeReader, progress: Callable[[int], Any] | None = None) -> d
 
 
 def _file(part: PartReader) -> dict[str, Any]:
-    return {"file": str(part.path), "bytes": part.survey.size, "readable_to": part.survey.readable_to}
+    return {"file": str(part.path), "bytes": part.index.size, "readable_to": part.index.readable_to}
 
 
 def _sums(tally: _Tally) -> dict[str, Any]:
-    holes = gaps(tally.numbers)
+    missing = gaps(tally.numbers)
     seconds = (max(tally.times_ns) - min(tally.times_ns)) / 1e9 if tally.times_ns else 0.0
     steps = len(tally.times_ns) - 1
     return {
@@ -112,8 +111,8 @@ def _sums(tally: _Tally) -> dict[str, Any]:
         "pictures": dict(sorted(tally.images.items())),
         "first_sequence": min(tally.numbers) % TRIGGER_MODULUS if tally.numbers else None,
         "last_sequence": max(tally.numbers) % TRIGGER_MODULUS if tally.numbers else None,
-        "missing": sum((last - first) % TRIGGER_MODULUS + 1 for first, last in holes),
-        "gaps": [list(hole) for hole in holes[:_MAX_GAPS]],
+        "missing": sum((last - first) % TRIGGER_MODULUS + 1 for first, last in missing),
+        "gaps": [list(gap) for gap in missing[:_MAX_GAPS]],
         "start_ns": min(tally.times_ns, default=None),
         "duration_s": round(seconds, 6),
         "rate_hz": round(steps / seconds, 3) if seconds > 0 else None,
@@ -121,7 +120,7 @@ def _sums(tally: _Tally) -> dict[str, Any]:
 
 
 def _attached(take: TakeReader) -> dict[str, Any]:
-    """What the attachments say; one that cannot be used is told among the problems, not raised."""
+    """Describe the attachments; one that cannot be used is listed among the problems, not raised."""
     out: dict[str, Any] = {"attachments": {name: len(data) for name, data in take.attachments.items()}}
     problems: list[str] = []
     for name, read in ((CALIBRATION, _calibration), (PATTERN, _pattern), (VOLUME, _volume)):
@@ -145,12 +144,11 @@ def _calibration(take: TakeReader) -> dict[str, Any]:
 def _pattern(take: TakeReader) -> dict[str, Any]:
     sequence = take.sequence()
     if sequence is not None:
-        found = {"sequence": sequence.name, "frames": len(sequence), "size": list(sequence.size)}
-        return {"pattern": found | {"first_pattern_sequence": take.first_pattern_sequence}}
+        values = {"sequence": sequence.name, "frames": len(sequence), "size": list(sequence.size)}
+        return {"pattern": values | {"first_pattern_sequence": take.first_pattern_sequence}}
     pattern = take.pattern()
     fringe = "frequency-modulated" if pattern.profile is not None else "plain"
-    values = {"size": list(pattern.size), "periods": pattern.periods, "axis": pattern.axis, "fringe": fringe}
-    return {"pattern": values}
+    return {"pattern": {"size": list(pattern.size), "periods": pattern.periods, "axis": pattern.axis, "fringe": fringe}}
 
 
 def _volume(take: TakeReader) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""One file of a take: its attachments, and its frames as far as they are sound."""
+"""One file of a take: its attachments and its undamaged frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daemon.recording.format import mcap_chunks
 from daemon.recording.format.errors import TakeError
-from daemon.recording.format.mcap_index import Survey, read_record, survey
+from daemon.recording.format.mcap_index import FileIndex, read_index, read_record
 from daemon.recording.format.mcap_records import (
     MAX_SMALL_RECORD,
     Attachment,
@@ -17,7 +17,7 @@ from daemon.recording.format.mcap_records import (
     Message,
     Metadata,
     Opcode,
-    Place,
+    RecordLocation,
 )
 from daemon.recording.format.raw_image import ImageError, decode
 from drivers.protocols import SIDES, Frame, Side
@@ -29,11 +29,11 @@ _MAX_PROBLEMS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
-    """The place of a message: its chunk, and the offset inside it."""
+class FrameLocation:
+    """Location of a frame: its chunk, and the offset of the message inside it."""
 
-    place: Place
-    at: int
+    chunk: RecordLocation
+    offset: int
 
 
 class PartReader:
@@ -43,7 +43,7 @@ class PartReader:
         path: of the file.
 
     Raises:
-        TakeError: a file that cannot be read, is no recording of ours, or is of a version that is not known.
+        TakeError: a file that cannot be read, is not a take, or is of an unsupported version.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,7 +56,7 @@ class PartReader:
         except OSError as error:
             raise TakeError(f"{path}: {error.strerror or error}") from error
         try:
-            self.survey: Survey = survey(self._file)
+            self.index: FileIndex = read_index(self._file)
             self._read_small()
         except DamageError as error:
             self.close()
@@ -67,96 +67,96 @@ class PartReader:
         except BaseException:
             self.close()
             raise
-        if self.survey.problem:
-            self.complain(self.survey.problem)
+        if self.index.problem:
+            self.complain(self.index.problem)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
     def counts(self) -> Counter[Side]:
-        """Frames by camera, as the file's index or the heads of its chunks tell; none was read."""
+        """Return the frames by camera from the file's index or the heads of its chunks; no frame is read."""
         out: Counter[Side] = Counter()
-        for channel_id, count in self.survey.messages.items():
-            channel = self.survey.channels.get(channel_id)
+        for channel_id, count in self.index.messages.items():
+            channel = self.index.channels.get(channel_id)
             side = _TOPICS.get(channel.topic) if channel is not None else None
             if side is not None:
                 out[side] += count
         return out
 
-    def frames(self) -> Iterator[tuple[Frame, Where]]:
-        """Every frame that is sound, in the order of the file."""
-        for place in self.survey.data:
-            records = self._load(place)
+    def frames(self) -> Iterator[tuple[Frame, FrameLocation]]:
+        """Yield every undamaged frame, in the order of the file."""
+        for location in self.index.data:
+            records = self._load(location)
             if records is None:
                 continue
             try:
-                for message, at in mcap_chunks.messages(records, self.survey):
-                    frame = self._frame(message, place)
+                for message, offset in mcap_chunks.messages(records, self.index):
+                    frame = self._frame(message, location)
                     if frame is not None:
-                        yield frame, Where(place, at)
+                        yield frame, FrameLocation(location, offset)
             except DamageError as error:
-                self.complain(f"damaged at byte {place.offset}: {error}")
+                self.complain(f"damaged at byte {location.offset}: {error}")
 
-    def frame_at(self, where: Where) -> Frame | None:
-        """One frame again, or None if it cannot be read any more."""
-        records = self._load(where.place)
-        for message, at in mcap_chunks.messages(records, self.survey) if records is not None else ():
-            if at == where.at:
-                return self._frame(message, where.place)
+    def frame_at(self, location: FrameLocation) -> Frame | None:
+        """Read one frame again; None if that fails."""
+        records = self._load(location.chunk)
+        for message, offset in mcap_chunks.messages(records, self.index) if records is not None else ():
+            if offset == location.offset:
+                return self._frame(message, location.chunk)
         return None
 
-    def _load(self, place: Place) -> bytes | memoryview | None:
+    def _load(self, location: RecordLocation) -> bytes | memoryview | None:
         try:
-            return mcap_chunks.load(self._file, place)
+            return mcap_chunks.load(self._file, location)
         except DamageError as error:
-            self.complain(f"damaged at byte {place.offset}: {error}; its frames are left out")
+            self.complain(f"damaged at byte {location.offset}: {error}; its frames are left out")
             return None
         except OSError as error:
-            raise TakeError(f"{self.path}: byte {place.offset}: {error}") from error
+            raise TakeError(f"{self.path}: byte {location.offset}: {error}") from error
 
-    def _frame(self, message: Message, place: Place) -> Frame | None:
-        side = self._side(message.channel_id, place)
+    def _frame(self, message: Message, location: RecordLocation) -> Frame | None:
+        side = self._side(message.channel_id, location)
         if side is None:
             return None
         try:
             image = decode(message.data)
         except ImageError as error:
-            self.complain(f"damaged at byte {place.offset}: {side} image {message.sequence}: {error}")
+            self.complain(f"damaged at byte {location.offset}: {side} image {message.sequence}: {error}")
             return None
         return Frame(side, message.sequence, message.publish_ns, message.log_ns, image.encoding, image.image)
 
-    def _side(self, channel_id: int, place: Place) -> Side | None:
-        """Which camera a channel is of; None for channels of other things."""
-        channel = self.survey.channels.get(channel_id)
+    def _side(self, channel_id: int, location: RecordLocation) -> Side | None:
+        """Return the camera of a channel; None for channels of other topics."""
+        channel = self.index.channels.get(channel_id)
         if channel is None:
-            self.complain(f"damaged at byte {place.offset}: channel {channel_id} is not described")
+            self.complain(f"damaged at byte {location.offset}: channel {channel_id} is not described")
             return None
         side = _TOPICS.get(channel.topic)
         if side is None:
             return None
-        schema = self.survey.schemas.get(channel.schema_id)
+        schema = self.index.schemas.get(channel.schema_id)
         if channel.message_encoding != "protobuf" or schema is None or schema.name != SCHEMA:
             held = f"{schema.name if schema else 'unknown'} as {channel.message_encoding}"
             raise TakeError(f"{self.path}: channel {channel.topic} holds {held:.100}, expected {SCHEMA} as protobuf")
         return side
 
     def _read_small(self) -> None:
-        for place in self.survey.small:
+        for location in self.index.small:
             try:
-                content = read_record(self._file, place, MAX_SMALL_RECORD)
-                if place.opcode == Opcode.ATTACHMENT:
+                content = read_record(self._file, location, MAX_SMALL_RECORD)
+                if location.opcode == Opcode.ATTACHMENT:
                     attachment = Attachment.parse(content)
                     self.attachments[attachment.name] = attachment.data
                 elif (record := Metadata.parse(content)).name == "fringed":
                     self.metadata = record.values
             except DamageError as error:
-                self.complain(f"damaged at byte {place.offset}: {error}")
+                self.complain(f"damaged at byte {location.offset}: {error}")
         version = self.metadata.get("version", VERSION)
         if version != VERSION:
-            raise TakeError(f"{self.path}: a take of version {version!r:.20}, this program reads version {VERSION}")
+            raise TakeError(f"{self.path}: take version {version!r:.20}, this program reads version {VERSION}")
 
     def complain(self, problem: str) -> None:
-        """Note what is wrong, once."""
+        """Add a problem, once."""
         if len(self.problems) < _MAX_PROBLEMS and problem not in self.problems:
             self.problems.append(problem)

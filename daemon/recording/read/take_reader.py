@@ -1,19 +1,20 @@
-"""Read a take: its frames and pairs, in bounded memory, up to whatever damage there is."""
+"""Reading a take: its frames and pairs, in bounded memory, also from cut and damaged files."""
 
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from daemon.recording.format import part_names as parts
 from daemon.recording.format.errors import TakeError
-from daemon.recording.format.part_names import CALIBRATION, PATTERN, VOLUME
+from daemon.recording.format.part_names import CALIBRATION, PATTERN, VOLUME, files_of_take
 from daemon.recording.format.raw_image import Pixels
-from daemon.recording.read.part_reader import PartReader, Where
+from daemon.recording.read.part_reader import FrameLocation, PartReader
 from daemon.rig.calibration_file import CalibrationFile, parse_calibration
 from daemon.rig.pattern_file import parse_pattern, parse_sequence, parse_volume
 from drivers.protocols import TRIGGER_MODULUS, Frame, Side
@@ -22,7 +23,7 @@ from pipeline.pattern.sequence import Sequence
 from pipeline.rig.volume import Volume
 
 WAITING_FRAMES = 16
-"""Frames that are kept in memory while their partner has not come; older ones are read again when it does."""
+"""Unpaired frames kept in memory; older ones are read again when their partner comes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class TakePair:
 
 @dataclass(slots=True)
 class Counts:
-    """What has been read so far."""
+    """Counts of the frames read so far."""
 
     frames: Counter[str] = field(default_factory=Counter)
     pairs: int = 0
@@ -54,11 +55,11 @@ class Counts:
 class TakeReader:
     """A take: one file, or all the parts of it if the first part is named.
 
-    Cut and damaged files are read as far as they can be; :attr:`problems` tells what is wrong with them. The counts in
-    :attr:`counts` are those of the last walk through :meth:`frames` or :meth:`pairs`.
+    Cut and damaged files are read as far as possible; :attr:`problems` lists the damage. The counts in :attr:`counts`
+    are those of the last iteration over :meth:`frames` or :meth:`pairs`.
 
     Raises:
-        TakeError: a file that is no recording, or that holds something else than pairs of raw images.
+        TakeError: a file that is not a take, or that holds something else than pairs of raw images.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,7 +67,7 @@ class TakeReader:
         self._parts: list[PartReader] = []
         self._lost_parts: list[str] = []
         try:
-            first, *later = parts.of_take(path)
+            first, *later = files_of_take(path)
             self._parts.append(PartReader(first))
             for part in later:
                 self._add_part(part)
@@ -82,7 +83,7 @@ class TakeReader:
         self.close()
 
     def _add_part(self, path: Path) -> None:
-        """Take a further file for a part, unless it is of another take; one that cannot be read is told."""
+        """Add a further file, unless it is of another take; one that cannot be read is listed as a problem."""
         try:
             part = PartReader(path)
         except TakeError as error:
@@ -116,9 +117,8 @@ class TakeReader:
 
     @property
     def problems(self) -> list[str]:
-        """What is wrong, file by file; complete once everything was read."""
-        found = [f"{part.path}: {problem}" for part in self._parts for problem in part.problems]
-        return found + self._lost_parts
+        """Problems file by file; complete once everything was read."""
+        return [f"{part.path}: {problem}" for part in self._parts for problem in part.problems] + self._lost_parts
 
     @property
     def whole(self) -> bool:
@@ -128,102 +128,92 @@ class TakeReader:
     @property
     def size(self) -> int:
         """Bytes of all parts."""
-        return sum(part.survey.size for part in self._parts)
+        return sum(part.index.size for part in self._parts)
 
     def calibration(self) -> CalibrationFile:
-        """The attached calibration; TakeError when there is none, CalibrationError when it is wrong."""
+        """Parse the attached calibration; TakeError when there is none, CalibrationError when it is invalid."""
         return parse_calibration(*self._attached(CALIBRATION))
 
     def pattern(self) -> ColorFringe:
-        """The attached pattern description."""
+        """Parse the attached pattern description."""
         return parse_pattern(*self._attached(PATTERN))
 
     def sequence(self) -> Sequence | None:
-        """The attached sequence of a take whose images differ, None for a take of a single pattern."""
+        """Parse the attached sequence of a take whose images differ; None for a take of a single pattern."""
         return parse_sequence(*self._attached(PATTERN))
 
     @property
     def first_pattern_sequence(self) -> int:
-        """Number of a trigger that shows the first image of the sequence; TakeError for what is no number."""
+        """Number of a trigger that shows the first image of the sequence; TakeError if it is not a number."""
         text = self.metadata.get("first_pattern_sequence", "0")
         if not (text.isascii() and text.isdecimal() and len(text) <= 10 and int(text) < TRIGGER_MODULUS):
             raise TakeError(f"{self.path}: first_pattern_sequence is {text!r:.40}, expected a trigger number")
         return int(text)
 
     def volume(self) -> Volume:
-        """The attached measuring volume."""
+        """Parse the attached measuring volume."""
         return parse_volume(*self._attached(VOLUME))
 
     def _attached(self, name: str) -> tuple[bytes, str]:
         data = self.attachments.get(name)
         if data is None:
-            there = ", ".join(self.attachments) or "nothing"
-            raise TakeError(f"{self.path}: no readable attachment {name}; attached is {there}")
+            attached = ", ".join(self.attachments) or "nothing"
+            raise TakeError(f"{self.path}: no readable attachment {name}; attached is {attached}")
         return data, f"{self.path}:{name}"
 
     @property
     def summary(self) -> Counts:
-        """The counts of the last walk."""
+        """The counts of the last iteration."""
         return self.counts
 
     @property
     def truncated_at(self) -> int | None:
-        """First byte that is lost, of the first part that has no end; None for a take whose parts all have one."""
-        return next((part.survey.readable_to for part in self._parts if not part.survey.whole), None)
+        """First lost byte of the first part that has no end; None for a take whose parts all have one."""
+        return next((part.index.readable_to for part in self._parts if not part.index.whole), None)
 
     def frames(self, progress: Callable[[int], Any] | None = None) -> Iterator[Frame]:
-        """Every frame in the order of the files, double ones and lone ones included.
+        """Yield every frame in the order of the files, duplicate and unpaired ones included.
 
         Args:
-            progress: told the number of bytes read so far.
+            progress: called with the number of bytes read so far.
         """
         self.counts = Counts()
-        for frame, _ in self._walk(progress):
+        for _, frame, _ in self._walk(progress):
             yield frame
 
     def pairs(self, progress: Callable[[int], Any] | None = None) -> Iterator[TakePair]:
-        """Every pair, as soon as its second frame is read; left and right may come in any order.
+        """Yield every pair as soon as its second frame is read; left and right may come in any order.
 
         A second frame of the same number and side is counted and ignored; so are frames without a partner.
         """
         self.counts = Counts()
-        for part, done in self._parts_done():
+        for part, frames in groupby(self._walk(progress), key=itemgetter(0)):
             matcher = _Matcher(part, self.counts)
-            for frame, where in part.frames():
-                self.counts.frames[frame.side] += 1
-                if progress is not None:
-                    progress(done + where.place.offset)
-                pair = matcher.match(frame, where)
-                if pair is not None:
-                    yield pair
+            yield from filter(None, (matcher.match(frame, location) for _, frame, location in frames))
             matcher.finish()
 
-    def _parts_done(self) -> Iterator[tuple[PartReader, int]]:
+    def _walk(self, progress: Callable[[int], Any] | None) -> Iterator[tuple[PartReader, Frame, FrameLocation]]:
         done = 0
         for part in self._parts:
-            yield part, done
-            done += part.survey.size
-
-    def _walk(self, progress: Callable[[int], Any] | None) -> Iterator[tuple[Frame, Where]]:
-        for part, done in self._parts_done():
-            for frame, where in part.frames():
+            for frame, location in part.frames():
                 self.counts.frames[frame.side] += 1
                 if progress is not None:
-                    progress(done + where.place.offset)
-                yield frame, where
+                    progress(done + location.chunk.offset)
+                yield part, frame, location
+            done += part.index.size
 
 
 class _Matcher:
-    """Brings frames of one part together by number, with few of them in memory."""
+    """Pairs the frames of one part by trigger number, with few of them in memory."""
 
     def __init__(self, part: PartReader, counts: Counts) -> None:
         self._part, self._counts = part, counts
         self._seen: dict[Side, set[int]] = {"left": set(), "right": set()}
-        self._waiting: OrderedDict[tuple[Side, int], Where] = OrderedDict()
+        self._waiting: OrderedDict[tuple[Side, int], FrameLocation] = OrderedDict()
         self._held: OrderedDict[tuple[Side, int], Frame] = OrderedDict()
 
-    def match(self, frame: Frame, where: Where) -> TakePair | None:
-        """The pair that this frame completes."""
+    def match(self, frame: Frame, location: FrameLocation) -> TakePair | None:
+        """Return the pair that this frame completes, if any."""
         if frame.trigger in self._seen[frame.side]:
             self._counts.duplicates[frame.side] += 1
             return None
@@ -231,7 +221,7 @@ class _Matcher:
         other: Side = "right" if frame.side == "left" else "left"
         key = (other, frame.trigger)
         if key not in self._waiting:
-            self._wait(frame, where)
+            self._wait(frame, location)
             return None
         partner = self._held.pop(key, None) or self._part.frame_at(self._waiting[key])
         del self._waiting[key]
@@ -246,14 +236,14 @@ class _Matcher:
         self._counts.pairs += 1
         return TakePair(left.trigger, left.image, right.image, left.t_exposure_ns, left.encoding)
 
-    def _wait(self, frame: Frame, where: Where) -> None:
+    def _wait(self, frame: Frame, location: FrameLocation) -> None:
         key = (frame.side, frame.trigger)
-        self._waiting[key] = where
+        self._waiting[key] = location
         self._held[key] = frame
         if len(self._held) > WAITING_FRAMES:
             self._held.popitem(last=False)
 
     def finish(self) -> None:
-        """No more frames: those that still wait have no partner."""
+        """Count the frames that still wait as unpaired."""
         for side, _ in self._waiting:
             self._counts.unpaired[side] += 1

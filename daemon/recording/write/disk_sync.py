@@ -1,4 +1,4 @@
-"""Brings a growing file to the disk, and knows up to which frame it is safe there."""
+"""Synchronises a growing file with the disk and records up to which frame it is safe there."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Policy = Literal["chunk", "1s", "none"]
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
-    """How far a take is written.
+class WritePosition:
+    """How far a take is written or synchronised.
 
     Args:
         size: bytes; pairs: count; sequence, t_ns: number and start of exposure of the last frame.
@@ -30,14 +30,14 @@ class Mark:
     t_ns: int = 0
 
 
-class Syncer:
-    """A thread of its own, because a busy disk holds whoever syncs for longer than the recorder's queue lasts.
+class DiskSync:
+    """Synchronises in a thread of its own: a busy disk can block the call for longer than the recorder's queue lasts.
 
     Args:
-        handle: the descriptor of the file at this moment; None or ValueError while there is none.
-        failed: told what the disk says when it cannot keep the data.
-        written: how far the take is written at this moment.
-        policy: ``1s``: once a second; ``chunk``: the writer calls :meth:`sync` after each; ``none``: nobody does.
+        handle: returns the descriptor of the open file; None or ValueError while there is none.
+        failed: called with the error when the disk cannot keep the data.
+        written: returns how far the take is written.
+        policy: ``1s``: once a second; ``chunk``: the writer calls :meth:`sync` after each; ``none``: never.
     """
 
     def __init__(
@@ -45,11 +45,11 @@ class Syncer:
         handle: Callable[[], int | None],
         failed: Callable[[OSError], object],
         *,
-        written: Callable[[], Mark] = Mark,
+        written: Callable[[], WritePosition] = WritePosition,
         policy: Policy = "1s",
     ) -> None:
         self._handle, self._failed, self._written, self.policy = handle, failed, written, policy
-        self.synced = Mark()
+        self.synced = WritePosition()
         self._busy_ns = 0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
@@ -57,18 +57,18 @@ class Syncer:
             self._thread.start()
 
     def close(self) -> None:
-        """End the thread; a disk that hangs is left behind."""
+        """End the thread; it is left behind where the disk hangs."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join(_JOIN_S)
 
     def busy_s(self) -> float:
-        """How long the disk has kept us waiting by now."""
+        """Return how long the running synchronisation has taken so far."""
         began_ns = self._busy_ns
         return (time.monotonic_ns() - began_ns) / 1e9 if began_ns else 0.0
 
     def status(self) -> dict[str, Any]:
-        """The policy, and what is safe."""
+        """Return the policy and the synchronised position."""
         safe = self.synced
         return {"sync": self.policy, "up_to_sequence": safe.sequence, "up_to_ns": safe.t_ns, "bytes": safe.size}
 
@@ -79,27 +79,27 @@ class Syncer:
             except OSError as error:
                 self._failed(error)
 
-    def all_is(self, mark: Mark) -> None:
-        """A file was finished, and with it everything up to here is safe."""
-        self.synced = mark
+    def set_synced(self, position: WritePosition) -> None:
+        """Record that everything up to this position is safe: the file was finished."""
+        self.synced = position
 
     def sync(self) -> None:
-        """Bring what is written to the disk; OSError when the disk cannot."""
+        """Synchronise what is written; OSError when the disk cannot."""
         with suppress(ValueError):
-            number = self._handle()
-            mark = self._written()
-            if number is None or mark == self.synced or self._handle() != number:
+            descriptor = self._handle()
+            position = self._written()
+            if descriptor is None or position == self.synced or self._handle() != descriptor:
                 return
             self._busy_ns = time.monotonic_ns()
             try:
-                self._sync(number)
+                self._sync(descriptor)
             finally:
                 self._busy_ns = 0
-            self.synced = mark
+            self.synced = position
 
-    def _sync(self, number: int) -> None:
+    def _sync(self, descriptor: int) -> None:
         # A descriptor of our own: the writer may close its file meanwhile.
-        own = os.dup(number)
+        own = os.dup(descriptor)
         try:
             os.fdatasync(own)
         finally:

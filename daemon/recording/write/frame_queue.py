@@ -1,4 +1,4 @@
-"""What waits for the disk: a bounded queue that never makes anybody wait, and counts whatever it does not take."""
+"""The items that wait for the disk: a bounded queue that never blocks its producers and counts what it drops."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterable
 
 from daemon.live.items import PairItem, UnpairedFrame
 
-Image = PairItem | UnpairedFrame
+RawItem = PairItem | UnpairedFrame
 
 
-class Inbox:
-    """A queue between the measuring threads and the one that writes.
+class FrameQueue:
+    """A queue between the measuring threads and the writing one.
 
     Args:
         capacity: items that may wait.
@@ -20,12 +20,12 @@ class Inbox:
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
-        self._items: deque[Image] = deque()
-        self._before = 0  # items of the time before the take: they need not fit
+        self._items: deque[RawItem] = deque()
+        self._early = 0  # items from before the take, beyond the capacity
         self._changed = threading.Condition()
         self._closing = False
         self._full = "queue_full"
-        self._over = ""
+        self._refusal = ""
         self._dropped: Counter[str] = Counter()
 
     def __len__(self) -> int:
@@ -33,14 +33,14 @@ class Inbox:
 
     @property
     def closing(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether no more items are accepted."""
         return self._closing
 
-    def offer(self, item: Image) -> bool:
-        """Take an item, or count why not."""
+    def offer(self, item: RawItem) -> bool:
+        """Add an item; where it is refused, count the reason and return False."""
         with self._changed:
-            reason = self._over or ("closed" if self._closing else "")
-            if not reason and len(self._items) >= self._capacity + self._before:
+            reason = self._refusal or ("closed" if self._closing else "")
+            if not reason and len(self._items) >= self._capacity + self._early:
                 reason = self._full
             if reason:
                 self._dropped[reason] += 1
@@ -49,64 +49,64 @@ class Inbox:
             self._changed.notify()
             return True
 
-    def take_over(self, items: Iterable[Image]) -> None:
-        """Items of the time before: they go first and need not fit."""
+    def take_over(self, items: Iterable[RawItem]) -> None:
+        """Add items from before the take; they are exempt from the capacity."""
         with self._changed:
-            before = list(items)
-            self._items.extend(before)
-            self._before += len(before)
+            early = list(items)
+            self._items.extend(early)
+            self._early += len(early)
             self._changed.notify()
 
-    def next(self) -> Image | None:
-        """The oldest item; waits for one. None once closed and empty."""
+    def next(self) -> RawItem | None:
+        """Remove and return the oldest item; wait for one. None once closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closing)
-            self._before = max(0, self._before - 1)
+            self._early = max(0, self._early - 1)
             return self._items.popleft() if self._items else None
 
-    def put_back(self, item: Image) -> None:
-        """This one is to be the next again."""
+    def put_back(self, item: RawItem) -> None:
+        """Return an item to the front of the queue."""
         with self._changed:
             self._items.appendleft(item)
 
-    def first(self) -> Image | None:
-        """The oldest item, left where it is."""
+    def first(self) -> RawItem | None:
+        """Return the oldest item without removing it."""
         with self._changed:
             return self._items[0] if self._items else None
 
     def pause(self, timeout_s: float) -> None:
-        """Wait so long, or until closed."""
+        """Wait for the time-out, or until closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._closing, timeout_s)
 
     def drop(self, reason: str, count: int = 1) -> None:
-        """Count items that were taken and will not be written."""
+        """Count accepted items that will not be written."""
         if count:
             with self._changed:
                 self._dropped[reason] += count
 
-    def no_disk(self, missing: bool) -> None:
-        """While there is no disk, what does not fit is counted so."""
+    def set_disk_missing(self, missing: bool) -> None:
+        """Count overflow as ``no_disk`` while there is no disk, else as ``queue_full``."""
         self._full = "no_disk" if missing else "queue_full"
 
     def refuse(self, reason: str) -> None:
-        """Take nothing more, for this reason; what waits is still to be written."""
+        """Accept no more items, for this reason; those that wait are still to be written."""
         with self._changed:
-            self._over = self._over or reason
+            self._refusal = self._refusal or reason
 
     def close(self) -> None:
-        """Take nothing more; who waits is woken."""
+        """Accept no more items and wake the waiting threads."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
 
     def clear(self, reason: str) -> None:
-        """Nobody will write what waits: count it."""
+        """Drop the waiting items and count them."""
         with self._changed:
             self._dropped[reason] += len(self._items)
             self._items.clear()
 
     def drops(self) -> dict[str, int]:
-        """What was not written, by reason."""
+        """Return the counts of dropped items by reason."""
         with self._changed:
             return {reason: count for reason, count in self._dropped.items() if count}

@@ -1,4 +1,4 @@
-"""The parts of a take, one after the other: begun, filled, finished, and in an endless recording removed again."""
+"""The sequence of a take's parts: opened, filled, finished and, in an endless recording, removed."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pathlib import Path
 
 from daemon.recording.format.part_names import part_path
 from daemon.recording.write.part_writer import PartWriter
-from daemon.recording.write.trigger_ledger import Numbers
+from daemon.recording.write.trigger_ledger import TriggerLedger
 from drivers.protocols import Frame
 
 log = logging.getLogger("fringed.recorder")
 
 _TRIES = 100
-_TOLD = 16
+_LISTED_FILES = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When a new part begins, and what an endless recording keeps.
+    """Limits of a part, and of what an endless recording keeps.
 
     Args:
         part_bytes, part_s: size and duration of a part.
@@ -47,7 +47,7 @@ class _Finished:
 
 
 class PartChain:
-    """Owned by the writing thread; ``files``, ``removed`` and ``removed_bytes`` may be read by any.
+    """The parts of a take; owned by the writing thread, any may read ``files``, ``removed`` and ``removed_bytes``.
 
     Args:
         path: of the first part; open_part: makes a :class:`PartWriter`.
@@ -67,7 +67,7 @@ class PartChain:
     ) -> None:
         self._path, self._open_part, self._limits = path, open_part, limits
         self._attachments, self._metadata, self._compression = attachments, metadata, compression
-        self._numbers = Numbers(tolerance_ns)
+        self._ledger = TriggerLedger(tolerance_ns)
         self._number = self._frames = self._began_ns = self._now_ns = 0
         self._finished: deque[_Finished] = deque()
         self.part: PartWriter | None = None
@@ -96,23 +96,23 @@ class PartChain:
             raise FileExistsError(errno.EEXIST, "a hundred parts of this name exist", str(self._path))
         self.part, self._number, self._frames = part, number, 0
         self.begun += 1
-        self.files = (*self.files[1 - _TOLD :], str(part.partial))
+        self.files = (*self.files[1 - _LISTED_FILES :], str(part.partial))
 
     def handle(self) -> int | None:
-        """The descriptor of the part now; None or ValueError while there is none."""
+        """Return the descriptor of the open part; None or ValueError while there is none."""
         part = self.part
         return None if part is None else part.handle
 
-    def known(self) -> list[Path]:
-        """Some files of the take, the newest among them."""
+    def newest_files(self) -> list[Path]:
+        """Return the newest files of the take."""
         return [Path(file) for file in self.files]
 
     def refusal(self, frames: tuple[Frame, ...]) -> str | None:
-        """Why these frames must not be written, see :class:`Numbers`."""
-        return self._numbers.refusal(frames, self._number)
+        """Return why these frames must not be written, see :class:`TriggerLedger`."""
+        return self._ledger.refusal(frames, self._number)
 
     def write(self, frames: tuple[Frame, ...]) -> int:
-        """Write frames that belong together into one part; returns the bytes that they took."""
+        """Write frames that belong together into one part; return the bytes written."""
         part = self.part
         if part is None:
             raise OSError(errno.EIO, "no part is open", str(self._path))
@@ -122,11 +122,11 @@ class PartChain:
             self._began_ns = frames[0].t_host_ns
         self._frames += 1
         self._now_ns = max(self._now_ns, frames[0].t_host_ns)
-        self._numbers.wrote(frames, self._number)
+        self._ledger.wrote(frames, self._number)
         return part.size - before
 
     def rotate(self, size: int, t_ns: int) -> bool:
-        """Begin a new part if this one is large or long enough; whether it did."""
+        """Begin a new part if this one has reached its limits; return whether it did."""
         part = self.part
         if part is None or self._frames == 0:
             return False
@@ -154,11 +154,11 @@ class PartChain:
         """Name of the newest file."""
         return Path(self.files[-1]).name if self.files else ""
 
-    def let_go(self, *, whole: bool) -> bool:
-        """After an error: end the part with what is in it if the disk lets us, else leave it; whether it was ended.
+    def end_after_error(self, *, whole: bool) -> bool:
+        """Finish the part after an error if the disk permits, else abandon it; return whether it was finished.
 
         Args:
-            whole: False when the disk did not keep what was written: then the part gets no index that says so.
+            whole: False when the disk did not keep what was written; the part then gets no index.
         """
         part = self.part
         if part is None:

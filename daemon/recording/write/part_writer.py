@@ -1,7 +1,7 @@
-"""One file of a take while it is written: MCAP, a chunk for each pair, its real name only once it is whole.
+"""One file of a take while it is written: MCAP, one chunk a pair, its final name only once it is whole.
 
-The chunks are put together here and handed to the kernel in pieces: the images are never copied, which takes a
-fraction of the time that a general MCAP writer needs. The small records are written by the ``mcap`` package.
+The chunks are assembled here and passed to the kernel in pieces: the images are never copied, which takes a fraction
+of the time that a general MCAP writer needs. The small records are written by the ``mcap`` package.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class PartWriter:
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._file: int | None = os.open(self.partial, flags, 0o666)
         self._end = 0
-        self.kept = True  # False once a sync failed: nobody knows then which pages are on the disk
+        self.kept = True  # False once a sync failed: which pages are on the disk is then unknown
         self._contents = Contents()
         try:
             lock(self.handle)
@@ -66,7 +66,7 @@ class PartWriter:
             sync_directory(path.parent)
         except BaseException:
             self._close()
-            with suppress(OSError):  # nothing is in it that anybody would miss
+            with suppress(OSError):  # it holds no frame yet
                 self.partial.unlink()
             raise
 
@@ -83,7 +83,7 @@ class PartWriter:
         return self._file
 
     def _begin(self, attachments: Mapping[str, bytes], metadata: Mapping[str, str], created_ns: int) -> None:
-        """Everything that comes before the first image."""
+        """Write the records that precede the first image."""
         self._append([MAGIC, _bytes(mcap_records.Header(profile="", library="fringed"))])
         for name, data in attachments.items():
             record = _bytes(mcap_records.Attachment(created_ns, created_ns, name, _media_type(name), data))
@@ -101,11 +101,11 @@ class PartWriter:
             )
             for side, number in CHANNELS.items()
         ]
-        # Outside the chunks, so that a damaged chunk takes nothing along that later ones need.
+        # Outside the chunks, so that a damaged chunk holds no record that later ones need.
         self._append([_bytes(record) for record in (self._contents.schema, *self._contents.channels)])
 
     def write(self, *frames: Frame) -> None:
-        """Write frames that belong together as one chunk; ImageError, and nothing written, if one cannot be."""
+        """Write frames that belong together as one chunk; ImageError, and nothing written, if one is invalid."""
         records: list[_Piece] = []
         places: list[tuple[int, int, int]] = []
         size = 0
@@ -138,7 +138,7 @@ class PartWriter:
         self._contents.chunk(start, RECORD_HEAD + length, places, indexes, self._compression, stored_size, size)
 
     def _append(self, data: Sequence[_Piece]) -> None:
-        """Write pieces in one go; what a full disk has taken of them is cut off again."""
+        """Write pieces in one call; truncate what a full disk has taken of them."""
         left = [memoryview(piece) for piece in data if len(piece)]
         whole = sum(map(len, left))
         try:
@@ -149,14 +149,14 @@ class PartWriter:
                 if left:
                     left[0] = left[0][written:]
         except OSError:
-            with suppress(OSError):  # what went wrong first is worth telling
+            with suppress(OSError):  # the first error is the one to report
                 os.ftruncate(self.handle, self._end)
                 os.lseek(self.handle, self._end, os.SEEK_SET)
             raise
         self._end += whole
 
     def sync(self) -> None:
-        """Bring everything written so far to the disk."""
+        """Synchronise everything written so far with the disk."""
         os.fdatasync(self.handle)
 
     def _sync_all(self) -> None:
@@ -181,14 +181,14 @@ class PartWriter:
         sync_directory(self.path.parent)
 
     def abandon(self) -> None:
-        """Let go of the file as it is; what is on the disk can be read up to its last whole chunk."""
+        """Close the file unfinished; what is on the disk can be read up to its last whole chunk."""
         self._close()
 
     def _close(self) -> None:
-        number, self._file = self._file, None
-        if number is not None:
-            with suppress(OSError):  # it was synced before, or its failure was told
-                os.close(number)
+        descriptor, self._file = self._file, None
+        if descriptor is not None:
+            with suppress(OSError):  # it was synced before, or its failure was reported
+                os.close(descriptor)
 
 
 def _bytes(record: Any) -> bytes:
@@ -222,7 +222,7 @@ def _media_type(name: str) -> str:
 
 
 def _schema() -> bytes:
-    """The FileDescriptorSet of foxglove.RawImage, its imports first."""
+    """Return the FileDescriptorSet of foxglove.RawImage, its imports first."""
     from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 

@@ -1,7 +1,7 @@
-"""No two exposures under one number: what a take holds already is remembered, and what contradicts it is refused.
+"""The trigger numbers of a take: frames that contradict those already written are refused.
 
-Readers bring frames together by number alone. A frame under a number that another exposure has would make a pair of two
-different moments; so would halves of a pair in two parts go unnoticed.
+Readers pair frames by number alone. A frame with the number of another exposure would be paired across two different
+moments, and the halves of a pair in two parts would not be paired at all.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import numpy as np
 
 from drivers.protocols import Frame
 
-IN_DOUBT = "number_in_doubt"
-OTHER_PART = "partner_in_earlier_part"
+NUMBER_CONFLICT = "number_in_doubt"
+PARTNER_IN_EARLIER_PART = "partner_in_earlier_part"
 _SLOTS = 1 << 17
-"""Numbers remembered: twenty minutes at 100 frames a second. Memory is taken as it is used, 3 MB in all."""
+"""Numbers kept: twenty minutes at 100 frames a second. Memory is allocated as it is used, 3 MB in all."""
 
 
-class Numbers:
-    """Which exposure each number of a take has.
+class TriggerLedger:
+    """The exposure of each trigger number of a take.
 
     Args:
         tolerance_ns: how far the starts of the exposures of a pair may lie apart.
@@ -30,20 +30,20 @@ class Numbers:
         self._parts = np.zeros(_SLOTS, np.uint32)  # 0: nothing yet
 
     def refusal(self, frames: tuple[Frame, ...], part: int) -> str | None:
-        """Why these frames of one number must not be written into this part; None if they may."""
+        """Return why these frames of one number must not be written into this part; None if they may."""
         for frame in frames:
             slot = frame.trigger % _SLOTS
             held = int(self._parts[slot])
             if not held or int(self._numbers[slot]) != frame.trigger:
                 continue
             if abs(int(self._times[slot]) - frame.t_exposure_ns) > self._tolerance_ns:
-                return IN_DOUBT
+                return NUMBER_CONFLICT
             if held != part:
-                return OTHER_PART
+                return PARTNER_IN_EARLIER_PART
         return None
 
     def wrote(self, frames: tuple[Frame, ...], part: int) -> None:
-        """These frames are in this part, 1, 2, ..."""
+        """Record that these frames are in this part, 1, 2, ..."""
         for frame in frames:
             slot = frame.trigger % _SLOTS
             if not self._parts[slot] or int(self._numbers[slot]) != frame.trigger:

@@ -60,14 +60,14 @@ def test_takes_are_told_from_their_ends(takes: Path) -> None:
     assert (found["b"].state, found["b"].frames) == ("whole", [1, 2])
     assert found["c"].state == "unfinished" and "cut off" in found["c"].problems[0]
     assert 3 <= found["c"].frames[0] <= 5
-    assert sorted(listing.garbage) == ["empty.mcap", "noise.mcap"]
+    assert sorted(listing.other_files) == ["empty.mcap", "noise.mcap"]
 
 
 def test_the_count_without_an_index_is_the_count_with_it(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", [pair(1), lone("left", 2), pair(3)])
     (whole,) = scan(tmp_path).takes
     with TakeReader(tmp_path / "a.mcap") as take:
-        end = take.parts[0].survey.data[-1].end
+        end = take.parts[0].index.data[-1].end
     cut(tmp_path / "a.mcap", end + 200)
     (walked,) = scan(tmp_path).takes
     assert walked.frames == whole.frames == [3, 2]
@@ -86,7 +86,7 @@ def test_what_was_seen_once_is_not_opened_again(takes: Path, monkeypatch: pytest
     monkeypatch.setattr(part_reader.PartReader, "__init__", note)
     again = scan(takes)
     assert [take.as_dict() for take in again.takes] == [take.as_dict() for take in first.takes]
-    assert again.garbage == first.garbage
+    assert again.other_files == first.other_files
     assert opened == ["c.mcap.partial"]
     write(takes / "d.mcap", [pair(7)])
     assert "d" in by_name(scan(takes))
@@ -119,7 +119,7 @@ def test_any_bytes_in_the_directory_are_survived(takes: Path) -> None:
             damaged[int(at) - 1] ^= int(rng.integers(1, 256))
         (takes / "z.mcap").write_bytes(damaged)
         listing = scan(takes)
-        assert set(by_name(listing)) | set(listing.garbage) >= {"a", "b", "c", "noise.mcap", "empty.mcap"}
+        assert set(by_name(listing)) | set(listing.other_files) >= {"a", "b", "c", "noise.mcap", "empty.mcap"}
 
 
 def test_a_running_take_is_neither_repaired_nor_removed(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_a_whole_file_that_only_lacks_its_name_gets_it(takes: Path) -> None:
 def test_a_damaged_chunk_costs_only_its_pair(takes: Path) -> None:
     path = takes / "a.mcap"
     with TakeReader(path) as take:
-        place = take.parts[0].survey.data[1]
+        place = take.parts[0].index.data[1]
     data = bytearray(path.read_bytes())
     data[place.offset + place.length // 2] ^= 1
     path.write_bytes(data)

@@ -85,7 +85,7 @@ def test_without_a_disk_what_does_not_fit_is_dropped_and_counted(tmp_path: Path,
 def test_a_hanging_disk_is_told_and_nobody_waits_for_it(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daemon.recording.write.take_writer.HANGS_S", 0.05)
+    monkeypatch.setattr("daemon.recording.write.take_writer.HUNG_S", 0.05)
     recorder = take(tmp_path / "take.mcap", queue=4)
     disk.hang()
     assert recorder.offer(pair(0))
@@ -110,7 +110,7 @@ def test_the_guard_stops_before_the_disk_is_full_and_goes_on_when_there_is_room(
     wait_until(lambda: "problem" in recorder.status())
     assert "1074 MB free" in recorder.status()["problem"]
     free[0] += 10 << 20
-    wait_until(lambda: "it goes on at 1141 MB" in recorder.status()["problem"])
+    wait_until(lambda: "it resumes at 1141 MB" in recorder.status()["problem"])
     assert (tmp_path / "take.mcap").exists()  # whole, while there is still room for its index
     free[0] = 2 << 30
     written(recorder, 2)

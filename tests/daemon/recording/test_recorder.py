@@ -20,7 +20,7 @@ from daemon.live.items import CloudItem
 from daemon.recording.format.errors import TakeError
 from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.recorder import Recorder
-from daemon.recording.write.pretrigger_buffer import Before, size_of
+from daemon.recording.write.pretrigger_buffer import PretriggerBuffer, size_of
 from daemon.recording.write.take_writer import TakeWriter
 from tests.daemon.recording.takes import lone, pair, wait_until, writer
 
@@ -104,7 +104,7 @@ def test_the_ring_never_holds_more_than_its_seconds_and_bytes(
     steps: list[tuple[int, bool]], seconds: float, most: int
 ) -> None:
     now, offered = [0], []
-    ring = Before(lambda: (seconds, most), lambda: now[0])
+    ring = PretriggerBuffer(lambda: (seconds, most), lambda: now[0])
     for number, (step_ns, alone) in enumerate(steps):
         now[0] += step_ns
         item = lone("left", number) if alone else pair(number)
@@ -143,7 +143,7 @@ def test_a_directory_that_cannot_be_written_is_named_and_the_next_try_may_succee
     rig, blocked = Rig(), tmp_path / "file"
     blocked.write_text("no directory")
     recorder = recorder_of(rig, blocked / "takes")
-    with pytest.raises(DaemonError, match=rf"{blocked}/takes: cannot be made: Not a directory; set recording\.dir"):
+    with pytest.raises(DaemonError, match=rf"{blocked}/takes: cannot be created: Not a directory; set recording\.dir"):
         recorder.start("a")
     blocked.unlink()
     assert recorder.start("a")["recording"]
@@ -155,7 +155,7 @@ def test_a_read_only_directory_is_named(tmp_path: Path) -> None:
         raise PermissionError(13, "Permission denied", str(path))
 
     recorder = recorder_of(Rig(), tmp_path, refused)
-    with pytest.raises(DaemonError, match=rf"{tmp_path}/a_.*cannot be written: Permission denied; mend"):
+    with pytest.raises(DaemonError, match=rf"{tmp_path}/a_.*cannot be written: Permission denied; correct"):
         recorder.start("a")
     assert not recorder.recording
 

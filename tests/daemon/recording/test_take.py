@@ -210,7 +210,7 @@ def test_a_damaged_index_costs_nothing(tmp_path: Path) -> None:
     write(path, [pair(n) for n in range(2)])
     data = path.read_bytes()
     with TakeReader(path) as take:
-        end = take.parts[0].survey.data[-1].end
+        end = take.parts[0].index.data[-1].end
     rng = np.random.default_rng(4)
     for at in rng.integers(end + 100, len(data), 150):
         damaged = bytearray(data)

@@ -28,7 +28,7 @@ class Scene:
     pairs: list[Pair]
 
 
-def of_take(path: Path, progress: Callable[[int, int], None]) -> Scene:
+def files_of_take(path: Path, progress: Callable[[int, int], None]) -> Scene:
     """Pairs spread over a take.
 
     Raises:

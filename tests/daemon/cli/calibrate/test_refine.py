@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from benchmarks.selfcheck import Rig
 from daemon.apps.calibration.views import drift_pairs
-from daemon.apps.calibration.views.drift_pairs import of_take
+from daemon.apps.calibration.views.drift_pairs import files_of_take
 from daemon.cli.calibrate import refine as calibrate_refine
 from daemon.rig.calibration_file import calibration_bytes, parse_calibration, read_calibration
 from pipeline.calibrate.drift_correction import Pair, refine, table
@@ -98,7 +98,7 @@ def test_the_command_asks_before_it_writes(rig: Rig, tmp_path: Path) -> None:
 
 def test_pairs_of_a_take_are_spread_over_it(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[int, int]] = []
-    every = of_take(TAKE, lambda done, of: told.append((done, of)))
+    every = files_of_take(TAKE, lambda done, of: told.append((done, of)))
     assert every.pairs and every.pairs[0][0].dtype == np.uint8 and every.encoding in ("rgb8", "bayer_rggb8") and told
     monkeypatch.setattr(drift_pairs, "MOST_PAIRS", 1)
-    assert len(of_take(TAKE, lambda *_: None).pairs) <= 2
+    assert len(files_of_take(TAKE, lambda *_: None).pairs) <= 2
