@@ -30,19 +30,14 @@ def compile_elsewhere() -> str:
 
 def compile_ahead() -> None:
     """Compile rendering, and the decoder of mosaics."""
-    from pipeline.common.settings import Settings
-    from pipeline.decode.raw_image import mosaic_of
-    from pipeline.geometry.view_tables import View
+    from pipeline.reconstruct.reconstructor import Reconstructor
     from sim.rig.optics import Optics
 
     for encoding in ENCODINGS:
         pair = small_pair(encoding)
     layout = small_layout()
-    calibration = layout.calibration_for(Optics())
-    view = View.of(
-        calibration, layout.pattern(), layout.volume(), Settings(), calibration.left_color, mosaic_of(encoding)
-    )
-    view.decode(pair.left)
+    made = Reconstructor(layout.calibration_for(Optics()), layout.pattern(), layout.volume(), encoding=encoding)
+    made.decoders[0].decode(pair.left)
 
 
 def main() -> None:

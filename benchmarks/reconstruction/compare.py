@@ -142,5 +142,5 @@ def our_phase(case: Case, pair: StoredPair) -> Array:
     reconstructor = case.reconstructor()
     cloud = reconstructor.reconstruct(pair.left, pair.right)
     # The decoded phase is no part of a cloud; a benchmark may look inside.
-    wrapped = reconstructor._left.decode(pair.left).phase
+    wrapped = reconstructor.decoders[0].decode(pair.left).phase
     return np.where(cloud.order >= 0, wrapped + 2 * np.pi * cloud.order, np.nan)

@@ -1,1 +1,1 @@
-"""What every stage may use: errors, settings, compilation, arithmetic on tiles, stopwatch."""
+"""Shared by all stages: errors, settings, compilation, arithmetic on tiles, stopwatch."""

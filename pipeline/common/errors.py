@@ -1,12 +1,12 @@
-"""What can go wrong in the pipeline, each with a name to catch."""
+"""Errors of the pipeline."""
 
 
 class PipelineError(ValueError):
-    """Root of the pipeline's errors: the input cannot be measured as it is."""
+    """Base of the pipeline's errors: the input cannot be measured."""
 
 
 class CalibrationError(PipelineError):
-    """A calibration that contradicts itself or the images."""
+    """A calibration that is inconsistent, or does not fit the images."""
 
 
 class PatternError(PipelineError):
@@ -18,4 +18,4 @@ class ImageError(PipelineError):
 
 
 class TargetError(PipelineError):
-    """A calibration board that cannot be described, found or trusted in an image; the message says why."""
+    """A calibration board that is invalid or cannot be detected reliably; the message gives the reason."""

@@ -1,7 +1,8 @@
-"""How kernels are compiled, and the few lines that several of them share.
+"""Compilation of kernels, and the projection that several of them share.
 
-``fastmath`` without ``nnan``/``ninf``: NaN marks the unknown and its tests must survive. No reductions across threads:
-every output element is computed by one thread in a fixed order, so results do not depend on the number of threads.
+``fastmath`` without ``nnan``/``ninf``: NaN marks unknown values and the tests for it must survive. No
+reductions across threads: every output element is computed by one thread in a fixed order, so results do not depend on
+the number of threads.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _FLAGS: dict[str, Any] = {
 serial = numba.njit(**_FLAGS)
 parallel = numba.njit(parallel=True, **_FLAGS)
 ordered = numba.njit(**_FLAGS | {"fastmath": _FLAGS["fastmath"] | {"nnan"}})
-"""For code that never sees NaN: minima become vector instructions."""
+"""For code without NaN: minima become vector instructions."""
 inline = numba.njit(inline="always", **{k: v for k, v in _FLAGS.items() if k != "cache"})
 prange = numba.prange
 

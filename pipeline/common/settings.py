@@ -1,4 +1,4 @@
-"""What a person may change about the reconstruction, with defaults that serve simulated and real images alike."""
+"""Settings of the reconstruction; the defaults serve simulated and real images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Settings:
     """Scalar settings of the reconstruction; phases in radians, intensities in camera counts of the 8-bit scale."""
 
     min_modulation: float = 5.0
-    """Fringe amplitude below which a pixel is unknown."""
+    """Fringe amplitude below which a pixel is invalid."""
     saturation: float = 254.0
     """Counts from which a sample is taken as saturated."""
     window_radius: int = -1
@@ -32,9 +32,9 @@ class Settings:
     texture_weight: float = 1.5
     """Weight of the texture difference in the cost."""
     switch_penalty: float = 1.2
-    """Price of a jump of the absolute order between neighbours."""
+    """Cost of a jump of the absolute order between neighbours."""
     follow_cost: float = 0.15
-    """Cost up to which the order that the last pair lets expect is taken without a search (live streams only)."""
+    """Cost up to which the order expected from the last pair is taken without a search (live streams only)."""
     max_check: float = 1.5
     """Largest difference of left and right absolute phase."""
     max_residual: float = 0.5
@@ -42,11 +42,11 @@ class Settings:
     max_phase_error: float = 1.0
     """Largest deviation of a point's phase from the projector's phase there, after self-calibration."""
     min_component: int = 120
-    """Smallest connected surface, pixels."""
+    """Smallest connected component, pixels."""
     max_surface_error: float = 0.2
-    """Largest rms phase error against the projector of a surface that is not large."""
+    """Largest rms phase error against the projector of a component that is not large."""
     edge_modulation: float = 0.65
-    """Share of its neighbours' modulation below which a border pixel is taken as mixed."""
+    """Fraction of its neighbours' modulation below which a border pixel is taken as mixed."""
     self_calibrate: bool = True
     """Correct the projector columns from the first pair."""
     self_calibration_range: float = 2.0

@@ -1,4 +1,4 @@
-"""Milliseconds by stage from a clock that the caller hands in; the pipeline has none of its own."""
+"""Milliseconds by stage, measured with the caller's clock."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 
 class Stopwatch:
-    """Adds up laps by name; does nothing without a clock."""
+    """Sum of laps by name; does nothing without a clock."""
 
     def __init__(self, clock: Callable[[], int] | None) -> None:
         self._clock = clock
@@ -14,7 +14,7 @@ class Stopwatch:
         self.ms: dict[str, float] = {}
 
     def lap(self, name: str) -> None:
-        """Book the time since the last lap under this name."""
+        """Add the time since the last lap to this name."""
         if self._clock is None:
             return
         now = self._clock()

@@ -1,8 +1,8 @@
-"""Pieces of kernels that work on tiles: short rows of pixels, one slot of a small scratch array for each quantity.
+"""Arithmetic of kernels that work on tiles: short rows of pixels, one slot of a small scratch array for each quantity.
 
-A tile's loops run over a constant number of elements of ONE array at constant offsets. The compiler then knows that
-slots do not overlap and uses the widest vector instructions there are; look-ups, which do not vectorise, have scalar
-loops of their own between the arithmetic ones. The scratch array stays in the first-level cache.
+A tile's loops run over a constant number of elements of one array at constant offsets. The compiler then proves that
+slots do not overlap and uses the widest vector instructions; look-ups, which do not vectorise, have scalar loops of
+their own between the arithmetic ones. The scratch array stays in the first-level cache.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def whole_turns(a: Any) -> Any:
 
 @inline
 def clamped(x: Any, low: Any, high: Any) -> Any:
-    """X between two limits; NaN gives the low one: safe as an index."""
+    """Clamp x to two limits; NaN gives the low one, so that the result is safe as an index."""
     x = x if x > low else low
     return x if x < high else high
 
@@ -56,12 +56,6 @@ def angle(c: Any, s: Any) -> Any:
 
 
 @inline
-def turned(c: Any, s: Any, from_c: Any, from_s: Any) -> Any:
-    """Angle from the phasor (from_c, from_s) to (c, s)."""
-    return angle(c * from_c + s * from_s, s * from_c - c * from_s)
-
-
-@inline
 def root(x: Any) -> Any:
     """Square root in single precision."""
     return np.float32(sqrt(x))
@@ -69,7 +63,7 @@ def root(x: Any) -> Any:
 
 @inline
 def decay(x: Any) -> Any:
-    """About exp(-x) for 0 <= x <= 8 (within 1e-4), the eighth power of a short series: no call in a vector loop."""
+    """Approximate exp(-x) for 0 <= x <= 8 within 1e-4: the eighth power of a short series needs no call in a loop."""
     y = x * _EIGHTH
     e = _UNIT - y + y * y * (_C2 - y * (_C3 - y * _C4))
     e = e * e

@@ -1,13 +1,13 @@
-"""Lateral colour and registration as what they do to the phase: an angle for each channel at every pixel.
+"""Chromatic phase correction: the phase angles that lateral chromatic aberration and registration give each channel.
 
-Light of channel c at pixel x stands d_c(x) away from its place in green light, and the projector threw it s_c beside
-its column. Both turn the channel's fringe by ``eps_c = Phi(P(x - d_c) - s_c) - Phi(P(x))`` with P the projector's
-coordinate of what the pixel sees. P depends on the depth, eps_c hardly does: the middle of the volume serves, and the
-mean slope of a frequency-modulated fringe.
+Light of channel c at pixel x is displaced by d_c(x) against green light, and the projector emits it s_c beside its
+column. Both shift the phase of the channel's fringe by ``eps_c = Phi(P(x - d_c) - s_c) - Phi(P(x))``, where P is the
+projector coordinate that the pixel observes. P depends on the depth, eps_c hardly does: the middle of the volume
+serves, and the mean slope of a frequency-modulated fringe.
 
-With the turned fringes the solution (A', C', S') of the unturned equations is F (A, C, S), a matrix for every pixel:
+With shifted fringes the solution (A', C', S') of the uncorrected equations is F (A, C, S), a matrix for every pixel:
 ``F = L(delta)^-1 L(delta + eps)`` with the rows ``L_c(delta) = (1, cos delta_c, -sin delta_c)``. The mean of eps over
-the image goes into the shifts that the decoder takes, for nothing; the rest into a table of every 16th row.
+the image is added to the decoder's shifts at no cost; the rest becomes a table of every 16th row.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ SMALLEST_RAD = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChromaticCorrection:
-    """What the decoder needs of the channels' angles.
+    """Phase correction of the three channels of one camera, as the decoder takes it.
 
     Args:
         shifts: of the pattern's channels with the constant part of the angles, radians.
         table: (n, 12, W) float32 for rows 0, step, 2 step ...: last two columns of F, (3, 2) by rows, then those of its
             inverse.
-        step: rows from one to the next; 0 = there is nothing to correct, and the table is a dummy.
+        step: rows from one to the next; 0 = nothing to correct, and the table is a dummy.
     """
 
     shifts: Triple
@@ -46,7 +46,7 @@ class ChromaticCorrection:
 
     @staticmethod
     def none(shifts: Triple) -> ChromaticCorrection:
-        """Nothing to correct."""
+        """No correction."""
         return ChromaticCorrection(shifts, np.zeros((2, 12, 1), np.float32), 0)
 
     @staticmethod
@@ -89,20 +89,20 @@ def channel_angles(
     first = 0 if pattern.axis == "x" else 1
     size, slope = projector.size, (pattern.phase[-1] - pattern.phase[0]) / (pattern.length - 1)
 
-    def seen(at: F64) -> F64:
+    def projector_pixels(at: F64) -> F64:
         rays = camera.normalise(at)
         return projector.project(np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) * depth_mm)
 
-    here = seen(pixels)
-    away = (
+    reference = projector_pixels(pixels)
+    displacement = (
         np.zeros((3, *pixels.shape)) if color.lateral_chromatic is None else color.lateral_chromatic.at(camera, pixels)
     )
     angles = []
     for k in range(3):
-        place = seen(pixels - away[k])
+        pixel = projector_pixels(pixels - displacement[k])
         if calibration.registration is not None:
-            place = place - calibration.registration.at(size, place)[k]
-        angles.append(slope * (place - here)[..., first])
+            pixel = pixel - calibration.registration.at(size, pixel)[k]
+        angles.append(slope * (pixel - reference)[..., first])
     return np.nan_to_num(np.stack(angles))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
-from pipeline.decode.chromatic_phase import ChromaticCorrection
+from pipeline.decode.chromatic_phase import ChromaticCorrection, chromatic_correction
 from pipeline.decode.kernels.decode_bayer import decode_bayer
 from pipeline.decode.kernels.decode_rgb import decode_rgb
 from pipeline.decode.kernels.local_mean import BoxMean
@@ -26,7 +26,8 @@ from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.noise_model import NoiseModel, estimate
 from pipeline.decode.pixel_descriptor import normalised_phase
 from pipeline.decode.raw_image import read_only
-from pipeline.rig.calibration import ColorModel
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Calibration, ColorModel
 
 F32 = NDArray[np.float32]
 
@@ -35,12 +36,12 @@ F32 = NDArray[np.float32]
 class PhaseMap:
     """Phase of one image, all (H, W).
 
-    The decoder's next image overwrites all planes but the mean and the modulation.
+    Decoding the next image overwrites all planes but the mean and the modulation.
 
     Args:
-        phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.decode.packed_phasor`; 0 where unknown.
-        descriptors: int32, what the order search compares, see :mod:`pipeline.decode.pixel_descriptor`; they hold the
-            normalised phase, that of channels divided by their local means.
+        phasor: int32, C + i S of the pointwise phase, see :mod:`pipeline.decode.packed_phasor`; 0 where invalid.
+        descriptors: int32, see :mod:`pipeline.decode.pixel_descriptor`; they hold the normalised phase too, that of
+            channels divided by their local means.
         variance: float32, variance of the pointwise phase from the image's noise, rad^2.
         saturated: share of pixels with a saturated sample.
         phase: float32, wrapped angle of the pointwise phasor.
@@ -59,7 +60,7 @@ class PhaseMap:
 
     @property
     def phase_normalised(self) -> F32:
-        """Equalised phase, made anew at every call."""
+        """Normalised phase, computed at every call."""
         return normalised_phase(self.descriptors)
 
     def subsampled(self, stride: int) -> PhaseMap:
@@ -71,7 +72,7 @@ class PhaseMap:
 
 
 class Decoder:
-    """Everything of a camera that can be computed once, and the decoding of its images.
+    """Decoding of a camera's images, with what can be computed once for all of them.
 
     Args:
         color: black level and crosstalk.
@@ -110,8 +111,22 @@ class Decoder:
         self._weights[: self._radius + 1] = weights_of(self._radius, sigma)[self._radius, self._radius :]
         self._planes: dict[str, NDArray[Any]] = {}
 
+    @staticmethod
+    def of_left(
+        calibration: Calibration, pattern: ColorFringe, *, mosaic: NDArray[np.int64] | None,
+        slopes: tuple[float, float], settings: Settings, depth_mm: float,
+    ) -> Decoder:  # fmt: skip
+        """The left camera's decoder (pass ``calibration.swapped()`` for the right one), its colours corrected.
+
+        Args:
+            depth_mm: middle of the measuring volume along that camera's axis; the rest as above.
+        """
+        color = calibration.left_color
+        chromatic = chromatic_correction(calibration, pattern, color, depth_mm)
+        return Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, chromatic=chromatic)
+
     def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
-        """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the planes of the last one."""
+        """Phase of a raw image, (H, W, 3) three-chip or (H, W) mosaic; overwrites the last image's planes."""
         image = read_only(image)
         noise = self._noise(image)
         height, width = image.shape[:2]
@@ -138,7 +153,7 @@ class Decoder:
         )  # fmt: skip
 
     def _scratch(self, height: int, width: int) -> dict[str, NDArray[Any]]:
-        """The planes that stay with the decoder: fresh ones cost as much as a good part of the decoding."""
+        """Planes that are reused: allocating them for every image would take a good part of the decoding time."""
         if not self._planes or self._planes["phase"].shape != (height, width):
             single = {k: np.empty((height, width), np.float32) for k in ("variance", "phase")}
             double = {k: np.empty((height, width), np.int32) for k in ("phasor", "descriptors")}

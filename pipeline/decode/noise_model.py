@@ -27,7 +27,7 @@ class NoiseModel:
 def estimate(image: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel:
     """Fit the noise model to second differences of samples along the fringes.
 
-    The quietest fifth of the 16-pixel tiles at each brightness is taken as free of texture: the mean square of
+    The quietest fifth of the 16-pixel tiles at each brightness is taken as untextured: the mean square of
     ``I[-1] - 2 I[0] + I[1]`` of white noise is six times its variance. Linear in brightness, so a tile's mean serves.
 
     Args:
@@ -104,22 +104,22 @@ def _points(order: Any, levels: Any, squares: Any, points: Any) -> None:
         for k in range(start, stop):
             total += levels[order[k]]
             spread[k - start] = squares[order[k]]
-        place = 0.2 * (stop - start - 1)
-        below = int(place)
+        position = 0.2 * (stop - start - 1)
+        below = int(position)
         above = min(below + 1, stop - start - 1)
-        parted = np.partition(spread, above)
-        low = parted[: below + 1].max()
+        partitioned = np.partition(spread, above)
+        low = partitioned[: below + 1].max()
         points[g, 0] = total / (stop - start) / _SAMPLES
-        points[g, 1] = (low + (place - below) * (parted[above] - low)) / (6 * _SAMPLES)
+        points[g, 1] = (low + (position - below) * (partitioned[above] - low)) / (6 * _SAMPLES)
         start = stop
 
 
 def _line(levels: NDArray[np.int32], squares: NDArray[np.int32]) -> NoiseModel:
-    # Sums of 256 samples of 8 bits have 16, and such numbers are sorted in no time.
+    # Sums of 256 samples of 8 bits fit into 16 bits, for which the stable sort is a fast radix sort.
     order = np.argsort(levels.astype(np.uint16), kind="stable")
     points = np.empty((max(2, min(12, len(order) // 30)), 2))
     _points(order, levels, squares, points)
-    # A tile holds some 250 nearly independent differences: its lowest fifth is 8 % below the truth on average.
+    # A tile holds some 250 nearly independent differences: its lowest fifth is 8 % too low on average.
     x, y = points[:, 0], 1.08 * points[:, 1]
     weight = 1 / np.maximum(y, _QUANTISATION) ** 2
     total = weight.sum()

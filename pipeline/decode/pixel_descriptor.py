@@ -1,8 +1,8 @@
-"""What the order search compares of a pixel, in four bytes: one look-up says it all.
+"""Pixel descriptors: what the order search compares of a pixel, in four bytes, so that one look-up is enough.
 
 From the highest bit: 12 bits of the pointwise phase and 11 of the normalised one, fractions of a turn that wrap as
-phases do; one bit that says whether the pixel is valid; 8 bits of the mean, counts. The phases are off by 1.5
-milliradians at most, a thirtieth of their noise.
+phases do; one bit for a valid pixel; 8 bits of the mean, counts. The phases are rounded by 1.5 milliradians at most, a
+thirtieth of their noise.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pipeline.common.tile_math import angle, whole_turns
 
 VALID = np.int32(256)
 RADIANS = np.float32(2 * pi / 2**32)
-"""One unit of :func:`phase_units` and :func:`normalised_units`: a turn has 2^32 of them, so that differences wrap."""
+"""One unit of :func:`phase_units` and :func:`normalised_units`: 2^32 are a turn, so that differences wrap."""
 _PHASE, _NORMALISED, _MEAN = np.int32(-(2**20)), np.int32(-(2**21)), np.int32(255)
 _TURN, _FINE = np.float32(2 * pi), np.float32(2**28 / (2 * pi))
 _PHASE_STEPS, _NORMALISED_STEPS = np.float32(2**12 / (2 * pi)), np.float32(2**11 / (2 * pi))
@@ -26,19 +26,19 @@ _PHASE_STEPS, _NORMALISED_STEPS = np.float32(2**12 / (2 * pi)), np.float32(2**11
 
 @inline
 def phase_units(x: Any) -> Any:
-    """The pointwise phase of a pixel's descriptors."""
+    """The pointwise phase of a pixel's descriptor."""
     return np.int32(x & _PHASE)
 
 
 @inline
 def normalised_units(x: Any) -> Any:
-    """The normalised phase of a pixel's descriptors."""
+    """The normalised phase of a pixel's descriptor."""
     return np.int32(np.int32(x << np.int32(12)) & _NORMALISED)
 
 
 @inline
 def mean_of(x: Any) -> Any:
-    """The mean of a pixel's descriptors, counts."""
+    """The mean of a pixel's descriptor, counts."""
     return np.float32(np.int32(x & _MEAN))
 
 
@@ -50,7 +50,7 @@ def units(phase: Any) -> Any:
 
 @inline
 def bias_of(x: Any, phase: Any) -> Any:
-    """Equalised phase of a pixel's descriptors minus its pointwise phase, -pi .. pi radians."""
+    """Equalised phase of a pixel's descriptor minus its pointwise phase, -pi .. pi radians."""
     d = np.float32(normalised_units(x)) * RADIANS - phase
     return d - _TURN * whole_turns(d)
 
@@ -62,14 +62,14 @@ def _normalised_bits(phase: Any) -> Any:
 
 @serial
 def normalised_phase_row(re: Any, im: Any, out: Any) -> None:
-    """Descriptors (n,) int32 of normalised phasors (n,), with nothing else yet."""
+    """Descriptors (n,) int32 with only the phase of normalised phasors (n,)."""
     for j in range(out.shape[0]):
         out[j] = _normalised_bits(angle(re[j], im[j]))
 
 
 @serial
 def complete_row(phase: Any, valid: Any, mean: Any, out: Any) -> None:
-    """Add what :func:`normalised_phase_row` left out: phase (n,) radians, valid (n,) bool, mean (n,) uint8."""
+    """Add to :func:`normalised_phase_row`: phase (n,) radians, valid (n,) bool, mean (n,) uint8."""
     for j in range(out.shape[0]):
         q = np.int32(np.int32(np.rint(phase[j] * _PHASE_STEPS)) << np.int32(20))
         fine = VALID if valid[j] else np.int32(0)

@@ -1,4 +1,4 @@
-"""What the sensor's encodings mean, and checks of the images at the border."""
+"""Encodings of raw images, and checks of incoming images."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def checked(image: NDArray[Any], side: str, encoding: str, size: tuple[int, int]
 
 
 def read_only(image: NDArray[Any]) -> NDArray[Any]:
-    """A view that cannot be written: a kernel is compiled for writable and for read-only arrays apart, mid-run."""
+    """A read-only view: numba compiles a kernel once more for writable arrays, which would happen mid-run."""
     view = image.view()
     view.setflags(write=False)
     return view

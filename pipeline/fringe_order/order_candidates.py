@@ -1,10 +1,10 @@
-"""Every fringe order a lattice pixel may have, with what the images say against each.
+"""The fringe orders that a lattice pixel may have, and the cost of each.
 
 A wrapped phase phi leaves the absolute phases phi + 2 pi k. Each is a projector column, which meets the pixel's viewing
 ray at one point; the other camera must see the same phase at that point's image. On a plane, a candidate wrong by m
 periods leaves a residual of 2 pi frac(m rho), rho = baseline left-right over baseline left-projector.
 
-The k-th candidates of a tile of lattice pixels are priced together (see :mod:`pipeline.common.tile_math`).
+The k-th candidates of a tile of lattice pixels are computed together (see :mod:`pipeline.common.tile_math`).
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from pipeline.common.jit import inline, parallel, prange
 from pipeline.common.tile_math import TILE, clamped, decay, whole_turns
 from pipeline.decode.pixel_descriptor import RADIANS, VALID, bias_of, mean_of, normalised_units, phase_units, units
 
-UNSEEN = np.float32(0.5)
+COST_UNOBSERVED = np.float32(0.5)
 RAY = 9
-"""Numbers of a lattice pixel's ray, side by side since few pixels may ask for them: ``lines`` of
+"""Numbers of a lattice pixel's ray, side by side since sometimes few pixels need them: ``lines`` of
 :class:`pipeline.geometry.ray_tables.RayTable`, then the absolute phases between which the pixel's lies."""
-NO_SUCH = np.float32(1000.0)
-"""Price of an order that the pixel cannot have."""
-_OUTSIDE = np.float32(4.0)
-_FASTEST = np.float32(2.0)
-"""Largest change of a pixel's absolute phase from one pair to the next that is followed, radians."""
+COST_IMPOSSIBLE = np.float32(1000.0)
+"""Cost of an order that the pixel cannot have."""
+_COST_OUTSIDE = np.float32(4.0)
+_MAX_PHASE_CHANGE = np.float32(2.0)
+"""Largest change of a pixel's absolute phase from one pair to the next for which the prior is used, radians."""
 _ZERO, _HALF, _ONE, _TWO, _EIGHT = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(8)
 _TURN, _PER_TURN, _TINY, _MOST = np.float32(2 * pi), np.float32(0.5 / pi), np.float32(1e-20), np.float32(0.4)
 
 # Slots of the scratch array of floats (tables take three each), and of the one of integers.
 _PHI, _BIAS, _MEAN, _MOVE = (k * TILE for k in range(4))
 _M0, _M1, _M2, _Q0, _Q1, _R0, _R1 = (k * TILE for k in range(4, 11))
-_U, _FRACTION, _SEEN, _T0, _T1, _COST = (k * TILE for k in range(11, 17))
+_U, _FRACTION, _VISIBLE, _T0, _T1, _COST = (k * TILE for k in range(11, 17))
 SLOTS = 17
 _CELL, _P0, _P1, _PHASE, _NORMALISED = (k * TILE for k in range(5))
 INTEGER_SLOTS = 5
@@ -81,32 +81,32 @@ def load_nodes(
 
 
 @inline
-def predict(t: Any, nodes: Any, n: int, expected: Any) -> None:
+def apply_prior(t: Any, nodes: Any, n: int, expected: Any) -> None:
     """Move a tile's first candidates to the orders nearest to the absolute phases ``expected`` (h w).
 
-    Slot _MOVE gets the number of orders after the first, -1 where the nearest one cannot be or is too far off.
+    Slot _MOVE gets the number of orders after the first, -1 where the nearest one is impossible or too far off.
     """
     for j in range(n):
         t[_T0 + j] = expected[np.uint32(nodes[j])]
     for j in range(TILE):
         change = t[_T0 + j] - t[_PHI + j]
         ahead = whole_turns(change)
-        good = (ahead >= _ZERO) & (ahead < t[_T1 + j]) & (abs(change - _TURN * ahead) < _FASTEST)
+        good = (ahead >= _ZERO) & (ahead < t[_T1 + j]) & (abs(change - _TURN * ahead) < _MAX_PHASE_CHANGE)
         t[_MOVE + j] = ahead if good else -_ONE
         t[_PHI + j] += _TURN * ahead if good else _ZERO
 
 
 @inline
-def price(
+def candidate_costs(
     t: Any, k: Any, order: int, columns: Any, linear: bool, correction: Any, extent: Any, descriptors: Any,
     width: int, height: int, axis: int, inv: Any, texture: Any,
 ) -> None:  # fmt: skip
     """Cost 0 .. about 1.6 (slot _COST) of the candidates ``order`` after the first of a tile of lattice pixels.
 
-    The normalised phase places the candidate: it is the one whose column can be trusted on coloured surfaces. Both
-    phases and the texture are compared there; UNSEEN outside the other image or where that has no fringes.
-    ``descriptors``, flat, are the other image's; ``linear``: the table ``columns`` is a straight line, and need not be
-    looked up.
+    The normalised phase determines the candidate's column: on coloured surfaces the pointwise one is biased. Both
+    phases and the texture are compared at its pixel in the other image; COST_UNOBSERVED outside that image or where it
+    has no fringes. ``descriptors``, flat, are the other image's; ``linear``: the table ``columns`` is a straight line
+    and needs no look-up.
     """
     start, stop = columns[0], columns[0] + columns[1] * np.float32(columns.shape[0] - 3)
     more = _TURN * np.float32(order)
@@ -142,11 +142,11 @@ def price(
         u = t[_U + j]
         v = t[_R0 + j] + t[_R1 + j] * u
         good = (t[_T0 + j] >= start) & (t[_T0 + j] <= stop) & (v >= -_HALF) & (v <= extent - _HALF)
-        t[_COST + j] = _ZERO if good else _OUTSIDE
+        t[_COST + j] = _ZERO if good else _COST_OUTSIDE
         u -= c0 + c1 * u + c2 * v
         main = (t[_M0 + j] + t[_M1 + j] * u) / (_ONE + t[_M2 + j] * u)
         side = t[_Q0 + j] + t[_Q1 + j] * main
-        t[_SEEN + j] = _ONE if (main >= _ONE) & (side >= _ONE) & (main < ends) & (side < sides) else _ZERO
+        t[_VISIBLE + j] = _ONE if (main >= _ONE) & (side >= _ONE) & (main < ends) & (side < sides) else _ZERO
         # Linear along the direction in which the phase grows, the nearest pixel across it.
         main, side = clamped(main, _ONE, ends), clamped(side, _ONE, sides) + _HALF
         cell, row = np.int32(main), np.int32(side)
@@ -165,13 +165,13 @@ def price(
         t[_T1 + j] = (np.float32(equal) + f * np.float32(step_normalised)) * RADIANS
     for j in range(TILE):
         p, q, f = k[_P0 + j], k[_P1 + j], t[_FRACTION + j]
-        plain, equal, here = t[_T0 + j], t[_T1 + j], t[_MEAN + j]
-        there = mean_of(p) + f * (mean_of(q) - mean_of(p))
+        plain, equal, mean = t[_T0 + j], t[_T1 + j], t[_MEAN + j]
+        other_mean = mean_of(p) + f * (mean_of(q) - mean_of(p))
         cost = _ONE - _HALF * (decay(min(plain * plain * inv, _EIGHT)) + decay(min(equal * equal * inv, _EIGHT)))
-        cost += texture * min(abs(here - there) / (here + there + _EIGHT), _MOST)
-        seen = (t[_SEEN + j] > _ZERO) & (np.int32(p & q & VALID) != 0)
-        cost = cost if seen else UNSEEN
-        t[_COST + j] = cost if t[_COST + j] == _ZERO else _OUTSIDE
+        cost += texture * min(abs(mean - other_mean) / (mean + other_mean + _EIGHT), _MOST)
+        visible = (t[_VISIBLE + j] > _ZERO) & (np.int32(p & q & VALID) != 0)
+        cost = cost if visible else COST_UNOBSERVED
+        t[_COST + j] = cost if t[_COST + j] == _ZERO else _COST_OUTSIDE
 
 
 @parallel

@@ -1,4 +1,4 @@
-"""How lattice pixels hang together: the change of fringe order between neighbours along a continuous surface."""
+"""Links of neighbouring lattice pixels: the change of fringe order between them along a continuous surface."""
 
 from __future__ import annotations
 
@@ -16,70 +16,70 @@ _ZERO, _HALF = np.float32(0), np.float32(0.5)
 
 
 @inline
-def _tie(total: Any, before: Any, here: Any, worst: Any, whole: bool) -> tuple[Any, Any]:
-    """Change of order along a continuous surface, and trust 0 .. 1 in it, from the unwrapped way between two pixels."""
+def _link(total: Any, before: Any, phase: Any, worst: Any, all_valid: bool) -> tuple[Any, Any]:
+    """Change of order along a continuous surface, and its weight 0 .. 1, from the phase unwrapped in between."""
     sharp = min(_FOUR * worst * worst, _EIGHT)
-    return whole_turns(before + total - here), decay(sharp) if whole else _BROKEN
+    return whole_turns(before + total - phase), decay(sharp) if all_valid else _BROKEN
 
 
 @inline
-def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any, jump: Any, trust: Any) -> None:
-    """How the lattice pixels of a row are tied to their left neighbours.
+def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any, jump: Any, weight: Any) -> None:
+    """Link the lattice pixels of a row to their left neighbours.
 
-    The phase is unwrapped pixel by pixel along the way: robust for steep surfaces, and every break is seen.
+    The phase is unwrapped pixel by pixel in between: robust on steep surfaces, and no break is missed.
 
     Args:
         phase, valid: a row of the image; lattice pixel b is its column ``j0 + step b``.
-        slope: expected phase step per pixel, radians; count: (w,) labels of each; nothing is tied between pixels
-            that have one label at most.
-        jump: (w,) int32, change of order from the neighbour to here along a continuous surface.
+        slope: expected phase step per pixel, radians; count: (w,) labels of each; pixels with one label at most
+            are not linked.
+        jump: (w,) int32, change of order from the neighbour to the pixel along a continuous surface.
         trust: (w,) float32, 0 (a break, or unknown) .. 1 (smooth phase).
     """
-    jump[0], trust[0] = 0, _ZERO
+    jump[0], weight[0] = 0, _ZERO
     for b in range(1, count.shape[0]):
         if count[b] <= 1 and count[b - 1] <= 1:
             continue
         m = np.uint32(j0 + step * (b - 1))
-        total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
+        total, last, worst, all_valid = _ZERO, _ZERO, _ZERO, True
         for s in range(step):
             d = phase[m + np.uint32(s + 1)] - phase[m + np.uint32(s)] - slope
             d -= _TURN * whole_turns(d)
             worst = max(worst, abs(d - last) if s > 0 else _ZERO)
             last = d
             total += d + slope
-            whole &= valid[m + np.uint32(s + 1)]
+            all_valid &= valid[m + np.uint32(s + 1)]
         n = m + np.uint32(step)
         worst = _HALF * abs(last) if step == 1 else worst
-        change, trusted = _tie(total, phase[m], phase[n], worst, whole)
+        change, smooth = _link(total, phase[m], phase[n], worst, all_valid)
         both = valid[m] & valid[n]
-        jump[b], trust[b] = np.int32(change) if both else 0, trusted if both else _ZERO
+        jump[b], weight[b] = np.int32(change) if both else 0, smooth if both else _ZERO
 
 
 @parallel
 def column_links(
-    phase: Any, valid: Any, i0: int, down: int, j0: int, step: int, slope: Any, count: Any, jump: Any, trust: Any
+    phase: Any, valid: Any, i0: int, down: int, j0: int, step: int, slope: Any, count: Any, jump: Any, weight: Any
 ) -> None:
-    """How each lattice pixel is tied to its upper neighbour; as :func:`row_links`, for the whole lattice (h, w)."""
+    """Link each lattice pixel to its upper neighbour; as :func:`row_links`, for the whole lattice (h, w)."""
     h, w = jump.shape
     for a in prange(h):
         if a == 0:
             jump[0, :] = 0
-            trust[0, :] = _ZERO
+            weight[0, :] = _ZERO
             continue
         top = i0 + down * (a - 1)
         for b in range(w):
             if count[a, b] <= 1 and count[a - 1, b] <= 1:
                 continue
             m = np.uint32(j0 + step * b)
-            total, last, worst, whole = _ZERO, _ZERO, _ZERO, True
+            total, last, worst, all_valid = _ZERO, _ZERO, _ZERO, True
             for s in range(down):
                 d = phase[top + s + 1, m] - phase[top + s, m] - slope
                 d -= _TURN * whole_turns(d)
                 worst = max(worst, abs(d - last) if s > 0 else _ZERO)
                 last = d
                 total += d + slope
-                whole &= valid[top + s + 1, m]
+                all_valid &= valid[top + s + 1, m]
             worst = _HALF * abs(last) if down == 1 else worst
-            change, trusted = _tie(total, phase[top, m], phase[top + down, m], worst, whole)
+            change, smooth = _link(total, phase[top, m], phase[top + down, m], worst, all_valid)
             both = valid[top, m] & valid[top + down, m]
-            jump[a, b], trust[a, b] = np.int32(change) if both else 0, trusted if both else _ZERO
+            jump[a, b], weight[a, b] = np.int32(change) if both else 0, smooth if both else _ZERO

@@ -4,8 +4,8 @@ Going from pixel q to p is free when the unwrapped phase is continuous: ``m_p = 
 A sloping surface then costs nothing, however steep; any other change of order costs a penalty, less where the phase
 itself shows a break. After Hirschmueller, PAMI 30 (2008), with another meaning of "smooth".
 
-A path keeps the costs of a pixel's labels between two margins as wide, so that a change of the first order is a shifted
-look at the same memory.
+A path keeps the costs of a pixel's labels between two margins as wide, so that a change of the first order is an offset
+in the same memory.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.common.jit import ordered, parallel, prange
-from pipeline.fringe_order.order_candidates import NO_SUCH
+from pipeline.fringe_order.order_candidates import COST_IMPOSSIBLE
 
 BLOCK = 16
-"""Columns whose paths go down together: the costs of a row of them are neighbours in memory."""
+"""Columns whose paths are followed together: the costs of a row of them are neighbours in memory."""
 NONE = -32768
 """Order of a pixel that has none."""
 _ZERO, _ONE = np.float32(0), np.float32(1)
@@ -38,7 +38,7 @@ def _advance(
     """
     source = np.uint32(old + labels + min(max(offset, -labels), labels))
     target, base = np.uint32(at), np.uint32(new + labels)
-    least_new = NO_SUCH
+    least_new = COST_IMPOSSIBLE
     for k in range(np.uint32(labels)):
         best = paths[source + k] - least
         value = costs[target + k] + (best if best < penalty else penalty)
@@ -49,19 +49,19 @@ def _advance(
 
 
 @ordered
-def _known(paths: Any, old: int, labels: int, n: int) -> Any:
-    """A path that knows nothing (n = 0), or that its pixel has one label only (n = 1); returns its least cost."""
+def _start_path(paths: Any, old: int, labels: int, n: int) -> Any:
+    """Start a path at a pixel without labels (n = 0) or with a single one (n = 1); returns its least cost."""
     for k in range(labels):
-        paths[np.uint32(old + labels + k)] = NO_SUCH
+        paths[np.uint32(old + labels + k)] = COST_IMPOSSIBLE
     if n == 1:
         paths[np.uint32(old + labels)] = _ZERO
         return _ZERO
-    return NO_SUCH
+    return COST_IMPOSSIBLE
 
 
 @ordered
 def along_row(
-    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, paths: Any, total: Any
+    costs: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int, paths: Any, total: Any
 ) -> None:
     """Both horizontal paths of a lattice row.
 
@@ -73,36 +73,36 @@ def along_row(
     w = first.shape[0]
     old, new = 0, 3 * labels
     for direction in range(2):
-        last, least, keep = 0, NO_SUCH, np.float32(direction)
+        last, least, keep = 0, COST_IMPOSSIBLE, np.float32(direction)
         for t in range(w):
             b = t if direction == 0 else w - 1 - t
             if count[b] <= 1:
                 last = count[b]
                 continue
-            offset, price = 0, penalty
+            offset, switch_cost = 0, penalty
             if t > 0:
-                q, tie = (b - 1, b) if direction == 0 else (b + 1, b + 1)
-                change = jump[tie] if direction == 0 else -jump[tie]
-                offset, price = first[b] - change - first[q], penalty * trust[tie]
+                q, link = (b - 1, b) if direction == 0 else (b + 1, b + 1)
+                change = jump[link] if direction == 0 else -jump[link]
+                offset, switch_cost = first[b] - change - first[q], penalty * weight[link]
             if last <= 1:
-                least = _known(paths, old, labels, last)
-            least = _advance(costs, b * labels, paths, old, new, least, labels, offset, price, keep, total)
+                least = _start_path(paths, old, labels, last)
+            least = _advance(costs, b * labels, paths, old, new, least, labels, offset, switch_cost, keep, total)
             old, new, last = new, old, count[b]
 
 
 @parallel
 def along_columns(
-    costs: Any, first: Any, count: Any, jump: Any, trust: Any, penalty: Any, labels: int, margin: Any, total: Any,
-    order: Any, sure: Any,
+    costs: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int, margin: Any, total: Any,
+    order: Any, confident: Any,
 ) -> None:  # fmt: skip
     """Both vertical paths, and the decision.
 
-    Columns go in blocks, one thread each, so that memory is walked in its own order.
+    Blocks of columns, one thread each, are read in the order of the memory.
 
     Args:
         costs, total: (h, w * labels); first, count: (h, w) int32.
         jump, trust: (h, w), of :func:`pipeline.fringe_order.phase_links.column_links`.
-        margin: least lead of the best total over the second best for a decision that is sure.
+        margin: lead of the best total over the second best from which a decision is confident.
         order: (h, w) int16, written, NONE where there are no candidates; sure: (h, w) uint8, written, 1 where there is
             one candidate only or its lead is large enough, else 0.
     """
@@ -111,13 +111,13 @@ def along_columns(
     for group in prange((w + BLOCK - 1) // BLOCK):
         b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
         size = 3 * labels
-        paths = np.full(2 * BLOCK * size, NO_SUCH)
-        least, last, side = np.full(BLOCK, NO_SUCH), np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
+        paths = np.full(2 * BLOCK * size, COST_IMPOSSIBLE)
+        least, last, side = np.full(BLOCK, COST_IMPOSSIBLE), np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
         for direction in range(2):
             last[:] = 0
             for t in range(h):
                 a = t if direction == 0 else h - 1 - t
-                q, tie = (a - 1, a) if direction == 0 else (a + 1, a + 1)
+                q, link = (a - 1, a) if direction == 0 else (a + 1, a + 1)
                 most = 0
                 for b in range(b0, b1):
                     most = max(most, count[a, b])
@@ -127,34 +127,34 @@ def along_columns(
                     if direction == 1:
                         for b in range(b0, b1):
                             one, none = np.int16(first[a, b]), np.int16(NONE)
-                            order[a, b], sure[a, b] = one if count[a, b] == 1 else none, count[a, b]
+                            order[a, b], confident[a, b] = one if count[a, b] == 1 else none, count[a, b]
                     continue
                 for b in range(b0, b1):
                     n, p = count[a, b], b - b0
                     if n <= 1:
                         last[p] = n
                         if direction == 1:
-                            order[a, b], sure[a, b] = first[a, b] if n == 1 else NONE, n
+                            order[a, b], confident[a, b] = first[a, b] if n == 1 else NONE, n
                         continue
-                    at, offset, price = (a * w + b) * labels, 0, penalty
+                    at, offset, switch_cost = (a * w + b) * labels, 0, penalty
                     if t > 0:
-                        change = jump[tie, b] if direction == 0 else -jump[tie, b]
-                        offset, price = first[a, b] - change - first[q, b], penalty * trust[tie, b]
+                        change = jump[link, b] if direction == 0 else -jump[link, b]
+                        offset, switch_cost = first[a, b] - change - first[q, b], penalty * weight[link, b]
                     old = (2 * p + side[p]) * size
                     new = (2 * p + 1 - side[p]) * size
                     if last[p] <= 1:
-                        least[p] = _known(paths, old, labels, last[p])
-                    least[p] = _advance(flat_costs, at, paths, old, new, least[p], labels, offset, price, _ONE,
+                        least[p] = _start_path(paths, old, labels, last[p])
+                    least[p] = _advance(flat_costs, at, paths, old, new, least[p], labels, offset, switch_cost, _ONE,
                                         flat_total)  # fmt: skip
                     last[p], side[p] = n, 1 - side[p]
                     if direction == 1:
-                        where, lead = _least(flat_total, at, labels)
-                        order[a, b], sure[a, b] = first[a, b] + where, 1 if lead >= margin else 0
+                        where, lead = _best_label(flat_total, at, labels)
+                        order[a, b], confident[a, b] = first[a, b] + where, 1 if lead >= margin else 0
 
 
 @ordered
-def _least(total: Any, at: int, labels: int) -> tuple[Any, Any]:
-    """Label of the least value, the first one of several, and by how much the next one is larger."""
+def _best_label(total: Any, at: int, labels: int) -> tuple[Any, Any]:
+    """Label of the least value (the first of several), and the lead over the second least."""
     base, where, best, second = np.uint32(at), np.int64(0), total[np.uint32(at)], _UNREACHED
     for k in range(1, np.uint32(labels)):
         value = total[base + np.uint32(k)]

@@ -1,4 +1,4 @@
-"""The order search in strips of lattice rows: candidates, their prices, and the horizontal paths, while in cache."""
+"""The order search in strips of lattice rows: candidates, their costs, and the horizontal paths, while in cache."""
 
 from __future__ import annotations
 
@@ -8,18 +8,27 @@ import numpy as np
 
 from pipeline.common.jit import parallel, prange
 from pipeline.common.tile_math import TILE
-from pipeline.fringe_order.order_candidates import COST, INTEGER_SLOTS, MOVE, NO_SUCH, SLOTS, load_nodes, predict, price
+from pipeline.fringe_order.order_candidates import (
+    COST,
+    COST_IMPOSSIBLE,
+    INTEGER_SLOTS,
+    MOVE,
+    SLOTS,
+    apply_prior,
+    candidate_costs,
+    load_nodes,
+)
 from pipeline.fringe_order.phase_links import row_links
 from pipeline.fringe_order.semi_global_aggregation import NONE, along_row
 
 REFRESH = 16
-"""Every lattice row is searched without expectations once in this many pairs, so that no error outlives them."""
+"""Every lattice row is searched without the prior once in this many pairs, so that no error lasts longer."""
 STRIP = 4
 """Lattice rows that are searched together."""
 _CELL = 16
-"""Columns of a strip that are searched together once enough of them contradict the expectation."""
+"""Columns of a strip that are searched together once enough of them contradict the prior."""
 _FEW = 8
-"""One contradiction in this many expectations is enough."""
+"""One contradiction among this many expected orders is enough."""
 _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 
 
@@ -28,10 +37,10 @@ def search_rows(
     top: int, down: int, left: int, step: int, stride: int, rays: Any,
     phase: Any, descriptors: Any, valid: Any, other_descriptors: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
-    inv: Any, texture: Any, penalty: Any, settled: Any, expected: Any, turn: int, limit: Any,
+    inv: Any, texture: Any, penalty: Any, certain: Any, expected: Any, refresh: int, limit: Any,
     costs: Any, total: Any, first: Any, count: Any,
 ) -> None:  # fmt: skip
-    """Price the candidates of the lattice (of every n-th row) and aggregate along its rows.
+    """Compute the candidates' costs on the lattice (on every n-th row) and aggregate along its rows.
 
     Args:
         top, down, left, step: lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
@@ -42,10 +51,10 @@ def search_rows(
             across.
         labels: most orders of a pixel; axis: 0 = phase grows along u; slope: expected phase step per pixel of the row.
         inv: 1 / (2 cost_sigma^2).
-        settled: (h, w) int16, orders that are known and need no search, NONE = open.
-        expected: (h, w) float32, absolute phase to be expected, NaN = unknown; a pixel whose expected order costs at
-            most ``limit``, amid others for which that holds, has no other candidate. Not used in lattice rows a with
-            ``a % REFRESH == turn``; turn < 0: nowhere.
+        certain: (h, w) int16, orders that need no search, NONE = open.
+        expected: (h, w) float32, expected absolute phase (the prior), NaN = unknown; a pixel whose expected order
+            costs at most ``limit``, amid others for which that holds, has no other candidate. Not used in lattice
+            rows a with ``a % REFRESH == refresh``; refresh < 0: nowhere.
         costs, total: (h, w * labels) float32, written where there are several candidates; first, count: (h, w) int32,
             written.
     """
@@ -55,27 +64,27 @@ def search_rows(
     flat_rays = rays.reshape(-1)
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
     flat_phase, flat_descriptors, flat_costs = phase.reshape(-1), descriptors.reshape(-1), costs.reshape(-1)
-    there = other_descriptors.reshape(-1)
+    flat_other = other_descriptors.reshape(-1)
     for strip in prange((h + STRIP - 1) // STRIP):
         a0, a1 = strip * STRIP, min(strip * STRIP + STRIP, h)
         t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
-        # 0: to be searched, 1: left out, 2: as expected, 3: not yet known to be, or contradicting.
+        # 0: to be searched, 1: left out, 2: as expected, 3: contradicts the prior, or is not yet compared with it.
         state = np.zeros((STRIP, w), np.int8)
         nodes, pixels = np.empty(STRIP * w, np.int32), np.empty(STRIP * w, np.int32)
         n = 0
         for a in range(a0, a1):
-            use_prior = turn >= 0 and a % REFRESH != turn
-            here = state[a - a0]
+            use_prior = refresh >= 0 and a % REFRESH != refresh
+            row_state = state[a - a0]
             for b in range(w):
                 pixel = (top + down * a, left + step * b)
                 flat_first[a * w + b], flat_count[a * w + b] = 0, 0
                 if a % stride or not valid[pixel]:
-                    here[b] = 1
-                elif settled[a, b] != NONE:
-                    here[b] = 1
-                    flat_first[a * w + b], flat_count[a * w + b] = settled[a, b], 1
+                    row_state[b] = 1
+                elif certain[a, b] != NONE:
+                    row_state[b] = 1
+                    flat_first[a * w + b], flat_count[a * w + b] = certain[a, b], 1
                 elif use_prior and expected[a, b] == expected[a, b]:
-                    here[b] = 3
+                    row_state[b] = 3
                     nodes[n], pixels[n] = a * w + b, pixel[0] * pixels_across + pixel[1]
                     n += 1
         for o in range(0, n, TILE):
@@ -83,8 +92,8 @@ def search_rows(
             part = nodes[o : o + m]
             load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
                        flat_first, flat_count, labels)  # fmt: skip
-            predict(t, part, m, flat_expected)
-            price(t, k, 0, columns, linear, correction, extent, there, width, height, axis, inv, texture)
+            apply_prior(t, part, m, flat_expected)
+            candidate_costs(t, k, 0, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture)
             for j in range(m):
                 node = np.uint32(part[j])
                 if t[COST + j] <= limit and t[MOVE + j] >= _ZERO:
@@ -115,32 +124,34 @@ def search_rows(
             for j in range(m):
                 base = np.uint32(part[j] * labels)
                 for order in range(np.uint32(labels)):
-                    flat_costs[base + order] = NO_SUCH
+                    flat_costs[base + order] = COST_IMPOSSIBLE
             for order in range(most):
-                price(t, k, order, columns, linear, correction, extent, there, width, height, axis, inv, texture)
+                candidate_costs(
+                    t, k, order, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture
+                )
                 for j in range(m):
                     node = np.uint32(part[j])
                     if order < flat_count[node]:
                         flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
-        jump, trust = np.empty(w, np.int32), np.empty(w, np.float32)
-        paths = np.full(6 * labels, NO_SUCH)
+        jump, weight = np.empty(w, np.int32), np.empty(w, np.float32)
+        paths = np.full(6 * labels, COST_IMPOSSIBLE)
         for a in range(a0, a1):
             i = top + down * a
             if a % stride == 0:
-                row_links(phase[i], valid[i], left, step, slope, count[a], jump, trust)
-                along_row(costs[a], first[a], count[a], jump, trust, penalty, labels, paths, total[a])
+                row_links(phase[i], valid[i], left, step, slope, count[a], jump, weight)
+                along_row(costs[a], first[a], count[a], jump, weight, penalty, labels, paths, total[a])
 
 
 @parallel
-def remember(
-    order: Any, settled: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int,
+def update_prior(
+    order: Any, certain: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int,
     left: int, step: int, phase: Any, expected: Any,
 ) -> None:  # fmt: skip
     """Absolute phases of lattice pixels whose order costs at most ``limit``, NaN elsewhere; see :func:`search_rows`.
 
     Args:
-        order: (h, w) int16, NONE = unknown; settled: those that are certain without a price.
-        first, count: of the candidates priced last, orders beyond them cost too much.
+        order: (h, w) int16, NONE = unknown; certain: those that needed no search.
+        first, count: of the candidates of the last search; orders beyond them cost too much.
         expected: (h, w) float32, written.
     """
     h, w = order.shape
@@ -150,7 +161,7 @@ def remember(
             value = _NAN
             label = order[a, b] - first[a, b]
             good = order[a, b] != NONE and 0 <= label < count[a, b]
-            if good and settled[a, b] == NONE:
+            if good and certain[a, b] == NONE:
                 good = costs[a, np.uint32(b * labels + label)] <= limit
             if good:
                 value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])

@@ -25,7 +25,7 @@ from pipeline.rig.volume import Volume
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-_STILL = 1e-6
+_CONSTANT_PX = 1e-6
 """Change along the ray, pixels, below which a coordinate is taken as constant."""
 
 
@@ -171,11 +171,11 @@ def _composed(a: F64, b: F64) -> F64:
     Where a does not change along the ray it is the middle of b's range.
     """
     scale = a[1] - b[2] * a[0]
-    told = np.abs(scale) > _STILL
-    scale = np.where(told, scale, 1.0)
+    varies = np.abs(scale) > _CONSTANT_PX
+    scale = np.where(varies, scale, 1.0)
     out = np.stack([b[0] * a[1] - b[1] * a[0], b[1] - b[0] * a[2], b[2] - a[2]]) / scale
     middle = (b[0] + b[1] / 2) / (1 + b[2] / 2)
-    return np.where(told, out, np.stack([middle, np.zeros_like(middle), np.zeros_like(middle)]))
+    return np.where(varies, out, np.stack([middle, np.zeros_like(middle), np.zeros_like(middle)]))
 
 
 def _line(a: F64, b: F64) -> F64:

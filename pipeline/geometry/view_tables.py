@@ -1,21 +1,16 @@
-"""One camera as the reference: its tables, and the steps that are taken from its side."""
+"""One camera as the reference: its tables, and those of the other devices seen from it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
-from pipeline.decode.chromatic_phase import chromatic_correction
-from pipeline.decode.decoder import Decoder, PhaseMap
-from pipeline.fringe_order import order_propagation
 from pipeline.geometry.ray_tables import DepthScale, RayTable, packed, period_in_image, ray_table
-from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, MatchResult
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.rig.calibration import Calibration, ColorModel
+from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.volume import Volume
 
@@ -29,20 +24,19 @@ class View:
 
     Args:
         table: what lattice pixels see; depth: scale of the parameter s.
-        other, projector: packed models; columns: even-grid table phase -> projector coordinate; phases: its inverse;
-            all float32, for kernels; linear: both are straight lines.
+        other, projector: packed models; phase_to_column: table of projector coordinates on an even grid of phases;
+            column_to_phase: its inverse; all float32, for kernels; linear: both tables are straight lines.
         slopes: expected phase step per pixel (x, y); labels: most orders a pixel can have.
         order_step: change of s from one order to the next, mid-volume.
         first_axis: 0 when the phase grows along u; extent: projector pixels across.
     """
 
-    decoder: Decoder
     table: RayTable
     depth: DepthScale
     other: F32
     projector: F32
-    columns: F32
-    phases: F32
+    phase_to_column: F32
+    column_to_phase: F32
     linear: bool
     slopes: tuple[float, float]
     labels: int
@@ -53,8 +47,8 @@ class View:
 
     @staticmethod
     def of(
-        calibration: Calibration, pattern: ColorFringe, volume: Volume, settings: Settings, color: ColorModel,
-        mosaic: NDArray[np.int64] | None, inside: tuple[CameraModel, Volume] | None = None, coarser: int = 1,
+        calibration: Calibration, pattern: ColorFringe, volume: Volume, settings: Settings,
+        inside: tuple[CameraModel, Volume] | None = None, coarser: int = 1,
     ) -> View:  # fmt: skip
         """Build the tables of the calibration's left camera."""
         axis = pattern.axis
@@ -65,8 +59,6 @@ class View:
         sign = _growth(calibration, depth, axis)
         slope = sign * 2 * np.pi / period
         slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
-        chromatic = chromatic_correction(calibration, pattern, color, depth.depth(0.5))
-        decoder = Decoder(color, pattern.shifts, mosaic=mosaic, slopes=slopes, settings=settings, chromatic=chromatic)
         along = table.along.astype(np.float64)
         far, near = ((along[0] + along[1] * s) / (1 + along[2] * s) for s in table.limits.astype(np.float64))
         phases = pattern.phase
@@ -74,49 +66,12 @@ class View:
                                - np.interp(far, np.arange(len(phases)), phases))  # fmt: skip
         widest = float(across_volume.max()) / (2 * np.pi)
         return View(
-            decoder, table, depth, packed(calibration.right).astype(np.float32),
+            table, depth, packed(calibration.right).astype(np.float32),
             packed(calibration.projector).astype(np.float32), _even_table(pattern).astype(np.float32),
             phases.astype(np.float32), pattern.profile is None, slopes, int(widest) + 2,
             1 / max(widest, 1e-3), 0 if axis == "x" else 1, float(pattern.size[1] if axis == "x" else pattern.size[0]),
             settings,
         )  # fmt: skip
-
-    def decode(self, image: NDArray[np.uint8]) -> PhaseMap:
-        """Phase of this camera's image."""
-        return self.decoder.decode(image)
-
-    def cross_check(
-        self, here: PhaseMap, order: Any, other: View, there: PhaseMap, other_order: Any, correction: F64, kept: Any
-    ) -> None:
-        """Orders that the other view confirms, into ``kept``."""
-        t, o = self.table, other.table
-        order_propagation.cross_check(
-            order, t.top, t.down, t.left, t.step, t.lines, self.first_axis, here.phase, here.descriptors,
-            other_order, o.top, o.down, o.left, o.step, there.phase, self.columns, correction.astype(np.float32),
-            np.float32(other.slopes[0]), np.float32(other.slopes[1]), np.float32(self.settings.max_check), kept,
-        )  # fmt: skip
-
-    def spread(self, here: PhaseMap, order: Any, out: Any) -> None:
-        """Order of every pixel, into ``out``."""
-        t = self.table
-        slope_x, slope_y = np.float32(self.slopes[0]), np.float32(self.slopes[1])
-        order_propagation.spread(order, t.top, t.down, t.left, t.step, here.phase, here.valid, slope_x, slope_y, out)
-
-    def column_differences(self, match: MatchResult, correction: F64) -> tuple[F64, F64, F64]:
-        """Observed minus calibrated projector coordinate of located points (a subset), and where they are."""
-        part = np.s_[::3, ::2]
-        some = match.valid[part].astype(bool) & (np.abs(match.residual_normalised[part]) < 1.5 / RESIDUAL_STEP)
-        some &= (match.projector_u[part] != OUTSIDE) & (match.projector_v[part] != OUTSIDE)
-        source = [(plane[part][some] + 0.5) / PIXEL_STEPS - 0.5 for plane in (match.projector_u, match.projector_v)]
-        along, across = source[self.first_axis], source[1 - self.first_axis]
-        absolute_phase = along + correction[0] + correction[1] * along + correction[2] * across
-        rate = np.gradient(self.phases.astype(np.float64))
-        difference = (
-            RESIDUAL_STEP
-            * match.residual_normalised[part][some]
-            / np.interp(absolute_phase, np.arange(len(rate)), rate)
-        )
-        return absolute_phase - along + difference, along, across
 
 
 def _even_table(pattern: ColorFringe) -> F64:

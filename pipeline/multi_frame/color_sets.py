@@ -55,7 +55,7 @@ class ColorSets:
         """As it was at :meth:`keep`."""
         for one, (correction, calibrated) in zip(self._reconstructors, kept, strict=True):
             one.correction, one.calibrated = correction, calibrated
-            one.forget()
+            one.clear_prior()
 
     def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], stride: int, watch: Stopwatch) -> Cloud:
         """The cloud of a set."""

@@ -45,7 +45,7 @@ class GreySets:
         self.calibrated = not settings.self_calibrate
         self._calibration, self._settings = calibration, settings
         finest = ColorFringe(plan.size, plan.periods, plan.axis)
-        self._left = View.of(calibration, finest, volume, settings, calibration.left_color, None)
+        self._left = View.of(calibration, finest, volume, settings)
         swapped, rights = calibration.swapped(), volume_of_right(calibration, volume)
         options: dict[str, Any] = {
             "axis": plan.axis, "per_px": _TURN * plan.periods / plan.length,
@@ -103,7 +103,7 @@ class GreySets:
                 best, most = float(offset), agreed
         correction = np.array([best, 0.0, 0.0])
         match = self._match(left, right, correction)
-        difference, along, across = self._left.column_differences(match, correction)
+        difference, along, across = column_correction.column_differences(self._left, match, correction)
         if len(difference) >= _FEWEST // _COARSE:
             limit = self._settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)

@@ -11,6 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.view_tables import View
+from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS, RESIDUAL_STEP, MatchResult
+
 F64 = NDArray[np.float64]
 Correction = F64
 """(3,) offset, slope along, slope across: observed minus calibrated projector coordinate."""
@@ -23,6 +26,19 @@ def offsets_to_try(largest: float, step: float = 0.25) -> F64:
     n = int(np.floor(largest / step + 1e-9))
     steps = np.arange(-n, n + 1) * step
     return np.asarray(steps[np.argsort(np.abs(steps), kind="stable")], dtype=np.float64)
+
+
+def column_differences(view: View, match: MatchResult, correction: Correction) -> tuple[F64, F64, F64]:
+    """Observed minus calibrated projector coordinate of matched pixels (a subset), and their coordinates."""
+    part = np.s_[::3, ::2]
+    some = match.valid[part].astype(bool) & (np.abs(match.residual_normalised[part]) < 1.5 / RESIDUAL_STEP)
+    some &= (match.projector_u[part] != OUTSIDE) & (match.projector_v[part] != OUTSIDE)
+    pixels = [(plane[part][some] + 0.5) / PIXEL_STEPS - 0.5 for plane in (match.projector_u, match.projector_v)]
+    along, across = pixels[view.first_axis], pixels[1 - view.first_axis]
+    column = along + correction[0] + correction[1] * along + correction[2] * across
+    rate = np.gradient(view.column_to_phase.astype(np.float64))
+    residual = RESIDUAL_STEP * match.residual_normalised[part][some]
+    return column - along + residual / np.interp(column, np.arange(len(rate)), rate), along, across
 
 
 def affine_fit(along: F64, across: F64, difference: F64, *, limit: float) -> Correction:

@@ -60,7 +60,7 @@ class SurfaceStage:
         refine(
             order, self._rays_x, self._rays_y, left.phase, left.descriptors, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
-            np.float32(v.depth.base), np.float32(v.depth.span), v.columns, v.phases, v.linear,
+            np.float32(v.depth.base), np.float32(v.depth.span), v.phase_to_column, v.column_to_phase, v.linear,
             correction.astype(np.float32), self._floor_sq, self._correlation, self._stride,
             points.xyz, points.sigma_mm, *self._match,
         )  # fmt: skip

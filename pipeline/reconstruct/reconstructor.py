@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
-from pipeline.decode.decoder import PhaseMap
+from pipeline.decode.decoder import Decoder, PhaseMap
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.filter.kernel_warmup import warm_up_conflicts
+from pipeline.fringe_order.left_right_check import cross_check
+from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.view_tables import View
 from pipeline.pattern.color_fringe import ColorFringe
@@ -69,12 +71,18 @@ class Reconstructor:
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
-        self._left = View.of(calibration, pattern, volume, self.settings, calibration.left_color, mosaic)
+        self._left = View.of(calibration, pattern, volume, self.settings)
         # The right view only confirms the left one: fewer rows serve.
         self._right = View.of(
-            swapped, pattern, volume_of_right(calibration, volume), self.settings, calibration.right_color, mosaic,
+            swapped, pattern, volume_of_right(calibration, volume), self.settings,
             inside=(swapped.right, volume), coarser=2,
         )  # fmt: skip
+        self.decoders = [
+            Decoder.of_left(
+                rig, pattern, mosaic=mosaic, slopes=view.slopes, settings=self.settings, depth_mm=view.depth.depth(0.5)
+            )
+            for rig, view in ((calibration, self._left), (swapped, self._right))
+        ]
         labels = max(self._left.labels, self._right.labels)
         if labels > MAX_LABELS:
             raise CalibrationError(
@@ -104,7 +112,7 @@ class Reconstructor:
         for stride in strides:
             self.reconstruct(left, right, stride=stride, use_prior=use_prior)
         warm_up_conflicts()
-        self.forget()
+        self.clear_prior()
         self.correction, self.calibrated = kept
 
     def reconstruct(
@@ -134,18 +142,18 @@ class Reconstructor:
         left = checked(left, "left", self.encoding, self.calibration.left.size)
         right = checked(right, "right", self.encoding, self.calibration.right.size)
         if not use_prior:
-            self.forget()
-        maps = self._left.decode(left), self._right.decode(right)
+            self.clear_prior()
+        maps = self.decoders[0].decode(left), self.decoders[1].decode(right)
         watch.lap("decode")
         if not self.calibrated:
             self.calibrate_columns(*maps)
             watch.lap("self_calibration")
         return *maps, self._orders(*maps, watch, use_prior=use_prior)
 
-    def forget(self) -> None:
+    def clear_prior(self) -> None:
         """The next pair follows none: it is searched in full."""
         for side in self._searches:
-            side.forget()
+            side.clear_prior()
 
     def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> None:
         """Find the projector's column correction from a pair and keep it."""
@@ -156,10 +164,10 @@ class Reconstructor:
                 best, least = float(offset), cost
         self.correction = np.array([best, 0.0, 0.0])
         self.calibrated = True
-        self.forget()
+        self.clear_prior()
         orders = self._orders(left, right, Stopwatch(None), use_prior=False)
         match = self.stage(1).match(left, right, orders, self.correction)
-        difference, along, across = self._left.column_differences(match, self.correction)
+        difference, along, across = column_correction.column_differences(self._left, match, self.correction)
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
@@ -171,11 +179,11 @@ class Reconstructor:
             for side, here, there in zip(self._searches, (left, right), (right, left), strict=True)
         ]
         watch.lap("orders")
-        self._left.cross_check(left, decided[0], self._right, right, decided[1], self.correction, self._kept)
-        self._left.spread(left, self._kept, self._order)
+        cross_check(self._left, left, decided[0], self._right, right, decided[1], self.correction, self._kept)
+        propagate(self._left, left, self._kept, self._order)
         if use_prior:
-            self._searches[0].expect(left, self._kept)
-            self._searches[1].expect(right, decided[1])
+            self._searches[0].set_prior(left, self._kept)
+            self._searches[1].set_prior(right, decided[1])
         watch.lap("propagation")
         return self._order
 

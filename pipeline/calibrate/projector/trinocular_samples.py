@@ -16,10 +16,9 @@ from pipeline.calibrate.projector.absolute_phase import Coordinate
 from pipeline.calibrate.projector.trinocular_residual import Samples
 from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
+from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
-from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.geometry.triangulate import triangulate
-from pipeline.geometry.view_tables import View
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.reconstructor import Reconstructor
@@ -40,7 +39,7 @@ _ROUGHEST_PX = 0.3
 def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, stride: int = 6) -> Samples:
     """Of a single-shot measurement.
 
-    The equalised phase is taken: on coloured surfaces the pointwise one is off, in both cameras alike, which a match
+    The normalised phase is taken: on coloured surfaces the pointwise one is off, in both cameras alike, which a match
     does not feel but this residual does.
 
     Args:
@@ -80,16 +79,15 @@ class PairSampler:
         settings: Settings | None = None,
         stride: int = 6,
     ) -> None:
-        self._made = Reconstructor(calibration, pattern, volume, encoding=encoding, settings=settings)
-        mosaic = mosaic_of(encoding)
-        self._view = View.of(calibration, pattern, volume, self._made.settings, calibration.left_color, mosaic)
+        self._reconstructor = Reconstructor(calibration, pattern, volume, encoding=encoding, settings=settings)
         self._stride = stride
 
     def __call__(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Samples:
         """Samples of a pair of raw images, as :class:`pipeline.reconstruct.reconstructor.Reconstructor` takes them."""
-        cloud = self._made.reconstruct(left, right)
-        image = checked(left, "left", self._made.encoding, self._made.calibration.left.size)
-        return samples_of_cloud(cloud, self._view.decode(image), self._made.pattern, stride=self._stride)
+        made, watch = self._reconstructor, Stopwatch(None)
+        decided = made.decide(left, right, watch)
+        cloud = made.stage(1).cloud(*decided, made.correction, watch)
+        return samples_of_cloud(cloud, decided[0], made.pattern, stride=self._stride)
 
 
 def samples_of_phases(

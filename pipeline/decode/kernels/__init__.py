@@ -1,1 +1,1 @@
-"""Decoding compiled: rows, windows and what is fitted in them."""
+"""Compiled decoding: rows, windows and the fits in them."""

@@ -1,4 +1,4 @@
-"""Row kernels that undo the channels' angles of :mod:`pipeline.decode.chromatic_phase`, where there are any."""
+"""Row kernels that apply the correction of :mod:`pipeline.decode.chromatic_phase`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DESIGN_ROWS = 8
 
 @serial
 def correct_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
-    """Phasors (W,) of row y as if no channel were turned; ``table`` and ``step`` of ``ChromaticCorrection``."""
+    """Correct the phasors (W,) of row y; ``table`` and ``step`` of ``ChromaticCorrection``."""
     i = y // step
     g = np.float32((y - i * step) / step)
     f = np.float32(1.0) - g
@@ -28,7 +28,7 @@ def correct_phasors(table: Any, step: int, y: int, re: Any, im: Any) -> None:
 
 @serial
 def correct_means(table: Any, step: int, y: int, re: Any, im: Any, mean: Any) -> None:
-    """Means (W,) of row y; before the phasors, which are the unstraightened ones here."""
+    """Correct the means (W,) of row y, before the phasors: the uncorrected ones are needed."""
     i = y // step
     g = np.float32((y - i * step) / step)
     f, zero = np.float32(1.0) - g, np.float32(0.0)
@@ -40,7 +40,7 @@ def correct_means(table: Any, step: int, y: int, re: Any, im: Any, mean: Any) ->
 
 @serial
 def units_of_row(re: Any, im: Any) -> None:
-    """Phasors (W,) to size 1."""
+    """Normalise phasors (W,) to size 1."""
     one, tiny = np.float32(1.0), np.float32(1e-12)
     for j in range(re.shape[0]):
         c, s = re[j], im[j]
@@ -50,7 +50,7 @@ def units_of_row(re: Any, im: Any) -> None:
 
 @serial
 def corrected_design(mosaic: Any, rows: Any, table: Any, step: int, y: int, out: Any) -> None:
-    """Design (a, p, q) of every column's colour about row y, in even and odd rows, out (6, W or more)."""
+    """Corrected design (a, p, q) of every column's colour about row y, in even and odd rows, out (6, W or more)."""
     last = table.shape[2] - 1
     i = y // step
     g = np.float32((y - i * step) / step)

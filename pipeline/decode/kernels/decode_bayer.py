@@ -39,17 +39,17 @@ def _design_rows(mosaic: Any, rows: Any, out: Any) -> None:
 
 
 @serial
-def _first_guess(image: Any, y: int, mosaic: Any, padded: Any, kept: Any, held: Any) -> Any:
-    """First guess of row y, (3 W,) uint16, from the last ones or made now.
+def _first_guess(image: Any, y: int, mosaic: Any, padded: Any, cache: Any, cached_rows: Any) -> Any:
+    """First guess of row y, (3 W,) uint16, from the cache or computed.
 
     Args:
-        padded: (3, W + 2 or more) uint16, scratch; kept: (n, 3 W or more) uint16; held: (n,) which rows those are.
+        padded: (3, W + 2 or more) uint16, scratch; cache: (n, 3 W or more) uint16; cached_rows: (n,) their rows.
     """
     height, width = image.shape
-    slot = y % held.shape[0]
-    out = kept[slot, : 3 * width]
-    if held[slot] != y:
-        held[slot] = y
+    slot = y % cached_rows.shape[0]
+    out = cache[slot, : 3 * width]
+    if cached_rows[slot] != y:
+        cached_rows[slot] = y
         for k in range(3):
             i = abs(y + k - 1)
             padded_row(image[i if i < height else 2 * height - 2 - i], padded[k, : width + 2])
@@ -58,8 +58,8 @@ def _first_guess(image: Any, y: int, mosaic: Any, padded: Any, kept: Any, held: 
 
 
 @serial
-def _put_back(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any, variance: Any) -> None:
-    """Results of a tile; where there is no fit the mean stays."""
+def _write_tile(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any, variance: Any) -> None:
+    """Write the results of a tile; without a fit the mean is kept."""
     zero, most, inf = np.float32(0.0), np.float32(1024.0), np.float32(np.inf)
     for j in range(re.shape[0]):
         c, s = tile[RE * TILE + j], tile[IM * TILE + j]
@@ -73,9 +73,9 @@ def _put_back(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: Any
 @parallel
 def decode_bayer(
     image: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
-    nominal: Any, clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any,
-    scale: float, chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any, phase: Any,
-    modulation: Any, valid: Any, saturated: Any,
+    nominal: Any, saturation: float, floor: float, gain: float, min_modulation: float, along: int, over: int,
+    drops: Any, scale: float, chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any,
+    phase: Any, modulation: Any, valid: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`; image (H, W) uint8, mosaic (2, 2) channels.
 
@@ -84,7 +84,7 @@ def decode_bayer(
     height, width = mean.shape
     ring, edge = 2 * radius + 1, radius + 1
     inf, zero = np.float32(np.inf), np.float32(0.0)
-    # A tile may run past the end of a row.
+    # A tile may extend beyond the end of a row.
     stride = row_stride(width + TILE + 4)
     wide = row_stride(3 * width + 6 * along)
     for band in prange(BANDS):
@@ -98,24 +98,25 @@ def decode_bayer(
         once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
         shorts = np.zeros((10 + 2 * over, 2 * wide), np.uint16)
         padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
-        work, means, halo, kept = shorts[2:4], shorts[4, : 3 * width], shorts[5:8], shorts[8:]
-        held = np.full(kept.shape[0], -1)
+        work, means, halo, cache = shorts[2:4], shorts[4, : 3 * width], shorts[5:8], shorts[8:]
+        cached_rows = np.full(cache.shape[0], -1)
         tile = np.zeros(MOSAIC_SLOTS * TILE, np.float32)
         _design_rows(mosaic, rows, design)
         start = shared_row(low)
         middle_row, entered = start - 1, start - over
         for y in range(max(low - radius, 0), min(high + radius, height)):
-            levels_of_row(_first_guess(image, y, mosaic, halo, kept, held), np.float32(1 / EIGHTHS), black, levels)
+            guess = _first_guess(image, y, mosaic, halo, cache, cached_rows)
+            levels_of_row(guess, np.float32(1 / EIGHTHS), black, levels)
             if low <= y < high:
                 if middle_row < shared_row(y):
                     middle_row = shared_row(y)
                     while entered < middle_row + over - 1:
                         entered += 1
                         keep = 1 if entered > start else 0
-                        came, gone = mirrored(entered, height), mirrored(entered - keep * over, height)
-                        advance(_first_guess(image, came, mosaic, halo, kept, held),
-                                _first_guess(image, gone, mosaic, halo, kept, held), keep, drops[0], drops[1], once,
-                                before[(entered - start) % over], twice)  # fmt: skip
+                        entering, leaving = mirrored(entered, height), mirrored(entered - keep * over, height)
+                        advance(_first_guess(image, entering, mosaic, halo, cache, cached_rows),
+                                _first_guess(image, leaving, mosaic, halo, cache, cached_rows), keep, drops[0],
+                                drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
                 normalised_row(levels, balance, unmix, ideal, re, im)
@@ -127,10 +128,10 @@ def decode_bayer(
             if table_step > 0:
                 correct_phasors(chromatic, table_step, y, units[k, :width], units[ring + k, :width])
                 units_of_row(units[k, :width], units[ring + k, :width])
-            found = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], clip, samples[k],
-                                   samples[ring + k])  # fmt: skip
+            n_saturated = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], saturation,
+                                         samples[k], samples[ring + k])  # fmt: skip
             if low <= y < high:
-                saturated[y] = found
+                saturated[y] = n_saturated
                 if y < edge or y >= height - edge:
                     phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
                     counts_of_row(plain[k, :width], mean[y])
@@ -155,12 +156,12 @@ def decode_bayer(
                                        gain)  # fmt: skip
                     solve(tile)
                     e = min(e, width - edge)
-                    _put_back(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], plain[q, o:e], w[o:e])
+                    _write_tile(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], plain[q, o:e], w[o:e])
                 for j in range(edge):
                     for x in (j, width - 1 - j):
                         re[x], im[x], w[x] = zero, zero, inf
                 variance[i, :] = w
                 counts_of_row(plain[q, :width], mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
-                describe_row(re, im, w, smallest, modulation[i], valid[i])
+                describe_row(re, im, w, min_modulation, modulation[i], valid[i])
                 complete_row(phase[i], valid[i], mean[i], descriptors[i])

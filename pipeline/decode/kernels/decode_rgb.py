@@ -1,7 +1,7 @@
 """Decoding of a three-chip image in one pass over bands of rows.
 
-Every row goes through all steps while it is in the processor's first caches; between the raw image and the results
-no plane is stored. The bands overlap, so each of them starts on its own: results do not depend on the threads.
+Every row passes all steps while it is in the first caches; between the raw image and the results no plane is stored.
+The bands overlap, so that each is independent: results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ def quotients_of_row(w: Any, c: Any, s: Any, a: Any, v: Any, re: Any, im: Any, m
     zero, one = np.float32(0.0), np.float32(1.0)
     inf = np.float32(np.inf)
     for j in range(mean.shape[0]):
-        found = w[j] > zero
-        inverse = one / (w[j] if found else one)
+        count = w[j] > zero
+        inverse = one / (w[j] if count else one)
         re[j], im[j], mean[j] = c[j] * inverse, s[j] * inverse, a[j] * inverse
         angular = v[j] / (c[j] * c[j] + s[j] * s[j] + np.float32(1e-9))
-        variance[j] = angular if found else inf
+        variance[j] = angular if count else inf
 
 
 @parallel
 def decode_rgb(
     image: Any, black: Any, rows: Any, solve: Any, unmix: Any, ideal: Any, weights: Any, radius: int, nominal: Any,
-    clip: float, floor: float, gain: float, smallest: float, along: int, over: int, drops: Any, scale: float,
-    chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any, phase: Any,
+    saturation: float, floor: float, gain: float, min_modulation: float, along: int, over: int, drops: Any,
+    scale: float, chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any, phase: Any,
     modulation: Any, valid: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`.
@@ -52,7 +52,7 @@ def decode_rgb(
         rows: (3, 3) design of the channels; solve: its inverse; unmix: (3, 3) inverse crosstalk; ideal: (3, 3) inverse
             of the design without crosstalk; all float32.
         weights: (3,) by distance; radius: of the window, pixels; nominal: (4,) expected steps of the phase.
-        clip: counts from which a sample is saturated; floor, gain: noise model; smallest: least modulation, counts.
+        saturation: counts from which a sample is saturated; floor, gain: noise model; min_modulation: counts.
         along, over, drops, scale: of :class:`pipeline.decode.kernels.local_mean.BoxMean`.
         chromatic, table_step: table and step of :class:`pipeline.decode.chromatic_phase.ChromaticCorrection`.
         phasor: (H, W) int32, packed; descriptors: (H, W) int32, see :mod:`pipeline.decode.pixel_descriptor`;
@@ -87,8 +87,8 @@ def decode_rgb(
                     while entered < middle_row + over - 1:
                         entered += 1
                         keep = 1 if entered > start else 0
-                        gone = mirrored(entered - keep * over, height)
-                        advance(image[mirrored(entered, height)], image[gone], keep, drops[0], drops[1], once,
+                        leaving = mirrored(entered - keep * over, height)
+                        advance(image[mirrored(entered, height)], image[leaving], keep, drops[0], drops[1], once,
                                 before[(entered - start) % over], twice)  # fmt: skip
                     means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
                     balance_of_row(means, scale, black, unmix, balance)
@@ -98,9 +98,9 @@ def decode_rgb(
                 normalised_phase_row(w, c, descriptors[y])
             k = y % ring
             ur, ui = unit[k, :width], unit[ring + k, :width]
-            found = pointwise_row(levels, black, solve, clip, floor, gain, ur, ui, w, c, s, a, v)
+            count = pointwise_row(levels, black, solve, saturation, floor, gain, ur, ui, w, c, s, a, v)
             if low <= y < high:
-                saturated[y] = found
+                saturated[y] = count
             if table_step > 0:
                 correct_means(chromatic, table_step, y, c, s, a)
                 correct_phasors(chromatic, table_step, y, c, s)
@@ -140,20 +140,21 @@ def decode_rgb(
                              nominal[2], nominal[3], weights[2], w, c, s, a, v)  # fmt: skip
                 quotients_of_row(w, c, s, a, v, re, im, average, variance[i])
                 if saturated[i] > 0:
-                    found = saturated_of_row(image[i], clip, reach, width - reach, columns)
-                    for j in columns[:found]:
+                    count = saturated_of_row(image[i], saturation, reach, width - reach, columns)
+                    for j in columns[:count]:
                         average[j] = plain_mean(image[i], j, black, solve)
                     units = (unit[p], unit[ring + p], unit[q], unit[ring + q], unit[r], unit[ring + r])
-                    for j in range(0, found, TILE):
-                        fit_saturated(image, i, columns[j : min(j + TILE, found)], radius, nominal, weights, rows,
-                                    black, clip, floor, gain, units, tile, re, im, average, variance[i])  # fmt: skip
+                    for j in range(0, count, TILE):
+                        fit_saturated(image, i, columns[j : min(j + TILE, count)], radius, nominal, weights, rows,
+                                      black, saturation, floor, gain, units, tile, re, im, average,
+                                      variance[i])  # fmt: skip
                 for j in range(reach):
                     for x in (j, width - 1 - j):
                         re[x], im[x], variance[i, x] = zero, zero, inf
                         average[x] = plain_mean(image[i], x, black, solve)
                 counts_of_row(average, mean[i])
                 angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
-                describe_row(re, im, variance[i], smallest, modulation[i], valid[i])
+                describe_row(re, im, variance[i], min_modulation, modulation[i], valid[i])
                 complete_row(phase[i], valid[i], mean[i], descriptors[i])
             if low <= y < high and (y < reach or y >= height - reach):
                 phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False

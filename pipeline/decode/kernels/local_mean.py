@@ -1,8 +1,8 @@
-"""Mean over about one fringe period of every channel: a box, twice, which is a triangle in both directions.
+"""Mean of every channel over about one fringe period: a box filter twice, which is a triangle in both directions.
 
 One period x 5 pixels, summed up in 16-bit integers, whole rows of interleaved colours at a time, before black level and
-crosstalk are taken out; all of them are linear. The mean changes so slowly across the rows that three of them share
-one: :data:`SHARED`.
+crosstalk are corrected; all of them are linear. The mean changes so slowly across the rows that three of them share
+one (:data:`SHARED`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SHARED = 3
 
 @dataclass(frozen=True, slots=True)
 class BoxMean:
-    """How the double box mean is summed up.
+    """Extent and fixed-point arithmetic of the double box mean.
 
     Args:
         along, over: extent of the box along the rows and over the rows, pixels.
@@ -57,20 +57,20 @@ def _excess(largest: int) -> int:
 
 @serial
 def mirrored(i: int, n: int) -> int:
-    """Index into n elements continued by their mirror image, the border element twice."""
+    """Index into n elements extended by reflection, the border element repeated."""
     i = -1 - i if i < 0 else i
     return 2 * n - 1 - i if i >= n else i
 
 
 @serial
 def shared_row(y: int) -> int:
-    """The row whose means serve row y."""
+    """The row whose means are used for row y."""
     return SHARED * ((y + SHARED // 2) // SHARED)
 
 
 @serial
 def advance(new: Any, old: Any, keep: int, sample: int, column: int, once: Any, oldest: Any, twice: Any) -> None:
-    """Let the box over the rows, twice, move on by one row.
+    """Move the double box over the rows on by one row.
 
     Args:
         new, old: (n,) samples that enter and, when ``keep`` is 1, that leave the first box.
@@ -92,21 +92,21 @@ def advance(new: Any, old: Any, keep: int, sample: int, column: int, once: Any, 
                 twice[j] = np.uint16(twice[j] + sums - oldest[j])
                 oldest[j] = sums
         return
-    drop, half, less, some = sample & 15, (1 << sample) >> 1, column & 15, (1 << column) >> 1
+    drop, half, column_drop, column_half = sample & 15, (1 << sample) >> 1, column & 15, (1 << column) >> 1
     for j in range(once.shape[0]):
-        came, went = np.uint16(np.uint16(new[j] + half) >> drop), np.uint16(np.uint16(old[j] + half) >> drop)
-        sums = np.uint16(once[j] + came - keep * went)
+        entering, leaving = np.uint16(np.uint16(new[j] + half) >> drop), np.uint16(np.uint16(old[j] + half) >> drop)
+        sums = np.uint16(once[j] + entering - keep * leaving)
         once[j] = sums
-        now = np.uint16(np.uint16(sums + some) >> less)
-        twice[j] = np.uint16(twice[j] + now - oldest[j])
-        oldest[j] = now
+        rounded = np.uint16(np.uint16(sums + column_half) >> column_drop)
+        twice[j] = np.uint16(twice[j] + rounded - oldest[j])
+        oldest[j] = rounded
 
 
 @serial
 def _dropped(row: Any, bits: int, out: Any) -> None:
     """Round away the lowest bits, four at most, of a row (n,) uint16.
 
-    A shift by a number that the compiler knows takes an eighth of the time of one that it does not.
+    A shift by a compile-time constant takes an eighth of the time of one by a variable.
     """
     n = out.shape[0]
     if bits == 1:
@@ -163,7 +163,7 @@ def _fourfold(row: Any, stride: int, n: int, out: Any) -> None:
 
 @serial
 def box_row(row: Any, length: int, work: Any, out: Any) -> None:
-    """Sums of ``length`` successive pixels of a row of three interleaved colours: sums of 1, 4, 16 ... put together.
+    """Sums of ``length`` successive pixels of a row of three interleaved colours: composed of sums of 1, 4, 16 ...
 
     Args:
         row: (3 n,) uint16; work: (2, at least 3 n) uint16, scratch.
@@ -203,7 +203,7 @@ def means_of_row(
             padded[edge + 3 * j + k] = inner[3 * mirrored(j, width) + k]
             padded[edge + 3 * (width - 1 - j) + k] = inner[3 * mirrored(width - 1 - j, width) + k]
     box_row(padded, along, work, middle)
-    # The padded row has served.
+    # The padded row is no longer needed.
     sums = padded[: middle.shape[0]]
     drop_bits(middle, second, sums)
     box_row(sums, along, work, out)

@@ -1,8 +1,8 @@
 """The normalised phase: each channel divided by its own local mean over about one fringe period.
 
-A coloured surface answers the three fringes unequally, which bends the pointwise phase (half a radian on a coloured
-head). Dividing each channel by its mean over one period takes that away; it serves the choice of the fringe order,
-where a bias costs, not the sub-pixel match, where it is the same in both cameras and cancels. The means are those of
+A coloured surface reflects the three fringes unequally, which biases the pointwise phase (half a radian on a coloured
+head). Dividing each channel by its mean over one period removes that; it is used for the fringe order, where a bias
+costs, not for the sub-pixel match, where it is the same in both cameras and cancels. The means are those of
 :mod:`pipeline.decode.kernels.local_mean`.
 """
 
@@ -17,7 +17,7 @@ from pipeline.common.jit import serial
 
 @serial
 def balance_of_row(means: Any, scale: float, black: Any, unmix: Any, out: Any) -> None:
-    """What makes the channels of a row equally bright: one over their means above black, without crosstalk.
+    """Factors that make the channels of a row equally bright: one over their means above black, without crosstalk.
 
     Args:
         means: (3 W,) uint16, colours interleaved; scale: to counts; black: (3,) counts.

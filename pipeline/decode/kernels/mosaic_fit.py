@@ -1,7 +1,7 @@
 """Mosaics: a first guess of all three colours, and the window fit on the raw samples, no demosaicing.
 
 Every sample of the window obeys the equation of :mod:`pipeline.decode.kernels.normal_equations` with the design of its
-own colour. Clipped samples are left out, and samples whose first guess does not continue the phase's plane (another
+own colour. Saturated samples are left out, and samples whose first guess does not continue the phase's plane (another
 surface).
 """
 
@@ -18,10 +18,10 @@ from pipeline.decode.kernels.normal_equations import SLOTS, accumulate, clear
 from pipeline.decode.kernels.window_fit import step_of
 
 CONSISTENT = 0.35  # cosine of the largest phase deviation inside a window
-AGREEING = 0.2  # cosine of the largest difference of the steps to both sides; the first guess errs pixel by pixel
+AGREEING = 0.2  # cosine of the largest difference of the steps to both sides; the first guess is noisy
 EIGHTHS = 8  # the first guess is counted in eighths of a count, exactly
 _X, _Y = SLOTS, SLOTS + 2  # phasors of the phase's steps
-_ROW = SLOTS + 4  # predicted phasors at the first pixel of the window row in turn
+_ROW = SLOTS + 4  # predicted phasors at the first pixel of the current window row
 MOSAIC_SLOTS = SLOTS + 6
 
 
@@ -36,22 +36,22 @@ def padded_row(raw: Any, out: Any) -> None:
 
 
 @serial
-def rough_row(above: Any, here: Any, below: Any, even: int, odd: int, out: Any) -> None:
+def rough_row(above: Any, middle: Any, below: Any, even: int, odd: int, out: Any) -> None:
     """First guess: each colour's weighted mean over 3 x 3 pixels (weights 1 2 1 both ways), in eighths of a count.
 
     Args:
-        above, here, below: (W + 2,) uint16, see :func:`padded_row`; even, odd: colours at this row's columns.
+        above, middle, below: (W + 2,) uint16, see :func:`padded_row`; even, odd: colours at this row's columns.
         out: (3 W,) uint16, colours interleaved.
     """
     own = odd if even == 1 else even  # the colour in this row that is not green
     other = 2 - own
     green = 0 if even == 1 else 1  # parity of the columns with green
     n = out.shape[0] // 3
-    first, last, above_last, below_last = here[1:], here[2:], above[2:], below[2:]
+    first, last, above_last, below_last = middle[1:], middle[2:], above[2:], below[2:]
     up, down = above[1:], below[1:]
     for j in range(n):
         is_green = (j & 1) == green
-        beside, over = here[j] + last[j], up[j] + down[j]
+        beside, over = middle[j] + last[j], up[j] + down[j]
         corners = above[j] + above_last[j] + below[j] + below_last[j]
         out[3 * j + 1] = np.uint16(4 * first[j] + corners if is_green else 2 * (beside + over))
         out[3 * j + own] = np.uint16(4 * beside if is_green else 8 * first[j])
@@ -76,13 +76,13 @@ def rough_units(levels: Any, solution: Any, re: Any, im: Any, mean: Any) -> None
 
 
 @serial
-def samples_of_row(raw: Any, even: float, odd: float, clip: float, level: Any, usable: Any) -> int:
+def samples_of_row(raw: Any, even: float, odd: float, saturation: float, level: Any, usable: Any) -> int:
     """Counts above black (``even``, ``odd``) of raw (W,) uint8, and 0 where saturated, else 1; returns how many are."""
     one, zero = np.float32(1.0), np.float32(0.0)
     saturated = zero
     for j in range(raw.shape[0]):
         x = np.float32(raw[j])
-        fine = one if x < clip else zero
+        fine = one if x < saturation else zero
         level[j], usable[j] = x - (odd if j & 1 else even), fine
         saturated += one - fine
     return int(saturated)

@@ -1,4 +1,4 @@
-"""What the decoders write of every row, and how their scratch rows lie in memory."""
+"""Output of the decoders, row by row, and the stride of their scratch rows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ZERO, _MOST = np.float32(0.0), np.float32(255.0)
 def row_stride(width: int) -> int:
     """Elements from one scratch row to the next.
 
-    An odd number of cache lines: with a power of two all rows would compete for a few places of the first cache.
+    An odd number of cache lines: with a power of two all rows would compete for the same cache sets.
     """
     return _LINE * (width // _LINE + 1 + (width // _LINE) % 2)
 
@@ -34,13 +34,13 @@ def angles_of_row(re: Any, im: Any, scale: Any, phasor: Any, phase: Any) -> None
 
 
 @serial
-def describe_row(re: Any, im: Any, variance: Any, smallest: float, modulation: Any, valid: Any) -> None:
+def describe_row(re: Any, im: Any, variance: Any, min_modulation: float, modulation: Any, valid: Any) -> None:
     """Modulation (n,) uint8 counts and validity (n,) bool of a row."""
     full, one = np.float32(255.0), np.float32(1.0)
     for j in range(modulation.shape[0]):
         size = np.float32(sqrt(re[j] * re[j] + im[j] * im[j]))
         modulation[j] = np.uint8(np.int32(min(size, full)))
-        valid[j] = (size >= smallest) & (variance[j] < one)
+        valid[j] = (size >= min_modulation) & (variance[j] < one)
 
 
 @serial

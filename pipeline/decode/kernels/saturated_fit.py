@@ -1,6 +1,6 @@
-"""Pixels of a three-chip image with a saturated sample: the window fit from the samples that are left.
+"""Window fit of pixels of a three-chip image with a saturated sample, from the unsaturated samples.
 
-The saturated pixels of a row are gathered into tiles, fitted by the full normal equations and put back.
+The saturated pixels of a row are gathered into tiles, fitted by the full normal equations and written back.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ SATURATED_SLOTS = _UNITS + 17
 
 
 @serial
-def saturated_of_row(raw: Any, clip: float, low: int, high: int, found: Any) -> int:
+def saturated_of_row(raw: Any, saturation: float, low: int, high: int, found: Any) -> int:
     """Columns of [low, high) with a saturated sample into ``found``; returns how many; raw (3 W,) is interleaved."""
     n = 0
     for j in range(low, high):
         found[n] = j
-        n += (raw[3 * j] >= clip) | (raw[3 * j + 1] >= clip) | (raw[3 * j + 2] >= clip)
+        n += (raw[3 * j] >= saturation) | (raw[3 * j + 1] >= saturation) | (raw[3 * j + 2] >= saturation)
     return n
 
 
@@ -78,28 +78,28 @@ def _steps(tile: Any, nominal: Any) -> None:
 
 @serial
 def _add_channel(
-    tile: Any, design: Any, channel: int, dark: float, clip: float, weight: float, floor: float, gain: float
+    tile: Any, design: Any, channel: int, dark: float, saturation: float, weight: float, floor: float, gain: float
 ) -> None:
-    """Add one sample of every pixel, design (3, 3); a saturated one weighs nothing."""
+    """Add one sample of every pixel, design (3, 3); a saturated one has weight 0."""
     a, p, q, zero = design[channel, 0], design[channel, 1], design[channel, 2], np.float32(0.0)
     for j in range(TILE):
         raw, c, s = tile[_RAW * TILE + j], tile[_TURN * TILE + j], tile[(_TURN + 1) * TILE + j]
         level = raw - dark
-        accumulate(tile, j, a, p * c + q * s, q * c - p * s, level, weight if raw < clip else zero,
+        accumulate(tile, j, a, p * c + q * s, q * c - p * s, level, weight if raw < saturation else zero,
                    floor + gain * max(level, zero))  # fmt: skip
 
 
 @serial
 def fit_saturated(
-    image: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, design: Any, black: Any, clip: float,
-    floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any, variance: Any,
+    image: Any, i: int, columns: Any, radius: int, nominal: Any, weights: Any, design: Any, black: Any,
+    saturation: float, floor: float, gain: float, units: Any, tile: Any, re: Any, im: Any, mean: Any, variance: Any,
 ) -> None:  # fmt: skip
     """Fit up to TILE pixels of row ``i``; results into those elements of re, im, mean, variance (W,).
 
     Args:
         image: (H, 3 W) uint8; columns: (n,) of the pixels, ``radius`` or more (and at least one) from the border.
         nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3) of the channels.
-        units: unit phasors' re, im of the rows above, here, below.
+        units: unit phasors' re, im of the rows above, at and below the pixels.
     """
     above_re, above_im, here_re, here_im, below_re, below_im = units
     n = columns.shape[0]
@@ -119,7 +119,7 @@ def fit_saturated(
             for k in range(3):
                 for j in range(n):
                     tile[_RAW * TILE + j] = np.float32(raw[3 * (columns[j] + b) + k])
-                _add_channel(tile, design, k, black[k], clip, weights[abs(a)] * weights[abs(b)], floor, gain)
+                _add_channel(tile, design, k, black[k], saturation, weights[abs(a)] * weights[abs(b)], floor, gain)
     solve(tile)
     for j in range(n):
         x = columns[j]

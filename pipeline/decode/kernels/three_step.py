@@ -1,4 +1,4 @@
-"""The exact three-step solution of every pixel of a row of a three-chip image, before any window.
+"""Exact three-step solution of every pixel of a row of a three-chip image, before any window.
 
 Row kernels: straight loops over contiguous float32 rows without branches, which become vector instructions.
 """
@@ -27,7 +27,7 @@ def levels_of_row(raw: Any, scale: float, black: Any, levels: Any) -> None:
 
 @serial
 def pointwise_row(
-    levels: Any, black: Any, solve: Any, clip: float, floor: float, gain: float,
+    levels: Any, black: Any, solve: Any, saturation: float, floor: float, gain: float,
     unit_re: Any, unit_im: Any, usable: Any, re: Any, im: Any, mean: Any, tangential: Any,
 ) -> int:  # fmt: skip
     """Exact three-step solution of one row.
@@ -35,7 +35,7 @@ def pointwise_row(
     Args:
         levels: (3, W or more) float32 counts above black; black: (3,) float32 counts.
         solve: (3, 3) float32, levels -> (A, C, S).
-        clip: counts from which a sample is saturated.
+        saturation: counts from which a sample is saturated.
         floor, gain: noise model, counts^2 and counts^2 per count.
         unit_re, unit_im: result, (W,) float32, the phasor of size 1.
         usable: result, 1 where no sample is saturated, else 0; where 0, so are the following:
@@ -49,7 +49,7 @@ def pointwise_row(
     a0, a1, a2 = solve[0, 0], solve[0, 1], solve[0, 2]
     c0, c1, c2 = solve[1, 0], solve[1, 1], solve[1, 2]
     s0, s1, s2 = solve[2, 0], solve[2, 1], solve[2, 2]
-    top0, top1, top2 = clip - black[0], clip - black[1], clip - black[2]
+    top0, top1, top2 = saturation - black[0], saturation - black[1], saturation - black[2]
     row_x, row_y, row_z = levels[0, :n], levels[1, :n], levels[2, :n]
     saturated = zero
     for j in range(n):
@@ -59,11 +59,11 @@ def pointwise_row(
         u, v = c * inverse, s * inverse
         t0, t1, t2 = s0 * u - c0 * v, s1 * u - c1 * v, s2 * u - c2 * v
         square0, square1, square2 = t0 * t0, t1 * t1, t2 * t2
-        shot = square0 * max(x, zero) + square1 * max(y, zero) + square2 * max(z, zero)
+        shot_noise = square0 * max(x, zero) + square1 * max(y, zero) + square2 * max(z, zero)
         fine = one if (x < top0) & (y < top1) & (z < top2) else zero
         unit_re[j], unit_im[j], usable[j] = u, v, fine
         re[j], im[j] = fine * c, fine * s
         mean[j] = fine * max(a0 * x + a1 * y + a2 * z, zero)
-        tangential[j] = fine * (floor * (square0 + square1 + square2) + gain * shot)
+        tangential[j] = fine * (floor * (square0 + square1 + square2) + gain * shot_noise)
         saturated += one - fine
     return int(saturated)

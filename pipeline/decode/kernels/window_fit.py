@@ -1,9 +1,9 @@
-"""Phase from a small window: the mean of its phasors, turned back to the centre.
+"""Phase from a small window: the mean of its phasors, rotated back to the centre.
 
-Within the window the phase is a plane. A neighbour one pixel to the right is one step of the phase ahead: turned back
-by the phasor of that step it says the same as the centre, and the weighted mean of all has less noise without blurring
-the fringes. Gaussian weights and the turning separate: first along the rows, then across them, centre by centre.
-Neighbours whose phase does not continue the plane (another surface), and saturated ones, weigh nothing.
+Within the window the phase is a plane. A neighbour one pixel to the right is one step of the phase ahead: rotated back
+by the phasor of that step it equals the centre, and the weighted mean of all has less noise without blurring the
+fringes. Gaussian weights and the rotation are separable: first along the rows, then across them. Neighbours whose phase
+does not continue the plane (another surface), and saturated ones, have weight 0.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def step_of(
     """Phasor of the phase's step by one pixel, from the unit phasors of a pixel and of its neighbours on both sides.
 
     The central difference where both sides agree (``agreeing`` is AGREEING or more); at the border of a surface the
-    side whose step is nearer to the expected one (``nominal``), since the other crosses over to another surface.
+    side whose step is nearer to the expected one (``nominal``), since the other leads to another surface.
 
     Returns:
         cosine and sine of the step; 1 where the neighbour behind continues the plane, else 0; the same ahead.
@@ -49,7 +49,7 @@ def step_of(
     dot = fc * bc + fs * bs
     forward = fc * nominal_c + fs * nominal_s >= bc * nominal_c + bs * nominal_s
     smooth = dot > agreeing
-    # The sum of two unit phasors bisects the angle between them, and that angle tells its length.
+    # The sum of two unit phasors bisects the angle between them, and its length follows from that angle.
     apart = one - dot
     norm = _N0 + apart * (_N1 + apart * (_N2 + apart * _N3))
     c, s = (
@@ -74,7 +74,7 @@ def fold(
         unit_re0 ... unit_im2: (n,) float32, unit phasors.
         w0 ... v2: (n,) float32, sums so far: weight, C, S, A, and variance (by squared weights).
         nominal_c, nominal_s: expected step, unit phasor; weight: of the neighbours, the pixel itself having 1.
-        sum_w ... sum_v: results; neighbours turned back by the step, and left out where they do not continue the plane.
+        sum_w ... sum_v: results; neighbours are rotated back by the step, excluded if they do not continue the plane.
     """
     for j in range(sum_w.shape[0]):
         tc, ts, back, ahead = step_of(

@@ -35,7 +35,7 @@ def alone(axis, rendered):
 def followed(axis):
     """The clouds of the moving scene's frames, each following the one before."""
     found = calibrated(axis)
-    found.forget()
+    found.clear_prior()
     return [found.reconstruct(*images(pair("moving", n), axis), use_prior=True) for n in FRAMES]
 
 
@@ -71,7 +71,7 @@ def test_following_is_another_way_than_searching_in_full():
 @pytest.mark.parametrize("scene", ["mixed", "steps", "plane"])
 def test_a_cut_to_another_scene_costs_nothing(axis, scene):
     found = calibrated(axis)
-    found.forget()
+    found.clear_prior()
     for n in (0, 1):
         found.reconstruct(*images(pair("moving", n), axis), use_prior=True)
     for rendered in (pair(scene), pair("moving", 2)):
@@ -96,14 +96,14 @@ def test_a_pair_alone_does_not_depend_on_what_came_before(axis):
 def test_following_does_not_depend_on_the_number_of_threads():
     for threads in (1, 2):
         found = calibrated("x", threads=threads)
-        found.forget()
+        found.clear_prior()
         for n in FRAMES[:4]:
             assert same(found.reconstruct(*images(pair("moving", n)), use_prior=True), followed("x")[n])
 
 
 def test_points_on_every_second_pixel_serve_the_next_pair_as_well():
     found = calibrated("x")
-    found.forget()
+    found.clear_prior()
     for n in FRAMES[:4]:
         cloud = found.reconstruct(*images(pair("moving", n)), use_prior=True, stride=1 + n % 2)
         if n % 2 == 0:
@@ -115,12 +115,12 @@ def gap(found):
 
 
 def recalibration(found):
-    maps = found._left.decode(images(pair("moving"))[0]), found._right.decode(images(pair("moving"))[1])
+    maps = [decoder.decode(image) for decoder, image in zip(found.decoders, images(pair("moving")), strict=True)]
     found.calibrate_columns(*maps)
 
 
 @pytest.mark.parametrize(
-    "ended_by", [gap, recalibration, lambda found: found.forget(), lambda found: found.warm_up(use_prior=True)]
+    "ended_by", [gap, recalibration, lambda found: found.clear_prior(), lambda found: found.warm_up(use_prior=True)]
 )
 def test_the_first_pair_after_an_end_is_searched_in_full(ended_by):
     found = calibrated("x")
@@ -135,7 +135,7 @@ def test_what_follows_an_end_is_as_after_a_start():
     found = calibrated("x")
     for n in (3, 4, 5):
         found.reconstruct(*images(pair("moving", n)), use_prior=True)
-    found.forget()
+    found.clear_prior()
     for n in FRAMES[:3]:
         assert same(found.reconstruct(*images(pair("moving", n)), use_prior=True), followed("x")[n])
 
@@ -143,7 +143,7 @@ def test_what_follows_an_end_is_as_after_a_start():
 def test_no_error_outlives_a_round_of_the_refreshed_rows():
     # A still scene: what a wrong start left behind is searched again row by row, and all is as if searched in full.
     found, still = calibrated("x"), pair("mixed")
-    found.forget()
+    found.clear_prior()
     found.reconstruct(*images(pair("moving")), use_prior=True)
     for _ in range(17):
         cloud = found.reconstruct(*images(still), use_prior=True)

@@ -191,9 +191,10 @@ def measured(calibration, pair, encoding):
     pattern = LAYOUT.pattern(PERIODS)
     made = Reconstructor(calibration, pattern, LAYOUT.volume(), encoding=encoding, settings=SETTINGS)
     squares = []
-    for view, shown, truth in ((made._left, pair.left, pair.truth_left), (made._right, pair.right, pair.truth_right)):
+    images, truths = (pair.left, pair.right), (pair.truth_left, pair.truth_right)
+    for own, shown, truth in zip(made.decoders, images, truths, strict=True):
         true = 2 * np.pi * PERIODS * (truth.projector[..., 0] + 0.5) / pattern.length
-        squares.append(wrapped(view.decode(shown).phase - true)[20:-20, 40:-40] ** 2)
+        squares.append(wrapped(own.decode(shown).phase - true)[20:-20, 40:-40] ** 2)
     return made.reconstruct(pair.left, pair.right), float(np.sqrt(np.nanmean(squares)))
 
 
