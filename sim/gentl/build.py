@@ -1,4 +1,4 @@
-"""Compiles the GenTL producer into the user's cache; ``python -m sim.gentl.build`` prints where it stands."""
+"""Compile the GenTL producer into the user's cache; ``python -m sim.gentl.build`` prints its path."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ LIBRARY = "fringed.cti"
 
 
 class BuildError(RuntimeError):
-    """The producer cannot be compiled; the message tells why and what to do."""
+    """The producer cannot be compiled; the message gives the reason and the next step."""
 
 
 class NoCompilerError(BuildError):
-    """There is no C compiler."""
+    """No C compiler is installed."""
 
 
 def build(directory: Path | None = None, *, extra_flags: tuple[str, ...] = ()) -> Path:
-    """Compile the producer unless it stands there already, and return its path.
+    """Compile the producer unless it exists already, and return its path.
 
     Args:
-        directory: where to put it, the user's cache by default: in a directory named by the digest of the sources.
+        directory: for it, the user's cache by default; it lies there in one named by the digest of the sources.
         extra_flags: for the compiler, for instance ``-fsanitize=address``.
 
     Raises:
-        NoCompilerError: there is no C compiler.
-        BuildError: it refuses the sources.
+        NoCompilerError: no C compiler is installed.
+        BuildError: the sources do not compile.
     """
     generated = _generated()
     sources = {path.name: path.read_text() for path in sorted(SOURCES.iterdir()) if path.suffix in (".c", ".h")}
@@ -45,33 +45,33 @@ def build(directory: Path | None = None, *, extra_flags: tuple[str, ...] = ()) -
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:
         raise NoCompilerError(
-            f"the GenTL producer for {library} needs a C compiler and there is none ('cc', or what CC names); "
+            f"the GenTL producer for {library} needs a C compiler and none is installed ('cc', or what CC names); "
             "install one, for instance with: tools/system-packages compiler"
         )
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="fringed-gentl-") as scratch:
         for name, text in generated.items():
             (Path(scratch) / name).write_text(text)
-        made = Path(scratch) / LIBRARY
+        compiled = Path(scratch) / LIBRARY
         units = [str(SOURCES / name) for name in sources if name.endswith(".c")]
-        command = [compiler, *FLAGS, *extra_flags, f"-I{scratch}", f"-I{SOURCES}", *units, "-o", str(made), *LINK]
+        command = [compiler, *FLAGS, *extra_flags, f"-I{scratch}", f"-I{SOURCES}", *units, "-o", str(compiled), *LINK]
         result = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
         if result.returncode:
             raise BuildError(f"the GenTL producer does not compile:\n{' '.join(command)}\n{result.stderr}")
-        _place(made, library)
+        _install(compiled, library)
     return library
 
 
-def _place(made: Path, library: Path) -> None:
-    """Under a name of its own first: whoever looks for the library sees none or the whole."""
-    with tempfile.NamedTemporaryFile(dir=library.parent, prefix=".making-", delete=False) as whole:
-        whole.write(made.read_bytes())
-    Path(whole.name).chmod(0o755)
-    Path(whole.name).replace(library)
+def _install(compiled: Path, library: Path) -> None:
+    """Write under a temporary name first, so that other processes find no library or the whole one."""
+    with tempfile.NamedTemporaryFile(dir=library.parent, prefix=".making-", delete=False) as temporary:
+        temporary.write(compiled.read_bytes())
+    Path(temporary.name).chmod(0o755)
+    Path(temporary.name).replace(library)
 
 
 def _generated() -> dict[str, str]:
-    """The C headers that are written from Python's tables."""
+    """The C headers generated from Python's tables."""
     texts = {
         "camera_xml": features.CAMERA_XML,
         "old_camera_xml": features.OLD_CAMERA_XML,

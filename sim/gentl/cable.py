@@ -1,4 +1,4 @@
-"""The world's side of an emulated camera: light on its sensor, edges on its trigger lines, a plug to pull."""
+"""The world's side of an emulated camera: light on its sensor, edges on its trigger lines, plugging and unplugging."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from sim.gentl.shared_images import Image, Images
 Filter = Literal["mono", "RG", "GR", "GB", "BG"]
 _FLOCK = "hhqqi4x"
 _WAKE = struct.pack("<Q", memory.WAKE_MAGIC)
-"""No pulse, but the camera's process looks at its state at once."""
+"""No pulse: makes the camera's process read its state at once."""
 _POLL_S = 0.00005
-_PATIENCE_S = 1.0
+_TIMEOUT_S = 1.0
 
 
 class Cable:
-    """One emulated camera, as the world holds it; made plugged in.
+    """One emulated camera, seen from the world; it starts plugged in.
 
     ``show``, ``pulse`` and ``close`` belong to one thread; faults, waits and ``state`` may come from another.
 
     Args:
-        directory: what FRINGED_GENTL_DIR says to the camera's process; number: 0 to 7, each once.
-        serial, model: what it says of itself, at most 63 bytes.
+        directory: FRINGED_GENTL_DIR of the camera's process; number: 0 to 7, each once.
+        serial, model: that it reports, at most 63 bytes.
         size: (width, height) of the sensor, multiples of 4 and 2, at least 16 x 4.
         sensor: its colour filter; ``mono`` has none and offers no colour format.
         old: an older model: features by the names of GigE Vision's first version, clock in ticks of 8 ns, no chunks.
@@ -41,11 +41,11 @@ class Cable:
         real_time: frames leave the camera exposure and readout after the pulse; otherwise at once, for lock-step.
         readout_us: least time between two exposures and from an exposure's end to the frame.
         exposure_step_us: exposure times are whole multiples of it.
-        reference_exposure_us: exposure time with which the camera gives the very values of the image shown, others
-            make it darker or brighter; 0: the exposure time does not matter.
+        reference_exposure_us: exposure time with which the camera returns the values of the image shown, others
+            make it darker or brighter; 0: the exposure time has no effect.
 
     Raises:
-        ValueError: a size, name or number that cannot be; the message tells the limits.
+        ValueError: an impossible size, name or number; the message gives the limits.
         FileExistsError: the number is taken in this directory.
     """
 
@@ -71,7 +71,7 @@ class Cable:
         if len(os.fsencode(self._paths["sock"])) > 107:
             raise ValueError(f"the path {self._paths['sock']} is longer than the 107 bytes of a socket's name")
         self._images = Images(self._paths["img"], size)
-        made: dict[str, int | float | bytes] = {
+        values: dict[str, int | float | bytes] = {
             "width": size[0],
             "height": size[1],
             "filter": memory.FILTERS.index(sensor),
@@ -89,7 +89,7 @@ class Cable:
             "present": 1,
             "magic": memory.STATE_MAGIC,
         }
-        self._state = self._publish(made)
+        self._state = self._publish(values)
         self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
 
     def __enter__(self) -> Self:
@@ -101,7 +101,7 @@ class Cable:
         self.close()
 
     def show(self, image: Image) -> int:
-        """Let light fall on the whole sensor, and return the image's number from 1.
+        """Expose the whole sensor to an image, and return the image's number from 1.
 
         Args:
             image: (H, W) or (H, W, 3) of the sensor's size, uint8 or uint16 over their whole range.
@@ -114,44 +114,44 @@ class Cable:
 
         Args:
             t_ns: CLOCK_MONOTONIC time of the rising edge, may lie in the future; None: now. Without real time,
-                a pulse with no time is never too early for the camera; one with a time is judged by it.
+                a pulse without a time never comes during an exposure; one with a time may.
             line: 0, 1 or 2; width_ns: falling edge after the rising one.
 
         Returns:
-            Whether a process has the camera open and took the pulse, so that it will be answered. False after a
-            second in which that process took none, or had 60 pulses of the future already.
+            Whether a process has the camera open and accepted the pulse, so that it will be acknowledged. False after
+            a second in which that process accepted none, or had 60 future pulses already.
         """
         state = self._live()
         if not state["present"] or not state["owner_pid"]:
             return False
-        judged = t_ns is not None or bool(state["real_time"])
+        busy_check = t_ns is not None or bool(state["real_time"])
         t_ns = time.monotonic_ns() if t_ns is None else t_ns
-        asked = int(state["asked"]) + 1
-        pulse = (memory.PULSE_MAGIC, asked, t_ns, width_ns, line, self._images.shown, judged)
+        requested = int(state["requested"]) + 1
+        pulse = (memory.PULSE_MAGIC, requested, t_ns, width_ns, line, self._images.shown, busy_check)
         message = np.array([pulse], dtype=memory.PULSE_DTYPE).tobytes()
-        deadline = time.monotonic() + _PATIENCE_S
-        while asked - int(state["answered"]) > memory.MAX_PENDING or not self._send(message):
+        deadline = time.monotonic() + _TIMEOUT_S
+        while requested - int(state["acknowledged"]) > memory.MAX_PENDING or not self._send(message):
             if not self._holder() or time.monotonic() > deadline:
                 return False
             time.sleep(_POLL_S)
-        state["asked"] = asked
+        state["requested"] = requested
         return True
 
     def drop(self, count: int = 1) -> None:
         """Lose the next frames that leave the camera: each leaves a gap in the frame numbers."""
-        self._ask("drop_asked", "dropped", count)
+        self._request("drops_requested", "dropped", count)
 
     def truncate(self, count: int = 1) -> None:
         """Lose the second half of the next frames that leave the camera."""
-        self._ask("truncate_asked", "truncated", count)
+        self._request("truncations_requested", "truncated", count)
 
     def stall(self, seconds: float) -> None:
-        """Hold all frames in the camera's memory from now on for so long, 0 to let them go; it has room for 8."""
+        """Hold all frames in the camera's memory for so long from now on, 0 to release them; it has room for 8."""
         self._live()["stall_until_ns"] = time.monotonic_ns() + round(seconds * 1e9)
         self._send(_WAKE)
 
     def unplug(self) -> None:
-        """Pull the plug: register access fails with an input/output error, the camera leaves the list."""
+        """Unplug the camera: register access fails with an input/output error, and it leaves the list."""
         self._live()["present"] = 0
         self._send(_WAKE)
 
@@ -166,29 +166,29 @@ class Cable:
         self._send(_WAKE)
 
     def set_temperature(self, celsius: float) -> None:
-        """What the camera's thermometer shows."""
+        """Set the camera's temperature."""
         self._live()["temperature_c"] = celsius
 
     def set_clock(self, offset_ns: int = 0, drift_ppm: float = 0.0) -> None:
-        """Let the camera's clock show ``offset_ns`` at this moment and run ``drift_ppm`` fast from here on."""
+        """Set the camera's clock to ``offset_ns`` now, running ``drift_ppm`` fast from now on."""
         self._write_clock(offset_ns=offset_ns, drift_ppb=round(drift_ppm * 1000))
 
     def device_ns(self, t_ns: int) -> int:
-        """What the camera's clock shows at a time of CLOCK_MONOTONIC, to the nanosecond."""
+        """The camera's clock at a time of CLOCK_MONOTONIC, to the nanosecond."""
         state = self._live()
         since = t_ns - int(state["clock_base_ns"])
         return int(state["clock_offset_ns"]) + since + since * int(state["clock_drift_ppb"]) // 10**9
 
     def state(self) -> CableState:
-        """What the camera is doing and has done."""
+        """State and counters of the camera."""
         return read_state(self._live(), self._holder())
 
     def wait_idle(self, timeout_s: float) -> bool:
-        """Wait until every pulse is answered and every frame has left the camera, or nobody has it open."""
+        """Wait until every pulse is acknowledged and every frame has left the camera, or no process has it open."""
         state = self._live()
 
         def idle() -> bool:
-            if state["answered"] == state["asked"] and not state["inside"]:
+            if state["acknowledged"] == state["requested"] and not state["inside"]:
                 return True
             return not self._holder()
 
@@ -214,14 +214,14 @@ class Cable:
         for path in self._paths.values():
             path.unlink(missing_ok=True)
 
-    def _publish(self, made: dict[str, int | float | bytes]) -> np.void:
-        """Fill the state under another name first, so that no process maps half of it."""
-        making = self._paths["state"].with_suffix(".making")
-        whole = memory.create_shared(making, (memory.STATE_DTYPE.itemsize + 7) // 8 * 8)
-        state: np.void = whole[: memory.STATE_DTYPE.itemsize].view(memory.STATE_DTYPE)[0]
-        for name, value in made.items():
+    def _publish(self, values: dict[str, int | float | bytes]) -> np.void:
+        """Write the state under a temporary name first, so that no process maps a part of it."""
+        temporary = self._paths["state"].with_suffix(".making")
+        shared = memory.create_shared(temporary, (memory.STATE_DTYPE.itemsize + 7) // 8 * 8)
+        state: np.void = shared[: memory.STATE_DTYPE.itemsize].view(memory.STATE_DTYPE)[0]
+        for name, value in values.items():
             state[name] = value
-        making.rename(self._paths["state"])
+        temporary.rename(self._paths["state"])
         return state
 
     def _live(self) -> np.void:
@@ -229,13 +229,13 @@ class Cable:
             raise ValueError(f"the cable of camera {self.serial} is closed")
         return self._state
 
-    def _ask(self, asked: str, done: str, count: int) -> None:
+    def _request(self, requested: str, done: str, count: int) -> None:
         state = self._live()
-        state[asked] = max(int(state[asked]), int(state[done])) + count
+        state[requested] = max(int(state[requested]), int(state[done])) + count
 
     def _send(self, message: bytes) -> bool:
-        """Whether the camera's process got it; its queue is short."""
-        assert self._socket is not None  # noqa: S101 - for the types; _live has seen to it
+        """Send a datagram; whether the camera's process received it: its queue is short."""
+        assert self._socket is not None  # noqa: S101 - for the types; _live has checked it
         try:
             self._socket.sendto(message, str(self._paths["sock"]))
         except (FileNotFoundError, ConnectionRefusedError, BlockingIOError):
@@ -250,10 +250,10 @@ class Cable:
         state["clock_sequence"] = int(state["clock_sequence"]) + 1
 
     def _holder(self) -> int:
-        """Pid of the process that has the camera open: the lock ends with the process, the written pid may not."""
+        """Pid of the process that has the camera open: the lock ends with the process, the written pid may stay."""
         with self._paths["state"].open("rb") as file:
-            wanted = struct.pack(_FLOCK, F_WRLCK, os.SEEK_SET, 0, 0, 0)
-            kind = struct.unpack(_FLOCK, fcntl(file.fileno(), F_OFD_GETLK, wanted))[0]
+            request = struct.pack(_FLOCK, F_WRLCK, os.SEEK_SET, 0, 0, 0)
+            kind = struct.unpack(_FLOCK, fcntl(file.fileno(), F_OFD_GETLK, request))[0]
         return 0 if kind == F_UNLCK else int(self._live()["owner_pid"])
 
 

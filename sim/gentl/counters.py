@@ -1,4 +1,4 @@
-"""What an emulated camera is doing and has done, as the world reads it from the shared state."""
+"""State and counters of an emulated camera, read from the shared state."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class CableState:
-    """What a camera is doing and has done since its cable was made.
+    """State of a camera, and its counters since its cable was made.
 
     For every pulse on a line: ``exposed + missed + ignored + granted`` rises by one; and every exposure ends as one of
-    ``delivered``, ``truncated``, ``too_small``, ``dropped``, ``no_buffer``, ``overrun``, ``overtaken`` or
+    ``delivered``, ``truncated``, ``too_small``, ``dropped``, ``no_buffer``, ``overrun``, ``overwritten`` or
     ``abandoned``.
 
     Args:
         present: plugged in; open_by: pid of the process that has it open, 0 if none.
         acquiring: between AcquisitionStart and its end; armed: the next pulse on the right line starts an exposure.
         exposure_us: the exposure time that is set; inside: frames between start of exposure and host.
-        exposed: exposures started; delivered: whole frames in the hands of the host's GenTL queue.
+        exposed: exposures started; delivered: whole frames in the host's GenTL queue.
         truncated: frames that lost their second half on the cable; too_small: did not fit the host's buffer.
         dropped: frames lost on the cable; no_buffer: the host had queued none; overrun: the camera's memory was full.
-        abandoned: acquisition ended, or the plug was pulled, before they were sent.
-        missed: pulses during an exposure; ignored: pulses that the settings do not want; granted: pulses that started
-            an acquisition or a burst rather than a frame.
+        abandoned: acquisition ended, or the camera was unplugged, before they were sent.
+        missed: pulses during an exposure; ignored: pulses that the settings do not select; granted: pulses that
+            started an acquisition or a burst rather than a frame.
         superseded: delivered frames that a newer one replaced before the host took them.
-        overtaken: lost because their image was written over before the camera's process, which slept, came to it.
+        overwritten: lost because their image was overwritten before the camera's process read it.
         image: number of the image exposed last.
     """
 
@@ -49,7 +49,7 @@ class CableState:
     ignored: int
     granted: int
     superseded: int
-    overtaken: int
+    overwritten: int
     image: int
 
 
@@ -57,7 +57,7 @@ _COUNTERS = tuple(field.name for field in fields(CableState) if field.type == "i
 
 
 def read_state(state: np.void, open_by: int) -> CableState:
-    """The state at this moment; each number is whole, but they are not read at the same instant."""
-    seen: dict[str, Any] = {name: int(state[name]) for name in _COUNTERS}
-    seen |= {name: bool(state[name]) for name in ("present", "acquiring", "armed")}
-    return CableState(**seen, open_by=open_by, exposure_us=int(state["exposure_ns"]) / 1e3)
+    """The state at this moment; the numbers are not read at the same instant."""
+    values: dict[str, Any] = {name: int(state[name]) for name in _COUNTERS}
+    values |= {name: bool(state[name]) for name in ("present", "acquiring", "armed")}
+    return CableState(**values, open_by=open_by, exposure_us=int(state["exposure_ns"]) / 1e3)

@@ -52,7 +52,7 @@ OLD_NAMES = {
     "TimestampLatch": "GevTimestampControlLatch",
     "TimestampLatchValue": "GevTimestampValue",
 }
-"""What GigE Vision cameras called the features before the SFNC's second version."""
+"""Names of the features in GigE Vision cameras before the SFNC's second version."""
 MODERN_ONLY = (
     "DeviceTemperature",
     "ChunkModeActive",

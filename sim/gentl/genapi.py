@@ -1,4 +1,4 @@
-"""Writes descriptions in the GenApi XML that GenICam programs read: features, and the registers behind them."""
+"""Device descriptions in the GenApi XML that GenICam programs read: features and their registers."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ _SCHEMA = "http://www.genicam.org/GenApi/Version_1_1"
 
 @dataclass
 class Registers:
-    """Addresses of named registers, given in the order of asking; asking again gives the same address."""
+    """Addresses of named registers, allocated in the order of the first calls."""
 
     prefix: str
     end: int
-    _known: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    _allocated: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
     def address(self, name: str, length: int, count: int = 1) -> int:
-        """Where ``count`` registers of ``length`` bytes each stand."""
-        if name not in self._known:
-            self._known[name] = (self.end, length, count)
+        """Address of ``count`` registers of ``length`` bytes each, allocated at the first call."""
+        if name not in self._allocated:
+            self._allocated[name] = (self.end, length, count)
             self.end = (self.end + length * count + 7) // 8 * 8
-        address, known_length, known_count = self._known[name]
-        if (length, count) != (known_length, known_count):
-            raise ValueError(f"register {name}: {count} of {length} bytes, was {known_count} of {known_length}")
+        address, first_length, first_count = self._allocated[name]
+        if (length, count) != (first_length, first_count):
+            raise ValueError(f"register {name}: {count} of {length} bytes, was {first_count} of {first_length}")
         return address
 
     def header(self) -> str:
         """C constants of the addresses and lengths."""
-        lines = [f"#define {self.prefix}_{name} 0x{known[0]:X}u" for name, known in self._known.items()]
+        lines = [f"#define {self.prefix}_{name} 0x{entry[0]:X}u" for name, entry in self._allocated.items()]
         return "\n".join([*lines, f"#define {self.prefix}_END 0x{self.end:X}u", ""])
 
 
@@ -46,8 +46,8 @@ class Description:
     """One device description: features in categories, over the registers of one port.
 
     Args:
-        model: names the description; port: the node's name of the port; registers: where addresses come from.
-        renamed: other names for some features; left_out: features that this model does not have.
+        model: name of the description; port: name of the port's node; registers: that allocate the addresses.
+        renamed: other names for some features; left_out: features that this model lacks.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Description:
         self._selected: dict[str, list[str]] = {}
 
     def category(self, name: str) -> None:
-        """Features from here on belong to it."""
+        """Start a category: the following features belong to it."""
         self._category = name
 
     def integer(
@@ -85,7 +85,7 @@ class Description:
         locked: bool = False,
     ) -> None:
         """An integer; read-only without limits. A limit may be the name of another node."""
-        if not self._wanted(name):
+        if not self._included(name):
             return
         register = self._register("IntReg", name, length, by, read_only=low is None, sign=True)
         limits: list[Child] = []
@@ -104,7 +104,7 @@ class Description:
         locked: bool = False,
     ) -> None:
         """A floating-point number; read-only without limits."""
-        if not self._wanted(name):
+        if not self._included(name):
             return
         register = self._register("FloatReg", name, 8, by, read_only=low is None)
         limits: list[Child] = [] if low is None else [("Min", low), ("Max", high)]
@@ -120,8 +120,8 @@ class Description:
         locked: bool = False,
         only_if: dict[str, str] | None = None,
     ) -> None:
-        """An enumeration; ``only_if`` names for some entries the node that says whether they exist."""
-        if not self._wanted(name):
+        """An enumeration; ``only_if`` names for some entries the node that decides whether they exist."""
+        if not self._included(name):
             return
         register = self._register("IntReg", name, 4, by, sign=True)
         node = self._feature("Enumeration", name, locked, [], by)
@@ -139,21 +139,21 @@ class Description:
 
     def switch(self, name: str, *, by: By | None = None, read_only: bool = False, locked: bool = False) -> None:
         """A boolean."""
-        if not self._wanted(name):
+        if not self._included(name):
             return
         register = self._register("IntReg", name, 4, by, read_only=read_only, sign=True)
         self._feature("Boolean", name, locked, [("pValue", register), ("OnValue", 1), ("OffValue", 0)], by)
 
     def command(self, name: str, *, by: By | None = None, locked: bool = False) -> None:
         """A command: writing 1 starts it."""
-        if not self._wanted(name):
+        if not self._included(name):
             return
         register = self._register("IntReg", name, 4, by, sign=True)
         self._feature("Command", name, locked, [("pValue", register), ("CommandValue", 1)], by)
 
     def text(self, name: str, *, writable: bool = False, length: int = 64) -> None:
         """A string of at most ``length`` bytes."""
-        if not self._wanted(name):
+        if not self._included(name):
             return
         where = self._registers.address(name, length)
         access = "RW" if writable else "RO"
@@ -168,8 +168,8 @@ class Description:
         ET.SubElement(node, "Formula").text = formula
 
     def chunk(self, name: str, chunk_id: int, *, number: bool = False) -> None:
-        """A value of 8 bytes that comes with each image."""
-        if not self._wanted(name):
+        """A value of 8 bytes in each image's chunk data."""
+        if not self._included(name):
             return
         self._node("Port", f"{name}Port", [("ChunkID", f"{chunk_id:X}")])
         children: list[Child] = [("Address", 0), ("Length", 8), ("AccessMode", "RO"), ("pPort", f"{name}Port")]
@@ -179,7 +179,7 @@ class Description:
         self._feature("Float" if number else "Integer", name, False, [("pValue", f"{name}Reg")])
 
     def xml(self) -> str:
-        """The whole description."""
+        """The description as XML."""
         root = ET.Element(
             "RegisterDescription",
             ModelName=self._model,
@@ -209,7 +209,7 @@ class Description:
         ET.indent(root, " ")
         return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
-    def _wanted(self, name: str) -> bool:
+    def _included(self, name: str) -> bool:
         return name not in self._left_out
 
     def _register(

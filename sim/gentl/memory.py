@@ -1,4 +1,4 @@
-"""Layout of the shared files, written once: as NumPy types here, as a C header for the producer."""
+"""Layout of the shared files: as NumPy types, and as a generated C header for the producer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.gentl.features import REGISTERS
 STATE_MAGIC = 0x3153_4C54_4E45_4746  # "FGENTLS1"
 IMAGE_MAGIC = 0x3149_4C54_4E45_4746  # "FGENTLI1"
 SLOTS = 4
-"""Images kept: the world may be this many minus one ahead of the camera's process."""
+"""Images in the ring: the world may be one less than this ahead of the camera's process."""
 SLOT_HEADER = 64
 MAX_CAMERAS = 8
 MAX_SIDE = 8192
@@ -37,28 +37,28 @@ class Field:
 
 
 def _fields(names: str) -> tuple[Field, ...]:
-    """Fields from ``name`` or ``name:kind``, parted by blanks."""
+    """Fields from ``name`` or ``name:kind``, separated by blanks."""
     return tuple(Field(*name.split(":")) for name in names.split())
 
 
 WORLD = _fields(
     "magic present power_cycles width height filter variant automatic real_time readout_ns exposure_step_ns "
     "reference_exposure_ns clock_sequence clock_base_ns:i64 clock_offset_ns:i64 clock_drift_ppb:i64 "
-    "temperature_c:f64 drop_asked truncate_asked stall_until_ns asked serial:text model:text"
+    "temperature_c:f64 drops_requested truncations_requested stall_until_ns requested serial:text model:text"
 )
 """Fields of the state that only the world writes."""
 
 CAMERA = _fields(
-    "owner_pid acquiring armed answered inside exposed delivered truncated dropped no_buffer overrun abandoned "
-    "too_small missed ignored granted superseded overtaken exposure_ns image registers_power_cycle"
+    "owner_pid acquiring armed acknowledged inside exposed delivered truncated dropped no_buffer overrun abandoned "
+    "too_small missed ignored granted superseded overwritten exposure_ns image registers_power_cycle"
 )
 """Fields of the state that only the process with the camera open writes."""
 
 IMAGE = _fields("magic slots slot_bytes newest width height")
 SLOT = _fields("sequence channels bytes_per_sample")
-"""``sequence`` is 2n once image n stands in the slot, 2n - 1 while it is written."""
-PULSE = _fields("magic sequence t_ns:i64 width_ns:i64 line image judged")
-"""A datagram: an edge up at t_ns (CLOCK_MONOTONIC) and down width_ns later."""
+"""``sequence`` is 2n once image n is in the slot, 2n - 1 while it is written."""
+PULSE = _fields("magic sequence t_ns:i64 width_ns:i64 line image busy_check")
+"""A datagram: a rising edge at t_ns (CLOCK_MONOTONIC) and a falling one width_ns later."""
 
 _NUMPY = {"u64": "<u8", "i64": "<i8", "f64": "<f8", "text": "S64"}
 _C = {"u64": "uint64_t {};", "i64": "int64_t {};", "f64": "double {};", "text": "char {}[64];"}
@@ -75,10 +75,10 @@ STATE_DTYPE = np.dtype([*_dtype(WORLD), *_dtype(CAMERA), ("registers", "u1", (RE
 
 
 def create_shared(path: Path, size: int) -> NDArray[np.uint8]:
-    """A new file of zeros, shared with other processes for as long as the array lives.
+    """Create a file of zeros, mapped into memory that other processes share.
 
     Raises:
-        FileExistsError: there is such a file.
+        FileExistsError: the file exists.
     """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o660)
     try:
@@ -89,7 +89,7 @@ def create_shared(path: Path, size: int) -> NDArray[np.uint8]:
 
 
 def header() -> str:
-    """The same structures in C."""
+    """The same structures as a C header."""
     constants = {
         "STATE_MAGIC": STATE_MAGIC,
         "IMAGE_MAGIC": IMAGE_MAGIC,

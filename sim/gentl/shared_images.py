@@ -1,4 +1,4 @@
-"""The light on a sensor, shared with the camera's process: the last few images, each whole or seen as not."""
+"""The light on a sensor, shared with the camera's process: a ring of the last images."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 class Images:
     """A ring of images in a file of its own.
 
-    The writer makes a slot's sequence odd, writes the image, and makes it even; the reader copies and looks whether
-    the sequence is still the one it wanted. So neither waits for the other, and no torn image is ever used.
+    The writer makes a slot's sequence odd, writes the image, and makes it even; the reader copies and checks
+    that the sequence is unchanged. Neither waits for the other, and a partly written image is never used.
 
     Args:
         path: a new file; size: (width, height) of the sensor.
@@ -37,7 +37,7 @@ class Images:
         width, height = self._size
         if image.shape not in ((height, width), (height, width, 3)) or image.dtype not in (np.uint8, np.uint16):
             raise ValueError(
-                f"the sensor shows ({height}, {width}) or ({height}, {width}, 3), uint8 or uint16; "
+                f"the sensor takes ({height}, {width}) or ({height}, {width}, 3), uint8 or uint16; "
                 f"got {image.shape}, {image.dtype}"
             )
         number = self.shown + 1

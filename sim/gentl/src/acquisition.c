@@ -11,14 +11,14 @@
 
 #include "producer.h"
 
-#define IDLE_NS 100000000  /* how long to sleep at most: a change of the state without a datagram is seen then */
+#define IDLE_NS 100000000  /* longest sleep: a change of the state without a datagram is noticed then */
 
 static void wake(Device *device) {
     uint64_t one = 1;
     if (write(device->wake, &one, sizeof one) < 0 && errno != EAGAIN) fail(GC_ERR_IO, "%s", strerror(errno));
 }
 
-/* A pulse is two edges. Without real time they come at once, one after the other. */
+/* A pulse is two edges. Without real time they arrive at once, one after the other. */
 static void receive(Device *device) {
     Pulse pulse;
     for (ssize_t size; (size = recv(device->socket, &pulse, sizeof pulse, 0)) >= 0;) {
@@ -29,12 +29,12 @@ static void receive(Device *device) {
             .source = SOURCE_LINE0 + (int)pulse.line,
             .direction = EDGE_RISING,
             .image = pulse.image,
-            .judged = pulse.judged,
+            .busy_check = pulse.busy_check,
         };
         add_edge(device, edge);
         edge.t_ns += pulse.width_ns;
         edge.direction = EDGE_FALLING;
-        edge.answer = pulse.sequence;
+        edge.sequence = pulse.sequence;
         add_edge(device, edge);
     }
 }
@@ -42,14 +42,14 @@ static void receive(Device *device) {
 static void send_frame(Device *device, Frame *frame) {
     State *state = device->state;
     uint64_t *counter = NULL;
-    if (frame->session != device->session || !is_there(device)) counter = &state->abandoned;
-    else if (frame->overtaken) counter = &state->overtaken;
-    else if (LOAD(state->dropped) < LOAD(state->drop_asked)) counter = &state->dropped;
+    if (frame->session != device->session || !is_present(device)) counter = &state->abandoned;
+    else if (frame->overwritten) counter = &state->overwritten;
+    else if (LOAD(state->dropped) < LOAD(state->drops_requested)) counter = &state->dropped;
     else {
-        bool truncate = LOAD(state->truncated) < LOAD(state->truncate_asked);
-        switch (hand_over(&device->stream, frame, truncate)) {
-            case HANDED_OVER: counter = &state->delivered; break;
-            case HANDED_OVER_INCOMPLETE: counter = truncate ? &state->truncated : &state->too_small; break;
+        bool truncate = LOAD(state->truncated) < LOAD(state->truncations_requested);
+        switch (deliver(&device->stream, frame, truncate)) {
+            case DELIVERED: counter = &state->delivered; break;
+            case DELIVERED_INCOMPLETE: counter = truncate ? &state->truncated : &state->too_small; break;
             case NO_BUFFER: counter = &state->no_buffer; break;
             case NOT_GRABBING: counter = &state->abandoned; break;
         }
@@ -59,7 +59,7 @@ static void send_frame(Device *device, Frame *frame) {
     STORE(state->inside, (uint64_t)--device->inside);
 }
 
-/* When the next frame is to be sent; what belongs to an acquisition that has ended goes at once. */
+/* When the next frame is to be sent; frames of an acquisition that has ended are sent at once. */
 static int64_t due_ns(const Device *device) {
     if (device->memory[device->first].session != device->session) return 0;
     int64_t stalled_until = (int64_t)LOAD(device->state->stall_until_ns);
@@ -68,7 +68,7 @@ static int64_t due_ns(const Device *device) {
     return due > stalled_until ? due : stalled_until;
 }
 
-/* Whatever is inside is lost. */
+/* Frames in the camera's memory are lost. */
 static void abandon(Device *device) {
     State *state = device->state;
     for (; device->inside; device->inside--) COUNT(state->abandoned);
@@ -79,20 +79,20 @@ static void abandon(Device *device) {
     STORE(state->inside, 0);
 }
 
-/* Does what is due, and returns for how long there is nothing to do. */
+/* Processes what is due, and returns the time until the next event. */
 static int64_t step(Device *device) {
     Edge edge;
     receive(device);
-    if (device->held && !is_there(device)) { /* the plug was pulled: the camera is nobody's */
+    if (device->held && !is_present(device)) { /* unplugged: no process holds the camera any more */
         abandon(device);
-        let_go(device);
+        unlock_device(device);
     }
     if (!device->held) {
         device->edges = 0;
         return IDLE_NS;
     }
     while (next_edge(device, now_ns(), &edge)) {
-        judge(device, &edge);
+        apply_edge(device, &edge);
         while (device->inside && due_ns(device) <= now_ns()) send_frame(device, &device->memory[device->first]);
     }
     free_run(device, now_ns());
@@ -122,7 +122,7 @@ static void *run(void *argument) {
     return NULL;
 }
 
-/* Acquisition ends with the connection, however that ended; settings stay until the camera loses power. */
+/* Acquisition ends with the connection; settings stay until the camera loses power. */
 static void reset(Device *device) {
     State *state = device->state;
     device->power_cycle = LOAD(state->power_cycles);
@@ -132,7 +132,7 @@ static void reset(Device *device) {
     STORE(state->acquiring, 0);
     STORE(state->armed, 0);
     STORE(state->inside, 0);
-    STORE(state->answered, LOAD(state->asked));
+    STORE(state->acknowledged, LOAD(state->requested));
     device->edges = device->first = device->inside = 0;
     device->frame_id = 0;
     device->busy_until_ns = device->next_free_ns = 0;
@@ -144,7 +144,7 @@ GC_ERROR start_camera(Device *device) {
     device->wake = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
     if (device->wake < 0) return fail(GC_ERR_IO, "eventfd: %s", strerror(errno));
     device->running = true;
-    sigfillset(&all); /* signals are the host program's business */
+    sigfillset(&all); /* signals are handled by the host program */
     pthread_sigmask(SIG_SETMASK, &all, &before);
     int error = pthread_create(&device->thread, NULL, run, device);
     pthread_sigmask(SIG_SETMASK, &before, NULL);
@@ -181,13 +181,14 @@ void begin_acquisition(Device *device) {
 }
 
 void end_acquisition(Device *device) {
-    device->session++; /* what is inside belongs to the past */
+    device->session++; /* frames in memory belong to the ended session */
     STORE(device->state->acquiring, 0);
     wake(device);
 }
 
 void software_trigger(Device *device, int trigger) {
-    Edge edge = { .t_ns = now_ns(), .source = SOURCE_SOFTWARE, .trigger = trigger, .judged = LOAD(device->state->real_time) };
+    bool busy_check = LOAD(device->state->real_time);
+    Edge edge = { .t_ns = now_ns(), .source = SOURCE_SOFTWARE, .trigger = trigger, .busy_check = busy_check };
     add_edge(device, edge);
     wake(device);
 }

@@ -1,4 +1,4 @@
-/* What a filled buffer says of itself, and the event that tells of it. */
+/* Information about filled buffers, and the "new buffer" event. */
 #include <string.h>
 #include <time.h>
 

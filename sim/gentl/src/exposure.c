@@ -1,5 +1,5 @@
-/* An exposure: what frame it makes, from when to when it takes, and how it gets into the camera's memory.
- * Everything in here runs in the camera's thread with the device's lock held. */
+/* An exposure: its frame, its duration, and its way into the camera's memory. All functions run in the camera's thread
+ * with the device's lock held. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,7 +13,7 @@ static int64_t period_ns(const Device *device) {
 
 static int64_t longest(int64_t a, int64_t b) { return a > b ? a : b; }
 
-/* What the registers say that the next frame shall be; false if there is no room for it. */
+/* Sets up the next frame from the registers; false if there is no room for it. */
 static bool describe(Device *device, Frame *frame) {
     frame->width = get32(device, R_Width);
     frame->height = get32(device, R_Height);
@@ -31,7 +31,7 @@ static bool describe(Device *device, Frame *frame) {
            frame->y + (uint64_t)frame->height <= device->state->height;
 }
 
-/* Chunks stand behind the image, each 8 bytes long. */
+/* Chunks follow the image, each 8 bytes long. */
 static void add_chunks(const Device *device, Frame *frame, double exposure_us) {
     uint64_t missed = LOAD(device->state->missed);
     const void *value[CHUNKS] = { &frame->timestamp, &frame->frame_id, &exposure_us, &missed };
@@ -47,8 +47,8 @@ static void add_chunks(const Device *device, Frame *frame, double exposure_us) {
     }
 }
 
-/* Starts an exposure. The frame waits in the camera's memory until it is due; chunks and settings are of now. */
-static void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64_t image) {
+/* Starts an exposure. The frame stays in memory until it is due; its chunks and settings are those of now. */
+void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64_t image) {
     State *state = device->state;
     COUNT(state->exposed);
     if (device->frames_to_go > 0) device->frames_to_go--;
@@ -70,8 +70,8 @@ static void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64
     add_chunks(device, frame, (double)exposure_ns / 1e3);
     STORE(state->inside, (uint64_t)++device->inside);
     Response response = response_of(device, exposure_ns);
-    pthread_mutex_unlock(&device->lock); /* only this thread touches the memory; register access need not wait */
-    frame->overtaken = !take_image(device, frame, &response, image);
+    pthread_mutex_unlock(&device->lock); /* only this thread uses the memory; register access need not wait */
+    frame->overwritten = !take_image(device, frame, &response, image);
     pthread_mutex_lock(&device->lock);
     follow_light(device, frame->mean);
     if (device->frames_to_go == 0) STORE(state->acquiring, 0);
@@ -82,16 +82,4 @@ void expose_on(Device *device, const Edge *edge) {
     int64_t exposure_ns = by_width ? edge->width_ns : (int64_t)LOAD(device->state->exposure_ns);
     int64_t delay_ns = llround(get_double(device, R_TriggerDelay + 8 * TRIGGER_FRAME) * 1e3);
     expose(device, edge->t_ns + delay_ns, exposure_ns, edge->image);
-}
-
-void free_run(Device *device, int64_t now) {
-    if (!runs_free(device)) {
-        device->next_free_ns = 0;
-        return;
-    }
-    if (!device->next_free_ns) device->next_free_ns = longest(now, device->busy_until_ns);
-    if (now < device->next_free_ns) return;
-    expose(device, now, (int64_t)LOAD(device->state->exposure_ns), 0);
-    device->next_free_ns = device->busy_until_ns;
-    refresh_armed(device);
 }

@@ -1,4 +1,4 @@
-/* Answers to the many "get info" calls, and the text of the last error of each thread. */
+/* Results of the "get info" calls, and the last error of each thread. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -21,7 +21,7 @@ API GC_ERROR GCGetLastError(GC_ERROR *code, char *text, size_t *size) {
     return put_text(last_text, NULL, text, size);
 }
 
-/* Callers ask for the size first, with no room, and come again with it. */
+/* Callers first request the size, without a buffer, then the value. */
 GC_ERROR put(const void *value, size_t size, int32_t type, int32_t *out_type, void *out, size_t *out_size) {
     if (out_type) *out_type = type;
     if (!out_size) return fail(GC_ERR_INVALID_PARAMETER, "no pointer to a size");

@@ -37,7 +37,7 @@ API GC_ERROR GCReadPort(void *handle, uint64_t address, void *out, size_t *size)
     Port port = port_of(handle);
     Device *device = device_of(handle);
     if (!port.text) return fail(GC_ERR_NOT_IMPLEMENTED, "this module has no registers");
-    if (device && !is_there(device)) return fail(GC_ERR_IO, "%s is gone", device->id);
+    if (device && !is_present(device)) return fail(GC_ERR_IO, "%s is gone", device->id);
     if (read_description(&port, address, out, size)) return GC_ERR_SUCCESS;
     size_t end = device ? R_END : S_END;
     if (address > end || *size > end - address)
@@ -62,7 +62,7 @@ API GC_ERROR GCWritePort(void *handle, uint64_t address, const void *in, size_t 
     GC_ERROR error = GC_ERR_SUCCESS;
     Device *device = device_of(handle);
     if (device) {
-        if (!is_there(device)) return fail(GC_ERR_IO, "%s is gone", device->id);
+        if (!is_present(device)) return fail(GC_ERR_IO, "%s is gone", device->id);
         pthread_mutex_lock(&device->lock);
         error = write_register(device, address, in, *size);
         pthread_mutex_unlock(&device->lock);

@@ -1,11 +1,12 @@
-/* The producer's own objects. One mutex per device guards its registers and acquisition, one per stream its queues;
- * whoever needs both takes the device's first. */
+/* Objects of the producer. One mutex per device guards its registers and acquisition, one per stream its queues; the
+ * device's is locked first. */
 #ifndef PRODUCER_H
 #define PRODUCER_H
 #include <pthread.h>
 #include <stdbool.h>
 #include <sys/types.h>
 
+#include "formats.h"
 #include "gentl.h"
 #include "state.h"
 
@@ -13,14 +14,16 @@
 #define VERSION "1.0"
 #define TL_TYPE "Custom"
 #define XML_ADDRESS 0x100000u
-#define MEMORY_FRAMES 8  /* what the camera itself holds between exposure and cable */
+#define MEMORY_FRAMES 8  /* that the camera stores between exposure and cable */
 #define MAX_BUFFERS 512
 #define MAX_EDGES 128
 #define CHUNKS 4
 #define OLD_TICK_NS 8
 
-/* What a handle points to begins with its kind. */
+/* Every object that a handle points to begins with its kind. */
 typedef enum { SYSTEM = 0x46470001, INTERFACE, DEVICE, PORT, STREAM, BUFFER } Kind;
+
+typedef struct { Kind kind; bool initialised, open; } Module;  /* the library or its interface */
 
 enum { TRIGGER_ACQUISITION, TRIGGER_BURST, TRIGGER_FRAME, TRIGGERS };
 enum { SOURCE_SOFTWARE, SOURCE_LINE0, SOURCE_LINE1, SOURCE_LINE2, LINES = 3 };
@@ -38,7 +41,7 @@ typedef struct {  /* an exposed image on its way to the host */
     uint32_t width, height, x, y, format;
     uint64_t frame_id, timestamp, session;
     int64_t due_ns;
-    bool overtaken;  /* its light is gone: it is lost where a sensor would have caught it in time */
+    bool overwritten;  /* its image was overwritten before it was read */
     int chunks;
     SINGLE_CHUNK_DATA chunk[CHUNKS];
 } Frame;
@@ -65,7 +68,12 @@ typedef struct Stream {
     uint8_t registers[S_END];
 } Stream;
 
-typedef struct { int64_t t_ns, width_ns; int source, trigger, direction; uint64_t image, answer; bool judged; } Edge;
+typedef struct {
+    int64_t t_ns, width_ns;
+    int source, trigger, direction;
+    uint64_t image, sequence;
+    bool busy_check;
+} Edge;
 
 typedef struct Device {
     Kind kind;
@@ -80,7 +88,7 @@ typedef struct Device {
     bool listed;
     Stream stream;
     /* while open: */
-    bool open, held;  /* held: the lock is ours, until the camera is closed or gone */
+    bool open, held;  /* held: this process has the lock, until the camera is closed or unplugged */
     uint64_t power_cycle;
     int socket, wake;
     pthread_t thread;
@@ -90,12 +98,12 @@ typedef struct Device {
     int edges;
     Frame memory[MEMORY_FRAMES];
     int first, inside;
-    Response response;  /* that the tables are made for */
+    Response response;  /* that the tables are computed for */
     uint16_t *table[3]; /* 16 bits in, 16 bits out, for each channel */
     uint64_t session, frame_id;
     int64_t busy_until_ns, next_free_ns;
     int64_t frames_to_go, burst_to_go;  /* -1: no end */
-    bool started;  /* the AcquisitionStart trigger came */
+    bool started;  /* the AcquisitionStart trigger was received */
 } Device;
 
 /* info.c */
@@ -111,30 +119,40 @@ GC_ERROR put_pointer(void *value, int32_t *type, void *out, size_t *size);
 
 /* world.c */
 int64_t now_ns(void);
-bool is_there(const Device *device);
+bool is_present(const Device *device);
 int64_t device_clock_ns(const State *state, int64_t t_ns);
 void scan(Device *devices);
-void forget(Device *device);
-GC_ERROR take(Device *device);
-void let_go(Device *device);
-void release(Device *device);
-bool taken_elsewhere(const Device *device);
+void unmap_state(Device *device);
+GC_ERROR lock_device(Device *device);
+void unlock_device(Device *device);
+void release_device(Device *device);
+bool is_locked_elsewhere(const Device *device);
 
-/* registers.c */
+/* register_values.c */
 uint32_t get32(const Device *device, uint32_t address);
 uint64_t get64(const Device *device, uint32_t address);
 double get_double(const Device *device, uint32_t address);
 void set32(Device *device, uint32_t address, uint32_t value);
+void set64(Device *device, uint32_t address, uint64_t value);
 void set_double(Device *device, uint32_t address, double value);
+void set_text(Device *device, uint32_t address, const char *value);
+
+/* register_defaults.c */
+void update_derived(Device *device);
 void set_exposure(Device *device, double exposure_us);
 void power_on(Device *device);
+
+/* registers.c */
 void refresh(Device *device);
 GC_ERROR write_register(Device *device, uint64_t address, const void *value, size_t size);
 
-/* sensor.c */
+/* pixel_formats.c */
+const Format *format_of(uint32_t number);
 size_t image_bytes(uint32_t format, uint32_t width, uint32_t height);
-bool format_exists(uint32_t format, uint64_t filter);
-bool take_image(Device *device, Frame *frame, const Response *response, uint64_t wanted);
+bool format_exists(uint32_t number, uint64_t filter);
+
+/* sensor.c */
+bool take_image(Device *device, Frame *frame, const Response *response, uint64_t requested);
 
 /* response.c */
 Response response_of(const Device *device, int64_t exposure_ns);
@@ -152,21 +170,23 @@ void software_trigger(Device *device, int trigger);
 /* trigger.c */
 void add_edge(Device *device, Edge edge);
 bool next_edge(Device *device, int64_t now, Edge *edge);
-void judge(Device *device, const Edge *edge);
-bool runs_free(const Device *device);
+void apply_edge(Device *device, const Edge *edge);
 void refresh_armed(Device *device);
-
-/* exposure.c */
-void expose_on(Device *device, const Edge *edge);
 void free_run(Device *device, int64_t now);
 
+/* exposure.c */
+void expose(Device *device, int64_t start_ns, int64_t exposure_ns, uint64_t image);
+void expose_on(Device *device, const Edge *edge);
+
 /* stream.c */
-typedef enum { HANDED_OVER, HANDED_OVER_INCOMPLETE, NO_BUFFER, NOT_GRABBING } Outcome;
-Outcome hand_over(Stream *stream, const Frame *frame, bool truncate);
+typedef enum { DELIVERED, DELIVERED_INCOMPLETE, NO_BUFFER, NOT_GRABBING } Outcome;
+Outcome deliver(Stream *stream, const Frame *frame, bool truncate);
 void close_stream(Stream *stream);
 void refresh_stream_registers(Stream *stream);
 
-/* system.c */
+/* handles.c */
+extern Module the_system, the_interface;
+extern Device devices[MAX_CAMERAS];
 bool is_kind(const void *handle, Kind kind);
 
 #define COUNT(field) __atomic_add_fetch(&(field), 1, __ATOMIC_ACQ_REL)

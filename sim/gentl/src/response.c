@@ -1,5 +1,5 @@
-/* How the sensor's electronics turn light into values: gain, black level, white balance, gamma, and the automatics
- * that a measurement has to switch off. With the settings of power-on the values are the light's own. */
+/* From light to pixel values: gain, black level, white balance, gamma, and the automatic functions that a measurement
+ * has to switch off. With the settings of power-on the values equal the light. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,7 +7,7 @@
 #include "producer.h"
 
 #define VALUES 65536
-#define BRIGHTNESS 0.5    /* what the automatics aim at */
+#define BRIGHTNESS 0.5    /* target of the automatic functions */
 #define MAX_GAIN_DB 24.0
 #define MIN_EXPOSURE_US 20.0
 #define MAX_EXPOSURE_US 33000.0
@@ -27,7 +27,7 @@ static bool is_identity(const Response *response) {
            response->gamma == 1;
 }
 
-/* One table for each channel, or NULL where values are the light's own. Only the camera's thread calls this. */
+/* One table for each channel, or NULL where the values equal the light. Only the camera's thread calls this. */
 uint16_t *const *response_tables(Device *device, const Response *response) {
     if (is_identity(response)) return NULL;
     if (device->table[0] && !memcmp(&device->response, response, sizeof *response)) return device->table;
@@ -60,11 +60,11 @@ static double between(double value, double low, double high) {
 
 static bool automatic(Device *device, uint32_t address) {
     uint32_t mode = get32(device, address);
-    if (mode == AUTO_ONCE) set32(device, address, AUTO_OFF); /* done with this frame */
+    if (mode == AUTO_ONCE) set32(device, address, AUTO_OFF); /* complete with this frame */
     return mode != AUTO_OFF;
 }
 
-/* After a frame: the automatics set what the next one is taken with. */
+/* After a frame: the automatic functions adjust the settings of the next one. */
 void follow_light(Device *device, const double mean[3]) {
     double brightness = fmax((mean[0] + 2 * mean[1] + mean[2]) / 4, 1e-3);
     if (automatic(device, R_BalanceWhiteAuto)) {

@@ -1,29 +1,13 @@
-/* The sensor: light of the shared image, through the colour filter, as pixels in the format that was asked for. */
+/* The sensor: light of the shared image, through the colour filter, as pixels of the selected format. */
 #include <string.h>
 
-#include "formats.h"
 #include "producer.h"
 
-/* Which channel a pixel of an even or odd row and column sees. */
+/* Channel of a pixel in an even or odd row and column. */
 static const int filter_channel[][4] = {
     [FILTER_MONO] = { 1, 1, 1, 1 }, [FILTER_RG] = { 0, 1, 1, 2 }, [FILTER_GR] = { 1, 0, 2, 1 },
     [FILTER_GB] = { 1, 2, 0, 1 },   [FILTER_BG] = { 2, 1, 1, 0 },
 };
-
-static const Format *format_of(uint32_t number) {
-    for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
-        if (formats[i].number == number) return &formats[i];
-    return NULL;
-}
-
-bool format_exists(uint32_t number, uint64_t filter) {
-    const Format *format = format_of(number);
-    return format && (format->filter ? format->filter == filter : format->samples == 1 || filter != FILTER_MONO);
-}
-
-size_t image_bytes(uint32_t format, uint32_t width, uint32_t height) {
-    return ((size_t)width * height * (format >> 16 & 0xFF) + 7) / 8;
-}
 
 typedef struct { const uint8_t *pixels; uint32_t width, height, channels, bytes; } Light;
 
@@ -42,7 +26,7 @@ static uint32_t sample(const Light *light, size_t pixel, uint32_t channel) {
     return sample_of(light->pixels, pixel, channel, light->channels, light->bytes);
 }
 
-/* A row of the image in 16 bits. `channels` and `bytes` are constants where this is called, for speed. */
+/* A row of the image in 16 bits. `channels` and `bytes` are constants at the calls, for speed. */
 INLINED void expose_row_of(const uint8_t *row, const Format *format, const int channel[2], uint32_t count, uint16_t *out,
                            uint32_t channels, uint32_t bytes) {
     if (format->samples == 3)
@@ -91,7 +75,7 @@ static void write_row(const Format *format, const uint16_t *row, size_t count, s
         }
 }
 
-/* How bright the light is, by a grid of 32 x 32 pixels. */
+/* Mean of the light, from a grid of 32 x 32 pixels. */
 static void measure(const Light *light, double mean[3]) {
     for (uint32_t c = 0; c < 3; c++) {
         uint64_t sum = 0;
@@ -103,7 +87,7 @@ static void measure(const Light *light, double mean[3]) {
     }
 }
 
-static void expose(const Light *light, const Format *format, Frame *frame, uint16_t *const *table) {
+static void expose_image(const Light *light, const Format *format, Frame *frame, uint16_t *const *table) {
     uint16_t row[3 * MAX_SIDE];
     size_t count = (size_t)frame->width * format->samples;
     if (format->packed) memset(frame->bytes, 0, frame->image_bytes);
@@ -113,15 +97,15 @@ static void expose(const Light *light, const Format *format, Frame *frame, uint1
     }
 }
 
-/* Exposes image `wanted`, or the newest (0). False if the wanted one was written over: a process that slept through
- * its edge cannot have the light of that moment any more, and must not pass other light off as it. */
-bool take_image(Device *device, Frame *frame, const Response *response, uint64_t wanted) {
+/* Exposes image `requested`, or the newest (0). False if the requested one was overwritten: a process that ran too late
+ * has lost the light of that moment, and must not use other light instead. */
+bool take_image(Device *device, Frame *frame, const Response *response, uint64_t requested) {
     uint16_t *const *table = response_tables(device, response);
     const Format *format = format_of(frame->format);
     const Image *image = device->image;
     memset(frame->mean, 0, sizeof frame->mean);
     for (int attempt = 0; attempt < 100; attempt++) {
-        uint64_t number = wanted ? wanted : LOAD(image->newest);
+        uint64_t number = requested ? requested : LOAD(image->newest);
         if (!number || !format) break; /* the cap is on */
         const Slot *slot = (const Slot *)((const uint8_t *)image + SLOT_HEADER + number % SLOTS * image->slot_bytes);
         if (LOAD(slot->sequence) == 2 * number) {
@@ -130,7 +114,7 @@ bool take_image(Device *device, Frame *frame, const Response *response, uint64_t
             bool fits = (light.channels == 1 || light.channels == 3) && (light.bytes == 1 || light.bytes == 2) &&
                         SLOT_HEADER + image->width * image->height * light.channels * light.bytes <= image->slot_bytes;
             if (fits) {
-                expose(&light, format, frame, table);
+                expose_image(&light, format, frame, table);
                 measure(&light, frame->mean);
             }
             __atomic_thread_fence(__ATOMIC_ACQUIRE);
@@ -139,7 +123,7 @@ bool take_image(Device *device, Frame *frame, const Response *response, uint64_t
                 return true;
             }
         }
-        if (wanted) return false;
+        if (requested) return false;
     }
     memset(frame->bytes, 0, frame->image_bytes);
     return true;

@@ -35,7 +35,7 @@ static int handling(const Stream *stream) {
     return (int)mode;
 }
 
-/* Copies as much of the frame as the buffer holds; the lock is held, so nobody revokes it meanwhile. */
+/* Copies as much of the frame as the buffer holds; the lock is held, so it cannot be revoked meanwhile. */
 static void fill(Buffer *buffer, const Frame *frame, bool truncate) {
     size_t size = truncate ? frame->image_bytes / 2 : frame->filled;
     if (size > buffer->size) size = buffer->size;
@@ -49,7 +49,7 @@ static void fill(Buffer *buffer, const Frame *frame, bool truncate) {
     buffer->filled_once = true;
 }
 
-Outcome hand_over(Stream *stream, const Frame *frame, bool truncate) {
+Outcome deliver(Stream *stream, const Frame *frame, bool truncate) {
     pthread_mutex_lock(&stream->lock);
     Outcome outcome = NOT_GRABBING;
     if (stream->grabbing) {
@@ -70,7 +70,7 @@ Outcome hand_over(Stream *stream, const Frame *frame, bool truncate) {
             push(&stream->output, buffer);
             stream->delivered++;
             stream->fired++;
-            outcome = buffer->incomplete ? HANDED_OVER_INCOMPLETE : HANDED_OVER;
+            outcome = buffer->incomplete ? DELIVERED_INCOMPLETE : DELIVERED;
             pthread_cond_broadcast(&stream->arrived);
         } else {
             stream->underrun++;
@@ -229,7 +229,7 @@ API GC_ERROR DSStartAcquisition(void *handle, int32_t flags, uint64_t frames) {
     (void)frames;
     NEEDS_STREAM(handle);
     Stream *stream = handle;
-    if (!is_there(stream->device)) return fail(GC_ERR_IO, "%s is gone", stream->device->id);
+    if (!is_present(stream->device)) return fail(GC_ERR_IO, "%s is gone", stream->device->id);
     pthread_mutex_lock(&stream->lock);
     bool again = stream->grabbing;
     if (!again) {

@@ -8,26 +8,10 @@
 
 #define INTERFACE_ID "FringedInterface"
 
-static struct { Kind kind; bool initialised, open; } the_system = { SYSTEM, false, false };
-static struct { Kind kind; bool open; } the_interface = { INTERFACE, false };
-static Device devices[MAX_CAMERAS];
 static pthread_mutex_t library = PTHREAD_MUTEX_INITIALIZER;
 
-/* Only static objects are compared, so a stale or foreign pointer is never followed. */
-bool is_kind(const void *handle, Kind kind) {
-    if (!the_system.initialised || !handle) return false;
-    if (kind == SYSTEM) return handle == &the_system && the_system.open;
-    if (kind == INTERFACE) return handle == &the_interface && the_interface.open;
-    for (int i = 0; i < (int)MAX_CAMERAS; i++) {
-        if (kind == DEVICE && handle == &devices[i]) return devices[i].open;
-        if (kind == PORT && handle == &devices[i].port) return devices[i].open;
-        if (kind == STREAM && handle == &devices[i].stream) return devices[i].stream.open;
-    }
-    return false;
-}
-
 #define NEEDS(handle, kind) \
-    if (!is_kind(handle, kind)) return fail(GC_ERR_INVALID_HANDLE, "%s: not such a handle", __func__)
+    if (!is_kind(handle, kind)) return fail(GC_ERR_INVALID_HANDLE, "%s: not a valid handle of this kind", __func__)
 
 API GC_ERROR GCInitLib(void) {
     pthread_mutex_lock(&library);
@@ -62,14 +46,14 @@ static void close_device(Device *device) {
     stop_camera(device);
     close_stream(&device->stream);
     device->open = false;
-    release(device);
+    release_device(device);
 }
 
 API GC_ERROR GCCloseLib(void) {
     if (!the_system.initialised) return fail(GC_ERR_NOT_INITIALIZED, "the library is not initialised");
     for (int i = 0; i < (int)MAX_CAMERAS; i++) {
         close_device(&devices[i]);
-        forget(&devices[i]);
+        unmap_state(&devices[i]);
     }
     the_system.initialised = the_system.open = the_interface.open = false;
     return GC_ERR_SUCCESS;
@@ -178,7 +162,7 @@ API GC_ERROR IFGetParentTL(void *handle, void **system) {
     return GC_ERR_SUCCESS;
 }
 
-/* The list is what it was at the last update, whatever was plugged or pulled since. */
+/* The list stays as at the last update, whatever was plugged or unplugged since. */
 API GC_ERROR IFUpdateDeviceList(void *handle, bool8_t *changed, uint64_t timeout_ms) {
     (void)timeout_ms;
     NEEDS(handle, INTERFACE);
@@ -205,7 +189,7 @@ API GC_ERROR IFGetDeviceID(void *handle, uint32_t index, char *id, size_t *size)
     uint32_t left = index;
     for (int i = 0; i < (int)MAX_CAMERAS; i++)
         if (devices[i].listed && left-- == 0) return put_text(devices[i].id, NULL, id, size);
-    return fail(GC_ERR_INVALID_INDEX, "device %u: not so many are there", index);
+    return fail(GC_ERR_INVALID_INDEX, "device %u: there are fewer devices", index);
 }
 
 static Device *find(const char *id) {
@@ -227,7 +211,7 @@ static GC_ERROR device_info(const Device *device, int32_t command, int32_t *type
             snprintf(name, sizeof name, "%s (%s)", state->model, state->serial);
             return put_text(name, type, out, size);
         case DEVICE_INFO_ACCESS_STATUS:
-            return put_i32(taken_elsewhere(device) ? DEVICE_ACCESS_STATUS_BUSY : status, type, out, size);
+            return put_i32(is_locked_elsewhere(device) ? DEVICE_ACCESS_STATUS_BUSY : status, type, out, size);
         case DEVICE_INFO_USER_DEFINED_NAME:
             memcpy(name, state->registers + R_DeviceUserID, 64);
             name[63] = 0;
@@ -254,10 +238,10 @@ API GC_ERROR IFOpenDevice(void *handle, const char *id, int32_t flags, void **ou
     if (!device) return fail(GC_ERR_INVALID_ID, "no device %s", id ? id : "(null)");
     if (device->open) return fail(GC_ERR_RESOURCE_IN_USE, "%s is open already", id);
     if (!LOAD(device->state->present)) return fail(GC_ERR_IO, "%s is gone", id);
-    GC_ERROR error = take(device);
+    GC_ERROR error = lock_device(device);
     if (error) return error;
     if ((error = start_camera(device))) {
-        release(device);
+        release_device(device);
         return error;
     }
     device->open = true;

@@ -1,4 +1,4 @@
-/* The shared files of $FRINGED_GENTL_DIR: finding cameras, holding one, and its clock. See memory.py for the layout. */
+/* The shared files of $FRINGED_GENTL_DIR: finding cameras, locking one, and its clock. See memory.py for the layout. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
@@ -32,7 +32,7 @@ static void *map(int fd, size_t bytes, int protection) {
     return memory == MAP_FAILED ? NULL : memory;
 }
 
-void forget(Device *device) {
+void unmap_state(Device *device) {
     if (device->state) munmap(device->state, sizeof(State));
     if (device->fd >= 0) close(device->fd);
     device->state = NULL;
@@ -44,27 +44,27 @@ static void find(Device *device) {
     struct stat file;
     bool there = path_of(device, "state", path, sizeof path) && !stat(path, &file);
     if (device->state && there && file.st_ino == device->inode) return;
-    forget(device);
+    unmap_state(device);
     if (!there || (device->fd = open(path, O_RDWR | O_CLOEXEC)) < 0) return;
     device->inode = file.st_ino;
     device->state = map(device->fd, sizeof(State), PROT_READ | PROT_WRITE);
     const State *state = device->state;
     bool good = state && LOAD(state->magic) == STATE_MAGIC && state->width <= MAX_SIDE && state->height <= MAX_SIDE;
-    if (!good) forget(device);
+    if (!good) unmap_state(device);
 }
 
-/* Looks for cameras that came or went; one that is open is kept, gone or not. */
+/* Updates the list of cameras; an open one is kept, present or not. */
 void scan(Device *devices) {
     for (int i = 0; i < (int)MAX_CAMERAS; i++)
         if (!devices[i].open) find(&devices[i]);
 }
 
-/* A camera that was unplugged and plugged in again is another one: old handles stay dead. */
-bool is_there(const Device *device) {
+/* A camera that was unplugged and plugged in again is another one: old handles stay invalid. */
+bool is_present(const Device *device) {
     return LOAD(device->state->present) && LOAD(device->state->power_cycles) == device->power_cycle;
 }
 
-/* The lock belongs to the open file, so it ends with the process however that ends; not inherited by exec. */
+/* The lock belongs to the open file, so it ends with the process; it is not inherited by exec. */
 static struct flock whole_file(short type) {
     struct flock lock;
     memset(&lock, 0, sizeof lock);
@@ -73,7 +73,7 @@ static struct flock whole_file(short type) {
     return lock;
 }
 
-bool taken_elsewhere(const Device *device) {
+bool is_locked_elsewhere(const Device *device) {
     struct flock lock = whole_file(F_WRLCK);
     return !fcntl(device->fd, F_OFD_GETLK, &lock) && lock.l_type != F_UNLCK;
 }
@@ -84,7 +84,7 @@ static int bind_cable(Device *device) {
     memset(&address, 0, sizeof address);
     address.sun_family = AF_UNIX;
     if (!path_of(device, "sock", address.sun_path, sizeof address.sun_path)) return -1;
-    unlink(address.sun_path); /* left by a process that was killed: the lock says that it is gone */
+    unlink(address.sun_path); /* left by a process that was killed: the lock is free */
     int cable = socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     if (cable >= 0 && bind(cable, (struct sockaddr *)&address, sizeof address)) {
         close(cable);
@@ -110,8 +110,8 @@ static Image *map_image(Device *device) {
     return image;
 }
 
-/* Holds the camera for this process: lock, light and trigger lines. */
-GC_ERROR take(Device *device) {
+/* Locks the camera for this process and opens its light and trigger lines. */
+GC_ERROR lock_device(Device *device) {
     struct flock lock = whole_file(F_WRLCK);
     if (fcntl(device->fd, F_OFD_SETLK, &lock))
         return errno == EAGAIN || errno == EACCES
@@ -121,17 +121,17 @@ GC_ERROR take(Device *device) {
     device->socket = bind_cable(device);
     device->image = map_image(device);
     if (device->socket < 0 || !device->image) {
-        GC_ERROR error = fail(GC_ERR_IO, "%s: its %s in FRINGED_GENTL_DIR cannot be used: %s", device->id,
+        GC_ERROR error = fail(GC_ERR_IO, "%s: its %s in FRINGED_GENTL_DIR is not usable: %s", device->id,
                               device->socket < 0 ? "socket" : "image", strerror(errno));
-        release(device);
+        release_device(device);
         return error;
     }
     STORE(device->state->owner_pid, (uint64_t)getpid());
     return GC_ERR_SUCCESS;
 }
 
-/* From here on another process may have the camera, and nothing of its state is written any more. */
-void let_go(Device *device) {
+/* Afterwards another process may lock the camera; its state must not be written any more. */
+void unlock_device(Device *device) {
     struct flock lock = whole_file(F_UNLCK);
     if (!device->held) return;
     STORE(device->state->owner_pid, 0);
@@ -139,7 +139,7 @@ void let_go(Device *device) {
     fcntl(device->fd, F_OFD_SETLK, &lock);
 }
 
-void release(Device *device) {
+void release_device(Device *device) {
     char path[512];
     struct stat file;
     if (device->socket >= 0) {
@@ -150,10 +150,10 @@ void release(Device *device) {
     if (device->image) munmap(device->image, device->image_bytes);
     device->socket = -1;
     device->image = NULL;
-    let_go(device);
+    unlock_device(device);
 }
 
-/* What the camera's own clock shows at a time of CLOCK_MONOTONIC: rounded down, so that others compute the same. */
+/* The camera's clock at a time of CLOCK_MONOTONIC, rounded down as in cable.py. */
 int64_t device_clock_ns(const State *state, int64_t t_ns) {
     uint64_t before;
     int64_t base, offset, drift_ppb;

@@ -184,5 +184,5 @@ def test_a_number_is_taken_once(cable: Cables) -> None:
 def test_an_image_of_another_size_is_refused(cable: Cables) -> None:
     camera = cable(size=(64, 48))
     for wrong in np.zeros((64, 48), np.uint8), np.zeros((48, 64), np.float32), np.zeros((48, 64, 4), np.uint8):
-        with pytest.raises(ValueError, match=r"shows \(48, 64\)"):
+        with pytest.raises(ValueError, match=r"takes \(48, 64\)"):
             camera.show(wrong)

@@ -179,7 +179,7 @@ def test_a_pulse_exposes_the_image_that_was_shown_when_it_was_given(producer: Pa
                 assert camera.pulse(time.monotonic_ns() + k * 3_000_000)
             assert camera.wait_idle(WAIT_S)
         assert [capture.bytes[0] for capture in host.captures(30)] == [4 * r + k for r in range(10) for k in range(3)]
-        assert camera.state().overtaken == 0
+        assert camera.state().overwritten == 0
 
 
 def test_an_image_that_was_slept_through_is_lost_and_never_another_in_its_place(producer: Path, cable: Cables) -> None:
@@ -197,7 +197,7 @@ def test_an_image_that_was_slept_through_is_lost_and_never_another_in_its_place(
         assert camera.wait_idle(WAIT_S)
         (capture,) = host.captures(1)
         state = camera.state()
-        assert (capture.bytes[0], state.exposed, state.delivered, state.overtaken) == (SLOTS - 1, 2, 1, 1)
+        assert (capture.bytes[0], state.exposed, state.delivered, state.overwritten) == (SLOTS - 1, 2, 1, 1)
 
 
 def test_no_image_is_torn_however_fast_they_change(producer: Path, cable: Cables) -> None:

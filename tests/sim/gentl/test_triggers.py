@@ -25,7 +25,7 @@ def results(state: CableState) -> int:
 
 def ends(state: CableState) -> int:
     """How many exposures have ended."""
-    lost = state.dropped + state.no_buffer + state.overrun + state.overtaken + state.abandoned
+    lost = state.dropped + state.no_buffer + state.overrun + state.overwritten + state.abandoned
     return state.delivered + state.truncated + state.too_small + lost
 
 
