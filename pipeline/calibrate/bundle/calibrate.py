@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.bundle.adjust.adjustment import Adjusted, adjust
 from pipeline.calibrate.bundle.adjust.observations import Observations, gather
-from pipeline.calibrate.bundle.adjust.parameterisation import freedom, names_of
+from pipeline.calibrate.bundle.adjust.parameterisation import names_of, parameterise
 from pipeline.calibrate.bundle.adjust.state import State
-from pipeline.calibrate.bundle.initialise.relative_pose_check import Placed, place
+from pipeline.calibrate.bundle.initialise.relative_pose_check import JointEstimate, joint_estimate
 from pipeline.calibrate.bundle.initialise.relative_poses import assemble
 from pipeline.calibrate.bundle.initialise.single_device import Mono, mono
 from pipeline.calibrate.bundle.options import Options
 from pipeline.calibrate.bundle.quality.observability import require_determined
-from pipeline.calibrate.bundle.quality.view_assessment import missing, require_non_degenerate
+from pipeline.calibrate.bundle.quality.view_assessment import assess_views, require_non_degenerate
 from pipeline.calibrate.bundle.solution import Rejection, Solution
 from pipeline.calibrate.bundle.summary import summarise
 from pipeline.calibrate.bundle.view_rejection import bad_views, few_marks
@@ -50,10 +50,10 @@ def calibrate(
         sizes: (width, height) by device; it names the devices to be calibrated, some of :data:`DEVICES`. The first of
             them in that order is the world.
         options: choices.
-        start: known devices, for first values; without them everything is found from the marks.
+        start: known devices, for first values; without them all values are initialised from the marks.
 
     Raises:
-        CalibrationError: what is wrong with the views, and what to do.
+        CalibrationError: the views cannot be used; the message names the cause and the remedy.
     """
     options = options or Options()
     devices = [name for name in DEVICES if name in sizes]
@@ -61,44 +61,46 @@ def calibrate(
         raise CalibrationError(f"devices {', '.join(sizes) or 'none'}: expected some of {', '.join(DEVICES)}")
     names = [view.name for view in views]
     if len(set(names)) < len(names):
-        raise CalibrationError(f"view {max(names, key=names.count)} is there twice: give every view its own name")
+        raise CalibrationError(f"view {max(names, key=names.count)} occurs twice: give every view its own name")
     if options.board_refined and len(board.points) > _MOST_REFINED:
         raise CalibrationError(
             f"board {board} has {len(board.points)} marks; at most {_MOST_REFINED} can be refined, take a coarser board"
         )
     start = start or {}
     data, rejected = few_marks(gather(board, views, devices), board, views, devices, options)
-    _enough(data, views, options, rejected)
-    advice = missing(board, views, sizes, start=start)
+    _require_views(data, views, options, rejected)
+    assessment = assess_views(board, views, sizes, start=start)
     if options.check:
-        require_non_degenerate(advice)
+        require_non_degenerate(assessment)
     monos = [
         mono(data.of(number), board.points, len(views), sizes[name], options, name=name, start=start.get(name))
         for number, name in enumerate(devices)
     ]
-    placed = place(board, views, devices, data, monos, options)
-    rejected += placed.rejected
-    _hold_poses(placed, devices, options, start)
-    adjusted, numbers, more = _settled(board, views, devices, placed, options, monos)
+    joint = joint_estimate(board, views, devices, data, monos, options)
+    rejected += joint.rejected
+    _fix_poses(joint, devices, options, start)
+    adjusted, numbers, more = _adjust_and_reject(board, views, devices, joint, options, monos)
     solution = summarise(board, views, devices, sizes, adjusted, numbers, rejected + more, options)
     if options.check:
-        require_determined(solution, sizes, options, advice)
+        require_determined(solution, sizes, options, assessment)
     return solution
 
 
-def _hold_poses(placed: Placed, devices: Sequence[str], options: Options, start: Mapping[str, CameraModel]) -> None:
-    """Devices whose pose is held stand where the start says, not where the views say."""
+def _fix_poses(
+    joint: JointEstimate, devices: Sequence[str], options: Options, start: Mapping[str, CameraModel]
+) -> None:
+    """Give devices whose pose is held the pose of the start instead of that of the views."""
     names = names_of(devices)
     for number, name in enumerate(devices[1:], start=1):
-        pose = {known for known in names if known.startswith((f"{name}.rotation_", f"{name}.translation_"))}
-        held = {known for known in pose if known in options.fixed or name in options.fixed}
+        pose = {one for one in names if one.startswith((f"{name}.rotation_", f"{name}.translation_"))}
+        held = {one for one in pose if one in options.fixed or name in options.fixed}
         if held and name in start and devices[0] in start:
             first, own = start[devices[0]], start[name]
-            turn = own.rotation @ first.rotation.T
-            placed.devices[number] = (turn, own.translation - turn @ first.translation)
+            rotation = own.rotation @ first.rotation.T
+            joint.devices[number] = (rotation, own.translation - rotation @ first.translation)
 
 
-def _enough(data: Observations, views: Sequence[BoardView], options: Options, rejected: list[Rejection]) -> None:
+def _require_views(data: Observations, views: Sequence[BoardView], options: Options, rejected: list[Rejection]) -> None:
     count = len(np.unique(data.view))
     if count < options.least_views:
         why = f" ({'; '.join(map(str, rejected[:5]))})" if rejected else ""
@@ -108,33 +110,33 @@ def _enough(data: Observations, views: Sequence[BoardView], options: Options, re
         )
 
 
-def _settled(
-    board: Board, views: Sequence[BoardView], devices: list[str], placed: Placed, options: Options,
+def _adjust_and_reject(
+    board: Board, views: Sequence[BoardView], devices: list[str], joint: JointEstimate, options: Options,
     monos: Sequence[Mono]
 ) -> tuple[Adjusted, NDArray[np.int64], list[Rejection]]:  # fmt: skip
-    """Adjust, leave bad views out, adjust again."""
-    data, rejected = placed.data, list[Rejection]()
-    state = assemble(monos, placed.devices, placed.poses, len(views))
-    allowed = int(options.most_views * len(views)) - placed.left_out
+    """Adjust and reject bad views until the others agree."""
+    data, rejected = joint.data, list[Rejection]()
+    state = assemble(monos, joint.devices, joint.poses, len(views))
+    remaining = int(options.most_views * len(views)) - joint.rejected_views
     while True:
         state_, data_ = _compact(state, data)
-        free = freedom(devices, options, board.points, board.pitch_mm)
+        free = parameterise(devices, options, board.points, board.pitch_mm)
         adjusted = adjust(state_, data_, free, options, board)
         numbers = np.unique(data.view)
         worse = bad_views(adjusted, [views[k].name for k in numbers], devices, options)
         if not worse:
             return adjusted, numbers, rejected
-        allowed -= len({view for view, _, _ in worse})
+        remaining -= len({view for view, _, _ in worse})
         rejected += [rejection for _, _, rejection in worse]
-        if allowed < 0:
+        if remaining < 0:
             raise CalibrationError(
                 f"more than {options.most_views:.0%} of the views do not fit the others: "
                 f"{'; '.join(map(str, rejected[:6]))}; are board, order of the images and numbering right?"
             )
         for view, device, _ in worse:
-            gone = data.view == numbers[view]
-            data = data.some(~(gone if device is None else gone & (data.device == device)))
-        _enough(data, views, options, rejected)
+            rejected_marks = data.view == numbers[view]
+            data = data.some(~(rejected_marks if device is None else rejected_marks & (data.device == device)))
+        _require_views(data, views, options, rejected)
 
 
 def _compact(state: State, data: Observations) -> tuple[State, Observations]:

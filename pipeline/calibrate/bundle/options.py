@@ -1,4 +1,4 @@
-"""What the user may choose about a calibration."""
+"""Options of a calibration."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ Loss = Literal["huber", "cauchy", "squared"]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Choices of :func:`pipeline.calibrate.bundle.calibrate`.
+    """Options of :func:`pipeline.calibrate.bundle.calibrate`.
 
     Args:
-        skew: whether the skew of each device is found; else it stays at its start value (0 without one). Free by
-            default: it costs the other parameters hardly any certainty, and a real skew that is not modelled (axes
-            of a projector's optics, a tilted sensor) would bend the residuals; its standard deviation tells whether
-            it is there.
-        k3: whether the third radial coefficient is found.
-        tangential: whether p1 and p2 are found.
-        aspect: fixed fy / fx, or None: both focal lengths are found.
+        skew: whether the skew of each device is estimated; else it keeps its start value (0 without one). Free by
+            default: it hardly raises the other parameters' uncertainty, and a real skew that is not modelled (axes of
+            a projector's optics, a tilted sensor) would leave systematic residuals; its standard deviation shows
+            whether it is significant.
+        k3: whether the third radial coefficient is estimated.
+        tangential: whether p1 and p2 are estimated.
+        aspect: fixed fy / fx, or None: both focal lengths are estimated.
         fixed: parameters held at their start values, as ``right.k3``, or whole devices, as ``right``.
         loss: of a residual in units of its standard deviation; ``squared`` is plain least squares.
         loss_scale: residual, in standard deviations, from where on the loss grows more slowly than the square.
-        board_refined: find the marks' places on the board, too (Strobl and Hirzinger, 2011; Albarelli et al., 2009).
-            Each mark must have the same number in all views: do not turn a board upside down that looks the same then.
-            The scale stays that of the mean pitch over the whole board, unless a known distance is told.
+        board_refined: estimate the marks' positions on the board, too (Strobl and Hirzinger, 2011; Albarelli et al.,
+            2009). Each mark must have the same number in all views: do not turn a symmetric board upside down. The
+            scale stays that of the mean pitch over the whole board, unless a known distance is given.
         known_distance: (mark, mark, mm), a distance on the board measured with a ruler: fixes the scale of everything.
-        mark_limit: a mark is left out when its residual is more than this many standard deviations.
-        view_limit: a view is left out when its rms residual is more than this many times the usual one.
-        most_marks, most_views: largest shares of the marks and of the views that may be left out.
+        mark_limit: a mark is rejected when its residual is more than this many standard deviations.
+        view_limit: a view is rejected when its rms residual is more than this many times the median one.
+        most_marks, most_views: largest shares of the marks and of the views that may be rejected.
         least_views: fewest views that are accepted.
-        least_marks: fewest marks of one device in one view; with less the device's image is left out.
+        least_marks: fewest marks of one device in one view; with less the device's image is rejected.
         most_focal_sigma: largest standard deviation of a focal length, as a share of it.
         most_centre_sigma: largest standard deviation of a principal point, as a share of the image's width.
-        check: whether a degenerate set of views is refused; a guided session asks for numbers while it is not complete.
+        check: whether a degenerate set of views is an error; a guided session calibrates incomplete sets, too.
     """
 
     skew: bool = True

@@ -1,4 +1,4 @@
-"""What a calibration found, how sure it is, and what it left out."""
+"""The result of a calibration: values, uncertainties, residuals and rejections."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """Something that was left out or repaired.
+    """A rejected or repaired image, view or mark.
 
     Args:
         view: its name.
         device: ``left``, ``right``, ``projector``; empty: the whole view.
         ids: numbers of the marks, as the user numbered them; empty: all of them.
-        reason: a plain sentence with the numbers that decided.
-        repaired: the marks are used all the same, with another numbering.
+        reason: a sentence with the numbers that decided.
+        repaired: the marks are used, with another numbering.
     """
 
     view: str
@@ -43,7 +43,7 @@ class Residuals:
 
     Args:
         ids: (n,) numbers of the marks.
-        pixels: (n, 2) where they were seen.
+        pixels: (n, 2) where they were detected.
         misfit: (n, 2) px.
         sigma: (n,) standard deviation of a coordinate that the adjustment gave them, px.
     """
@@ -60,7 +60,7 @@ class Solution:
 
     Args:
         devices: by name, the first at the identity.
-        poses: (R, t), board to world, of every view; None for views left out.
+        poses: (R, t), board to world, of every view; None for rejected views.
         views: names of all views, in the order given.
         sigma: standard deviation by name: ``left.fx`` (px), ``right.k1``, ``right.rotation_x`` (radians, a
             component of the rotation vector), ``right.translation_x`` (mm), and of the derived ``baseline_mm``,
@@ -69,19 +69,19 @@ class Solution:
         covariance: (p, p) of ``names``, the poses of the boards marginalised.
         names: of the rows of ``covariance``.
         residuals: by (view's name, device).
-        rejected: what was left out or repaired, and why.
+        rejected: rejections and repairs with their reasons.
         rms: reprojection error by device, px: root of the mean squared distance, as OpenCV counts.
         rms_stereo: the same over both cameras (over all devices' marks without a right camera).
-        sigma0: by device, the noise of a coordinate that the residuals show over the one that the marks promised.
-        noise_px: by device, standard deviation of one coordinate that the residuals show.
+        sigma0: by device, the noise of a coordinate in the residuals over the expected one.
+        noise_px: by device, standard deviation of one coordinate in the residuals.
         epipolar_px: mean distance of undistorted points from their partners' epipolar lines; NaN with one camera.
         baseline_mm, angle_deg: left to right, and between their axes; NaN with one camera.
-        board_points: (n, 3) mm, refined if asked for.
+        board_points: (n, 3) mm, refined if that is chosen.
         diameter_mm: of the circles; 0 where the marks are points.
         views_used, views_rejected: counts.
         offsets_px: largest correction from a circle's centre to its image's centroid.
         steps: of the last search.
-        scale: what fixes the scale of the world, in words.
+        scale: text on what fixes the scale of the world.
         board_sigma_mm: (n, 3) standard deviations of refined board points.
     """
 

@@ -1,4 +1,4 @@
-"""From the adjusted numbers to a :class:`pipeline.calibrate.bundle.solution.Solution`."""
+"""Summary of the adjusted numbers as a :class:`pipeline.calibrate.bundle.solution.Solution`."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def summarise(
         devices: names in the order of the unknowns.
         sizes: of their images.
         adjusted: the last adjustment.
-        numbers: its views' places among ``views``.
-        rejected: what was left out before.
-        options: for the scale and the largest share of marks left out.
+        numbers: indices of its views in ``views``.
+        rejected: earlier rejections.
+        options: for the scale and the largest share of rejected marks.
 
     Raises:
         CalibrationError: too many marks did not fit.
@@ -109,13 +109,13 @@ def summarise(
 
 
 def _refuse_other_circles(board: Board, adjusted: Adjusted) -> None:
-    """Circles of another size than told, relative to their pitch, belong to another board."""
+    """Raise if the circles have another size, relative to their pitch, than the board's."""
     measured = circle_offsets.diameter_mm(adjusted.state, adjusted.data)
-    told = board.diameter_mm if board.round else 0.0
-    if told and measured and abs(measured / told - 1) > _OTHER_CIRCLES:
+    nominal = board.diameter_mm if board.round else 0.0
+    if nominal and measured and abs(measured / nominal - 1) > _OTHER_CIRCLES:
         raise CalibrationError(
-            f"the circles measure {measured:.1f} mm if their pitch is {board.pitch_mm:g} mm, but {board} says "
-            f"{told:g} mm: give the board that was shown"
+            f"the circles measure {measured:.1f} mm if their pitch is {board.pitch_mm:g} mm, but {board} has "
+            f"{nominal:g} mm: give the board that was shown"
         )
 
 
@@ -129,7 +129,7 @@ def _scale(board: Board, options: Options) -> str:
 
 
 def _sigma0(adjusted: Adjusted, chosen: NDArray[np.bool_]) -> float:
-    return float(np.sqrt((adjusted.data.sigma[chosen] ** 2).mean() / (adjusted.promise[chosen] ** 2).mean()))
+    return float(np.sqrt((adjusted.data.sigma[chosen] ** 2).mean() / (adjusted.expected_sigma[chosen] ** 2).mean()))
 
 
 def _single_marks(adjusted: Adjusted, names: Sequence[str], devices: Sequence[str]) -> list[Rejection]:

@@ -1,4 +1,4 @@
-"""Images and views that are not fit for the adjustment."""
+"""Rejection of images and views that do not fit the adjustment."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ Array = NDArray[np.float64]
 def few_marks(
     data: Observations, board: Board, views: Sequence[BoardView], devices: Sequence[str], options: Options
 ) -> tuple[Observations, list[Rejection]]:
-    """Leave out images with too few marks, or with marks in a single line."""
-    rejected, good = list[Rejection](), np.ones(len(data), dtype=bool)
+    """Reject images with too few marks, or with marks on a single line."""
+    rejected, usable = list[Rejection](), np.ones(len(data), dtype=bool)
     for device, view, where in data.groups():
         count = where.stop - where.start
         if count < options.least_marks:
-            good[where] = False
-            reason = f"{count} marks found, at least {options.least_marks} are needed"
+            usable[where] = False
+            reason = f"{count} marks detected, at least {options.least_marks} are needed"
             rejected.append(Rejection(views[view].name, devices[device], (), reason))
         elif _width(board.points[data.mark[where], :2]) < 0.25 * board.pitch_mm:
-            good[where] = False
-            reason = f"the {count} marks found lie in one line, which has no pose"
+            usable[where] = False
+            reason = f"the {count} marks detected lie on one line, which has no pose"
             rejected.append(Rejection(views[view].name, devices[device], (), reason))
-    seen = set(np.unique(data.view).tolist())
-    rejected += [Rejection(view.name, "", (), "no marks") for k, view in enumerate(views) if k not in seen]
-    return data.some(good), rejected
+    used = set(np.unique(data.view).tolist())
+    rejected += [Rejection(view.name, "", (), "no marks") for k, view in enumerate(views) if k not in used]
+    return data.some(usable), rejected
 
 
 def _width(points: Array) -> float:
@@ -46,17 +46,17 @@ def _width(points: Array) -> float:
 def bad_views(
     adjusted: Adjusted, names: Sequence[str], devices: Sequence[str], options: Options
 ) -> list[tuple[int, int | None, Rejection]]:
-    """The worst view, if it does not fit the others: (view, device or None for all of them, why).
+    """The worst view, if it does not fit the others: (view, device or None for all of them, reason).
 
-    One at a time, because a bad view spoils the others. Its image is judged by the median squared length of its
-    residuals (marks that were left out included), against the median of the device's images.
+    One at a time, because a bad view distorts the others. The criterion is the median length of an image's residuals
+    (rejected marks included) against the median of the device's images.
     """
     if options.loss == "squared":
         return []
-    found: list[tuple[float, int, int, str]] = []
-    every = _all_lengths(adjusted)
+    candidates: list[tuple[float, int, int, str]] = []
+    all_lengths = _all_lengths(adjusted)
     for device, name in enumerate(devices):
-        own = {view: lengths for (d, view), lengths in every.items() if d == device}
+        own = {view: lengths for (d, view), lengths in all_lengths.items() if d == device}
         if len(own) < 3:
             continue
         typical = {view: float(np.median(lengths[0])) for view, lengths in own.items()}
@@ -65,24 +65,24 @@ def bad_views(
             worse = typical[view] / max(usual, 1e-12)
             if out > 0.3 * len(lengths):
                 reason = f"{out} of {len(lengths)} marks of {name} do not fit the other views"
-                found.append((max(worse, 1.0) + 10, view, device, reason))
+                candidates.append((max(worse, 1.0) + 10, view, device, reason))
             elif worse > options.view_limit and typical[view] > 1e-6:
                 reason = (
                     f"its residuals in {name} are {worse:.1f} times the usual (median {typical[view]:.3g} px against "
                     f"{usual:.3g} px, limit {options.view_limit:g} times): it moved, is blurred or mis-numbered"
                 )
-                found.append((worse, view, device, reason))
-    if not found:
+                candidates.append((worse, view, device, reason))
+    if not candidates:
         return []
-    _, view, device, reason = max(found)
-    count = sum(1 for d, v in every if v == view)
-    if count > 2 and sum(1 for _, v, _, _ in found if v == view) == 1:
+    _, view, device, reason = max(candidates)
+    count = sum(1 for d, v in all_lengths if v == view)
+    if count > 2 and sum(1 for _, v, _, _ in candidates if v == view) == 1:
         return [(view, device, Rejection(names[view], devices[device], (), reason))]
     return [(view, None, Rejection(names[view], "", (), reason))]
 
 
 def _all_lengths(adjusted: Adjusted) -> dict[tuple[int, int], tuple[Array, int]]:
-    """(device, view) -> lengths of the residuals in px with those left out, and how many those are."""
+    """(device, view) -> lengths of all residuals in px, and the number of rejected marks."""
     used, out = adjusted.data, adjusted.out
     misfit = np.linalg.norm(residuals(adjusted.state, used, adjusted.offsets), axis=1)
     result = {}

@@ -33,7 +33,7 @@ def outline(board: Board, pose: Pose, size: tuple[int, int], *, distance_mm: flo
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]])
     flat = np.column_stack([corners - middle, np.zeros(5)])
     centre = (np.array(size) - 1.0) / 2
-    seen = np.append((np.array(pose.place) * (np.array(size) - 1.0) - centre) / focal, 1.0)
+    seen = np.append((np.array(pose.position) * (np.array(size) - 1.0) - centre) / focal, 1.0)
     at = seen / np.linalg.norm(seen) * distance_mm * pose.distance
     points = flat @ _turned(pose, at).T + at
     return np.asarray(points[:, :2] / points[:, 2:] * focal + centre)

@@ -19,8 +19,8 @@ from typing import Protocol
 import numpy as np
 
 from daemon.apps.calibration.guided.pose_similarity import alike
-from pipeline.calibrate.bundle.quality.view_assessment import ViewAssessment, missing
-from pipeline.calibrate.bundle.quality.view_coverage import Look, looks, pooled
+from pipeline.calibrate.bundle.quality.view_assessment import ViewAssessment, assess_views
+from pipeline.calibrate.bundle.quality.view_coverage import ViewGeometry, pooled, view_geometries
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.marks import BoardView, Marks
 
@@ -126,9 +126,9 @@ class Session:
         self.views: list[BoardView] = []
         self.refused = 0
         self.state = State.LOOKING
-        self.advice: ViewAssessment = missing(board, [], self.sizes)
+        self.advice: ViewAssessment = assess_views(board, [], self.sizes)
         self._frames = frames
-        self._looks: list[Look] = []
+        self._looks: list[ViewGeometry] = []
         self._still: deque[Sight] = deque()
         self._pending: dict[str, Marks] | None = None
 
@@ -197,7 +197,7 @@ class Session:
         self._looks.append(self._seen(view))
         self.views.append(view)
         self._pending = None
-        self.advice = missing(self.board, self.views, self.sizes)
+        self.advice = assess_views(self.board, self.views, self.sizes)
         enough = len(self.views) >= self.limits.wanted and not self.missing
         self.state = State.DONE if enough or len(self.views) >= self.limits.most else State.LOOKING
         text = f"taken; next: {self.advice.next_pose.text}"
@@ -230,8 +230,8 @@ class Session:
             return ""
         return f"too like view {like + 1}; next: {self.advice.next_pose.text}"
 
-    def _seen(self, view: BoardView) -> Look:
-        per_camera = {side: looks(self.board, [view], side, size) for side, size in self.sizes.items()}
+    def _seen(self, view: BoardView) -> ViewGeometry:
+        per_camera = {side: view_geometries(self.board, [view], side, size) for side, size in self.sizes.items()}
         return pooled(per_camera)[0]
 
     def _motion(self, sight: Sight) -> float | None:

@@ -13,7 +13,8 @@ from daemon.apps.calibration.report.charts import COLORS, coverage_map, histogra
 from daemon.apps.calibration.views.detect_marks import Seen
 from daemon.common.html_page import Card, figure, items, page, table
 from pipeline.calibrate.bundle import Solution
-from pipeline.calibrate.bundle.quality.solution_figures import INTRINSICS, POSE, values_of, view_figures
+from pipeline.calibrate.bundle.adjust.state import INTRINSICS, POSE
+from pipeline.calibrate.bundle.quality.solution_figures import values_of, view_figures
 from pipeline.rig.calibration import Cameras
 
 _EMPTY = np.empty((0, 2))

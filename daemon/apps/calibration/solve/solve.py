@@ -20,9 +20,9 @@ from daemon.apps.calibration.views.view import Progress, Source
 from daemon.common.files import write_atomically
 from daemon.rig.calibration_file import CamerasFile
 from pipeline.calibrate.bundle import Options, Solution, calibrate
-from pipeline.calibrate.bundle.quality.order_check import layout_advice
+from pipeline.calibrate.bundle.quality.order_check import layout_recommendations
 from pipeline.calibrate.bundle.quality.solution_figures import quality_of
-from pipeline.calibrate.bundle.quality.view_assessment import missing
+from pipeline.calibrate.bundle.quality.view_assessment import assess_views
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.common.errors import CalibrationError, TargetError
 from pipeline.rig.calibration import Cameras
@@ -92,12 +92,12 @@ def calibrated(
     devices = solution.devices
     found = Cameras(devices["left"], devices["right"], projector=devices.get("projector"))
     found, notes = with_old_colors(found, before)
-    wanted = missing(board, looked.views, looked.sizes, solution=solution)
+    wanted = assess_views(board, looked.views, looked.sizes, solution=solution)
     quality = quality_of(solution, board=str(board), coverage=wanted.coverage)
     quality["pictures_without_marks"] = len(looked.problems)
     if found.projector is not None and looked.phases:
         found = _looked_at_again(found, looked, quality, notes)
-    layout, figures = layout_advice(found, solution)
+    layout, figures = layout_recommendations(found, solution)
     quality |= figures
     advice = [f"add {wish}" for wish in wanted.missing]
     if advice:

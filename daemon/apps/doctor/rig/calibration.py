@@ -169,9 +169,9 @@ def layout(subject: Subject, config: RigConfig, calibration: Calibration) -> Ite
         return
     found = order_check(calibration, made, periods=fringe.periods, axis=fringe.axis)
     if found.good or fringe.profile is not None:
-        yield area.ok("layout", found.advice)
+        yield area.ok("layout", found.recommendation)
     else:
-        yield area.warning("layout", *_split(found.advice))
+        yield area.warning("layout", *_split(found.recommendation))
 
 
 def seen(calibration: Calibration, depth_mm: float) -> float:

@@ -1,1 +1,1 @@
-"""The adjustment itself: parameters, observations, their projection, solver and uncertainty."""
+"""The adjustment: parameters, observations, their projection, solver and uncertainty."""

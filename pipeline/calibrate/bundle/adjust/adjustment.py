@@ -1,4 +1,4 @@
-"""The adjustment proper: search, circle offsets, noise of each device, marks that do not belong, again."""
+"""The outer iteration of the adjustment: least squares, circle offsets, noise of each device, outliers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.calibrate.bundle.adjust import circle_offsets
 from pipeline.calibrate.bundle.adjust.levenberg_marquardt import MOST_STEPS, Fit, fit, residuals
 from pipeline.calibrate.bundle.adjust.observations import Observations
-from pipeline.calibrate.bundle.adjust.parameterisation import Freedom
+from pipeline.calibrate.bundle.adjust.parameterisation import Parameterisation
 from pipeline.calibrate.bundle.adjust.state import State
 from pipeline.calibrate.bundle.adjust.uncertainty import full_covariance, noise_of
 from pipeline.calibrate.bundle.options import Options
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _ROUNDS = 12
 _STILL_PX = 2e-6
 _EXACT_PX = 1e-5
-"""Marks that agree better than this are made-up ones; smaller standard deviations only spoil the arithmetic."""
+"""Lower bound of the standard deviations: only synthetic marks agree better, and smaller values are ill-conditioned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +32,8 @@ class Adjusted:
     Args:
         fit: of the last search.
         data: the marks that were used, with the standard deviations found.
-        promise: (n,) the standard deviations that the marks came with.
-        out: the marks that were left out.
+        expected_sigma: (n,) the standard deviations given with the marks.
+        out: the rejected marks.
         out_by: (m,) their residuals in standard deviations.
         offsets: (n, 2) circle offsets, px.
         diameter_mm: of the circles; 0 = points.
@@ -43,7 +43,7 @@ class Adjusted:
 
     fit: Fit
     data: Observations
-    promise: Array
+    expected_sigma: Array
     out: Observations
     out_by: Array
     offsets: Array
@@ -58,7 +58,7 @@ class Adjusted:
 
 
 def to_scale(adjusted: Adjusted, options: Options) -> Adjusted:
-    """The same result, made larger or smaller until a distance measured on the board is as told.
+    """The same result, scaled to the given distance between two marks of the board.
 
     Raises:
         CalibrationError: a mark of ``options.known_distance`` is not on the board.
@@ -86,7 +86,7 @@ def to_scale(adjusted: Adjusted, options: Options) -> Adjusted:
 
 
 def first_sigma(state: State, data: Observations, offsets: Array) -> Array:
-    """Standard deviations (n,) after the median residual of each device: outliers have no say in them yet."""
+    """Standard deviations (n,) from the median residual of each device, which is robust against outliers."""
     distance = np.linalg.norm(residuals(state, data, offsets), axis=1)
     sigma = data.sigma.copy()
     for device in range(state.devices):
@@ -99,52 +99,58 @@ def first_sigma(state: State, data: Observations, offsets: Array) -> Array:
 
 
 def adjust(
-    state: State, data: Observations, free: Freedom, options: Options, board: Board, *, diameter_mm: float = 0.0
+    state: State,
+    data: Observations,
+    free: Parameterisation,
+    options: Options,
+    board: Board,
+    *,
+    diameter_mm: float = 0.0,
 ) -> Adjusted:
-    """Search until circle offsets, noise and the choice of marks stand still.
+    """Repeat the least squares until circle offsets, noise and the choice of marks converge.
 
     Args:
         state: start near the solution.
-        data: all marks of the views that are used, with the standard deviations that they promise.
-        free: which unknowns move.
+        data: all marks of the views that are used, with their expected standard deviations.
+        free: the unknowns that are adjusted.
         options: loss and limits.
-        board: for the circles' diameter, where it is told.
+        board: for the circles' diameter, where it is given.
         diameter_mm: first value, else the board's or from the areas.
 
     Raises:
         CalibrationError: the views do not determine all unknowns.
     """
-    kept, promise = np.ones(len(data), dtype=bool), data.sigma
-    told = board.diameter_mm if board.round else 0.0
-    diameter = told or diameter_mm or circle_offsets.diameter_mm(state, data)
+    kept, expected_sigma = np.ones(len(data), dtype=bool), data.sigma
+    nominal = board.diameter_mm if board.round else 0.0
+    diameter = nominal or diameter_mm or circle_offsets.diameter_mm(state, data)
     shift = circle_offsets.offsets(state, data, diameter)
     sigma = first_sigma(state, data, shift)
-    for turn in range(_ROUNDS):
+    for iteration in range(_ROUNDS):
         used = data.with_sigma(sigma).some(kept)
-        loss = "cauchy" if turn == 0 and options.loss != "squared" else options.loss
-        found = fit(state, used, shift[kept], free, loss=loss, scale=options.loss_scale)
-        state = found.state
-        diameter = told or circle_offsets.diameter_mm(state, data.some(kept))
+        loss = "cauchy" if iteration == 0 and options.loss != "squared" else options.loss
+        fitted = fit(state, used, shift[kept], free, loss=loss, scale=options.loss_scale)
+        state = fitted.state
+        diameter = nominal or circle_offsets.diameter_mm(state, data.some(kept))
         new = circle_offsets.offsets(state, data, diameter)
         moved = float(np.abs(new - shift).max(initial=0.0))
         shift = new
-        if turn == 0:
+        if iteration == 0:
             sigma = first_sigma(state, data, shift)
         else:
             covariance, redundancy = full_covariance(state, used, shift[kept], free)
-            noise = noise_of(state, data.some(kept), shift[kept], promise[kept], redundancy)
+            noise = noise_of(state, data.some(kept), shift[kept], expected_sigma[kept], redundancy)
             before = sigma
-            sigma = _spread(promise, data, noise)
-            away = np.linalg.norm(residuals(state, data, shift), axis=1) / sigma
-            still = np.abs(np.log(sigma / before)).max() < 1e-3 and moved < _STILL_PX
+            sigma = _sigmas(expected_sigma, data, noise)
+            deviation = np.linalg.norm(residuals(state, data, shift), axis=1) / sigma
+            converged = np.abs(np.log(sigma / before)).max() < 1e-3 and moved < _STILL_PX
             result = Adjusted(
-                found, used, promise[kept], data.with_sigma(sigma).some(~kept), away[~kept], shift[kept], diameter,
-                covariance, noise,
+                fitted, used, expected_sigma[kept], data.with_sigma(sigma).some(~kept), deviation[~kept], shift[kept],
+                diameter, covariance, noise,
             )  # fmt: skip
-            now = ~(away > options.mark_limit) if options.loss != "squared" else kept
-            if still and (now == kept).all():
+            within = ~(deviation > options.mark_limit) if options.loss != "squared" else kept
+            if converged and (within == kept).all():
                 break
-            kept = now if turn < _ROUNDS - 3 else kept & now
+            kept = within if iteration < _ROUNDS - 3 else kept & within
     if not result.fit.converged and result.fit.steps >= MOST_STEPS:
         raise CalibrationError(
             f"the search did not settle within {MOST_STEPS} steps: the views contradict each other or determine too "
@@ -153,9 +159,9 @@ def adjust(
     return result
 
 
-def _spread(promise: Array, data: Observations, noise: dict[int, tuple[float, float]]) -> Array:
-    sigma = promise.copy()
+def _sigmas(expected_sigma: Array, data: Observations, noise: dict[int, tuple[float, float]]) -> Array:
+    sigma = expected_sigma.copy()
     for device, (floor, factor) in noise.items():
         chosen = data.device == device
-        sigma[chosen] = np.maximum(np.hypot(factor * promise[chosen], floor), _EXACT_PX)
+        sigma[chosen] = np.maximum(np.hypot(factor * expected_sigma[chosen], floor), _EXACT_PX)
     return sigma

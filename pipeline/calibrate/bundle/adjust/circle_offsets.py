@@ -1,4 +1,4 @@
-"""Where the centroids of all circles' images lie, relative to the images of their centres."""
+"""Offsets of the centroids of all circles' images from the images of their centres."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def offsets(state: State, data: Observations, diameter_mm: float) -> Array:
 
 def diameter_mm(state: State, data: Observations) -> float:
     """The diameter that explains the measured areas best (median over the images); 0 without areas."""
-    found = [
+    diameters = [
         circle_projection.diameter_mm(data.area[where], model, rotation, translation, state.points[data.mark[where]])
         for where, model, rotation, translation in _images(state, data)
     ]
-    return float(np.median(found)) if found else 0.0
+    return float(np.median(diameters)) if diameters else 0.0
 
 
 def _images(state: State, data: Observations) -> Iterator[tuple[slice, CameraModel, Array, Array]]:
-    """Where the marks of each image with circles are, its device, and the board's pose to the device."""
+    """Slice of the marks of each image with circles, its device, and the board's pose to the device."""
     models = [state.model(k, "device", (1, 1)) for k in range(state.devices)]
     for device, view, where in data.groups():
         if np.isfinite(data.area[where]).any():
-            turn = state.rotations[device]
-            rotation = turn @ state.view_rotations[view]
-            yield where, models[device], rotation, turn @ state.view_translations[view] + state.translations[device]
+            r, t = state.rotations[device], state.translations[device]
+            translation = r @ state.view_translations[view] + t
+            yield where, models[device], r @ state.view_rotations[view], translation

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibrate.bundle.adjust.observations import Observations
-from pipeline.calibrate.bundle.adjust.parameterisation import GAUGE_WEIGHT, LOOSE, Freedom
+from pipeline.calibrate.bundle.adjust.parameterisation import GAUGE_WEIGHT, LOOSE, Parameterisation
 from pipeline.calibrate.bundle.adjust.projection import project, project_with_slopes
 from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW, State
 
@@ -26,7 +26,7 @@ _STILL = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Where the search ended.
+    """The end of a search.
 
     Args:
         cost: sum of the loss of all residuals in standard deviations.
@@ -59,8 +59,8 @@ def residuals(state: State, data: Observations, offsets: Array) -> Array:
     return np.asarray(data.pixels - project(state, data.device, data.view, data.mark) - offsets)
 
 
-def cost_of(state: State, data: Observations, offsets: Array, free: Freedom, loss: str, scale: float) -> float:
-    """The sum that the search makes small; infinite where a mark lies behind a device."""
+def cost_of(state: State, data: Observations, offsets: Array, free: Parameterisation, loss: str, scale: float) -> float:
+    """The sum that is minimised; infinite where a mark lies behind a device."""
     squares = (residuals(state, data, offsets) ** 2).sum(axis=1) / data.sigma**2
     if not np.isfinite(squares).all():
         return float("inf")
@@ -73,7 +73,7 @@ def cost_of(state: State, data: Observations, offsets: Array, free: Freedom, los
 
 
 def normal_equations(
-    state: State, data: Observations, offsets: Array, free: Freedom, loss: str, scale: float
+    state: State, data: Observations, offsets: Array, free: Parameterisation, loss: str, scale: float
 ) -> tuple[Array, Array, dict[tuple[int, int], Array]]:
     """Matrix (p, p) and right side (p,) for the free unknowns, and each image's own (22, 22) part.
 
@@ -134,7 +134,7 @@ def fit(
     state: State,
     data: Observations,
     offsets: Array,
-    free: Freedom,
+    free: Parameterisation,
     *,
     loss: str = "huber",
     scale: float = 3.0,

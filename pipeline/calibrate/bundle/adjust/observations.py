@@ -17,15 +17,15 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 LEAST_SIGMA_PX = 1e-3
-"""No mark is trusted more than this."""
+"""Lower bound of a mark's standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """n marks as some device saw them.
+    """n marks detected by the devices.
 
     Args:
-        device, view, mark: (n,) numbers; ``mark`` is the place on the board, ``ids`` the number in the user's marks
+        device, view, mark: (n,) numbers; ``mark`` is the index on the board, ``ids`` the number in the user's marks
             (different where a view's numbering was repaired).
         pixels: (n, 2).
         sigma: (n,) standard deviation of a coordinate, px.
@@ -103,7 +103,7 @@ def gather(board: Board, views: Sequence[BoardView], devices: Sequence[str]) -> 
             if not (
                 np.isfinite(marks.pixels).all() and (marks.sigma_px >= 0).all() and np.isfinite(marks.sigma_px).all()
             ):
-                raise CalibrationError(f"view {view.name}, {name}: a mark has pixels or sigma_px that are no numbers")
+                raise CalibrationError(f"view {view.name}, {name}: a mark's pixels or sigma_px are not finite")
             order = np.argsort(marks.ids)
             n = len(marks)
             area = np.full(n, np.nan) if marks.areas_px is None else marks.areas_px[order]
@@ -112,7 +112,7 @@ def gather(board: Board, views: Sequence[BoardView], devices: Sequence[str]) -> 
                  np.maximum(marks.sigma_px[order], LEAST_SIGMA_PX), area)
             )  # fmt: skip
     if not rows:
-        raise CalibrationError(f"no view holds marks of {', '.join(devices)}; find the board's marks first")
+        raise CalibrationError(f"no view holds marks of {', '.join(devices)}; detect the board's marks first")
     device_, view_, mark, pixels, sigma, area_ = (np.concatenate(column) for column in zip(*rows, strict=True))
     ids = mark.astype(np.int64)
     return Observations(

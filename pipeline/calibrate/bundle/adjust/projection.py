@@ -23,7 +23,7 @@ class Projected(NamedTuple):
         pixels: (n, 2); NaN behind the device.
         of_device: (n, 2, 16), by the device's unknowns in the order of :mod:`pipeline.calibrate.bundle.adjust.state`.
         of_view: (n, 2, 6), by the view's unknowns.
-        of_point: (n, 2, 3), by the place on the board.
+        of_point: (n, 2, 3), by the position on the board.
     """
 
     pixels: Array
@@ -89,14 +89,14 @@ def project(state: State, device: Index, view: Index, mark: Index) -> Array:
 
 
 def project_with_slopes(state: State, device: Index, view: Index, mark: Index) -> Projected:
-    """Pixels of marks with the derivatives by everything."""
-    turn, view_turn = state.rotations[device], state.view_rotations[view]
-    on_board = np.einsum("nij,nj->ni", view_turn, state.points[mark])
+    """Pixels of marks with the derivatives by all unknowns."""
+    r, view_r = state.rotations[device], state.view_rotations[view]
+    on_board = np.einsum("nij,nj->ni", view_r, state.points[mark])
     world = on_board + state.view_translations[view]
-    turned = np.einsum("nij,nj->ni", turn, world)
-    pixels, of_intrinsics, of_place = image_with_slopes(state.intrinsics[device], turned + state.translations[device])
-    of_world = of_place @ turn
-    # g . (w x p) = w . (p x g): the derivative by a small turn w of a point p.
-    of_device = np.concatenate([of_intrinsics, np.cross(turned[:, None], of_place), of_place], axis=-1)
+    rotated = np.einsum("nij,nj->ni", r, world)
+    pixels, of_intrinsics, of_xyz = image_with_slopes(state.intrinsics[device], rotated + state.translations[device])
+    of_world = of_xyz @ r
+    # g . (w x p) = w . (p x g): the derivative by a small rotation w of a point p.
+    of_device = np.concatenate([of_intrinsics, np.cross(rotated[:, None], of_xyz), of_xyz], axis=-1)
     of_view = np.concatenate([np.cross(on_board[:, None], of_world), of_world], axis=-1)
-    return Projected(pixels, of_device, of_view, of_world @ view_turn)
+    return Projected(pixels, of_device, of_view, of_world @ view_r)

@@ -1,8 +1,8 @@
-"""All unknowns of a calibration in one place, and how a step changes them.
+"""All unknowns of a calibration, and their change by a step.
 
 Order in the vector of unknowns: 16 numbers a device (ten of :data:`INTRINSICS`, six of :data:`POSE`), six a view (the
 board's pose in the world), three a mark on the board. Rotations are stepped from the left, ``R <- exp([w]x) R``, so a
-rotation's unknown is a small turn in radians about the axes of the frame that it leads to.
+rotation's unknown is a small rotation in radians about the axes of its target frame.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class State:
         of_points = step[PER_DEVICE * d + PER_VIEW * v :]
         return State(
             self.intrinsics + of_devices[:, :10],
-            turned(self.rotations, of_devices[:, 10:13]),
+            rotated(self.rotations, of_devices[:, 10:13]),
             self.translations + of_devices[:, 13:],
-            turned(self.view_rotations, of_views[:, :3]),
+            rotated(self.view_rotations, of_views[:, :3]),
             self.view_translations + of_views[:, 3:],
             self.points + of_points.reshape(-1, 3) if len(of_points) else self.points,
         )
@@ -75,7 +75,7 @@ class State:
         )
 
     def model(self, device: int, name: str, size: tuple[int, int]) -> CameraModel:
-        """One device as the rest of the program knows it."""
+        """One device as a camera model."""
         fx, fy, skew, cx, cy, k1, k2, p1, p2, k3 = self.intrinsics[device]
         matrix = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
         u, _, vt = np.linalg.svd(self.rotations[device])
@@ -83,7 +83,7 @@ class State:
         return CameraModel(size, matrix, np.array([k1, k2, p1, p2, k3]), rotation, self.translations[device], name)
 
     def with_views(self, rotations: Array, translations: Array) -> State:
-        """The same devices with other places of the board."""
+        """The same devices with other poses of the board."""
         return replace(self, view_rotations=rotations, view_translations=translations)
 
 
@@ -93,15 +93,15 @@ def intrinsics_of(model: CameraModel) -> Array:
     return np.concatenate([[m[0, 0], m[1, 1], m[0, 1], m[0, 2], m[1, 2]], model.distortion])
 
 
-def turned(rotations: Array, turns: Array) -> Array:
-    """``exp([w]x) R`` for rotations (n, 3, 3) and turns w (n, 3), radians (Rodrigues' formula)."""
-    return np.asarray(rotation_matrices(turns) @ rotations)
+def rotated(rotations: Array, vectors: Array) -> Array:
+    """``exp([w]x) R`` for rotations (n, 3, 3) and vectors w (n, 3), radians (Rodrigues' formula)."""
+    return np.asarray(rotation_matrices(vectors) @ rotations)
 
 
-def rotation_matrices(turns: Array) -> Array:
+def rotation_matrices(vectors: Array) -> Array:
     """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
-    angle = np.linalg.norm(turns, axis=-1)[:, None, None]
-    cross = cross_matrices(turns)
+    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
+    cross = cross_matrices(vectors)
     small = angle < 1e-6
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 1 - angle**2 / 6, np.sin(safe) / safe)

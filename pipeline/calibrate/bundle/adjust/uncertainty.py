@@ -1,4 +1,4 @@
-"""How sure the result is: covariance, noise per device, derived figures."""
+"""Uncertainty of the result: covariance, noise per device, derived figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.bundle.adjust.levenberg_marquardt import normal_equations, residuals
 from pipeline.calibrate.bundle.adjust.observations import Observations
-from pipeline.calibrate.bundle.adjust.parameterisation import Freedom, names_of
+from pipeline.calibrate.bundle.adjust.parameterisation import Parameterisation, names_of
 from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW, State, cross_matrices
 from pipeline.common.errors import CalibrationError
 
@@ -28,16 +28,16 @@ def inverse(matrix: Array) -> Array:
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     if values[0] < _WORST_CONDITION * values[-1]:
         raise CalibrationError(
-            "the views do not determine all parameters; show the board at more places, tilted by 20 to 40 degrees "
+            "the views do not determine all parameters; show the board at more positions, tilted by 20 to 40 degrees "
             "about both axes"
         )
     return np.asarray((vectors / values) @ vectors.T / np.outer(size, size))
 
 
-def full_covariance(state: State, data: Observations, offsets: Array, free: Freedom) -> tuple[Array, Array]:
+def full_covariance(state: State, data: Observations, offsets: Array, free: Parameterisation) -> tuple[Array, Array]:
     """Covariance of all unknowns (devices, views, marks), and the redundancy of each device, (d,).
 
-    The redundancy is how many of a device's coordinates are left to judge its noise (Foerstner, 1979): two a mark less
+    The redundancy is the number of a device's coordinates that determine its noise (Foerstner, 1979): two a mark minus
     the trace of its image's part of the normal matrix times the covariance.
     """
     matrix, _, blocks = normal_equations(state, data, offsets, free, "squared", 1.0)
@@ -58,24 +58,24 @@ def full_covariance(state: State, data: Observations, offsets: Array, free: Free
 
 
 def noise_floor(squares: Array, sigma: Array, redundancy: float) -> tuple[float, float]:
-    """(floor_px, factor): what makes the standard deviations agree with the residuals.
+    """(floor_px, factor) by which the standard deviations agree with the residuals.
 
-    The variance of a mark's coordinate is ``(factor sigma)^2 + floor^2``: more noise than promised is the same for all
-    marks (detector bias, a board that is not flat, a lens beyond the model), less scales what was promised.
+    The variance of a mark's coordinate is ``(factor sigma)^2 + floor^2``: more noise than expected is the same for all
+    marks (detector bias, a board that is not flat, a lens beyond the model), less scales the expected one.
 
     Args:
         squares: (n,) squared length of the residuals, px^2.
-        sigma: (n,) promised standard deviation of a coordinate, px.
+        sigma: (n,) expected standard deviation of a coordinate, px.
         redundancy: of these residuals' 2 n coordinates.
     """
-    wanted = max(redundancy, 1.0)
-    promised = float((squares / sigma**2).sum() / wanted)
-    if promised <= 1:
-        return 0.0, float(np.sqrt(promised))
-    low, high = 0.0, float(squares.sum() / wanted)
+    expected = max(redundancy, 1.0)
+    ratio = float((squares / sigma**2).sum() / expected)
+    if ratio <= 1:
+        return 0.0, float(np.sqrt(ratio))
+    low, high = 0.0, float(squares.sum() / expected)
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (middle, high) if (squares / (sigma**2 + middle)).sum() > wanted else (low, middle)
+        low, high = (middle, high) if (squares / (sigma**2 + middle)).sum() > expected else (low, middle)
     return float(np.sqrt(high)), 1.0
 
 
@@ -84,7 +84,7 @@ def derived(
 ) -> tuple[dict[str, float], dict[str, float], Array]:
     """Values and standard deviations of the devices' parameters, baselines and angles, and the parameters' covariance.
 
-    Rotations are told as rotation vectors, so the covariance of small turns is carried over to those.
+    Rotations are given as rotation vectors, to which the covariance of small rotations is propagated.
 
     Args:
         state: the solution.
@@ -97,7 +97,7 @@ def derived(
     for number in range(len(devices)):
         at = PER_DEVICE * number
         vector = rotation_vector(state.rotations[number])
-        carry[at + 10 : at + 13, at + 10 : at + 13] = turn_to_vector(vector)
+        carry[at + 10 : at + 13, at + 10 : at + 13] = left_jacobian_inverse(vector)
         numbers = [*state.intrinsics[number], *vector, *state.translations[number]]
         values |= dict(zip(names[at : at + PER_DEVICE], map(float, numbers), strict=True))
     carried = carry @ covariance @ carry.T
@@ -118,8 +118,8 @@ def derived(
     return values, sigma, carried
 
 
-def turn_to_vector(vector: Array) -> Array:
-    """Derivative (3, 3) of the rotation vector by a small turn from the left (inverse of SO(3)'s left Jacobian)."""
+def left_jacobian_inverse(vector: Array) -> Array:
+    """Derivative (3, 3) of the rotation vector by a small left rotation (inverse of SO(3)'s left Jacobian)."""
     angle = float(np.linalg.norm(vector))
     cross = cross_matrices(vector[None])[0]
     factor = 1 / 12 if angle < 1e-4 else 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
@@ -139,13 +139,13 @@ def rotation_vector(rotation: Array) -> Array:
 
 
 def noise_of(
-    state: State, data: Observations, offsets: Array, promise: Array, redundancy: Array
+    state: State, data: Observations, offsets: Array, expected_sigma: Array, redundancy: Array
 ) -> dict[int, tuple[float, float]]:
-    """(floor_px, factor) by device, see :func:`noise_floor`, for marks with promised standard deviations (n,)."""
+    """(floor_px, factor) by device, see :func:`noise_floor`, for marks with expected standard deviations (n,)."""
     squares = (residuals(state, data, offsets) ** 2).sum(axis=1)
     by = {device: data.device == device for device in range(state.devices)}
     return {
-        device: noise_floor(squares[chosen], promise[chosen], float(redundancy[device]))
+        device: noise_floor(squares[chosen], expected_sigma[chosen], float(redundancy[device]))
         for device, chosen in by.items()
         if chosen.any()
     }

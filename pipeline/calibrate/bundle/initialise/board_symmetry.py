@@ -1,4 +1,4 @@
-"""Renumberings of a board that leave its grid as it is: what a finder of marks may have mixed up."""
+"""Symmetries of a board's grid: the renumberings that a detector may have confused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pipeline.calibrate.targets.board.board import Board
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_TURNS: tuple[tuple[str, list[list[int]]], ...] = (
+_MOTIONS: tuple[tuple[str, list[list[int]]], ...] = (
     ("as numbered", [[1, 0], [0, 1]]),
     ("turned by 180 degrees", [[-1, 0], [0, -1]]),
     ("turned by 90 degrees", [[0, -1], [1, 0]]),
@@ -26,36 +26,36 @@ _TURNS: tuple[tuple[str, list[list[int]]], ...] = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Symmetry:
-    """A motion of the plane that maps the marks onto marks: ``points[permutation[m]] = turn @ points[m] + shift``.
+    """A motion of the plane that maps the marks onto marks: ``points[permutation[m]] = rotation @ points[m] + shift``.
 
     Args:
         name: for messages.
-        permutation: (n,) number of the mark that takes the place of mark m.
-        turn: (3, 3), with determinant +1 also for mirror images (z is turned over then).
+        permutation: (n,) number of the mark at the new position of mark m.
+        rotation: (3, 3), with determinant +1 also for mirror images (z is turned over then).
         shift: (3,) mm.
         mirrored: whether the motion turns the board over.
     """
 
     name: str
     permutation: Index
-    turn: Array
+    rotation: Array
     shift: Array
     mirrored: bool
 
 
 def symmetries(board: Board) -> list[Symmetry]:
-    """All of them, the identity first; a ChArUco board has none, because its marks carry their numbers."""
+    """All symmetries, the identity first; a ChArUco board has no other, because its markers number it."""
     points = board.points
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    found = []
-    for name, plane in _TURNS if board.kind != "charuco" else _TURNS[:1]:
+    out = []
+    for name, plane in _MOTIONS if board.kind != "charuco" else _MOTIONS[:1]:
         mirrored = bool(np.linalg.det(plane) < 0)
-        turn = np.eye(3)
-        turn[:2, :2] = plane
-        turn[2, 2] = -1.0 if mirrored else 1.0
-        moved = (points - middle) @ turn.T + middle
+        rotation = np.eye(3)
+        rotation[:2, :2] = plane
+        rotation[2, 2] = -1.0 if mirrored else 1.0
+        moved = (points - middle) @ rotation.T + middle
         distance = np.linalg.norm(moved[:, None] - points[None], axis=-1)
         nearest = distance.argmin(axis=1)
         if distance.min(axis=1).max() < 1e-6 * board.pitch_mm:
-            found.append(Symmetry(name, nearest.astype(np.int64), turn, middle - turn @ middle, mirrored))
-    return found
+            out.append(Symmetry(name, nearest.astype(np.int64), rotation, middle - rotation @ middle, mirrored))
+    return out

@@ -1,4 +1,4 @@
-"""Plane-to-image homographies, and what they tell: focal length and pose (Zhang, 2000)."""
+"""Plane-to-image homographies, and focal length and pose from them (Zhang, 2000)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _normaliser(points: Array) -> tuple[Array, Array]:
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float:
-    """Focal length, px, of square pixels with the principal point at ``centre``; NaN where the views do not tell it."""
+    """Focal length, px, of square pixels with the principal point at ``centre``; NaN if not determined."""
     rows, right = [], []
     move = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
     for h in homographies:
@@ -73,6 +73,6 @@ def pose(h: Array, matrix: Array) -> tuple[Array, Array]:
     return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt), g[:, 2]
 
 
-def seen_from_front(h: Array) -> bool:
-    """Whether the board's printed side looks at the device; otherwise image or numbering are mirrored."""
+def shows_front(h: Array) -> bool:
+    """Whether the board's printed side faces the device; otherwise image or numbering are mirrored."""
     return bool(np.linalg.det(h) > 0)

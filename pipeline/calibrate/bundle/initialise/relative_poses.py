@@ -1,4 +1,4 @@
-"""From devices calibrated each alone to one world: relative poses that most views agree on."""
+"""Relative poses of separately calibrated devices, by the vote of the views, and one state of all."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from pipeline.calibrate.bundle.initialise.single_device import Mono
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
 
-TURN_LIMIT = np.radians(4.0)
+ROTATION_LIMIT = np.radians(4.0)
 SHIFT_LIMIT = 0.06
-"""A view agrees with a relative pose when it differs by less than this turn, and this share of the distance."""
+"""A view agrees with a relative pose if it differs by less than this rotation and this share of the distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vote:
-    """How one device stands to another, after the views.
+    """The pose of one device relative to another, by the views.
 
     Args:
         rotation, translation: (3, 3) and (3,), from the reference device to this one.
         agreeing: view -> the symmetry of this device's numbering with which the view agrees.
         differing: views that agree with none.
-        turns_deg, shifts: view -> how far the view is off, degrees and share of the distance.
+        rotation_errors_deg, shift_errors: view -> its deviation, degrees and share of the distance.
     """
 
     rotation: Array
     translation: Array
     agreeing: dict[int, Symmetry] = field(default_factory=dict)
     differing: tuple[int, ...] = ()
-    turns_deg: dict[int, float] = field(default_factory=dict)
-    shifts: dict[int, float] = field(default_factory=dict)
+    rotation_errors_deg: dict[int, float] = field(default_factory=dict)
+    shift_errors: dict[int, float] = field(default_factory=dict)
 
 
 def relative(reference: Pose, pose: Pose, symmetry: Symmetry, *, flipped: bool = False) -> Pose:
@@ -45,20 +45,20 @@ def relative(reference: Pose, pose: Pose, symmetry: Symmetry, *, flipped: bool =
     With ``flipped`` the other device's image is a mirror image, left to right.
     """
     r, t = pose
-    # The other device saw mark m where mark permutation[m] is: X_old = turn^T (X_new - shift).
-    r, t = r @ symmetry.turn.T, t - r @ symmetry.turn.T @ symmetry.shift
+    # The other device detected mark m where mark permutation[m] is: X_old = rotation^T (X_new - shift).
+    r, t = r @ symmetry.rotation.T, t - r @ symmetry.rotation.T @ symmetry.shift
     if flipped:
-        # Its pose was found with u the wrong way round, and so with a mirrored board, which is flat: z has no say.
+        # Its pose belongs to a mirrored u axis, and so to a mirrored board, which is flat: z does not matter.
         mirror = np.diag([-1.0, 1.0, 1.0])
         r, t = mirror @ r @ np.diag([1.0, 1.0, -1.0]), mirror @ t
-    turn = r @ reference[0].T
-    return turn, t - turn @ reference[1]
+    rotation = r @ reference[0].T
+    return rotation, t - rotation @ reference[1]
 
 
 def vote(
     reference: dict[int, Pose], poses: dict[int, Pose], symmetries: Sequence[Symmetry], *, flipped: bool = False
 ) -> Vote | None:
-    """The relative pose that most shared views agree on, each with the symmetry that suits it best.
+    """The relative pose that most shared views agree on, each with the symmetry that fits it best.
 
     Every view and symmetry makes a proposal; the one with the least truncated distance to all views wins. The first
     symmetry is preferred where several agree. None without a shared view.
@@ -67,47 +67,47 @@ def vote(
     if not shared:
         return None
     candidates = [[relative(reference[v], poses[v], s, flipped=flipped) for s in symmetries] for v in shared]
-    turns = np.array([[c[0] for c in row] for row in candidates])
+    rotations = np.array([[c[0] for c in row] for row in candidates])
     shifts = np.array([[c[1] for c in row] for row in candidates])
     size = float(np.median([np.linalg.norm(poses[v][1]) for v in shared]))
     best, least = (0, 0), np.inf
     for k in range(len(shared)):
         for s in range(len(symmetries)):
-            far = _distances(turns, shifts, turns[k, s], shifts[k, s], size)
-            far = far + np.where(np.arange(len(symmetries)) == 0, 0.0, 1e-3)
-            total = float(np.minimum(far.min(axis=1), 1.0).sum())
+            distances = _distances(rotations, shifts, rotations[k, s], shifts[k, s], size)
+            distances = distances + np.where(np.arange(len(symmetries)) == 0, 0.0, 1e-3)
+            total = float(np.minimum(distances.min(axis=1), 1.0).sum())
             if total < least - 1e-9:
                 best, least = (k, s), total
-    rotation, translation = turns[best], shifts[best]
+    rotation, translation = rotations[best], shifts[best]
     for _ in range(3):
-        far = _distances(turns, shifts, rotation, translation, size)
-        choice = (far + np.where(np.arange(len(symmetries)) == 0, 0.0, 1e-3)).argmin(axis=1)
-        near = far[np.arange(len(shared)), choice] < 1
+        distances = _distances(rotations, shifts, rotation, translation, size)
+        choice = (distances + np.where(np.arange(len(symmetries)) == 0, 0.0, 1e-3)).argmin(axis=1)
+        near = distances[np.arange(len(shared)), choice] < 1
         if not near.any():
             break
-        rotation = mean_rotation(turns[np.arange(len(shared)), choice][near])
+        rotation = mean_rotation(rotations[np.arange(len(shared)), choice][near])
         translation = np.median(shifts[np.arange(len(shared)), choice][near], axis=0)
-    far = _distances(turns, shifts, rotation, translation, size)
-    choice = (far + np.where(np.arange(len(symmetries)) == 0, 0.0, 1e-3)).argmin(axis=1)
+    distances = _distances(rotations, shifts, rotation, translation, size)
+    choice = (distances + np.where(np.arange(len(symmetries)) == 0, 0.0, 1e-3)).argmin(axis=1)
     rows = range(len(shared))
     return Vote(
         rotation,
         translation,
-        {shared[k]: symmetries[choice[k]] for k in rows if far[k, choice[k]] < 1},
-        tuple(shared[k] for k in rows if far[k, choice[k]] >= 1),
-        {shared[k]: float(np.degrees(_angles(turns[k, choice[k]], rotation))) for k in rows},
+        {shared[k]: symmetries[choice[k]] for k in rows if distances[k, choice[k]] < 1},
+        tuple(shared[k] for k in rows if distances[k, choice[k]] >= 1),
+        {shared[k]: float(np.degrees(_angles(rotations[k, choice[k]], rotation))) for k in rows},
         {shared[k]: float(np.linalg.norm(shifts[k, choice[k]] - translation) / size) for k in rows},
     )
 
 
-def _angles(turns: Array, rotation: Array) -> Array:
-    trace = np.einsum("...ij,ij->...", turns, rotation)
+def _angles(rotations: Array, rotation: Array) -> Array:
+    trace = np.einsum("...ij,ij->...", rotations, rotation)
     return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
 
-def _distances(turns: Array, shifts: Array, rotation: Array, translation: Array, size: float) -> Array:
+def _distances(rotations: Array, shifts: Array, rotation: Array, translation: Array, size: float) -> Array:
     shift = np.linalg.norm(shifts - translation, axis=-1) / size
-    return np.maximum(_angles(turns, rotation) / TURN_LIMIT, shift / SHIFT_LIMIT)
+    return np.maximum(_angles(rotations, rotation) / ROTATION_LIMIT, shift / SHIFT_LIMIT)
 
 
 def mean_rotation(rotations: Array) -> Array:
@@ -117,7 +117,7 @@ def mean_rotation(rotations: Array) -> Array:
 
 
 def assemble(monos: Sequence[Mono], votes: Sequence[Pose], poses: Sequence[dict[int, Pose]], views: int) -> State:
-    """One state of all devices: intrinsics of each alone, poses from the votes, boards from the first that saw them.
+    """One state of all devices: intrinsics of each, poses from the votes, boards from the first that detected them.
 
     Args:
         monos: by device.
@@ -127,14 +127,14 @@ def assemble(monos: Sequence[Mono], votes: Sequence[Pose], poses: Sequence[dict[
     """
     rotations, translations = np.tile(np.eye(3), (views, 1, 1)), np.tile([0.0, 0.0, 1.0], (views, 1))
     for view in range(views):
-        for (turn, shift), own in zip(votes, poses, strict=True):
+        for (rotation, shift), own in zip(votes, poses, strict=True):
             if view in own:
                 r, t = own[view]
-                rotations[view], translations[view] = turn.T @ r, turn.T @ (t - shift)
+                rotations[view], translations[view] = rotation.T @ r, rotation.T @ (t - shift)
                 break
     return State(
         np.concatenate([m.state.intrinsics for m in monos]),
-        np.stack([turn for turn, _ in votes]),
+        np.stack([rotation for rotation, _ in votes]),
         np.stack([shift for _, shift in votes]),
         rotations,
         translations,

@@ -1,4 +1,4 @@
-"""First values of one device, from nothing but its own marks."""
+"""First values of one device from its own marks."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.bundle.adjust.levenberg_marquardt import Fit, fit, residuals
 from pipeline.calibrate.bundle.adjust.observations import Observations
-from pipeline.calibrate.bundle.adjust.parameterisation import freedom
+from pipeline.calibrate.bundle.adjust.parameterisation import parameterise
 from pipeline.calibrate.bundle.adjust.state import INTRINSICS, State, intrinsics_of
-from pipeline.calibrate.bundle.initialise.homography import focal_length, homography, pose, seen_from_front
+from pipeline.calibrate.bundle.initialise.homography import focal_length, homography, pose, shows_front
 from pipeline.calibrate.bundle.options import Options
 from pipeline.common.errors import CalibrationError
 from pipeline.rig.camera_model import CameraModel
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _GRID = (0.6, 1.2, 2.4, 4.8, 9.6)
-"""Focal lengths that are tried, in widths of the image: field angles from 80 to 6 degrees."""
-_ENOUGH = 40
+"""Initial focal lengths, in widths of the image: field angles from 80 to 6 degrees."""
+_MAX_MARKS = 40
 _NO_DISTORTION = ("skew", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 _STAGES: tuple[tuple[str, ...], ...] = (_NO_DISTORTION, ("skew", "k2", "p1", "p2", "k3"), ("skew", "p1", "p2", "k3"))
 
@@ -29,8 +29,8 @@ class Mono:
 
     Attributes:
         state: device 0 with the identity pose, views numbered as everywhere; those without marks stay at identity.
-        seen: numbers of the views that it saw.
-        front: (views,) whether the board's printed side looked at it, by the numbering.
+        seen: numbers of the views in which it detected the board.
+        front: (views,) whether the board's printed side faced it, by the numbering.
     """
 
     def __init__(self, state: State, seen: list[int], front: dict[int, bool], rms_px: float) -> None:
@@ -62,7 +62,7 @@ def mono(
         points: (n, 3) the board.
         views: how many views there are altogether.
         size: (width, height).
-        options: which parameters move.
+        options: the free parameters.
         name: for messages.
         start: known intrinsics.
 
@@ -74,23 +74,23 @@ def mono(
     maps = {view: homography(points[data.mark[where], :2], data.pixels[where])[0] for _, view, where in data.groups()}
     if not maps:
         raise CalibrationError(f"{name}: no view with at least {options.least_marks} marks; show it the whole board")
-    front = {view: seen_from_front(h) for view, h in maps.items()}
+    front = {view: shows_front(h) for view, h in maps.items()}
     compact = Observations(zeros, _compact(data.view, maps), data.mark, data.pixels, data.sigma, data.area, data.ids)
     compact = _thinned(compact)
-    # Rough values, with sigmas that forgive everything not modelled yet.
+    # Rough values, with sigmas that cover what is not modelled yet.
     rough = compact.with_sigma(np.full(len(compact), max(0.5, 5e-4 * size[0])))
-    nothing = np.zeros((len(compact), 2))
+    no_offsets = np.zeros((len(compact), 2))
     if start is not None:
-        held = freedom([name], _plain(options), points, 1.0, hold=INTRINSICS)
-        begin = _begin(maps, points, intrinsics_of(start))
-        best = fit(begin, rough, nothing, held, loss="cauchy", most_steps=30)
+        held = parameterise([name], _plain(options), points, 1.0, held=INTRINSICS)
+        start_state = _start_state(maps, points, intrinsics_of(start))
+        best = fit(start_state, rough, no_offsets, held, loss="cauchy", most_steps=30)
     else:
         best = _search(maps, rough, points, size, options, name)
         for names in _STAGES:
-            free = freedom([name], _plain(options), points, 1.0, hold=names)
-            tried = fit(best.state, rough, nothing, free, loss="cauchy", most_steps=30)
+            free = parameterise([name], _plain(options), points, 1.0, held=names)
+            tried = fit(best.state, rough, no_offsets, free, loss="cauchy", most_steps=30)
             best = tried if _sane(tried.state, size) else best
-    distance = np.linalg.norm(residuals(best.state, compact, nothing), axis=1)
+    distance = np.linalg.norm(residuals(best.state, compact, no_offsets), axis=1)
     rms = float(np.median(distance)) * 1.2
     rotations, translations = np.tile(np.eye(3), (views, 1, 1)), np.tile([0.0, 0, 1], (views, 1))
     seen = sorted(maps)
@@ -99,11 +99,11 @@ def mono(
 
 
 def _thinned(data: Observations) -> Observations:
-    """At most :data:`_ENOUGH` marks an image, evenly taken: first values need no more."""
+    """At most :data:`_MAX_MARKS` marks an image, evenly chosen: first values need no more."""
     keep = np.zeros(len(data), dtype=bool)
     for _, _, where in data.groups():
         count = where.stop - where.start
-        keep[where.start + np.unique(np.linspace(0, count - 1, min(count, _ENOUGH)).astype(int))] = True
+        keep[where.start + np.unique(np.linspace(0, count - 1, min(count, _MAX_MARKS)).astype(int))] = True
     return data.some(keep)
 
 
@@ -115,7 +115,7 @@ def _compact(view: Index, maps: dict[int, Array]) -> Index:
     return np.searchsorted(np.array(sorted(maps)), view).astype(np.int64)
 
 
-def _begin(maps: dict[int, Array], points: Array, intrinsics: Array) -> State:
+def _start_state(maps: dict[int, Array], points: Array, intrinsics: Array) -> State:
     fx, fy, skew, cx, cy = intrinsics[:5]
     matrix = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
     poses = [pose(maps[view], matrix) for view in sorted(maps)]
@@ -132,12 +132,12 @@ def _search(
     grid = [closed] if 0.2 * size[0] < closed < 40 * size[0] else []
     grid += [share * size[0] for share in _GRID]
     only = Options(aspect=options.aspect or 1.0)
-    free = freedom([name], only, points, 1.0, hold=_NO_DISTORTION)
+    free = parameterise([name], only, points, 1.0, held=_NO_DISTORTION)
     best: Fit | None = None
-    nothing = np.zeros((len(data), 2))
+    no_offsets = np.zeros((len(data), 2))
     for focal in grid:
         first = np.array([focal, focal * (options.aspect or 1.0), 0, *centre, 0, 0, 0, 0, 0])
-        tried = fit(_begin(maps, points, first), data, nothing, free, loss="cauchy", most_steps=25)
+        tried = fit(_start_state(maps, points, first), data, no_offsets, free, loss="cauchy", most_steps=25)
         if np.isfinite(tried.cost) and _sane(tried.state, size) and (best is None or tried.cost < best.cost):
             best = tried
         if best is tried and focal == closed and _plausible(tried.state, data, size):
@@ -151,7 +151,7 @@ def _search(
 
 
 def _plausible(state: State, data: Observations, size: tuple[int, int]) -> bool:
-    """Whether nothing but the distortion seems to be missing."""
+    """Whether the residuals are small enough to come from the distortion alone."""
     distance = np.linalg.norm(residuals(state, data, np.zeros((len(data), 2))), axis=1)
     return bool(np.median(distance) < 2e-3 * size[0])
 

@@ -1,1 +1,1 @@
-"""How good a solution is: errors, coverage of the views, observability, advice."""
+"""Quality of a solution: errors, coverage of the views, observability, missing views."""

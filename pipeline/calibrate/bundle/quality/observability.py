@@ -1,4 +1,4 @@
-"""Whether the views determined what was asked of them: judged by the covariance of the result."""
+"""Observability of the parameters, by the covariance of the result."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pipeline.calibrate.bundle.solution import Solution
 from pipeline.common.errors import CalibrationError
 
 _LEAST_NOISE_PX = 0.02
-"""Views that only just determine everything are refused also when their marks agree better than this by chance."""
+"""Lower bound of the noise: marks of few views can agree better by chance."""
 
 
 def require_determined(
-    solution: Solution, sizes: Mapping[str, tuple[int, int]], options: Options, advice: ViewAssessment
+    solution: Solution, sizes: Mapping[str, tuple[int, int]], options: Options, assessment: ViewAssessment
 ) -> None:
     """Raise if a focal length or principal point is not determined well enough.
 
@@ -22,10 +22,10 @@ def require_determined(
         solution: the result.
         sizes: (width, height) by device.
         options: the limits.
-        advice: what could be added.
+        assessment: of the views, for the message.
 
     Raises:
-        CalibrationError: which parameter, how sure it is, the limit, and what to add.
+        CalibrationError: with the parameter, its standard deviation, the limit, and what to add.
     """
     for name in solution.devices:
         grown = max(1.0, _LEAST_NOISE_PX / max(solution.noise_px[name], 1e-12))
@@ -39,5 +39,5 @@ def require_determined(
                 what = "focal length" if focal else "principal point"
                 raise CalibrationError(
                     f"the views do not determine the {what} of {name}: {key} {value:.1f} px has a standard deviation "
-                    f"of {sigma:.2g} px (limit {limit:.2g} px); {missing_views_text(advice)}"
+                    f"of {sigma:.2g} px (limit {limit:.2g} px); {missing_views_text(assessment)}"
                 )

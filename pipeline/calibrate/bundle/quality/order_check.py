@@ -1,9 +1,9 @@
-"""Whether a rig's layout lets the second camera find the fringe order: its figure of merit.
+"""Figure of merit of a rig's layout for the fringe order check by the second camera.
 
 Three equal fringes carry no order. A candidate that is wrong by m periods makes, on a plane, a phase residual of
 ``2 pi frac(m rho)`` in the other camera, ``rho`` = baseline to the other camera over baseline to the projector, both
-as the fringes see them. Where ``m rho`` is near an integer the check is blind: with the projector in the middle (2) or
-at a quarter (4) of the baseline. The best place divides the baseline in the golden ratio: 0.382 or 0.618 of it.
+along the fringes' axis. Where ``m rho`` is near an integer the check fails: with the projector in the middle (2) or
+at a quarter (4) of the baseline. The best position divides the baseline in the golden ratio: 0.382 or 0.618 of it.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from pipeline.rig.volume import Volume
 Array = NDArray[np.float64]
 
 GOLDEN = (3 - 5**0.5) / 2
-"""0.382: the most irrational division of a length, and so the best place of the projector."""
+"""0.382: the most irrational division of a length, and so the best position of the projector."""
 GOOD, POOR = 0.6, 0.25
 _LEAST_SHIFTS = 12.0
-"""Depth that is judged also where the volume is shallower, in periods of disparity between the cameras."""
+"""Smallest depth that is assessed, in periods of disparity between the cameras."""
 _MOST_ORDERS, _MOST_RATIO = 32, 50.0
 
 
 @dataclass(frozen=True, slots=True)
 class OrderCheck:
-    """The judgement of a layout.
+    """The assessment of a layout.
 
     Args:
         ratio: rho seen from the left camera.
@@ -42,7 +42,7 @@ class OrderCheck:
         weakest: the wrong order that is hardest to notice, in periods.
         residual_rad: its phase residual on a plane.
         orders: candidates in the volume at the middle of the left image.
-        advice: text for a person.
+        recommendation: text for the user.
     """
 
     ratio: float
@@ -52,7 +52,7 @@ class OrderCheck:
     weakest: int
     residual_rad: float
     orders: int
-    advice: str
+    recommendation: str
 
     @property
     def good(self) -> bool:
@@ -67,7 +67,7 @@ def order_check(
 
     Args:
         calibration: the rig.
-        volume: where things are measured; its middle is looked at.
+        volume: of the measurement; its middle is assessed.
         periods: of the fringe over the projector's width (height for axis y).
         axis: along which the phase grows.
 
@@ -80,13 +80,15 @@ def order_check(
     middle = ray * (volume.near_mm + volume.far_mm) / 2
     normal = left.rotation[2] + right.rotation[2]
     if not all(np.isfinite(device.project(middle)).all() for device in (left, right, projector)):
-        raise CalibrationError(f"the point {np.round(middle)} mm in the middle of the volume is not before all devices")
+        raise CalibrationError(
+            f"the point {np.round(middle)} mm in the middle of the volume is not in front of all devices"
+        )
     ratio = _ratio(left, right, projector, middle, normal, along)
     ratio_right = _ratio(right, left, projector, middle, normal, along)
     if not (np.isfinite(ratio) and np.isfinite(ratio_right)):
         raise CalibrationError(
-            "the projector stands (as its fringes see it) where one camera stands: its columns do not tell the depth "
-            "there; move it between the cameras, to 0.382 or 0.618 of the baseline"
+            "the projector stands, along its fringes' axis, where one camera stands: its columns do not determine "
+            "the depth; move it between the cameras, to 0.382 or 0.618 of the baseline"
         )
     period = projector.size[along] / periods
     ends = projector.project(np.stack([ray * volume.near_mm, ray * volume.far_mm]))[:, along]
@@ -94,16 +96,16 @@ def order_check(
     orders = int(min(steps, 10_000)) + 1
     merit, weakest, residual = merit_of(ratio, ratio_right, max(_LEAST_SHIFTS, steps * abs(ratio)))
     fraction = 1 / ratio
-    advice = _advice(calibration, fraction, merit, weakest, residual)
-    return OrderCheck(ratio, ratio_right, fraction, merit, weakest, residual, orders, advice)
+    recommendation = _recommendation(calibration, fraction, merit, weakest, residual)
+    return OrderCheck(ratio, ratio_right, fraction, merit, weakest, residual, orders, recommendation)
 
 
 def merit_of(ratio: float, ratio_right: float, shifts: float) -> tuple[float, int, float]:
     """(merit, weakest wrong order, its residual in radians) of the ratios seen from both cameras.
 
     The distance of ``m rho`` from the nearest integer shrinks like 1 / m whatever the ratio; times m its least value
-    over all m is largest for the golden ratio (Hurwitz' theorem), which makes 1. An error that moves a surface by a
-    share of the volume can befall only the rest of the volume, and counts less by that.
+    over all m is largest for the golden ratio (Hurwitz' theorem), which gives 1. An error that moves a surface by a
+    share of the volume can occur only in the rest of the volume, and counts less by that.
 
     Args:
         ratio, ratio_right: rho seen from left and right.
@@ -118,37 +120,37 @@ def merit_of(ratio: float, ratio_right: float, shifts: float) -> tuple[float, in
     return min(1.0, worst[0] / GOLDEN), worst[1], worst[2]
 
 
-def layout_advice(cameras: Cameras, solution: Solution) -> tuple[list[str], dict[str, Any]]:
-    """Sentences about the rig's layout, and figures for the file's quality.
+def layout_recommendations(cameras: Cameras, solution: Solution) -> tuple[list[str], dict[str, Any]]:
+    """Recommendations for the rig's layout, and figures for the file's quality.
 
-    The layout is judged for the depths at which the board was shown.
+    The layout is assessed for the depths at which the board was shown.
     """
     base = cameras.baseline_mm
     if cameras.projector is None:
         return [
             f"place the projector {GOLDEN * base:.0f} or {(1 - GOLDEN) * base:.0f} mm along the {base:.0f} mm from the "
-            "left to the right camera, not in the middle: at an integer ratio of the baselines flat things carry no "
+            "left to the right camera, not in the middle: at an integer ratio of the baselines flat surfaces carry no "
             "fringe order"
         ], {}
-    places = [solution.board_points @ pose[0].T + pose[1] for pose in solution.poses if pose is not None]
-    depths = np.concatenate(places)[:, 2]
+    positions = [solution.board_points @ pose[0].T + pose[1] for pose in solution.poses if pose is not None]
+    depths = np.concatenate(positions)[:, 2]
     try:
         check = order_check(cameras.complete(), Volume(float(depths.min()), float(depths.max())))
     except CalibrationError as error:
         return [str(error)], {}
-    return [check.advice], {"order_ratio": round(check.ratio, 4), "order_merit": round(check.merit, 3)}
+    return [check.recommendation], {"order_ratio": round(check.ratio, 4), "order_merit": round(check.merit, 3)}
 
 
 def _ratio(
     first: CameraModel, other: CameraModel, projector: CameraModel, point: Array, normal: Array, along: int
 ) -> float:
-    """Rho seen from ``first``: exact derivatives at a point of a plane, so the devices may stand anyhow."""
+    """Rho seen from ``first``: by exact derivatives at a point of a plane, for any poses of the devices."""
     ray = point - first.centre
     ray = ray / np.linalg.norm(ray)
     n = normal / np.linalg.norm(normal)
     plane = np.linalg.svd(n[None])[2][1:]
     seen = _slope(other, point)
-    # Where on the plane the other camera looks when the point moves along the ray of the first.
+    # The point on the plane with the other camera's pixel when the point moves along the ray of the first.
     on_plane = plane.T @ np.linalg.solve(seen @ plane.T, seen @ ray)
     columns = _slope(projector, point)[along]
     by_candidate, by_plane = float(columns @ ray), float(columns @ on_plane)
@@ -162,15 +164,15 @@ def _slope(device: CameraModel, point: Array) -> Array:
     return np.asarray((ends[:3] - ends[3:]).T / (2 * step))
 
 
-def _advice(calibration: Calibration, fraction: float, merit: float, weakest: int, residual: float) -> str:
-    place = f"the projector stands at {fraction:.3f} of the baseline of {calibration.baseline_mm:.0f} mm"
+def _recommendation(calibration: Calibration, fraction: float, merit: float, weakest: int, residual: float) -> str:
+    position = f"the projector stands at {fraction:.3f} of the baseline of {calibration.baseline_mm:.0f} mm"
     if merit >= GOOD:
-        return f"{place}: fringe orders are told apart well (merit {merit:.2f})"
-    best = min((GOLDEN, 1 - GOLDEN), key=lambda wanted: abs(fraction - wanted))
+        return f"{position}: fringe orders are distinguished well (merit {merit:.2f})"
+    best = min((GOLDEN, 1 - GOLDEN), key=lambda target: abs(fraction - target))
     shift = (best - fraction) * calibration.baseline_mm
     move = f"move it {abs(shift):.0f} mm towards the {'right' if shift > 0 else 'left'} camera, to {best:.3f}"
     noticed = "hardly noticed" if merit >= POOR else "not noticed"
     return (
-        f"{place}: an order wrong by {weakest} is {noticed} (phase residual {residual:.2f} rad on a plane, merit "
+        f"{position}: an order wrong by {weakest} is {noticed} (phase residual {residual:.2f} rad on a plane, merit "
         f"{merit:.2f}); {move}, or use a frequency-modulated fringe"
     )

@@ -1,4 +1,4 @@
-"""Figures of merit: reprojection error and epipolar distance."""
+"""Reprojection error and epipolar distance."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def epipolar_distances(left: CameraModel, right: CameraModel, in_left: Array, in
 
 
 def epipolar_px(left: CameraModel, right: CameraModel, data: Observations, offsets: Array) -> float:
-    """Mean epipolar distance over the marks that devices 0 and 1 both saw; NaN without any."""
+    """Mean epipolar distance over the marks that devices 0 and 1 both detected; NaN without any."""
     first, second = {}, {}
     for device, view, where in data.groups():
         for mark, pixel in zip(data.mark[where].tolist(), data.pixels[where] - offsets[where], strict=True):
@@ -55,26 +55,26 @@ def epipolar_px(left: CameraModel, right: CameraModel, data: Observations, offse
     return float(epipolar_distances(left, right, in_left, in_right).mean())
 
 
-def difference_px(one: CameraModel, other: CameraModel, *, turned: bool = True) -> Array:
-    """How far two models of one device put the same ray apart, (rows, columns, 2) px, on a grid over the image.
+def difference_px(one: CameraModel, other: CameraModel, *, rotation_removed: bool = True) -> Array:
+    """Difference of the pixels of the same ray by two models of one device, (rows, columns, 2) px, on an image grid.
 
     Args:
-        one: whose pixels are looked at.
+        one: the model whose pixels define the rays.
         other: of the same size.
-        turned: whether the best small rotation is taken out first: a shifted principal point is nearly a turned
-            device, and the poses found with each model make up for it.
+        rotation_removed: whether the best small rotation is removed first: a shifted principal point is nearly a
+            rotated device, for which the poses found with each model compensate.
     """
     width, height = one.size
     u, v = np.meshgrid(np.linspace(0, width - 1, 21), np.linspace(0, height - 1, 17))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
     rays = _homogeneous(one.normalise(pixels))
-    seen, _, of_ray = image_with_slopes(intrinsics_of(other), rays)
-    away = seen - pixels
-    if turned:
-        by_turn = np.cross(rays[:, None], of_ray).reshape(-1, 3)
-        turn = np.linalg.lstsq(by_turn, -away.ravel(), rcond=None)[0]
-        away = away + (by_turn @ turn).reshape(-1, 2)
-    return np.asarray(away.reshape(17, 21, 2))
+    projected, _, of_ray = image_with_slopes(intrinsics_of(other), rays)
+    deviation = projected - pixels
+    if rotation_removed:
+        by_rotation = np.cross(rays[:, None], of_ray).reshape(-1, 3)
+        rotation = np.linalg.lstsq(by_rotation, -deviation.ravel(), rcond=None)[0]
+        deviation = deviation + (by_rotation @ rotation).reshape(-1, 2)
+    return np.asarray(deviation.reshape(17, 21, 2))
 
 
 def _homogeneous(points: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Figures about a solution that the file and the report share: coverage, epipolar error by view, old against new."""
+"""Figures of a solution for the file and the report: coverage, errors by view, values by name."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.calibrate.bundle.adjust.state import INTRINSICS, POSE, intrinsics_of
 from pipeline.calibrate.bundle.quality.reprojection_error import epipolar_distances
 from pipeline.calibrate.bundle.solution import Solution
 from pipeline.rig.calibration import Cameras
@@ -17,13 +18,10 @@ from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 
-INTRINSICS = ("fx", "fy", "skew", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-POSE = ("rotation_x", "rotation_y", "rotation_z", "translation_x", "translation_y", "translation_z")
-
 
 @dataclass(frozen=True, slots=True)
 class ViewFigures:
-    """Errors of one view, px: rms by device, and the mean epipolar distance (NaN where only one camera saw it)."""
+    """Errors of one view, px: rms by device, and the mean epipolar distance (NaN where only one camera detected it)."""
 
     name: str
     rms: dict[str, float]
@@ -50,21 +48,21 @@ def view_figures(solution: Solution) -> list[ViewFigures]:
 def _epipolar(solution: Solution, name: str, pose: tuple[Array, Array]) -> float:
     """Mean distance of the marks, as points, from their partners' epipolar lines."""
     world = solution.board_points @ pose[0].T + pose[1]
-    places: list[dict[int, Array]] = []
+    positions: list[dict[int, Array]] = []
     for device in ("left", "right"):
         residuals = solution.residuals.get((name, device))
         if residuals is None:
             return float("nan")
         points = solution.devices[device].project(world)
-        # The adjustment may have renumbered the marks: a mark is the one whose image is nearest to its prediction.
+        # The adjustment may have renumbered the marks: each is the one whose image is nearest to its prediction.
         predicted = residuals.pixels - residuals.misfit
         marks = np.linalg.norm(predicted[:, None] - points[None], axis=2).argmin(axis=1)
-        # The image of the mark's point, moved by what was measured beside the prediction: no centroid any more.
-        places.append(dict(zip(marks.tolist(), points[marks] + residuals.misfit, strict=True)))
-    both = sorted(places[0].keys() & places[1].keys())
+        # The image of the mark's point plus the residual: a point, no centroid.
+        positions.append(dict(zip(marks.tolist(), points[marks] + residuals.misfit, strict=True)))
+    both = sorted(positions[0].keys() & positions[1].keys())
     if not both:
         return float("nan")
-    in_left, in_right = (np.array([seen[mark] for mark in both]) for seen in places)
+    in_left, in_right = (np.array([pixels[mark] for mark in both]) for pixels in positions)
     return float(epipolar_distances(solution.devices["left"], solution.devices["right"], in_left, in_right).mean())
 
 
@@ -81,14 +79,13 @@ def values_of(cameras: Cameras) -> dict[str, float]:
 
 def device_values(device: CameraModel) -> dict[str, float]:
     """The sixteen numbers of one device."""
-    m = device.matrix
-    inner = [m[0, 0], m[1, 1], m[0, 1], m[0, 2], m[1, 2], *device.distortion]
-    turn = np.asarray(cv2.Rodrigues(device.rotation)[0]).ravel()
-    return dict(zip((*INTRINSICS, *POSE), map(float, [*inner, *turn, *device.translation]), strict=True))
+    vector = np.asarray(cv2.Rodrigues(device.rotation)[0]).ravel()
+    values = [*intrinsics_of(device), *vector, *device.translation]
+    return dict(zip((*INTRINSICS, *POSE), map(float, values), strict=True))
 
 
 def quality_of(solution: Solution, *, board: str, coverage: Mapping[str, float]) -> dict[str, Any]:
-    """The ``quality`` part of the calibration file; ``coverage``: share of each device's image that saw marks."""
+    """The ``quality`` part of the calibration file; ``coverage``: share of each device's image covered by marks."""
     quality: dict[str, Any] = dict(solution.quality())
     quality |= {f"coverage_{device}": round(share, 3) for device, share in coverage.items()}
     quality["board"] = board

@@ -1,4 +1,4 @@
-"""How each device sees the board in each view: place, size, tilt. Needs no calibration, a focal length at most."""
+"""Position, size and tilt of the board in each view of each device, without a calibration."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ Array = NDArray[np.float64]
 CELLS = (6, 5)
 """Columns and rows of the cells in which the coverage of an image is counted."""
 _USUAL_FOCAL = 3.0
-"""Focal length in image widths where the views do not tell it yet."""
+"""Focal length in image widths where the views do not determine it yet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
-    """The board in one image.
+class ViewGeometry:
+    """Position, size and tilt of the board in one image.
 
     Args:
-        place: (u, v) of the middle of its marks as shares of the image, 0 to 1.
+        position: (u, v) of the middle of its marks as shares of the image, 0 to 1.
         size: square root of the share of the image that its marks enclose.
         tilt_deg: angle between line of sight and board normal, from foreshortening alone: no focal length enters.
         tilt_x_deg, tilt_y_deg: about the image's x axis (positive: lower edge further away) and y axis (positive:
             right edge further away); their signs come from perspective.
-        turn: (2, 2) foreshortening relative to the best similarity, which tells tilts apart without their signs.
+        turn: (2, 2) foreshortening relative to the best similarity, which distinguishes tilts without their signs.
         distance_mm: to the middle of the marks, with the focal length that was assumed.
         cells: (rows, columns) of :data:`CELLS` that hold marks.
-        marks: how many.
+        marks: count.
     """
 
-    place: tuple[float, float]
+    position: tuple[float, float]
     size: float
     tilt_deg: float
     tilt_x_deg: float
@@ -48,7 +48,7 @@ class Look:
     marks: int
 
 
-def looks(
+def view_geometries(
     board: Board,
     views: Sequence[BoardView],
     device: str,
@@ -56,8 +56,8 @@ def looks(
     *,
     model: CameraModel | None = None,
     least_marks: int = 8,
-) -> dict[int, Look]:
-    """View number -> how the device sees it; views with too few marks are not there."""
+) -> dict[int, ViewGeometry]:
+    """View number -> geometry of the board in the device's image; views with too few marks are left out."""
     points = board.points
     marks = {
         k: view.marks[device] for k, view in enumerate(views)
@@ -65,7 +65,7 @@ def looks(
     }  # fmt: skip
     maps = {k: homography(points[m.ids, :2], m.pixels)[0] for k, m in marks.items()}
     matrix = model.matrix if model is not None else _assumed(list(maps.values()), size)
-    return {k: _look(points, marks[k], maps[k], matrix, size) for k in maps}
+    return {k: _view_geometry(points, marks[k], maps[k], matrix, size) for k in maps}
 
 
 def _assumed(maps: list[Array], size: tuple[int, int]) -> Array:
@@ -76,7 +76,7 @@ def _assumed(maps: list[Array], size: tuple[int, int]) -> Array:
     return np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
 
 
-def _look(points: Array, marks: Marks, h: Array, matrix: Array, size: tuple[int, int]) -> Look:
+def _view_geometry(points: Array, marks: Marks, h: Array, matrix: Array, size: tuple[int, int]) -> ViewGeometry:
     middle = points[:, :2].mean(axis=0)
     affine, centre = _local(h, middle)
     u, s, _ = np.linalg.svd(affine)
@@ -90,7 +90,7 @@ def _look(points: Array, marks: Marks, h: Array, matrix: Array, size: tuple[int,
     cells[row, column] = True
     extent = points[:, :2].max(axis=0) - points[:, :2].min(axis=0)
     area = abs(np.linalg.det(affine)) * extent[0] * extent[1] / (size[0] * size[1])
-    return Look(
+    return ViewGeometry(
         (float(centre[0] / (size[0] - 1)), float(centre[1] / (size[1] - 1))),
         float(np.sqrt(area)),
         float(np.degrees(np.arccos(np.clip(s[1] / s[0], 0, 1)))),
@@ -104,7 +104,7 @@ def _look(points: Array, marks: Marks, h: Array, matrix: Array, size: tuple[int,
 
 
 def _local(h: Array, at: Array) -> tuple[Array, Array]:
-    """Derivative (2, 2) and value (2,) of a homography at a place on the board."""
+    """Derivative (2, 2) and value (2,) of a homography at a position on the board."""
     a = h @ np.array([at[0], at[1], 1.0])
     value = a[:2] / a[2]
     return (h[:2, :2] - np.outer(value, h[2, :2])) / a[2], value
@@ -119,21 +119,21 @@ def _towards(direction: Array) -> Array:
     return np.asarray(np.eye(3) + k + k @ k / (1 + c))
 
 
-def pooled(per_device: Mapping[str, dict[int, Look]]) -> dict[int, Look]:
-    """One look a view: the mean tilts over the devices that saw it, the rest from the first of them.
+def pooled(per_device: Mapping[str, dict[int, ViewGeometry]]) -> dict[int, ViewGeometry]:
+    """One geometry a view: the mean tilts over the devices that detected it, the rest from the first of them.
 
-    The mean of left and right is about how somebody between the cameras sees the board.
+    The mean of left and right is about the geometry for a viewer between the cameras.
     """
-    result: dict[int, Look] = {}
-    for view in sorted({view for seen in per_device.values() for view in seen}):
-        some = [seen[view] for seen in per_device.values() if view in seen]
-        first = some[0]
-        result[view] = Look(
-            first.place,
+    result: dict[int, ViewGeometry] = {}
+    for view in sorted({view for geometries in per_device.values() for view in geometries}):
+        pool = [geometries[view] for geometries in per_device.values() if view in geometries]
+        first = pool[0]
+        result[view] = ViewGeometry(
+            first.position,
             first.size,
-            max(look.tilt_deg for look in some),
-            float(np.mean([look.tilt_x_deg for look in some])),
-            float(np.mean([look.tilt_y_deg for look in some])),
+            max(geometry.tilt_deg for geometry in pool),
+            float(np.mean([geometry.tilt_x_deg for geometry in pool])),
+            float(np.mean([geometry.tilt_y_deg for geometry in pool])),
             first.turn,
             first.distance_mm,
             first.cells,

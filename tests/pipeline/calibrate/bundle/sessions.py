@@ -1,4 +1,4 @@
-"""Made-up sessions with known truth: marks without images."""
+"""Synthetic sessions with known truth: marks without images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim.rig.layout import RigLayout
 
 
 def rotation(x: float, y: float, z: float) -> np.ndarray:
-    """Turns about x, then y, then z, degrees."""
+    """Rotations about x, then y, then z, degrees."""
     a, b, c = np.radians([x, y, z])
     rx = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
     ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
@@ -41,14 +41,14 @@ def session(
     n: int = 12,
     seed: int = 0,
     sigma: float = 0.0,
-    told_sigma: float | None = None,
+    expected_sigma: float | None = None,
     layout: RigLayout | None = None,
     devices: tuple[str, ...] = ("left", "right", "projector"),
     tilt: float = 40.0,
     pose_seed: int = 0,
     margin: float = 0.0,
     points: np.ndarray | None = None,
-    places: list[tuple] | None = None,
+    board_poses: list[tuple] | None = None,
 ) -> tuple[list[BoardView], dict[str, tuple[int, int]], dict[str, CameraModel]]:
     """Views, sizes and the true devices; marks outside an image are missing."""
     layout = layout or RigLayout()
@@ -57,13 +57,15 @@ def session(
     rng = np.random.default_rng(seed)
     where = board.points if points is None else points
     views = []
-    for k, (r, t) in enumerate(places or poses(n, pose_seed, board, layout, tilt=tilt)):
+    for k, (r, t) in enumerate(board_poses or poses(n, pose_seed, board, layout, tilt=tilt)):
         marks = {}
         for name, model in models.items():
             pixels = model.project(where @ r.T + t)
             inside = ((pixels > margin) & (pixels < np.array(model.size) - 1 - margin)).all(axis=1)
             noisy = pixels + sigma * rng.standard_normal(pixels.shape)
-            told = np.full(len(where), sigma or 0.02) if told_sigma is None else np.full(len(where), told_sigma)
-            marks[name] = Marks(np.arange(len(where)), noisy, told).some(inside)
+            sigmas = (
+                np.full(len(where), sigma or 0.02) if expected_sigma is None else np.full(len(where), expected_sigma)
+            )
+            marks[name] = Marks(np.arange(len(where)), noisy, sigmas).some(inside)
         views.append(BoardView(f"view_{k:02d}", marks))
     return views, {name: model.size for name, model in models.items()}, models

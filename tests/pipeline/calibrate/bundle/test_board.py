@@ -1,4 +1,4 @@
-"""A board that is not flat, or not printed to scale, is measured along with the rig."""
+"""A board that is not flat, or not printed to scale, is estimated together with the rig."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ PAIR = ("left", "right")
 
 
 def bent() -> np.ndarray:
-    """Bent by 1.5 mm, and each mark printed somewhat elsewhere."""
+    """Bent by 1.5 mm, and each mark displaced by random print errors."""
     points = DEFAULT_BOARD.points
     middle, half = points.mean(axis=0), np.ptp(points, axis=0)[:2] / 2
     x, y = ((points - middle)[:, :2] / half).T
@@ -21,7 +21,7 @@ def bent() -> np.ndarray:
 
 
 def gauged(points: np.ndarray) -> np.ndarray:
-    """The same shape where it fits the nominal grid best, with the best scale (Procrustes)."""
+    """The same shape, fitted to the nominal grid with the best scale (Procrustes)."""
     nominal = DEFAULT_BOARD.points
     a, b = points - points.mean(axis=0), nominal - nominal.mean(axis=0)
     for _ in range(20):
@@ -35,9 +35,9 @@ def gauged(points: np.ndarray) -> np.ndarray:
 def test_exact_marks_of_a_bent_board_give_rig_and_board():
     views, sizes, truth = session(points=bent())
     solution = calibrate(DEFAULT_BOARD, views, sizes, options=Options(board_refined=True))
-    wanted = gauged(bent())
-    factor = np.linalg.norm(wanted[98] - wanted[0]) / np.linalg.norm(bent()[98] - bent()[0])
-    assert np.abs(solution.board_points - wanted).max() < 1e-4
+    expected = gauged(bent())
+    factor = np.linalg.norm(expected[98] - expected[0]) / np.linalg.norm(bent()[98] - bent()[0])
+    assert np.abs(solution.board_points - expected).max() < 1e-4
     for name, model in solution.devices.items():
         assert np.abs(model.matrix - truth[name].matrix).max() < 1e-3
         assert np.abs(model.translation - factor * truth[name].translation).max() < 1e-3

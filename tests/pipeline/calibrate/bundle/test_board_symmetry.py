@@ -1,4 +1,4 @@
-"""Numbering that was mixed up is repaired where the geometry tells; mirrored and swapped images are refused."""
+"""Symmetric renumberings are repaired where the geometry is unique; mirrored and swapped images are refused."""
 
 from functools import cache
 
@@ -31,7 +31,7 @@ def by_name(board: Board, name: str) -> np.ndarray:
 
 
 def mirrored(view: BoardView, devices, sizes, board=DEFAULT_BOARD) -> BoardView:
-    """As a finder that numbers along the image's rows sees mirrored images of a grid of circles."""
+    """The detection in mirrored images of a grid of circles, which is numbered along the image's rows."""
     permutation = by_name(board, "mirrored left to right")
     marks = dict(view.marks)
     for device in devices:
@@ -48,24 +48,24 @@ def mirrored(view: BoardView, devices, sizes, board=DEFAULT_BOARD) -> BoardView:
 )  # fmt: skip
 def test_symmetries_map_the_marks_onto_themselves(text, count):
     board = parse_board(text)
-    known = symmetries(board)
-    assert len(known) == count and np.array_equal(known[0].permutation, np.arange(len(board.points)))
-    for s in known:
+    found = symmetries(board)
+    assert len(found) == count and np.array_equal(found[0].permutation, np.arange(len(board.points)))
+    for s in found:
         assert sorted(s.permutation) == list(range(len(board.points)))
-        assert np.abs(board.points[s.permutation] - board.points @ s.turn.T - s.shift).max() < 1e-9
-        assert np.linalg.det(s.turn) == pytest.approx(1)
+        assert np.abs(board.points[s.permutation] - board.points @ s.rotation.T - s.shift).max() < 1e-9
+        assert np.linalg.det(s.rotation) == pytest.approx(1)
 
 
 @pytest.mark.parametrize(
-    ("board", "turn"),
+    ("board", "motion"),
     [(DEFAULT_BOARD, "turned by 180 degrees"), (SQUARE, "turned by 90 degrees"), (SQUARE, "turned by 270 degrees"),
      (DEFAULT_BOARD, "mirrored left to right"), (DEFAULT_BOARD, "mirrored top to bottom")],
 )  # fmt: skip
 @pytest.mark.parametrize("device", ["left", "right", "projector"])
-def test_one_view_numbered_otherwise_is_repaired(board, turn, device):
+def test_one_view_numbered_otherwise_is_repaired(board, motion, device):
     views, sizes, _ = session(board, sigma=0.03)
     straight = as_numbered(board)
-    views[5] = renumbered(views[5], device, by_name(board, turn))
+    views[5] = renumbered(views[5], device, by_name(board, motion))
     solution = calibrate(board, views, sizes)
     assert {r.view for r in solution.rejected} == {"view_05"} and all(r.repaired for r in solution.rejected)
     assert "numbering" in solution.rejected[0].reason
@@ -112,8 +112,8 @@ def test_a_mirrored_projector_is_refused_by_name():
 
 
 @pytest.mark.parametrize("devices", [("left",), ("left", "right")])
-def test_a_board_seen_from_behind_is_refused(devices):
-    """Marks that carry their numbers (or an asymmetric grid) show at once that the image is mirrored."""
+def test_a_board_numbered_from_behind_is_refused(devices):
+    """Marks that carry their numbers, or an asymmetric grid, make a mirrored image detectable."""
     views, sizes, _ = session(sigma=0.03, devices=devices)
     behind = [
         BoardView(

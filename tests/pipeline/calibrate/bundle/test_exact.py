@@ -1,4 +1,4 @@
-"""Exact marks give the exact rig, in whatever order they come, for short and long lenses and any part of the rig."""
+"""Exact marks give the exact rig, in any order, for short and long lenses and any part of the rig."""
 
 import numpy as np
 import pytest
@@ -15,10 +15,13 @@ from tests.pipeline.calibrate.bundle.sessions import poses, session
 
 def agree(solution, truth, *, intrinsic: float = 1e-6, pose: float = 1e-6) -> None:
     for name, model in solution.devices.items():
-        wanted = intrinsics_of(truth[name])
-        away = np.abs(intrinsics_of(model) - wanted)
+        expected = intrinsics_of(truth[name])
+        deviation = np.abs(intrinsics_of(model) - expected)
         # k3 of a long lens is the r^6 term of an image that ends at r = 0.2.
-        assert (away[:5] < intrinsic).all() and (away[5:9] < intrinsic).all() and away[9] < 1e-4, (name, away)
+        assert (deviation[:5] < intrinsic).all() and (deviation[5:9] < intrinsic).all() and deviation[9] < 1e-4, (
+            name,
+            deviation,
+        )
         assert np.abs(model.rotation - truth[name].rotation).max() < pose
         assert np.abs(model.translation - truth[name].translation).max() < 1e3 * pose
 
@@ -78,25 +81,25 @@ def test_a_known_rig_as_start_leads_to_the_same_end():
         assert abs(value - helped.values[name]) < 1e-3 * max(free.sigma[name], 1e-9), name
 
 
-@pytest.mark.parametrize("told", [20.0, 0.0])
-def test_centroids_of_circles_are_not_taken_for_their_centres(told):
+@pytest.mark.parametrize("diameter_mm", [20.0, 0.0])
+def test_centroids_of_circles_are_predicted_as_centroids(diameter_mm):
     """With the offset of each circle predicted the rig is exact; the circles' diameter comes from their areas."""
     views, sizes, truth = session(devices=("left", "right"))
     round_views = []
-    places = poses(12, 0, DEFAULT_BOARD, RigLayout())
-    for view, (r, t) in zip(views, places, strict=True):
+    board_poses = poses(12, 0, DEFAULT_BOARD, RigLayout())
+    for view, (r, t) in zip(views, board_poses, strict=True):
         marks = {}
-        for name, found in view.marks.items():
+        for name, centres in view.marks.items():
             model = truth[name]
-            pose = (model.rotation @ r, model.rotation @ t + model.translation, DEFAULT_BOARD.points[found.ids], 10.0)
+            pose = (model.rotation @ r, model.rotation @ t + model.translation, DEFAULT_BOARD.points[centres.ids], 10.0)
             marks[name] = Marks(
-                found.ids,
+                centres.ids,
                 circle_projection.centroids(model, *pose),
-                found.sigma_px,
+                centres.sigma_px,
                 circle_projection.areas(model, *pose),
             )
         round_views.append(BoardView(view.name, marks))
-    board = Board("circles", 11, 9, 32.0, told)
+    board = Board("circles", 11, 9, 32.0, diameter_mm)
     solution = calibrate(board, round_views, sizes)
     agree(solution, truth, intrinsic=1e-4, pose=1e-7)
     assert abs(solution.diameter_mm - 20) < 1e-5

@@ -1,4 +1,4 @@
-"""Marks and views that do not belong are found by name and left out, and the rest is as good as without them."""
+"""Marks and views that do not fit are rejected by name, and the result is as good as without them."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.pipeline.calibrate.bundle.sessions import session
 
 
 def moved(view: BoardView, device: str, ids, by) -> BoardView:
-    """The same view with some marks of one device elsewhere."""
+    """The same view with some marks of one device displaced."""
     old = view.marks[device]
     pixels = old.pixels.copy()
     pixels[np.isin(old.ids, ids)] += by
@@ -34,7 +34,7 @@ def test_clean_marks_are_all_used(clean):
 
 
 @pytest.mark.parametrize("far", [0.4, 5.0, 300.0])
-def test_single_wrong_marks_are_named(clean, far):
+def test_single_wrong_marks_are_rejected_by_number(clean, far):
     views, sizes, _, without = clean
     wrong = list(views)
     planted = {(2, "left"): [17, 40], (2, "right"): [50], (7, "projector"): [3], (9, "left"): [60, 61, 62, 63]}
@@ -49,7 +49,7 @@ def test_single_wrong_marks_are_named(clean, far):
     close(solution, without)
 
 
-def test_a_board_that_moved_between_the_images_is_left_out_with_the_reason(clean):
+def test_a_board_that_moved_between_the_images_is_rejected_with_the_reason(clean):
     views, sizes, _, without = clean
     other = session(sigma=0.03, pose_seed=9)[0][4]
     wrong = list(views)
@@ -65,8 +65,8 @@ def test_a_board_that_moved_between_the_images_is_left_out_with_the_reason(clean
 
 
 @pytest.mark.parametrize("by_px", [1.0, 4.0])
-def test_an_image_slightly_displaced_is_found_too(clean, by_px):
-    """A board nudged by half a millimetre between left and right: both images alone are perfect."""
+def test_a_slightly_displaced_image_is_rejected(clean, by_px):
+    """A board moved by half a millimetre between left and right: each image alone is exact."""
     views, sizes, _, without = clean
     wrong = list(views)
     wrong[6] = moved(wrong[6], "right", np.arange(99), (0.6 * by_px, by_px))
@@ -75,7 +75,7 @@ def test_an_image_slightly_displaced_is_found_too(clean, by_px):
     close(solution, without, sigmas=2)
 
 
-def test_a_projector_image_that_does_not_fit_costs_only_itself(clean):
+def test_a_projector_image_that_does_not_fit_is_rejected_alone(clean):
     views, sizes, _, _ = clean
     wrong = list(views)
     wrong[6] = moved(wrong[6], "projector", np.arange(99), (40.0, 3.0))
@@ -97,13 +97,13 @@ def test_an_image_with_few_marks_and_an_empty_view_are_named(clean):
         ("view_08", "left"),
         ("empty", ""),
     }
-    assert "lie in one line" in {r.view: r.reason for r in solution.rejected}["view_08"]
+    assert "lie on one line" in {r.view: r.reason for r in solution.rejected}["view_08"]
     assert solution.views_used == 12 and solution.views_rejected == 1 and solution.poses[12] is None
 
 
 def test_two_views_of_one_name_are_refused(clean):
     views, sizes, _, _ = clean
-    with pytest.raises(CalibrationError, match="view_03 is there twice"):
+    with pytest.raises(CalibrationError, match="view_03 occurs twice"):
         calibrate(DEFAULT_BOARD, [*views, views[3]], sizes)
 
 

@@ -1,11 +1,11 @@
-"""The projection is the camera model's, and its derivatives are those of the differences."""
+"""The projection is the camera model's, and its derivatives are the limits of differences."""
 
 import numpy as np
 import pytest
 
 from pipeline.calibrate.bundle.adjust.projection import project, project_with_slopes
 from pipeline.calibrate.bundle.adjust.state import PER_DEVICE, PER_VIEW, State, intrinsics_of, rotation_matrices
-from pipeline.calibrate.bundle.adjust.uncertainty import rotation_vector, turn_to_vector
+from pipeline.calibrate.bundle.adjust.uncertainty import left_jacobian_inverse, rotation_vector
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.rig.camera_model import CameraModel
 
@@ -58,17 +58,17 @@ def test_derivatives_are_the_limits_of_differences(seed):
         change = np.zeros(len(size))
         change[k] = step
         numeric = (project(s.stepped(change), *index) - project(s.stepped(-change), *index)) / (2 * step)
-        told = np.zeros_like(numeric)
+        analytic = np.zeros_like(numeric)
         if k < d:
             chosen = device == k // PER_DEVICE
-            told[chosen] = slopes.of_device[chosen, :, k % PER_DEVICE]
+            analytic[chosen] = slopes.of_device[chosen, :, k % PER_DEVICE]
         elif k < d + v:
             chosen = view == (k - d) // PER_VIEW
-            told[chosen] = slopes.of_view[chosen, :, (k - d) % PER_VIEW]
+            analytic[chosen] = slopes.of_view[chosen, :, (k - d) % PER_VIEW]
         else:
             chosen = mark == (k - d - v) // 3
-            told[chosen] = slopes.of_point[chosen, :, (k - d - v) % 3]
-        assert np.abs(numeric - told).max() < 2e-6 * max(1.0, np.abs(told).max()), k
+            analytic[chosen] = slopes.of_point[chosen, :, (k - d - v) % 3]
+        assert np.abs(numeric - analytic).max() < 2e-6 * max(1.0, np.abs(analytic).max()), k
 
 
 def test_a_mark_behind_a_device_has_no_pixels():
@@ -91,14 +91,14 @@ def test_rotation_vectors_are_those_of_the_matrices_up_to_half_a_turn(seed):
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-3, 0.4, 2.0])
-def test_a_small_turn_changes_the_rotation_vector_as_told(angle):
+def test_the_derivative_of_the_rotation_vector_is_the_limit_of_differences(angle):
     vector = angle * np.array([0.48, -0.6, 0.64])
-    matrix, told = rotation_matrices(vector[None])[0], turn_to_vector(vector)
+    matrix, analytic = rotation_matrices(vector[None])[0], left_jacobian_inverse(vector)
     for k in range(3):
-        turn = 1e-6 * np.eye(3)[k]
-        ahead = rotation_vector(rotation_matrices(turn[None])[0] @ matrix)
-        back = rotation_vector(rotation_matrices(-turn[None])[0] @ matrix)
-        assert np.abs((ahead - back) / 2e-6 - told[:, k]).max() < 1e-6
+        step = 1e-6 * np.eye(3)[k]
+        ahead = rotation_vector(rotation_matrices(step[None])[0] @ matrix)
+        back = rotation_vector(rotation_matrices(-step[None])[0] @ matrix)
+        assert np.abs((ahead - back) / 2e-6 - analytic[:, k]).max() < 1e-6
 
 
 def test_a_model_from_a_state_is_accepted_as_a_rotation():

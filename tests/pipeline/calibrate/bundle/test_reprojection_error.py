@@ -29,19 +29,19 @@ def test_points_lie_on_their_epipolar_lines_and_a_shift_across_them_is_the_dista
     assert np.abs(away - 0.3).max() < 0.03
 
 
-def test_equal_models_do_not_differ_and_a_turn_is_no_difference():
+def test_equal_models_do_not_differ_and_a_rotation_is_removed():
     assert np.abs(difference_px(RIG.left, RIG.left)).max() < 1e-9
     matrix = RIG.left.matrix.copy()
     matrix[0, 2] += 1.0
     shifted = replace(RIG.left, matrix=matrix)
-    assert np.abs(difference_px(RIG.left, shifted, turned=False)[..., 0] - 1).max() < 1e-9
-    # A shift of 1 px is a turn of 1 / 3413 rad up to perspective and distortion.
+    assert np.abs(difference_px(RIG.left, shifted, rotation_removed=False)[..., 0] - 1).max() < 1e-9
+    # A shift of 1 px is a rotation of 1 / 3413 rad up to perspective and distortion.
     assert np.abs(difference_px(RIG.left, shifted)).max() < 0.03
-    turn = rotation_matrices(np.array([[1e-4, -2e-4, 3e-4]]))[0]
-    assert np.abs(difference_px(RIG.left, replace(RIG.left, rotation=turn))).max() < 1e-9
+    rotation = rotation_matrices(np.array([[1e-4, -2e-4, 3e-4]]))[0]
+    assert np.abs(difference_px(RIG.left, replace(RIG.left, rotation=rotation))).max() < 1e-9
 
 
-def test_distortion_is_known_to_hundredths_of_a_pixel_although_its_coefficients_are_not():
+def test_distortion_is_accurate_to_hundredths_of_a_pixel_although_its_coefficients_are_not():
     views, sizes, truth = session(sigma=0.02, seed=4)
     solution = calibrate(DEFAULT_BOARD, views, sizes)
     assert solution.sigma["left.k3"] > 2

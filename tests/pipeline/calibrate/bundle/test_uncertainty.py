@@ -1,4 +1,4 @@
-"""The reported standard deviations are those that repeated sessions show."""
+"""The reported standard deviations agree with the scatter of repeated sessions."""
 
 import numpy as np
 import pytest
@@ -12,39 +12,39 @@ from tests.pipeline.calibrate.bundle.sessions import session
 
 @pytest.mark.slow
 def test_standard_deviations_agree_with_the_scatter_of_twenty_sessions():
-    """Although the marks promise less noise (0.02 px) than they have (0.03 px)."""
-    values, told = [], []
+    """Although the expected noise of the marks (0.02 px) is less than the true one (0.03 px)."""
+    values, reported = [], []
     start = session()[2]
     for seed in range(20):
-        views, sizes, _ = session(sigma=0.03, told_sigma=0.02, seed=seed)
+        views, sizes, _ = session(sigma=0.03, expected_sigma=0.02, seed=seed)
         solution = calibrate(DEFAULT_BOARD, views, sizes, start=start)
         values.append(solution.values)
-        told.append(solution.sigma)
+        reported.append(solution.sigma)
         assert solution.rejected == ()
         # 0.03 px in both coordinates, less what the parameters take.
         assert all(abs(rms / (0.03 * np.sqrt(2)) - 1) < 0.05 for rms in solution.rms.values())
     ratios = {}
-    for name in told[0]:
+    for name in reported[0]:
         if name.startswith(("left.rotation", "left.translation")):
-            assert told[0][name] == 0
+            assert reported[0][name] == 0
             continue
         scatter = np.std([one[name] for one in values], ddof=1)
-        ratios[name] = scatter / np.mean([one[name] for one in told])
+        ratios[name] = scatter / np.mean([one[name] for one in reported])
     assert min(ratios.values()) > 1 / 1.5 and max(ratios.values()) < 1.5, ratios
     assert abs(np.median(list(ratios.values())) - 1) < 0.15
     assert {"baseline_mm", "angle_deg", "left.fx", "right.rotation_y", "projector.cx"} <= set(ratios)
 
 
-def test_errors_are_as_large_as_their_standard_deviations_say():
+def test_errors_agree_with_their_standard_deviations():
     """Over all parameters of one session: the Mahalanobis distance of the truth is that of a chi-square."""
     views, sizes, truth = session(sigma=0.03, seed=11)
     solution = calibrate(DEFAULT_BOARD, views, sizes)
     exact = calibrate(DEFAULT_BOARD, session(seed=11)[0], sizes, start=truth)
     free = [k for k, name in enumerate(solution.names) if solution.sigma[name] > 0]
-    away = np.array([solution.values[solution.names[k]] - exact.values[solution.names[k]] for k in free])
+    deviation = np.array([solution.values[solution.names[k]] - exact.values[solution.names[k]] for k in free])
     covariance = solution.covariance[np.ix_(free, free)]
     size = np.sqrt(np.diag(covariance))
-    squared = (away / size) @ np.linalg.solve(covariance / np.outer(size, size), away / size)
+    squared = (deviation / size) @ np.linalg.solve(covariance / np.outer(size, size), deviation / size)
     assert len(free) == 42
     assert 42 - 4 * np.sqrt(84) < squared < 42 + 4 * np.sqrt(84)
 
@@ -66,11 +66,11 @@ def test_each_device_has_its_own_noise():
 
 
 @pytest.mark.parametrize(("floor", "factor"), [(0.0, 1.0), (0.04, 1.0), (0.3, 1.0), (0.0, 0.4)])
-def test_the_noise_floor_is_found(floor, factor):
+def test_the_noise_floor_is_estimated(floor, factor):
     rng = np.random.default_rng(1)
     sigma = rng.uniform(0.01, 0.1, 20_000)
     squares = (np.hypot(factor * sigma, floor)[:, None] ** 2 * rng.standard_normal((20_000, 2)) ** 2).sum(axis=1)
-    found = noise_floor(squares, sigma, 40_000.0)
-    spread = np.hypot(found[1] * sigma, found[0])
+    estimate = noise_floor(squares, sigma, 40_000.0)
+    spread = np.hypot(estimate[1] * sigma, estimate[0])
     assert np.abs(np.sqrt((squares / spread**2).sum() / 40_000) - 1) < 1e-6
-    assert abs(found[0] - floor) < 0.01 * floor + 0.005 and abs(found[1] - factor) < 0.02
+    assert abs(estimate[0] - floor) < 0.01 * floor + 0.005 and abs(estimate[1] - factor) < 0.02

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.apps.calibration.guided.pose_overlay import USUAL_FOCAL, outline, within
-from pipeline.calibrate.bundle.quality.view_assessment import Pose, missing
-from pipeline.calibrate.bundle.quality.view_coverage import looks
+from pipeline.calibrate.bundle.quality.view_assessment import Pose, assess_views
+from pipeline.calibrate.bundle.quality.view_coverage import view_geometries
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
 from pipeline.calibrate.targets.marks import BoardView, Marks
 
@@ -41,15 +41,15 @@ def test_a_board_that_fills_its_ghost_is_at_the_wished_pose(
 ) -> None:
     pose = Pose(tilt_x, tilt_y, (u, v), distance, "")
     corners = outline(BOARD, pose, SIZE, distance_mm=1500.0)
-    look = looks(BOARD, [seen(corners)], "left", SIZE)[0]
-    assert look.tilt_x_deg == pytest.approx(tilt_x, abs=0.02)
-    assert look.tilt_y_deg == pytest.approx(tilt_y, abs=0.02)
-    assert look.place == pytest.approx((u, v), abs=2e-3)
-    assert look.distance_mm == pytest.approx(1500 * distance, rel=1e-3)
+    geometry = view_geometries(BOARD, [seen(corners)], "left", SIZE)[0]
+    assert geometry.tilt_x_deg == pytest.approx(tilt_x, abs=0.02)
+    assert geometry.tilt_y_deg == pytest.approx(tilt_y, abs=0.02)
+    assert geometry.position == pytest.approx((u, v), abs=2e-3)
+    assert geometry.distance_mm == pytest.approx(1500 * distance, rel=1e-3)
 
 
 def test_the_first_ghost_is_in_the_middle_and_of_a_usual_size() -> None:
-    corners = outline(BOARD, missing(BOARD, [], {"left": SIZE}).next_pose, SIZE)
+    corners = outline(BOARD, assess_views(BOARD, [], {"left": SIZE}).next_pose, SIZE)
     assert corners[0].tolist() == corners[4].tolist()
     assert np.ptp(corners[:, 0]) == pytest.approx(0.6 * SIZE[0], rel=0.1)
     assert corners[:4].mean(axis=0) == pytest.approx([511.5, 409.5], abs=1)
