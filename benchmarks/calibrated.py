@@ -25,7 +25,7 @@ from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
 from pipeline.calibrate.targets.marks import BoardView
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Sequence, projector_sequence
+from pipeline.pattern.sequence import FrameSequence, projector_sequence
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
@@ -50,7 +50,7 @@ class Rig:
     optics: Optics
     seed: int = 0
 
-    def pairs(self, stage: Stage, sequence: Sequence, calibration: ColorSolution | None, seed: int) -> list[Pair]:
+    def pairs(self, stage: Stage, sequence: FrameSequence, calibration: ColorSolution | None, seed: int) -> list[Pair]:
         """Both cameras' images of every frame, shown through the inverse of the response that is known."""
         response = None if calibration is None else calibration.response
         return [
@@ -66,7 +66,9 @@ def colors(rig: Rig, geometry: Calibration | None = None) -> ColorSolution:
     return calibrate_color(rig.pairs(stage, sequence, None, 1), sequence, calibration=geometry)
 
 
-def view_of(rig: Rig, board: Board, pose: object, sequence: Sequence, color: ColorSolution, number: int) -> BoardView:
+def view_of(
+    rig: Rig, board: Board, pose: object, sequence: FrameSequence, color: ColorSolution, number: int
+) -> BoardView:
     """One place of the board: marks in both cameras, and where the projector's image meets them."""
     stage = Stage(rig.layout, board_scene(board, pose), fine(rig.optics))  # type: ignore[arg-type]
     pairs = rig.pairs(stage, sequence, color, 100 + number)

@@ -16,7 +16,7 @@ from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, Method, RpcError
 from daemon.control.sequence_capture import LONGEST_HOLD_S, MOST_PAIRS, Capture, Order
 from daemon.live.service import Service
 from pipeline.common.errors import CalibrationError, PatternError
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.pattern.sequence import from_mapping as sequence_from_mapping
 from pipeline.rig.calibration import Response
 
@@ -78,7 +78,7 @@ class CalibrateMethods:
         if self._capture.active:
             raise RpcError(FAILED, "the projector is showing images for a capture; end it with calibrate.cancel")
 
-    def _sequence(self, params: dict[str, Any]) -> Sequence:
+    def _sequence(self, params: dict[str, Any]) -> FrameSequence:
         data = {"kind": "sequence", "name": params.get("name", "capture"), "frames": params.get("frames")}
         try:
             sequence = sequence_from_mapping(data)

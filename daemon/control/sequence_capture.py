@@ -28,7 +28,7 @@ from daemon.live.projection.confirmed_capture import CaptureCancelledError, Conf
 from daemon.live.service import Service
 from daemon.recording.format.raw_image import ENCODINGS
 from drivers.protocols import SIDES
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.calibration import Response
 
 log = logging.getLogger("fringed.capture")
@@ -55,7 +55,7 @@ class Order:
         pairs: how often it is gone through; hold_s: how long the last image stays afterwards, for the next order.
     """
 
-    sequence: Sequence
+    sequence: FrameSequence
     pairs: int = 1
     hold_s: float = 0.0
     response: Response | None = None

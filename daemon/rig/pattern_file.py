@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from daemon.common.bounded import read_at_most
 from pipeline.common.errors import PatternError, PipelineError
 from pipeline.pattern.color_fringe import ColorFringe, from_mapping
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.pattern.sequence import from_mapping as sequence_from_mapping
 from pipeline.rig.volume import Volume
 
@@ -30,7 +30,7 @@ def parse_pattern(data: bytes, name: str) -> ColorFringe:
     return _named(name, PatternError, lambda: from_mapping(_object(data, name, PatternError)))
 
 
-def parse_sequence(data: bytes, name: str) -> Sequence | None:
+def parse_sequence(data: bytes, name: str) -> FrameSequence | None:
     """The sequence in the bytes of a file, None where it holds a single pattern; ``name`` is what errors call it."""
     found = _object(data, name, PatternError)
     if found.get("kind") != "sequence":

@@ -6,7 +6,7 @@ points: what it costs is coverage.
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -57,7 +57,9 @@ class ColorSets:
             one.correction, one.calibrated = correction, calibrated
             one.clear_prior()
 
-    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], stride: int, watch: Stopwatch) -> Cloud:
+    def cloud(
+        self, lefts: Sequence[NDArray[Any]], rights: Sequence[NDArray[Any]], stride: int, watch: Stopwatch
+    ) -> Cloud:
         """The cloud of a set."""
         for side, images in (("left", lefts), ("right", rights)):
             if len(images) != len(self._reconstructors):

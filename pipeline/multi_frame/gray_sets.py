@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -71,7 +71,9 @@ class GreySets:
         """As it was at :meth:`keep`."""
         self.correction, self.calibrated = kept
 
-    def cloud(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], stride: int, watch: Stopwatch) -> Cloud:
+    def cloud(
+        self, lefts: Sequence[NDArray[Any]], rights: Sequence[NDArray[Any]], stride: int, watch: Stopwatch
+    ) -> Cloud:
         """The cloud of a set."""
         left = self._decoders[0].decode(lefts, "left")
         right = self._decoders[1].decode(rights, "right")

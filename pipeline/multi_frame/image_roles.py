@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.common.errors import PatternError
 from pipeline.multi_frame.n_step import solution_of
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Axis, Fringe, GrayBit, Sequence
+from pipeline.pattern.sequence import Axis, FrameSequence, Fringe, GrayBit
 
 F32 = NDArray[np.float32]
 Kind = Literal["two_color", "heterodyne", "gray"]
@@ -89,7 +89,7 @@ class Plan:
         return float(self.shares @ means) if means else 0.0
 
 
-def plan_of(sequence: Sequence) -> Plan:
+def plan_of(sequence: FrameSequence) -> Plan:
     """Read a sequence; PatternError says what is missing for a measurement."""
     colors = tuple(frame for frame in sequence.frames if isinstance(frame, ColorFringe))
     if len(colors) == len(sequence) == 2:
@@ -111,7 +111,7 @@ def plan_of(sequence: Sequence) -> Plan:
     return Plan("gray" if bits else "heterodyne", sequence.size, axis, fringes, bits, (), len(sequence))
 
 
-def _two_color(sequence: Sequence, colors: tuple[ColorFringe, ...]) -> Plan:
+def _two_color(sequence: FrameSequence, colors: tuple[ColorFringe, ...]) -> Plan:
     first, second = colors
     if first.axis != second.axis or first.profile is not None or second.profile is not None:
         raise PatternError(f"sequence {sequence.name!r}: its colour fringes need one axis and no profile")
@@ -120,7 +120,7 @@ def _two_color(sequence: Sequence, colors: tuple[ColorFringe, ...]) -> Plan:
     return Plan("two_color", sequence.size, first.axis, (), (), colors, 2)
 
 
-def _fringes(sequence: Sequence) -> tuple[Shifted, ...]:
+def _fringes(sequence: FrameSequence) -> tuple[Shifted, ...]:
     found: dict[float, list[int]] = {}
     for number, frame in enumerate(sequence.frames):
         if isinstance(frame, Fringe):
@@ -134,7 +134,7 @@ def _fringes(sequence: Sequence) -> tuple[Shifted, ...]:
     return tuple(out)
 
 
-def _check_bits(sequence: Sequence, bits: tuple[tuple[int, GrayBit], ...], fringes: tuple[Shifted, ...]) -> None:
+def _check_bits(sequence: FrameSequence, bits: tuple[tuple[int, GrayBit], ...], fringes: tuple[Shifted, ...]) -> None:
     codes = {(b.bits, b.cells) for _, b in bits}
     if len(codes) != 1 or {b.bit for _, b in bits} != set(range(bits[0][1].bits)):
         raise PatternError(f"sequence {sequence.name!r}: the bits of its Gray code are not one whole code")

@@ -8,7 +8,7 @@ finest fringe gives the phase; a coarser one says in which of its periods a pixe
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -52,7 +52,7 @@ class WrappedPhase:
         return np.asarray(np.sqrt(noise.floor * self.floor_factor + noise.gain * np.maximum(self.shot_factor, 0)))
 
 
-def wrapped_phase(planes: Items[F64], shifts: Items[float], saturated: Items[Bools] = ()) -> WrappedPhase:
+def wrapped_phase(planes: Sequence[F64], shifts: Sequence[float], saturated: Sequence[Bools] = ()) -> WrappedPhase:
     """Least-squares phase of images (H, W) of one fringe with these shifts, radians.
 
     Args:
@@ -116,7 +116,7 @@ def unwrapped(
     return best
 
 
-def noise_of(sets: Items[WrappedPhase]) -> NoiseModel:
+def noise_of(sets: Sequence[WrappedPhase]) -> NoiseModel:
     """Noise of a sample, from two sets' means of the same scene: they differ by nothing else.
 
     The two with the most steps are compared, in groups of equal brightness; robust against some moving pixels. With
@@ -142,8 +142,8 @@ def noise_of(sets: Items[WrappedPhase]) -> NoiseModel:
 
 
 def absolute_phase(
-    sets: Items[WrappedPhase],
-    periods: Items[float],
+    sets: Sequence[WrappedPhase],
+    periods: Sequence[float],
     noise: NoiseModel,
     *,
     min_amplitude: float = 5.0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,7 +95,7 @@ class SetDecoder:
         self._bit_sign = np.array([-1 if b.inverted else 1 for _, b in plan.bits], np.float32)
         self._number = np.array([b.bits - 1 - b.bit for _, b in plan.bits], np.int32)
 
-    def decode(self, images: Items[NDArray[Any]], side: str) -> SetPhase:
+    def decode(self, images: Sequence[NDArray[Any]], side: str) -> SetPhase:
         """Phases and orders of a set of raw images; ``side`` is for errors."""
         self._take(images, side)
         noise = self._noise(images[self._index[0]])
@@ -151,7 +151,7 @@ class SetDecoder:
         found = PhaseMap(self._phasor, self._descriptors, counts, variance, share, phase, modulation, valid)
         return SetPhase(found, self._order, absolute_phase, int(moved))
 
-    def _take(self, images: Items[NDArray[Any]], side: str) -> None:
+    def _take(self, images: Sequence[NDArray[Any]], side: str) -> None:
         """Copy the images into one array; ImageError unless all fit."""
         if len(images) != self._plan.frames:
             raise ImageError(f"{len(images)} {side} images of a set of {self._plan.frames}; expected one each")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Sequence as Items
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
@@ -18,7 +17,7 @@ from pipeline.multi_frame.color_sets import ColorSets
 from pipeline.multi_frame.gray_sets import GreySets
 from pipeline.multi_frame.image_roles import plan_of
 from pipeline.multi_frame.set_decoder import ENCODINGS
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -44,7 +43,7 @@ class SetReconstructor:
     def __init__(
         self,
         calibration: Calibration,
-        sequence: Sequence,
+        sequence: FrameSequence,
         volume: Volume,
         *,
         encoding: str = "rgb8",
@@ -89,7 +88,7 @@ class SetReconstructor:
         warm_up_conflicts()
         self._sets.restore(kept)
 
-    def reconstruct(self, lefts: Items[NDArray[Any]], rights: Items[NDArray[Any]], *, stride: int = 1) -> Cloud:
+    def reconstruct(self, lefts: Sequence[NDArray[Any]], rights: Sequence[NDArray[Any]], *, stride: int = 1) -> Cloud:
         """The cloud of a set of raw images, one of each camera for each frame of the sequence, in its order.
 
         Args:

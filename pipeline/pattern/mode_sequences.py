@@ -7,7 +7,7 @@ Three frequencies whose beats have one period over the whole projector ("heterod
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from math import ceil, log2, pi
 
 from pipeline.common.errors import PatternError
@@ -18,9 +18,9 @@ from pipeline.pattern.sequence import (
     GREY_MEAN,
     Axis,
     Frame,
+    FrameSequence,
     Fringe,
     GrayBit,
-    Sequence,
     check_size,
 )
 
@@ -41,7 +41,7 @@ def mode_sequence(
     mean: float = GREY_MEAN,
     amplitude: float = GREY_AMPLITUDE,
     channels: tuple[str, ...] = CHANNELS,
-) -> Sequence:
+) -> FrameSequence:
     """The images of a mode in the order in which they are shown.
 
     Args:
@@ -63,7 +63,7 @@ def mode_sequence(
     if not 3 <= steps <= MOST_STEPS:
         raise PatternError(f"steps is {steps}, expected 3 to {MOST_STEPS}")
     if name == "two_color":
-        return Sequence(name, [ColorFringe(size, p, axis) for p in (periods, _SECOND * periods)])  # type: ignore[arg-type]
+        return FrameSequence(name, [ColorFringe(size, p, axis) for p in (periods, _SECOND * periods)])  # type: ignore[arg-type]
     frames: list[Frame] = [
         Fringe(size, fringe, axis, 2 * pi * n / steps, mean, amplitude, channels)
         for fringe in (heterodyne_periods(periods) if name == "heterodyne" else (periods,))
@@ -71,7 +71,7 @@ def mode_sequence(
     ]
     if name == "gray":
         frames += gray_bits(size, periods, axis, mean=mean, amplitude=amplitude, channels=channels)
-    return Sequence(name, tuple(frames))
+    return FrameSequence(name, tuple(frames))
 
 
 def heterodyne_periods(finest: float) -> tuple[float, float, float]:
@@ -88,7 +88,7 @@ def gray_bits(
     mean: float = GREY_MEAN,
     amplitude: float = GREY_AMPLITUDE,
     channels: tuple[str, ...] = CHANNELS,
-) -> Items[GrayBit]:
+) -> Sequence[GrayBit]:
     """A Gray code of half periods: of the two edges of a code's bits next to a pixel one is always far away."""
     cells = 2 * periods
     bits = ceil(log2(cells))

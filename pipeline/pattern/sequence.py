@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from collections.abc import Sequence as Items
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -33,7 +32,7 @@ Frame: TypeAlias = Uniform | Fringe | GrayBit | ColorFringe
 
 
 @dataclass(frozen=True, slots=True)
-class Sequence:
+class FrameSequence:
     """Frames in the order in which they are shown; all of one size.
 
     Args:
@@ -70,17 +69,17 @@ class Sequence:
         return {"kind": "sequence", "name": self.name, "frames": [frame.as_mapping() for frame in self.frames]}
 
 
-def from_mapping(data: Mapping[str, Any]) -> Sequence:
+def from_mapping(data: Mapping[str, Any]) -> FrameSequence:
     """The sequence of a JSON object; errors name the key."""
     if not isinstance(data, Mapping) or data.get("kind") != "sequence":
         kind = data.get("kind") if isinstance(data, Mapping) else data
         raise PatternError(f"pattern.kind is {kind!r:.80}, expected 'sequence'")
     frames = data.get("frames")
-    if not isinstance(frames, Items) or isinstance(frames, str | bytes):
+    if not isinstance(frames, Sequence) or isinstance(frames, str | bytes):
         raise PatternError("pattern.frames is missing or not a list")
     if not 1 <= len(frames) <= MOST_FRAMES:
         raise PatternError(f"pattern.frames holds {len(frames)} frames, expected 1 to {MOST_FRAMES}")
-    return Sequence(data.get("name", ""), tuple(_frame_at(index, item) for index, item in enumerate(frames)))
+    return FrameSequence(data.get("name", ""), tuple(_frame_at(index, item) for index, item in enumerate(frames)))
 
 
 def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
@@ -118,12 +117,12 @@ def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
         raise PatternError(f"pattern description: {error}") from error
 
 
-def camera_sequence(size: tuple[int, int]) -> Sequence:
+def camera_sequence(size: tuple[int, int]) -> FrameSequence:
     """For the cameras' calibration: white light that clips no channel of a well exposed camera."""
-    return Sequence("cameras", (Uniform(size, (WHITE_LEVEL,) * 3),))
+    return FrameSequence("cameras", (Uniform(size, (WHITE_LEVEL,) * 3),))
 
 
-def projector_sequence(size: tuple[int, int], *, finest_px: float = 12.8, steps: int = 6) -> Sequence:
+def projector_sequence(size: tuple[int, int], *, finest_px: float = 12.8, steps: int = 6) -> FrameSequence:
     """For the projector's calibration: white, black, and grey fringes of three frequencies in x and in y.
 
     The steps are chosen for a projector whose response is not known yet. A fringe of n steps is blind to harmonics up
@@ -149,7 +148,7 @@ def projector_sequence(size: tuple[int, int], *, finest_px: float = 12.8, steps:
         frames += [
             Fringe(size, periods, axis, 2 * np.pi * n / count) for periods, count in levels for n in range(count)
         ]
-    return Sequence("projector", tuple(frames))
+    return FrameSequence("projector", tuple(frames))
 
 
 def _gray_bit(size: tuple[int, int], data: Mapping[str, Any]) -> GrayBit:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.targets.board import board_drawing
 from pipeline.calibrate.targets.board.board import Board
-from pipeline.pattern.sequence import Sequence as Frames
-from pipeline.pattern.sequence import camera_sequence
+from pipeline.pattern.sequence import FrameSequence, camera_sequence
 from pipeline.rig.camera_model import CameraModel
 from sim.boards.board_poses import BoardPose, middle, session_poses
 from sim.render.projection_transport import Counts, Stage
@@ -90,7 +89,7 @@ def render_views(
     board: Board,
     poses: Sequence[BoardPose],
     optics: Optics | None = None,
-    frames: Frames | Sequence[NDArray[np.uint8]] | None = None,
+    frames: FrameSequence | Sequence[NDArray[np.uint8]] | None = None,
     *,
     encoding: str = "rgb8",
     beside: Sequence[Shape] = (),
@@ -107,7 +106,7 @@ def render_views(
     """
     optics = fine(optics or Optics())
     frames = camera_sequence(layout.projector_size) if frames is None else frames
-    images = [frame.image() for frame in frames.frames] if isinstance(frames, Frames) else list(frames)
+    images = [frame.image() for frame in frames.frames] if isinstance(frames, FrameSequence) else list(frames)
     counts = []
     for pose in poses:
         stage = Stage(layout, board_scene(board, pose, beside=beside), optics, encoding=encoding)

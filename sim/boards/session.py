@@ -20,8 +20,7 @@ import numpy as np
 
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board, parse_board
 from pipeline.common.errors import PipelineError
-from pipeline.pattern.sequence import Sequence as Frames
-from pipeline.pattern.sequence import camera_sequence, projector_sequence
+from pipeline.pattern.sequence import FrameSequence, camera_sequence, projector_sequence
 from sim.boards.board_scene import BoardPose, board_scene, fine, session_poses, true_centroids, true_marks
 from sim.render.projection_transport import Stage
 from sim.render.render_pair import Image
@@ -36,7 +35,7 @@ from sim.scene.scene import Scene
 def write_capture(
     folder: Path,
     layout: RigLayout,
-    sequence: Frames,
+    sequence: FrameSequence,
     scenes: Sequence[Scene],
     optics: Optics,
     *,

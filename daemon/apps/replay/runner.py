@@ -14,7 +14,7 @@ from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
 from pipeline.common.errors import PipelineError
 from pipeline.common.settings import Settings
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.reconstructor import Reconstructor
 
@@ -71,7 +71,7 @@ class Replay:
     _sets: Sets | None = None
 
     @property
-    def sequence(self) -> Sequence | None:
+    def sequence(self) -> FrameSequence | None:
         """The sequence of a take of a multi-frame mode, None for single shots."""
         return self.take.sequence()
 
@@ -119,7 +119,7 @@ class Replay:
             sequel.measured(pair.sequence, pair.t_ns, 1)
             yield Result(pair, cloud, runs)
 
-    def _reconstructor(self, encoding: str, sequence: Sequence | None) -> Any:
+    def _reconstructor(self, encoding: str, sequence: FrameSequence | None) -> Any:
         """For images of this encoding, every kernel compiled."""
         if self._made is not None and self._made.encoding == encoding:
             return self._made
@@ -142,7 +142,7 @@ class Replay:
         return self._made
 
 
-def _timed(reconstructor: Any, shot: Shot, sequence: Sequence | None, *, use_prior: bool) -> tuple[Cloud, Run]:
+def _timed(reconstructor: Any, shot: Shot, sequence: FrameSequence | None, *, use_prior: bool) -> tuple[Cloud, Run]:
     start_ns = time.perf_counter_ns()
     if sequence is None:
         cloud = reconstructor.reconstruct(shot.lefts[0], shot.rights[0], use_prior=use_prior)

@@ -9,7 +9,7 @@ from typing import Any
 from daemon.live.acquisition.set_assembler import SetAssembler
 from daemon.recording.format.errors import TakeError
 from daemon.recording.read.take_reader import TakePair, TakeReader
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ def pairs_of(take: TakeReader, progress: Callable[[int], Any] | None = None) -> 
 class Sets:
     """The whole sets of a take of a sequence; those that miss an image are counted in ``incomplete``."""
 
-    def __init__(self, take: TakeReader, sequence: Sequence) -> None:
+    def __init__(self, take: TakeReader, sequence: FrameSequence) -> None:
         self._take, self._frames = take, len(sequence)
         self.incomplete = 0
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from daemon.common.errors import DaemonError
 from daemon.config.sequence import Sequencing
 from daemon.live.sets import SINGLE
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class ModePlan:
     """
 
     mode: str
-    sequence: Sequence
+    sequence: FrameSequence
     images: list[NDArray[np.uint8]]
 
     def reconstructor(self, rig: Rig, **options: Any) -> SetMeasure:

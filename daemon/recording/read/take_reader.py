@@ -19,7 +19,7 @@ from daemon.rig.calibration_file import CalibrationFile, parse_calibration
 from daemon.rig.pattern_file import parse_pattern, parse_sequence, parse_volume
 from drivers.protocols import TRIGGER_MODULUS, Frame, Side
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.volume import Volume
 
 WAITING_FRAMES = 16
@@ -138,7 +138,7 @@ class TakeReader:
         """Parse the attached pattern description."""
         return parse_pattern(*self._attached(PATTERN))
 
-    def sequence(self) -> Sequence | None:
+    def sequence(self) -> FrameSequence | None:
         """Parse the attached sequence of a take whose images differ; None for a take of a single pattern."""
         return parse_sequence(*self._attached(PATTERN))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import CHANNELS, WHITE_LEVEL, Frame, Fringe, GrayBit, Sequence, Uniform
+from pipeline.pattern.sequence import CHANNELS, WHITE_LEVEL, Frame, FrameSequence, Fringe, GrayBit, Uniform
 
 Axis = Literal["x", "y"]
 
@@ -25,7 +25,7 @@ def color_sequence(
     steps: int = 4,
     lateral_chromatic: bool = True,
     check: ColorFringe | None = None,
-) -> Sequence:
+) -> FrameSequence:
     """Black, even levels of each colour, white, fringes of one colour at a time, and a check.
 
     Four steps: the fundamental of a fringe whose response is not corrected yet is free of the second harmonic.
@@ -56,7 +56,7 @@ def color_sequence(
             frames.append(ColorFringe(size, 1.0, axis))
     if check is not None:
         frames += check_frames(check)
-    return Sequence("color", tuple(frames))
+    return FrameSequence("color", tuple(frames))
 
 
 def check_frames(pattern: ColorFringe, *, steps: int = 8) -> list[Frame]:
@@ -105,7 +105,7 @@ class Roles:
     shots: tuple[tuple[int, FringeSet], ...]
 
 
-def roles_of(sequence: Sequence) -> Roles:
+def roles_of(sequence: FrameSequence) -> Roles:
     """Sort the frames of a sequence; PatternError says what colour calibration misses in it."""
     black: list[int] = []
     white: list[tuple[int, int]] = []
@@ -168,7 +168,7 @@ def _single(sets: list[FringeSet]) -> dict[Axis, tuple[FringeSet, FringeSet, Fri
     return found
 
 
-def _with_reference(sequence: Sequence, shots: list[int], sets: list[FringeSet]) -> list[tuple[int, FringeSet]]:
+def _with_reference(sequence: FrameSequence, shots: list[int], sets: list[FringeSet]) -> list[tuple[int, FringeSet]]:
     out = []
     for index in shots:
         frame = sequence.frames[index]

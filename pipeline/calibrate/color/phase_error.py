@@ -17,8 +17,7 @@ from pipeline.calibrate.color.color_sequence import FringeSet, check_frames
 from pipeline.calibrate.color.crosstalk import fringe_phasors
 from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Fringe
-from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.pattern.sequence import FrameSequence, Fringe
 from pipeline.rig.calibration import ColorModel
 
 Array = NDArray[np.float64]
@@ -48,14 +47,14 @@ class PhaseError:
     points: int
 
 
-def check_sequence(pattern: ColorFringe, *, steps: int = 8) -> Frames:
+def check_sequence(pattern: ColorFringe, *, steps: int = 8) -> FrameSequence:
     """The colour fringe, then its reference: show it uncalibrated for "before", with the response for "after"."""
-    return Frames("color check", tuple(check_frames(pattern, steps=steps)))
+    return FrameSequence("color check", tuple(check_frames(pattern, steps=steps)))
 
 
 def phase_error(
     images: Sequence[NDArray[np.uint8]],
-    sequence: Frames,
+    sequence: FrameSequence,
     *,
     color: ColorModel | None = None,
     encoding: str = "rgb8",

@@ -31,8 +31,7 @@ from pipeline.calibrate.color.session_quality import (
 from pipeline.calibrate.color.tone_response import LevelCurve, level_curve, response_of
 from pipeline.common.errors import ImageError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Frame, Fringe, GrayBit, Uniform
-from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.pattern.sequence import Frame, FrameSequence, Fringe, GrayBit, Uniform
 from pipeline.rig.calibration import Calibration, ColorModel, Response
 from pipeline.rig.lateral_chromatic import Registration
 
@@ -73,7 +72,7 @@ class ColorSolution:
 
 def calibrate_color(
     frames: Sequence[Pair],
-    sequence: Frames,
+    sequence: FrameSequence,
     *,
     encoding: str = "rgb8",
     calibration: Calibration | None = None,
@@ -193,7 +192,7 @@ def _lateral_chromatic(
 
 
 def _check(
-    views: Sequence[Sequence[View]], models: Sequence[ColorModel], sequence: Frames, roles: Roles,
+    views: Sequence[Sequence[View]], models: Sequence[ColorModel], sequence: FrameSequence, roles: Roles,
     quality: dict[str, Any],
 ) -> None:  # fmt: skip
     """Phase errors of the colour fringes in the sequence, before and after, into ``quality``."""

@@ -7,7 +7,7 @@ gives to another, and grey stays grey.
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from pipeline.common.errors import ImageError, PatternError
 from pipeline.decode.noise_model import NoiseModel
 from pipeline.decode.raw_image import BAYER
 from pipeline.multi_frame.n_step import F64, Bools, WrappedPhase, absolute_phase, noise_of, solution_of, wrapped_phase
-from pipeline.pattern.sequence import CHANNELS, Axis, Fringe, Sequence
+from pipeline.pattern.sequence import CHANNELS, Axis, FrameSequence, Fringe
 
 _SATURATION = 254.0
 _TURN = 2 * np.pi
@@ -58,7 +58,7 @@ class Level:
     shifts: tuple[float, ...]
 
 
-def levels(sequence: Sequence, axis: Axis, *, lit: tuple[str, ...] = CHANNELS) -> tuple[Level, ...]:
+def levels(sequence: FrameSequence, axis: Axis, *, lit: tuple[str, ...] = CHANNELS) -> tuple[Level, ...]:
     """The sets of shifted fringes along an axis that are lit in just these channels, coarsest first.
 
     Sets of less than three shifts are left out.
@@ -109,8 +109,8 @@ def gray(image: NDArray[Any], encoding: str, *, channels: tuple[int, ...] = (0, 
 
 
 def coordinates(
-    images: Items[NDArray[Any]],
-    sequence: Sequence,
+    images: Sequence[NDArray[Any]],
+    sequence: FrameSequence,
     *,
     encoding: str = "rgb8",
     channels: tuple[int, ...] = (0, 1, 2),
@@ -148,13 +148,13 @@ def coordinates(
     )
 
 
-def coordinate(images: Items[NDArray[Any]], sequence: Sequence, axis: Axis, **options: Any) -> Coordinate:
+def coordinate(images: Sequence[NDArray[Any]], sequence: FrameSequence, axis: Axis, **options: Any) -> Coordinate:
     """One of :func:`coordinates`."""
     return coordinates(images, sequence, axes=(axis,), **options)[0]
 
 
 def evenly_lit(
-    images: Items[NDArray[Any]], sequence: Sequence, *, lit: tuple[str, ...] = CHANNELS
+    images: Sequence[NDArray[Any]], sequence: FrameSequence, *, lit: tuple[str, ...] = CHANNELS
 ) -> NDArray[np.float32]:
     """The scene without fringes, in the raw images' own layout and counts, float32.
 
@@ -185,7 +185,7 @@ def _coordinate(
     return Coordinate(px, sigma, finest.amplitude, finest.mean, finest.saturated)
 
 
-def _set(images: Items[NDArray[Any]], level: Level, encoding: str, channels: tuple[int, ...]) -> WrappedPhase:
+def _set(images: Sequence[NDArray[Any]], level: Level, encoding: str, channels: tuple[int, ...]) -> WrappedPhase:
     shape = images[level.frames[0]].shape
     for number in level.frames:
         if images[number].shape != shape:

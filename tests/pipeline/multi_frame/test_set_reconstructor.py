@@ -130,9 +130,9 @@ def test_what_cannot_be_measured_with_is_refused():
     with pytest.raises(ImageError, match="no three colours"):
         SetReconstructor(calibration, sequence("two_color"), volume, encoding="mono8")
     with pytest.raises(PatternError, match="one fringe"):
-        from pipeline.pattern.sequence import Sequence
+        from pipeline.pattern.sequence import FrameSequence
 
-        SetReconstructor(calibration, Sequence("x", sequence("gray").frames[:4]), volume, settings=SETTINGS)
+        SetReconstructor(calibration, FrameSequence("x", sequence("gray").frames[:4]), volume, settings=SETTINGS)
 
 
 def test_an_empty_scene_gives_no_points():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipeline.common.errors import PatternError
 from pipeline.multi_frame.image_roles import plan_of
 from pipeline.pattern.mode_sequences import MODES, heterodyne_periods, mode_sequence
-from pipeline.pattern.sequence import Fringe, GrayBit, Sequence, Uniform, frame_from_mapping, from_mapping
+from pipeline.pattern.sequence import FrameSequence, Fringe, GrayBit, Uniform, frame_from_mapping, from_mapping
 from pipeline.rig.calibration import Response
 
 SIZE = (1280, 1024)
@@ -114,4 +114,4 @@ def test_sets_that_say_too_little_are_refused():
         ((replace(fringes.frames[0], mean=120.0), *fringes.frames[1:]), "differ in their light"),
     ):
         with pytest.raises(PatternError, match=word):
-            plan_of(Sequence("short", frames))
+            plan_of(FrameSequence("short", frames))

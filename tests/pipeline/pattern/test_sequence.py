@@ -11,8 +11,8 @@ import pytest
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.sequence import (
+    FrameSequence,
     Fringe,
-    Sequence,
     Uniform,
     camera_sequence,
     frame_from_mapping,
@@ -26,7 +26,7 @@ SIZE = (64, 48)
 
 def test_a_description_gives_the_same_sequence_again() -> None:
     frames = (Uniform(SIZE, (1, 20, 255)), Fringe(SIZE, 3.5, "y", 0.3, 100.0, 60.0, ("blue", "red")))
-    sequence = Sequence("any", (*frames, ColorFringe(SIZE, 8.0)))
+    sequence = FrameSequence("any", (*frames, ColorFringe(SIZE, 8.0)))
     again = from_mapping(json.loads(json.dumps(sequence.as_mapping())))
     assert again.as_mapping() == sequence.as_mapping()
     assert again.frames[:2] == sequence.frames[:2]
@@ -128,4 +128,4 @@ def test_a_wrong_sequence_is_refused(change: dict[str, Any]) -> None:
 
 def test_frames_of_different_sizes_are_refused() -> None:
     with pytest.raises(PatternError, match=r"frames\[1\]\.size"):
-        Sequence("x", (Uniform((8, 8), (0, 0, 0)), Uniform((8, 9), (0, 0, 0))))
+        FrameSequence("x", (Uniform((8, 8), (0, 0, 0)), Uniform((8, 9), (0, 0, 0))))

@@ -10,8 +10,7 @@ import pytest
 
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
 from pipeline.calibrate.targets.board.charuco_board import charuco
-from pipeline.pattern.sequence import Fringe, Uniform
-from pipeline.pattern.sequence import Sequence as Frames
+from pipeline.pattern.sequence import FrameSequence, Fringe, Uniform
 from sim.boards import board_scene
 from sim.boards.board_poses import BoardPose, middle, session_poses
 from sim.render import render_pair
@@ -148,7 +147,7 @@ def test_a_seed_is_a_noise_of_its_own(quarter):
 
 
 def test_a_sequence_is_shown_frame_by_frame_and_other_things_may_stand_beside(quarter):
-    sequence = Frames("any", (Uniform(quarter.projector_size, (0, 0, 0)), Fringe(quarter.projector_size, 12.0)))
+    sequence = FrameSequence("any", (Uniform(quarter.projector_size, (0, 0, 0)), Fringe(quarter.projector_size, 12.0)))
     views = board_scene.render_views(quarter, DEFAULT_BOARD, [TILTED], frames=sequence)
     ((black, fringe),) = views.counts
     assert black[0].max() < 20 < fringe[0].max()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from daemon.recording.format.raw_image import Pixels
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 
 Progress = Callable[[int, int], None]
 
@@ -42,7 +42,7 @@ class Shooter(Protocol):
     def size(self) -> tuple[int, int]:
         """(width, height) of the projector, pixels."""
 
-    def shoot(self, sequence: Sequence, *, progress: Progress = unheard) -> Shots:
+    def shoot(self, sequence: FrameSequence, *, progress: Progress = unheard) -> Shots:
         """A pair for each frame.
 
         Args:

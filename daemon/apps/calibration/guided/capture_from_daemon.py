@@ -13,7 +13,7 @@ from daemon.common.errors import ControlError, DaemonError
 from daemon.control.rpc.client import ControlClient
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from daemon.recording.read.take_reader import TakeReader
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 
 HOLD_S = 20.0
 """So long the daemon keeps the last image between two captures; longer pauses only cost the time to begin again."""
@@ -53,7 +53,7 @@ class DaemonShooter:
         """(width, height) of the projector, pixels."""
         return self._size
 
-    def shoot(self, sequence: Sequence, *, progress: Progress = unheard) -> Shots:
+    def shoot(self, sequence: FrameSequence, *, progress: Progress = unheard) -> Shots:
         """A pair for each frame, see :class:`daemon.apps.calibration.guided.capture.Shooter`."""
         frames = [frame.as_mapping() for frame in sequence.frames]
         job = self._client.call("calibrate.capture", frames=frames, name=sequence.name, hold_s=HOLD_S)["job"]

@@ -19,7 +19,7 @@ from daemon.live.projection.confirmed_capture import ConfirmedCapture, patience_
 from daemon.rig.open_rig import next_pose
 from drivers.errors import DriverError
 from drivers.protocols import SIDES, Clock, Frame, Side
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.calibration import Response
 
 _START_S, _TICK_S = 15.0, 0.05
@@ -87,7 +87,7 @@ class DeviceShooter:
         """(width, height) of the projector, pixels."""
         return self._size
 
-    def shoot(self, sequence: Sequence, *, progress: Progress = unheard) -> Shots:
+    def shoot(self, sequence: FrameSequence, *, progress: Progress = unheard) -> Shots:
         """A pair for each frame, see :class:`daemon.apps.calibration.guided.capture.Shooter`."""
         pairs: list[Pair] = []
         try:

@@ -18,9 +18,9 @@ from drivers.errors import DriverError
 from drivers.protocols import SIDES, Clock
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.common.errors import TargetError
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 
-Probe = tuple[Sequence, Callable[[Shots], str]]
+Probe = tuple[FrameSequence, Callable[[Shots], str]]
 Find = Callable[[Image, Board], Detection]
 _MOST_LOOKS, _MOST_STEADY = 20, 4
 """A simulated hand leaves a pose that became no view after more looks, and after more times the steady time."""
@@ -69,7 +69,7 @@ class Outcome:
 def guide(
     shooter: Shooter,
     board: Board,
-    sequence: Sequence,
+    sequence: FrameSequence,
     folder: Path,
     *,
     find: Find,
@@ -93,7 +93,7 @@ def guide(
         DriverError, DaemonError: the devices failed too often in a row, or the folder cannot be used.
     """
     bright = white_frame(sequence)
-    white = Sequence("look", (sequence.frames[bright],))
+    white = FrameSequence("look", (sequence.frames[bright],))
     kept = SessionFolder(folder, sequence)
     session: Session | None = None
     pending: Shots | None = None
@@ -153,7 +153,7 @@ def _problem(shooter: Shooter, probe: Probe | None) -> str:
 
 def _capture(
     shooter: Shooter,
-    sequence: Sequence,
+    sequence: FrameSequence,
     session: Session,
     board: Board,
     find: Find,

@@ -6,12 +6,12 @@ import numpy as np
 
 from daemon.apps.calibration.guided.capture import Shots
 from pipeline.calibrate.color.color_planes import LEAST_PEAK, MAX_SATURATED_SHARE, SATURATION, WHITE_SHARE, planes_of
-from pipeline.pattern.sequence import CHANNELS, Sequence, Uniform
+from pipeline.pattern.sequence import CHANNELS, FrameSequence, Uniform
 
 
-def full_light(size: tuple[int, int]) -> Sequence:
+def full_light(size: tuple[int, int]) -> FrameSequence:
     """Each channel of the projector alone, as bright as it can be."""
-    return Sequence("full light", tuple(Uniform(size, color) for color in ((255, 0, 0), (0, 255, 0), (0, 0, 255))))
+    return FrameSequence("full light", tuple(Uniform(size, color) for color in ((255, 0, 0), (0, 255, 0), (0, 0, 255))))
 
 
 def exposure_problem(shots: Shots) -> str:

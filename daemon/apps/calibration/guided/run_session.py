@@ -26,7 +26,7 @@ from daemon.config.rig_config import RigConfig
 from daemon.control.rpc.client import ControlClient
 from daemon.rig.open_rig import OptionsError, open_devices
 from pipeline.calibrate.targets.board.board import Board
-from pipeline.pattern.sequence import Sequence, camera_sequence, projector_sequence
+from pipeline.pattern.sequence import FrameSequence, camera_sequence, projector_sequence
 
 What = Literal["cameras", "projector", "color", "all"]
 _ASK_S = 1.0
@@ -50,7 +50,7 @@ class Phase:
     """
 
     name: str
-    sequence: Sequence
+    sequence: FrameSequence
     limits: Limits
     probe: Probe | None = None
 

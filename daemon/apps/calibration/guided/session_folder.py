@@ -12,7 +12,7 @@ from daemon.apps.calibration.guided.capture import Shots
 from daemon.common.errors import DaemonError
 from daemon.common.files import write_atomically
 from daemon.recording.format.raw_image import Pixels
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 
 CAPTURE = "capture.json"
 
@@ -27,7 +27,7 @@ class SessionFolder:
         DaemonError: there is a session in it already.
     """
 
-    def __init__(self, path: Path, sequence: Sequence) -> None:
+    def __init__(self, path: Path, sequence: FrameSequence) -> None:
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise DaemonError(f"{path}: is there already; name another folder for this session")
         self.path, self.views = path, 0

@@ -17,8 +17,7 @@ from daemon.apps.calibration.views.view import Progress, Source
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
 from pipeline.calibrate.color import ColorSolution, calibrate_color
 from pipeline.common.errors import ImageError, PatternError
-from pipeline.pattern.sequence import Sequence as Frames
-from pipeline.pattern.sequence import Uniform
+from pipeline.pattern.sequence import FrameSequence, Uniform
 from pipeline.rig.calibration import Calibration, Cameras
 
 MOST_PASSES = 4
@@ -47,7 +46,7 @@ class Colored:
         return store(out, self.calibration, quality=quality | {"color": plain(self.solution.quality)}, force=force)
 
 
-def is_color(sequence: Frames | None) -> bool:
+def is_color(sequence: FrameSequence | None) -> bool:
     """Whether a sequence shows the channels one by one at several levels."""
     if sequence is None:
         return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -18,7 +18,7 @@ from pipeline.calibrate.targets.find_marks import Detection, find_marks
 from pipeline.calibrate.targets.localise.gray_image import to_gray
 from pipeline.calibrate.targets.marks import BoardView, Marks
 from pipeline.common.errors import TargetError
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 
 THUMBNAIL_PX = 520
 BLURRED_PX = 4.0
@@ -69,7 +69,7 @@ class Looked:
         """Images in which the marks were not found."""
         return [seen for seen in self.seen if seen.found is None]
 
-    def add(self, view: View, frame: int, board: Board, sequence: Sequence | None = None) -> dict[str, Marks]:
+    def add(self, view: View, frame: int, board: Board, sequence: FrameSequence | None = None) -> dict[str, Marks]:
         """Search both images of a view; the marks of those where they were found.
 
         Args:
@@ -103,7 +103,7 @@ class Looked:
         return next(n for n in (name, *(f"{name} ({k})" for k in range(2, 10_000))) if n not in taken)
 
 
-def look(sources: Items[Source], board: Board, progress: Progress) -> Looked:
+def look(sources: Sequence[Source], board: Board, progress: Progress) -> Looked:
     """Find the marks in all views of all sources, on the brightest even image of each view.
 
     Raises:

@@ -48,12 +48,12 @@ def look_with_projector(sources: Sequence[Source], board: Board, progress: Progr
     return looked
 
 
-def has_fringes(sequence: sequences.Sequence | None) -> bool:
+def has_fringes(sequence: sequences.FrameSequence | None) -> bool:
     """Whether a sequence tells both coordinates of the projector."""
     return sequence is not None and bool(levels(sequence, "x")) and bool(levels(sequence, "y"))
 
 
-def add_with_fringes(looked: Looked, view: View, sequence: sequences.Sequence, board: Board) -> None:
+def add_with_fringes(looked: Looked, view: View, sequence: sequences.FrameSequence, board: Board) -> None:
     """Search a view of all frames of a sequence for both cameras and the projector."""
     looked.sizes.setdefault("projector", sequence.size)
     marks = looked.add(view, 0, board, sequence)
@@ -72,7 +72,7 @@ def add_with_fringes(looked: Looked, view: View, sequence: sequences.Sequence, b
         looked.phases.append(((left.x, left.y), (right.x, right.y)))
 
 
-def _seen(marks: dict[str, Marks], view: View, sequence: sequences.Sequence) -> dict[str, Seen]:
+def _seen(marks: dict[str, Marks], view: View, sequence: sequences.FrameSequence) -> dict[str, Seen]:
     seen = {}
     for device, images in (("left", view.left), ("right", view.right)):
         if device in marks:

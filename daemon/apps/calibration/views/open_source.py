@@ -12,7 +12,7 @@ from daemon.apps.calibration.images.image_files import MOST_IMAGES, Image, as_ra
 from daemon.apps.calibration.views.take_source import TakeSource
 from daemon.apps.calibration.views.view import Progress, Source, View, described_sequence
 from daemon.common.bounded import read_at_most
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 
 CAPTURE = "capture.json"
 _CAPTURE_LIMIT = 4 << 20
@@ -30,7 +30,7 @@ class ImagePairs:
         SourceError: no files, or not as many for one camera as for the other.
     """
 
-    sequence: Sequence | None = None
+    sequence: FrameSequence | None = None
 
     def __init__(self, left: str, right: str) -> None:
         self.name = f"{left}, {right}"

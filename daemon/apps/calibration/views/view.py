@@ -10,7 +10,7 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import Image
 from pipeline.common.errors import PatternError
 from pipeline.pattern import sequence as sequences
-from pipeline.pattern.sequence import Sequence, Uniform
+from pipeline.pattern.sequence import FrameSequence, Uniform
 
 Progress = Callable[[int, int], None]
 
@@ -42,7 +42,7 @@ class Source(Protocol):
     """
 
     name: str
-    sequence: Sequence | None
+    sequence: FrameSequence | None
     left_out: list[str]
 
     def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
@@ -50,7 +50,7 @@ class Source(Protocol):
         ...
 
 
-def described_sequence(data: Any, name: str) -> Sequence | None:
+def described_sequence(data: Any, name: str) -> FrameSequence | None:
     """The sequence of a pattern description; None for a description of a single image, or for none."""
     if not isinstance(data, Mapping) or data.get("kind") != "sequence":
         return None
@@ -60,7 +60,7 @@ def described_sequence(data: Any, name: str) -> Sequence | None:
         raise SourceError(f"{name}: {error}") from error
 
 
-def white_frame(sequence: Sequence | None) -> int:
+def white_frame(sequence: FrameSequence | None) -> int:
     """Number of the brightest even frame, on which marks are found; 0 where there is no sequence."""
     if sequence is None:
         return 0

@@ -6,7 +6,7 @@ Every pixel is the mean of four rays to the board's plane, blurred a little more
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence as Items
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.board.board_drawing import raster
-from pipeline.pattern.sequence import Sequence, Uniform
+from pipeline.pattern.sequence import FrameSequence, Uniform
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
 
@@ -122,7 +122,7 @@ def _geometry(
 
 
 def write_pairs(
-    folder: Path, cameras: Cameras, board: Board, places: Items[tuple[np.ndarray, np.ndarray]], *, seed: int = 0
+    folder: Path, cameras: Cameras, board: Board, places: Sequence[tuple[np.ndarray, np.ndarray]], *, seed: int = 0
 ) -> None:
     """``L/00.png`` ... and ``R/00.png`` ..."""
     for side, device in (("L", cameras.left), ("R", cameras.right)):
@@ -136,8 +136,8 @@ def write_capture(
     folder: Path,
     cameras: Cameras,
     board: Board,
-    places: Items[tuple[np.ndarray, np.ndarray]],
-    sequence: Sequence,
+    places: Sequence[tuple[np.ndarray, np.ndarray]],
+    sequence: FrameSequence,
     *,
     seed: int = 0,
 ) -> None:

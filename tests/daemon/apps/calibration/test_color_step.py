@@ -15,7 +15,7 @@ from daemon.cli.entry import run
 from daemon.rig.calibration_file import read_calibration
 from pipeline.calibrate.color import color_sequence
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Sequence
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
 from tests.daemon.apps.calibration import drawn
@@ -36,7 +36,7 @@ def lit(device: CameraModel, projector: CameraModel) -> np.ndarray:
     return projector.project(world.reshape(-1, 3)).reshape(*device.size[::-1], 2).astype(np.float32)
 
 
-def write_session(folder: Path, rig: Cameras, sequence: Sequence) -> None:
+def write_session(folder: Path, rig: Cameras, sequence: FrameSequence) -> None:
     place = folder / "view_00"
     place.mkdir(parents=True)
     (folder / "capture.json").write_text(json.dumps({"encoding": "rgb8", "sequence": sequence.as_mapping()}))

@@ -6,7 +6,7 @@ import pytest
 from pipeline.calibrate.color.color_sequence import color_sequence, roles_of
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Sequence, Uniform, from_mapping
+from pipeline.pattern.sequence import FrameSequence, Uniform, from_mapping
 
 SIZE = (256, 200)
 
@@ -49,7 +49,7 @@ def test_every_colour_goes_from_dark_to_full():
 def test_what_is_missing_in_a_sequence_is_named(kept, message):
     frames = tuple(f for f in color_sequence(SIZE, levels=5).frames if kept(f))
     with pytest.raises(PatternError, match=message):
-        roles_of(Sequence("color", frames))
+        roles_of(FrameSequence("color", frames))
 
 
 @pytest.mark.parametrize("options", [{"levels": 2}, {"levels": 65}, {"steps": 2}])

@@ -13,7 +13,7 @@ from pipeline.common.errors import ImageError, PatternError
 from pipeline.decode.noise_model import NoiseModel
 from pipeline.decode.raw_image import BAYER, mosaic_of
 from pipeline.multi_frame.n_step import absolute_phase, noise_of, unwrapped, wrapped_phase
-from pipeline.pattern.sequence import Fringe, Sequence, Uniform, projector_sequence
+from pipeline.pattern.sequence import FrameSequence, Fringe, Uniform, projector_sequence
 
 SIZE = (640, 96)
 SEQUENCE = projector_sequence(SIZE)
@@ -207,7 +207,7 @@ def test_a_scene_without_fringes_comes_of_the_same_images() -> None:
 
 def test_only_the_fringes_of_the_asked_channels_count() -> None:
     red = tuple(replace(f, channels=("red",)) for f in SEQUENCE.frames if isinstance(f, Fringe) and f.axis == "x")
-    both = Sequence("both", (*SEQUENCE.frames, *red))
+    both = FrameSequence("both", (*SEQUENCE.frames, *red))
     assert [level.frames for level in levels(both, "x")] == [level.frames for level in levels(SEQUENCE, "x")]
     assert [level.frames[0] for level in levels(both, "x", lit=("red",))] == [28, 31, 35]
 
@@ -227,4 +227,4 @@ def test_what_cannot_be_decoded_is_refused_in_words() -> None:
     with pytest.raises(ImageError, match="not known"):
         gray(np.zeros((4, 4), np.uint8), "yuv")
     with pytest.raises(PatternError, match="no three shifts"):
-        coordinate([np.zeros((4, 4, 3), np.uint8)], Sequence("white", (Uniform(SIZE, (255, 255, 255)),)), "x")
+        coordinate([np.zeros((4, 4, 3), np.uint8)], FrameSequence("white", (Uniform(SIZE, (255, 255, 255)),)), "x")

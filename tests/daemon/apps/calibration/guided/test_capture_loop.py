@@ -34,7 +34,7 @@ from daemon.control.sequence_capture import Capture
 from daemon.live.service import Service
 from daemon.recording.recorder import Recorder
 from drivers.errors import DriverError
-from pipeline.pattern.sequence import Fringe, Sequence, Uniform, camera_sequence
+from pipeline.pattern.sequence import FrameSequence, Fringe, Uniform, camera_sequence
 from tests.daemon.apps.calibration.guided.hand_rig import BOARD, HandDevices, find, hand_devices
 from tests.daemon.lit_rig import UnmeasuringService
 from tests.daemon.rigs import Collector, config, rig_of, wait_until
@@ -110,14 +110,14 @@ def with_daemon(tmp_path: Path, made: HandDevices) -> Iterator[Shooter]:
         server.close()
 
 
-def short_sequence(size: tuple[int, int]) -> Sequence:
-    return Sequence(
+def short_sequence(size: tuple[int, int]) -> FrameSequence:
+    return FrameSequence(
         "projector",
         (Uniform(size, (192, 192, 192)), Uniform(size, (0, 0, 0)), Fringe(size, 4.0), Fringe(size, 4.0, "y")),
     )
 
 
-def guided(shooter: Shooter, folder: Path, sequence: Sequence, **options: Any) -> tuple[Outcome, Kept]:
+def guided(shooter: Shooter, folder: Path, sequence: FrameSequence, **options: Any) -> tuple[Outcome, Kept]:
     kept = Kept()
     outcome = guide(
         shooter, BOARD, sequence, folder, find=find, watcher=kept, clock=SystemClock(),
