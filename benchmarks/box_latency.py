@@ -18,7 +18,7 @@ from contextlib import closing
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.box_daemon import Daemon, wait_until
+from benchmarks.common.box_daemon import Daemon
 from benchmarks.common.tables import Table
 from daemon.live.items import Item, PairItem
 from fringed import SilenceError, subscribe
@@ -26,6 +26,7 @@ from sim.box.box import GENTL_DIR, Box
 from sim.box.exposure_ledger import Shown
 from sim.box.options import from_mapping
 from sim.box.world import Counts, Image, Lit
+from tools.waiting import wait_until
 
 STAGES = {
     "frame": "both frames in the cameras' processes",

@@ -20,15 +20,7 @@ from daemon.rig.open_rig import open_rig
 from drivers.protocols import SIDES
 from sim.box.box import Box
 from sim.box.exposure_ledger import Ledger, Shown
-
-
-def wait_until(condition: Callable[[], object], timeout_s: float = 60.0, what: str = "the condition") -> None:
-    """Return as soon as the condition holds; TimeoutError when it does not in time."""
-    end = time.monotonic() + timeout_s
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(f"{what} did not come true within {timeout_s:g} s")
-        time.sleep(0.002)
+from tools.waiting import wait_until
 
 
 class Witness:

@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
+from tools.waiting import wait_until
 
 FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 _END_S = 60.0
@@ -98,17 +99,21 @@ class Running:
 
     def until(self, good: Callable[[dict[str, Any]], object], timeout_s: float, what: str) -> dict[str, Any]:
         """The first status that is good; TimeoutError, with what the daemon said last, when none is in time."""
-        end, last = time.monotonic() + timeout_s, None
-        while time.monotonic() < end:
+        last: dict[str, Any] = {}
+
+        def status() -> dict[str, Any] | None:
             try:
-                last = self.ask("status", timeout_s=2.0)
-                if good(last):
-                    return dict(last)
+                last.update(self.ask("status", timeout_s=2.0))
             except ControlError:
                 if self._process is not None and self._process.poll() is not None and not self._restart:
-                    break
-            time.sleep(0.05)
-        raise TimeoutError(f"{what} did not come within {timeout_s:g} s; status {last}\n{self.log.read_text()[-4000:]}")
+                    raise TimeoutError(f"the daemon ended before {what}") from None
+                return None
+            return last if good(last) else None
+
+        try:
+            return wait_until(status, timeout_s, what, poll_s=0.05) or last
+        except TimeoutError as error:
+            raise TimeoutError(f"{error}; status {last}\n{self.log.read_text()[-4000:]}") from None
 
     def children(self, word: str) -> list[int]:
         """Processes below the daemon whose command line has this word."""

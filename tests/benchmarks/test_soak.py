@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks.common.process_statistics import Sample, sample
 from benchmarks.soak import report
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 STATUS: dict[str, Any] = {
     "pairs": 100,

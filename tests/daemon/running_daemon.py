@@ -20,7 +20,8 @@ from daemon.live.service import Service
 from daemon.live.status import State
 from daemon.recording.recorder import Recorder
 from daemon.rig.open_rig import Rig
-from tests.daemon.rigs import Collector, devices, rig_of, step, wait_until
+from tests.daemon.rigs import Collector, devices, rig_of, step
+from tools.waiting import wait_until
 
 RIG = """cameras: {{driver: sim}}
 calibration: calibration.yaml

@@ -11,7 +11,8 @@ from sim.box.box import heads
 from sim.box.options import from_mapping
 from sim.box.xserver import configuration
 from tests.nspawn.helpers import Fringed
-from tools.nspawn.machine import WAIT_S, wait_until
+from tools.nspawn.machine import WAIT_S
+from tools.waiting import wait_until
 
 X = "fringed-projector-x.service"
 BOX = "rig-box.service"

@@ -12,7 +12,8 @@ import yaml
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
 from tools.nspawn import Machine
-from tools.nspawn.machine import WAIT_S, wait_until
+from tools.nspawn.machine import WAIT_S
+from tools.waiting import wait_until
 
 SERVICE = "fringed.service"
 RIG = "/etc/fringed/rig.yaml"

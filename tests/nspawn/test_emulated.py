@@ -9,7 +9,8 @@ import pytest
 
 from tests.nspawn import emulation
 from tests.nspawn.helpers import MARKS, SERVICE, Fringed
-from tools.nspawn.machine import WAIT_S, wait_until
+from tools.nspawn.machine import WAIT_S
+from tools.waiting import wait_until
 
 pytestmark = MARKS
 

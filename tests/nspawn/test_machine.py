@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tools.nspawn import Machine, MachineError
-from tools.nspawn.machine import wait_until
+from tools.waiting import wait_until
 
 pytestmark = pytest.mark.nspawn
 

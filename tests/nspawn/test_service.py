@@ -14,7 +14,8 @@ import pytest
 from fringed import subscribe
 from tests.nspawn.freeze import frozen, thread_of
 from tests.nspawn.helpers import MARKS, RIG, SERVICE, Fringed, rig
-from tools.nspawn.machine import WAIT_S, wait_until
+from tools.nspawn.machine import WAIT_S
+from tools.waiting import wait_until
 
 pytestmark = MARKS
 

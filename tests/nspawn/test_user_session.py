@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from tests.nspawn.helpers import MARKS, Fringed, rig
-from tools.nspawn.machine import WAIT_S, MachineError, wait_until
+from tools.nspawn.machine import WAIT_S
+from tools.waiting import wait_until
 
 pytestmark = MARKS
 
@@ -32,7 +33,7 @@ class Session:
     def wait(self, what: str, good: Callable[[dict[str, str]], bool]) -> dict[str, str]:
         try:
             wait_until(lambda: good(self.show()), WAIT_S, what)
-        except MachineError as error:
+        except TimeoutError as error:
             journal = self.machine.run("journalctl", "--no-pager", "--lines=40").stdout
             raise AssertionError(f"{error}; {self.show()}\n{journal}") from None
         return self.show()

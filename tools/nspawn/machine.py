@@ -10,13 +10,13 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
 from tools.nspawn.boot import CHECKOUT, VENV
+from tools.waiting import wait_until
 
 WAIT_S = 90.0
 """Longest wait for a condition on a busy machine, seconds."""
@@ -81,7 +81,9 @@ class Machine:
         if self._outer is not None:
             self._outer.kill()
             self._outer.wait()
-            wait_until(lambda: not self.leader or not _alive(self.leader), WAIT_S, "the container's end")
+            wait_until(
+                lambda: not self.leader or not _alive(self.leader), WAIT_S, "the container's end", poll_s=_POLL_S
+            )
             self._outer = None
         shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -137,8 +139,8 @@ class Machine:
             return good(last)
 
         try:
-            wait_until(look, WAIT_S, what)
-        except MachineError as error:
+            wait_until(look, WAIT_S, what, poll_s=_POLL_S)
+        except TimeoutError as error:
             raise MachineError(f"{error}; {unit} has {last}\n{self.tail(unit)}") from None
         return last
 
@@ -183,7 +185,7 @@ class Machine:
                 raise MachineError(f"the container ended with {self._outer.returncode} before {what}\n{said}")
             return condition()
 
-        wait_until(look, WAIT_S, what)
+        wait_until(look, WAIT_S, what, poll_s=_POLL_S)
 
     def _find_leader(self) -> bool:
         """Return the process id of systemd-nspawn's child; the child of unshare became systemd-nspawn."""
@@ -196,16 +198,6 @@ class Machine:
 
     def _booted(self) -> bool:
         return self.run("systemctl", "is-system-running", check=False).stdout.strip() in ("running", "degraded")
-
-
-def wait_until(condition: Callable[[], T], timeout_s: float, what: str) -> T:
-    """The first true answer; MachineError when there is none in time."""
-    end = time.monotonic() + timeout_s
-    while not (answer := condition()):
-        if time.monotonic() > end:
-            raise MachineError(f"waited {timeout_s:g} s for {what}")
-        time.sleep(_POLL_S)
-    return answer
 
 
 def _alive(pid: int) -> bool:

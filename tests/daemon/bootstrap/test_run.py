@@ -14,7 +14,8 @@ from daemon.bootstrap import run
 from daemon.bootstrap.run import StopFlag
 from daemon.common.errors import ConfigError, DaemonError
 from daemon.control.rpc.client import ControlClient
-from tests.daemon.rigs import Collector, wait_until
+from tests.daemon.rigs import Collector
+from tools.waiting import wait_until
 
 RIG = """
 cameras: {{driver: sim}}

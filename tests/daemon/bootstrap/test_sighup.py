@@ -11,7 +11,8 @@ import pytest
 
 from daemon.bootstrap.run import StopFlag
 from daemon.bootstrap.sighup import Reloads, hung_up, terminals
-from tests.daemon.bootstrap.systemd.manager import PATIENT, wait_until
+from tests.daemon.bootstrap.systemd.manager import PATIENT
+from tools.waiting import wait_until
 
 pytestmark = PATIENT
 

@@ -19,8 +19,8 @@ from daemon.control.rpc.protocol import INTERNAL_ERROR, MAX_ANSWER_BYTES
 from daemon.control.rpc.server import ControlServer
 from daemon.control.settings.flatten import leaves
 from daemon.control.settings.live_settings import is_live
-from tests.daemon.rigs import wait_until
 from tests.daemon.running_daemon import warmed
+from tools.waiting import wait_until
 
 MESSAGES, VARIATIONS = 10_000, 20
 GROWTH_BYTES = 96 << 20

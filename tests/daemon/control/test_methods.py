@@ -14,7 +14,8 @@ from daemon.control.rpc.protocol import RpcError
 from daemon.live.service import Service
 from daemon.live.status import State
 from daemon.recording.recorder import Recorder
-from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
+from tests.daemon.rigs import Collector, config, devices, rig_of, step
+from tools.waiting import wait_until
 
 RIG = "cameras: {{driver: sim}}\npipeline: {{settings: {{min_modulation: {0}}}}}\n{1}"
 

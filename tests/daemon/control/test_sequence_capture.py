@@ -25,7 +25,8 @@ from daemon.live.status import State
 from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.recorder import Recorder
 from tests.daemon.lit_rig import FreeProjector, UnmeasuringService, devices
-from tests.daemon.rigs import Collector, config, rig_of, wait_until
+from tests.daemon.rigs import Collector, config, rig_of
+from tools.waiting import wait_until
 
 
 @dataclass

@@ -22,8 +22,8 @@ from daemon.live.service import Service
 from daemon.live.status import State
 from pipeline.pattern import color_fringe
 from pipeline.pattern.color_fringe import ColorFringe
-from tests.daemon.rigs import wait_until
 from tests.daemon.running_daemon import Running, warmed
+from tools.waiting import wait_until
 
 
 @pytest.fixture(scope="module")

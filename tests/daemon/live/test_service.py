@@ -16,7 +16,8 @@ from daemon.live.service import Service
 from daemon.live.status import State
 from daemon.recording.recorder import Recorder
 from sim.devices.open_rig import RigDevices
-from tests.daemon.rigs import Collector, config, devices, rig_of, step, wait_until
+from tests.daemon.rigs import Collector, config, devices, rig_of, step
+from tools.waiting import wait_until
 
 
 @dataclass

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +53,3 @@ def write(path: Path, items: list[Any], **options: Any) -> dict[str, Any]:
         assert recorder.offer(item)
     recorder.close()
     return recorder.status()
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    """Return as soon as the condition holds; fail when it does not in time."""
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "did not happen in time"
-        time.sleep(0.002)

@@ -17,7 +17,8 @@ from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.repair import repair
 from sim.rig import rig_files
 from tests.daemon.recording.small_take import CALIBRATION, LAYOUT
-from tests.daemon.recording.takes import lone, pair, wait_until, write, writer
+from tests.daemon.recording.takes import lone, pair, write, writer
+from tools.waiting import wait_until
 
 
 def good(path: Path, items: list[Any], **options: Any) -> dict[str, Any]:

@@ -16,7 +16,8 @@ import pytest
 from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.write.take_writer import TakeWriter
 from tests.daemon.recording.faulty_disk import Disk, disk
-from tests.daemon.recording.takes import pair, wait_until, writer
+from tests.daemon.recording.takes import pair, writer
+from tools.waiting import wait_until
 
 __all__ = ["disk"]
 RETRY_S = 0.02

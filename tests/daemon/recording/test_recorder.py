@@ -22,7 +22,8 @@ from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.recorder import Recorder
 from daemon.recording.write.pretrigger_buffer import PretriggerBuffer, size_of
 from daemon.recording.write.take_writer import TakeWriter
-from tests.daemon.recording.takes import lone, pair, wait_until, writer
+from tests.daemon.recording.takes import lone, pair, writer
+from tools.waiting import wait_until
 
 RATE_HZ = 20
 

@@ -17,7 +17,8 @@ from daemon.recording.format.errors import TakeError
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.recording.write.part_writer import PartWriter, _schema
 from tests.daemon.recording import independent_reader
-from tests.daemon.recording.takes import CALIBRATION, SIZE, frame, lone, pair, wait_until, write, writer
+from tests.daemon.recording.takes import CALIBRATION, SIZE, frame, lone, pair, write, writer
+from tools.waiting import wait_until
 
 
 def pairs_of(path: Path) -> list[TakePair]:

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from daemon.control.rpc.client import ControlClient
 from fringed.keys import Key
-from tests.daemon.remote_access.world import CONNECTIONS, Tap, World, request, rude, talk, until
+from tests.daemon.remote_access.world import CONNECTIONS, Tap, World, request, rude, talk
+from tools.waiting import wait_until
 
 pytestmark = pytest.mark.timeout(400)
 MOST_GROWTH_MB = 64.0
@@ -51,7 +52,7 @@ def test_what_was_recorded_is_worth_nothing_when_it_is_played_again(shared: Worl
     before = shared.refused("control_handshake")
     for _ in range(3):
         talk(shared.ports()[1], said)
-    until(lambda: shared.refused("control_handshake") >= before + 3)
+    wait_until(lambda: shared.refused("control_handshake") >= before + 3)
     assert len(shared.called) == 1
 
 
@@ -93,7 +94,7 @@ def test_a_bit_that_was_flipped_on_the_way_changes_nothing_that_is_done(shared: 
                 told = shared.refused("control_handshake") > refused
                 return bool(tap.closed_by_server or told or len(shared.called) > before)
 
-            until(decided)
+            wait_until(decided)
     shared.operate()  # whatever was on its way has been done before it
     assert all(one in asked for one in shared.called if one[1]["value"] != 1)
     assert not any(asked.index(one) >= 12 for one in shared.called if one in asked)
@@ -103,7 +104,7 @@ def test_a_bit_that_was_flipped_on_the_way_changes_nothing_that_is_done(shared: 
 def test_a_message_that_is_too_large_ends_its_connection(shared: World, role: str) -> None:
     before = shared.gate.status()["accepted"]
     with rude(shared, zmq.DEALER, getattr(shared, role), shared.control_at) as client:
-        until(lambda: shared.gate.status()["accepted"] > before)
+        wait_until(lambda: shared.gate.status()["accepted"] > before)
         client.send(b"x" * 50_000_000)
         client.poll(500)
     assert not shared.called
@@ -147,7 +148,7 @@ def test_connections_that_say_nothing_are_few_and_end(shared: World) -> None:
                 silent += 1
             return bool(shared.gate.status()["connections"] >= CONNECTIONS // 2)
 
-        until(many)
+        wait_until(many)
         assert shared.gate.status()["connections"] <= CONNECTIONS + 16
         shared.operate()  # it waits for its turn while they are cut off one after the other
 
@@ -159,7 +160,7 @@ def test_subscriptions_of_any_length_and_odd_messages_do_not_reach_the_daemon(sh
             client.send(said)
         client.send(b"\1cloud/full")
         assert client.poll(60_000)
-        until(lambda: shared.refused("stream_request") >= before + 2)
+        wait_until(lambda: shared.refused("stream_request") >= before + 2)
     assert all(len(topic) <= 64 for topic in shared.publisher.status()["topics"])
 
 
@@ -168,7 +169,7 @@ def test_requests_of_many_parts_are_refused(shared: World) -> None:
     with rude(shared, zmq.DEALER, shared.operator, shared.control_at) as client:
         client.send_multipart([request("set"), request("set"), request("set")])
         client.send_multipart([b"x"] * 500)
-        until(lambda: shared.refused("control_request") >= before + 2)
+        wait_until(lambda: shared.refused("control_request") >= before + 2)
     assert not shared.called
 
 
@@ -233,7 +234,7 @@ def test_ten_thousand_messages_through_the_cipher_do_what_their_role_allows_and_
 
         send()
         client.send(request("status", value="the last"))
-        until(lambda: ("status", {"value": "the last"}) in shared.called)
+        wait_until(lambda: ("status", {"value": "the last"}) in shared.called)
     assert counted >= 10_000
     assert {name for name, _ in shared.called} == {"status"}
-    until(lambda: shared.refused("control_role") > 100)
+    wait_until(lambda: shared.refused("control_role") > 100)

@@ -19,7 +19,8 @@ from daemon.remote_access.gate_messages import Order
 from daemon.remote_access.gate_sink import RemoteGate
 from fringed import SilenceError, subscribe
 from fringed.keys import new_key
-from tests.daemon.remote_access.world import World, pause_for, request, rude, until
+from tests.daemon.remote_access.world import World, pause_for, request, rude
+from tools.waiting import wait_until
 
 pytestmark = pytest.mark.timeout(400)
 SHORT_S = 1.0  # for those who must not get in; whoever may is waited for with patience
@@ -39,7 +40,7 @@ def test_a_view_key_may_look_and_nothing_else(shared: World) -> None:
             with pytest.raises(ControlError, match="this key may only view"):
                 client.call(method)
     assert not shared.called
-    until(lambda: shared.refused("control_role") == before + 4)
+    wait_until(lambda: shared.refused("control_role") == before + 4)
 
 
 def test_the_refusal_of_a_role_has_its_code(shared: World) -> None:
@@ -56,9 +57,9 @@ def test_a_key_that_is_not_allowed_neither_sees_nor_operates(shared: World) -> N
     with shared.client(shared.stranger, timeout_s=SHORT_S) as client:
         with pytest.raises(ControlError, match="know this key"):
             client.call("set", value=1)
-        until(lambda: shared.refused("control_key"))
+        wait_until(lambda: shared.refused("control_key"))
     with closing(subscribe(shared.stream, keys=shared.keys(shared.stranger))):
-        until(lambda: shared.refused("stream_key"))
+        wait_until(lambda: shared.refused("stream_key"))
     assert not shared.called
     assert "not allowed" in shared.gate.status()["last_refused"]
 
@@ -69,7 +70,7 @@ def test_no_key_gets_nowhere(shared: World) -> None:
     with shared.client(None, timeout_s=SHORT_S) as client:
         with pytest.raises(ControlError, match="needs keys"):
             client.call("set", value=1)
-        until(lambda: shared.refused("control_handshake") > before)
+        wait_until(lambda: shared.refused("control_handshake") > before)
     with closing(subscribe(shared.stream, timeout_s=SHORT_S)) as stream, pytest.raises(SilenceError):
         next(stream)
     assert not shared.called
@@ -84,7 +85,7 @@ def test_a_password_gets_nowhere(shared: World) -> None:
         client.setsockopt(zmq.PLAIN_PASSWORD, b"admin")
         client.connect(shared.control_at)
         client.send(request("set", value=1))
-        until(lambda: shared.refused("control_handshake") > before)
+        wait_until(lambda: shared.refused("control_handshake") > before)
     assert not shared.called
 
 
@@ -109,7 +110,7 @@ def test_a_key_without_its_secret_gets_nowhere(shared: World) -> None:
         before = shared.refused("control_handshake")
         client.connect(shared.control_at)
         client.send(request("set", value=1))
-        until(lambda: shared.refused("control_handshake") > before)
+        wait_until(lambda: shared.refused("control_handshake") > before)
     assert not shared.called
 
 
@@ -128,7 +129,7 @@ def test_a_key_that_is_allowed_later_gets_in_without_a_restart_of_anything(share
         refused = shared.refused("control_key")
         with shared.client(key, timeout_s=SHORT_S) as hasty, pytest.raises(ControlError):
             hasty.call("status")
-        until(lambda: shared.refused("control_key") > refused)
+        wait_until(lambda: shared.refused("control_key") > refused)
         shared.allow(key, "view")
         assert client.call("status") == "done"
         assert next(stream).points.size
@@ -174,7 +175,7 @@ def test_a_role_that_is_taken_away_counts_at_the_next_request(shared: World) -> 
                 return "only view" in str(error)
             return False
 
-        until(refused)
+        wait_until(refused)
     shared.revoke("demoted")
 
 
@@ -182,10 +183,10 @@ def test_a_mistake_in_the_list_changes_nothing_and_is_told(own: World) -> None:
     path = own.store.directory / "allowed"
     good = path.read_text()
     path.write_text(good + "nonsense\n")
-    until(lambda: "allowed:4" in own.gate.status().get("problem", ""))
+    wait_until(lambda: "allowed:4" in own.gate.status().get("problem", ""))
     own.lives()
     path.write_text(good)
-    until(lambda: "problem" not in own.gate.status())
+    wait_until(lambda: "problem" not in own.gate.status())
 
 
 def test_a_new_server_key_is_used_at_once(own: World) -> None:
@@ -193,7 +194,7 @@ def test_a_new_server_key_is_used_at_once(own: World) -> None:
     for name in ("server.key", "server.pub"):
         (own.store.directory / name).unlink()
     own.server = own.store.make_server()
-    until(lambda: own.gate.status()["cut"].get("stream_server_key"))
+    wait_until(lambda: own.gate.status()["cut"].get("stream_server_key"))
     own.lives()
 
 
@@ -202,7 +203,7 @@ def test_a_gate_that_dies_is_started_again_at_the_same_addresses(own: World, num
     own.lives()
     addresses = own.stream, own.control_at
     os.kill(own.gate.pid, number)
-    until(lambda: own.gate.status()["restarts"] == 1 and "problem" not in own.gate.status())
+    wait_until(lambda: own.gate.status()["restarts"] == 1 and "problem" not in own.gate.status())
     assert (own.stream, own.control_at) == addresses
     assert own.sees(own.viewer)
     own.operate()
@@ -213,7 +214,7 @@ def test_a_gate_that_hangs_is_replaced(own: World, monkeypatch: pytest.MonkeyPat
     with monkeypatch.context() as impatient:
         impatient.setattr(gate_sink, "_SILENCE_S", 5.0)
         os.kill(own.gate.pid, signal.SIGSTOP)
-        until(lambda: own.gate.status()["restarts"])
+        wait_until(lambda: own.gate.status()["restarts"])
     assert own.sees(own.viewer)
     own.operate()
 
@@ -228,7 +229,7 @@ def test_a_gate_that_is_too_large_begins_anew(shared: World) -> None:
         memory_mb=1,
     )
     with closing(RemoteGate(order, shared.store)) as gate:
-        until(lambda: gate.status()["cut"].get("stream_memory"))
+        wait_until(lambda: gate.status()["cut"].get("stream_memory"))
 
 
 def test_keys_do_no_harm_on_the_way_that_needs_none(shared: World) -> None:
@@ -243,7 +244,7 @@ def test_keys_do_no_harm_on_the_way_that_needs_none(shared: World) -> None:
 def test_a_gate_without_its_daemon_ends(own: World) -> None:
     pid = own.gate.pid
     own.gate.close()
-    until(lambda: not os.path.exists(f"/proc/{pid}"))  # noqa: PTH110
+    wait_until(lambda: not os.path.exists(f"/proc/{pid}"))  # noqa: PTH110
 
 
 def test_a_stop_of_the_whole_group_leaves_the_gate_to_its_daemon(own: World) -> None:

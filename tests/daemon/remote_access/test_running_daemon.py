@@ -17,8 +17,7 @@ import pytest
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
 from tests.daemon.remote_access import listening_addresses
-from tests.daemon.remote_access.world import until
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 RIG = """
 cameras: {{driver: sim}}
@@ -109,7 +108,7 @@ def test_it_may_not_operate_and_the_status_tells_that_it_tried(running: Running)
     refused = running.remotely("screen", "record", "stop", "--endpoint", endpoint)
     assert refused.returncode == 1 and "may only view" in refused.stderr
     assert running.status()["recorder"]["recording"] == before["recording"] is True
-    until(lambda: running.remote()["refused"].get("control_role"))
+    wait_until(lambda: running.remote()["refused"].get("control_role"))
     paused = running.remotely("boss", "stop", "--endpoint", endpoint, "--timeout", "60")
     assert paused.returncode == 0 and "paused" in paused.stdout, paused.stderr
     assert running.remotely("boss", "start", "--endpoint", endpoint, "--timeout", "60").returncode == 0
@@ -123,7 +122,7 @@ def test_it_listens_where_rig_yaml_says_and_nowhere_else(running: Running) -> No
 
 
 def test_its_files_are_closed_to_others(running: Running) -> None:
-    until(lambda: any((running.folder / "takes").glob("first*")))
+    wait_until(lambda: any((running.folder / "takes").glob("first*")))
     made = [path for path in running.folder.rglob("*") if path.parent != running.folder or path.name == "takes"]
     assert len(made) > 5
     modes: dict[Path, int] = {}
@@ -140,7 +139,7 @@ def test_its_files_are_closed_to_others(running: Running) -> None:
 
 def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) -> None:
     running.keys("revoke", "screen")
-    until(lambda: running.remote()["cut"].get("control_revoked"))
+    wait_until(lambda: running.remote()["cut"].get("control_revoked"))
     endpoint = f"tcp://127.0.0.1:{running.control}"
     refused = running.remotely("screen", "status", "--endpoint", endpoint, "--timeout", "2")
     assert refused.returncode == 1 and "does it know this key" in refused.stderr
@@ -149,7 +148,7 @@ def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) ->
     running.process.wait(90)
     log = (running.folder / "log").read_text()
     assert running.process.returncode == 0 and "started again" not in log, log
-    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))
 
 
 def test_a_daemon_whose_key_is_missing_says_so_with_the_line_of_the_file(tmp_path: Path, fringed: Fringed) -> None:

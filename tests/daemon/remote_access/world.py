@@ -6,7 +6,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from daemon.remote_access.gate_sink import RemoteGate
 from fringed import Keys, SilenceError, subscribe
 from fringed.keys import Key, new_key
 from tests.daemon.live.publishing import clouds
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 PATIENCE_S = 90.0
 CONNECTIONS = 32
@@ -87,7 +87,7 @@ class World:
         """Take a key out of the list; returns when connections were cut, so that none is made that will be."""
         before = sum(self.gate.status()["cut"].values())
         self.store.revoke(name)
-        until(lambda: sum(self.gate.status()["cut"].values()) > before)
+        wait_until(lambda: sum(self.gate.status()["cut"].values()) > before)
 
     def keys(self, key: Key, server: Key | None = None) -> Keys:
         """What a client with this key uses."""
@@ -227,11 +227,6 @@ def talk(port: int, data: bytes, *, wait_s: float = PATIENCE_S) -> bytes:
             while more := raw.recv(65536):
                 heard += more
     return heard
-
-
-def until(condition: Callable[[], object]) -> None:
-    """Wait for it, with patience for a loaded machine."""
-    wait_until(condition, PATIENCE_S)
 
 
 def pause_for(seconds: float) -> None:

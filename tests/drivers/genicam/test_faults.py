@@ -16,6 +16,7 @@ from daemon.live.acquisition.pairer import Pair, Pairer, PairingSettings
 from drivers.errors import DeviceLost
 from drivers.protocols import Camera, Frame
 from sim.gentl.cable import Cable
+from tools.waiting import wait_until
 
 Make = Callable[..., Camera]
 Rig = tuple[Cable, Cable]
@@ -66,13 +67,6 @@ def pending(camera: Camera, quiet_s: float = 0.3) -> list[Frame]:
     return found
 
 
-def until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
-    end = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def counter(camera: Camera, name: str) -> int:
     return camera.health().counters.get(name, 0)
 
@@ -91,7 +85,7 @@ def test_frames_lost_on_the_cable_leave_a_gap(running: tuple[Cable, Camera]) -> 
     cable.drop(2)
     pulses(cable, 5)
     assert [frame.trigger for frame in pending(camera)] == [0, 1, 2, 5, 6, 7]
-    until(lambda: counter(camera, "lost") == 2)
+    wait_until(lambda: counter(camera, "lost") == 2)
     assert counter(camera, "incomplete") == 0
 
 
@@ -111,10 +105,10 @@ def test_incomplete_frames_are_dropped_and_counted_once(running: tuple[Cable, Ca
     assert [frame.trigger for frame in found] == [0, 1, 5, 6]
     for frame in found:
         assert len(np.unique(frame.image)) == 1, "half an image was delivered"
-    until(lambda: counter(camera, "incomplete") == 3)
+    wait_until(lambda: counter(camera, "incomplete") == 3)
     pulses(cable, 1)
     assert pending(camera)[0].trigger == 7
-    until(lambda: counter(camera, "incomplete") == 3)
+    wait_until(lambda: counter(camera, "incomplete") == 3)
     assert counter(camera, "lost") == 0, "counted twice"
 
 
@@ -149,7 +143,7 @@ def test_pulses_that_come_too_soon_are_counted_and_move_no_number(running: tuple
     found = pending(camera)
     assert cable.state().missed > 5
     assert [frame.trigger for frame in found] == list(range(30 - cable.state().missed))
-    until(lambda: counter(camera, "missed_trigger") == cable.state().missed)
+    wait_until(lambda: counter(camera, "missed_trigger") == cable.state().missed)
     assert counter(camera, "lost") == 0
 
 
@@ -173,7 +167,7 @@ def test_a_camera_clock_that_is_set_anew_is_learnt_anew(running: tuple[Cable, Ca
     pulses(cable, 3)
     assert len(pending(camera)) == 3
     cable.set_clock(17)
-    until(lambda: counter(camera, "clock_resets") >= 1 or camera.read(0.05) is not None)
+    wait_until(lambda: counter(camera, "clock_resets") >= 1 or camera.read(0.05) is not None)
     shift = time.time_ns() - time.monotonic_ns()
     for t_ns in pulses(cable, 3):
         frame = camera.read(5.0)
@@ -255,7 +249,7 @@ def test_a_stopped_process_is_given_up(ours: Path, rig: Rig) -> None:
 def test_what_nobody_reads_is_dropped_and_counted(running: tuple[Cable, Camera]) -> None:
     cable, camera = running
     pulses(cable, 60)
-    until(lambda: counter(camera, "ring_full") >= 60 - 16)
+    wait_until(lambda: counter(camera, "ring_full") >= 60 - 16)
     found = pending(camera)
     assert found[-1].trigger == 59
     assert len(found) + counter(camera, "ring_full") == 60

@@ -18,6 +18,7 @@ from drivers.genicam.formats import BY_NAME
 from drivers.protocols import Camera, Frame
 from sim.gentl.cable import Cable
 from tests.drivers.genicam import producers
+from tools.waiting import wait_until
 
 Make = Callable[..., Camera]
 Rig = tuple[Cable, Cable]
@@ -48,13 +49,6 @@ def image(cable: Cable, seed: int = 0, *, colour: bool = True) -> Any:
     shown = np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
     cable.show(shown)
     return shown
-
-
-def until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
-    end = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def mosaic(shown: Any, pattern: str = "RG") -> Any:
@@ -274,13 +268,13 @@ def test_health_tells_the_temperature_and_triggers_that_came_too_soon(make: Make
     cable.set_temperature(61.25)
     camera.open()
     camera.start()
-    until(lambda: camera.health().temperature_c == 61.25)
+    wait_until(lambda: camera.health().temperature_c == 61.25)
     at = time.monotonic_ns()
     assert cable.wait_armed(5)
     for later in (0, 500_000, 1_000_000):
         cable.pulse(at + later)
     assert camera.read(5.0) is not None
-    until(lambda: camera.health().counters["missed_trigger"] == 2)
+    wait_until(lambda: camera.health().counters["missed_trigger"] == 2)
     assert shot(cable, camera).trigger == 1, "pulses that a camera ignores are not counted as frames"
     assert camera.health().counters["lost"] == 0
 

@@ -16,6 +16,7 @@ import pytest
 from drivers.projector import images
 from sim.box.xserver import XServer
 from tests.drivers.projector import x
+from tools.waiting import wait_until
 
 FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -52,7 +53,7 @@ def test_the_test_image_stands_until_it_is_interrupted(server: XServer) -> None:
     )
     wanted = images.alignment((320, 256))
     try:
-        x.until(lambda: np.array_equal(x.grab(server, 1), wanted), "the image is on the output")
+        wait_until(lambda: np.array_equal(x.grab(server, 1), wanted), what="the image is on the output")
         held.send_signal(signal.SIGINT)
         said, _ = held.communicate(timeout=30)
     finally:

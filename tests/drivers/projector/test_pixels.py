@@ -15,6 +15,7 @@ from drivers.errors import DriverError, SettingRefused
 from drivers.projector import OutputProjector, images
 from sim.box.xserver import Head, XServer
 from tests.drivers.projector import x
+from tools.waiting import wait_until
 
 Make = Callable[..., OutputProjector]
 OUTPUTS = pytest.mark.parametrize("head", [0, 1], ids=["DUMMY0", "DUMMY1"])
@@ -49,7 +50,7 @@ def test_a_window_manager_does_not_move_it(own_server: XServer, projector: Make)
     try:
         with x.client(own_server) as display:
             root, atom = display.screen().root, display.intern_atom("_NET_SUPPORTING_WM_CHECK")
-            x.until(lambda: root.get_full_property(atom, 0) is not None, "openbox is there")
+            wait_until(lambda: root.get_full_property(atom, 0) is not None, what="openbox is there")
         for head in (1, 0):
             shown = projector(own_server, output=f"DUMMY{head}")
             shown.open()
@@ -102,10 +103,10 @@ def test_a_sequence_goes_on_by_itself_and_its_last_image_stays(server: XServer, 
     shown.open()
     sequence = [x.noise(server, 1, seed) for seed in range(3)]
     shown.show_sequence(sequence, hold_frames=2)
-    x.until(lambda: np.array_equal(x.grab(server, 1), sequence[2]), "the last image is out")
+    wait_until(lambda: np.array_equal(x.grab(server, 1), sequence[2]), what="the last image is out")
     shown.show_sequence(sequence, hold_frames=15, loop=True)
     for image in [*sequence, sequence[0]]:
-        x.until(lambda wanted=image: np.array_equal(x.grab(server, 1), wanted), "each image comes, again and again")
+        wait_until(lambda wanted=image: np.array_equal(x.grab(server, 1), wanted), what="each image comes")
     shown.show(sequence[1])
     assert np.array_equal(x.grab(server, 1), sequence[1]) and shown.problem() == ""
 

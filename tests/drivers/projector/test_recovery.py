@@ -15,6 +15,7 @@ import numpy as np
 from drivers.projector import OutputProjector
 from sim.box.xserver import XServer
 from tests.drivers.projector import x
+from tools.waiting import wait_until
 
 Make = Callable[..., OutputProjector]
 CYCLES = 12
@@ -53,8 +54,8 @@ def recovers(server: XServer, shown: OutputProjector, image: np.ndarray, harm: C
     first, (said, end) = shown.window_pid, watch(shown)
     try:
         harm()
-        x.until(lambda: any(word in problem for problem in said), f"'{word}' is told, only: {said}")
-        x.until(lambda: not shown.problem(), "all is well again")
+        wait_until(lambda: any(word in problem for problem in said), what=f"'{word}' is told, only: {said}")
+        wait_until(lambda: not shown.problem(), what="all is well again")
     finally:
         end()
     assert np.array_equal(x.grab(server, 1), image)
@@ -118,10 +119,10 @@ def test_an_x_server_that_dies_is_told_and_used_again(own_server: XServer, proje
     shown = projector(own_server)
     image = opened(own_server, shown)
     own_server.kill()
-    x.until(lambda: "X server" in shown.problem(), "the server's end is told")
-    x.until(lambda: "no connection" in shown.problem(), "it is tried again")
+    wait_until(lambda: "X server" in shown.problem(), what="the server's end is told")
+    wait_until(lambda: "no connection" in shown.problem(), what="it is tried again")
     own_server.restart()
-    x.until(lambda: not shown.problem(), "all is well again")
+    wait_until(lambda: not shown.problem(), what="all is well again")
     assert np.array_equal(x.grab(own_server, 1), image)
 
 
@@ -133,7 +134,7 @@ def test_an_image_wanted_while_the_server_is_gone_is_shown_later(own_server: XSe
     shown.show(wanted)
     assert "no image" in shown.problem() and shown.last_flip is None
     own_server.restart()
-    x.until(lambda: not shown.problem(), "all is well again")
+    wait_until(lambda: not shown.problem(), what="all is well again")
     assert np.array_equal(x.grab(own_server, 1), wanted)
 
 
@@ -141,7 +142,7 @@ def test_it_closes_at_once_while_the_server_is_gone(own_server: XServer, project
     shown = projector(own_server)
     opened(own_server, shown)
     own_server.kill()
-    x.until(lambda: "X server" in shown.problem(), "the server's end is told")
+    wait_until(lambda: "X server" in shown.problem(), what="the server's end is told")
     shown.close()
     assert "closed" in shown.problem()
 
@@ -167,9 +168,9 @@ def test_the_window_ends_with_its_parent_and_puts_the_gamma_table_back(own_serve
         except (FileNotFoundError, ProcessLookupError):
             return True
 
-    x.until(gone, "the window's process is gone")
+    wait_until(gone, what="the window's process is gone")
     with x.client(server) as display:
-        x.until(lambda: x.top_window(display) is None, "the window is gone")
+        wait_until(lambda: x.top_window(display) is None, what="the window is gone")
     assert np.array_equal(x.gamma(server, "DUMMY1"), bent)
 
 
@@ -185,7 +186,7 @@ def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make) 
         shown.show(image)
         if cycle % 4 == 1:
             os.kill(shown.window_pid, signal.SIGKILL)
-            x.until(lambda shown=shown: not shown.problem(), "all is well again")
+            wait_until(lambda shown=shown: not shown.problem(), what="all is well again")
         shown.close()
         before = before or left()
     assert left() == before

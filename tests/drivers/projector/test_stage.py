@@ -17,6 +17,7 @@ from drivers.errors import DriverError, SettingRefused
 from drivers.projector import OutputProjector
 from sim.box.xserver import XServer
 from tests.drivers.projector import x
+from tools.waiting import wait_until
 
 Make = Callable[..., OutputProjector]
 
@@ -77,7 +78,7 @@ def test_a_gamma_table_is_reset_and_restored(
     if killed:
         first = shown.window_pid
         os.kill(first, signal.SIGKILL)
-        x.until(lambda: shown.window_pid not in (0, first) and not shown.problem(), "the window is back")
+        wait_until(lambda: shown.window_pid not in (0, first) and not shown.problem(), what="the window is back")
         assert np.abs(x.gamma(own_server, "DUMMY1") - linear).max() < 1
     shown.close()
     assert np.array_equal(x.gamma(own_server, "DUMMY1"), bent)
@@ -90,8 +91,10 @@ def test_a_gamma_table_that_is_bent_while_running_is_a_problem_or_mended(own_ser
     mended.open()
     x.bend_gamma(own_server, "DUMMY0")
     x.bend_gamma(own_server, "DUMMY1")
-    x.until(lambda: "gamma table that is not linear" in checked.problem(), "the problem is told")
-    x.until(lambda: bool(np.abs(np.diff(np.diff(x.gamma(own_server, "DUMMY1")))).max() <= 1), "the table is linear")
+    wait_until(lambda: "gamma table that is not linear" in checked.problem(), what="the problem is told")
+    wait_until(
+        lambda: bool(np.abs(np.diff(np.diff(x.gamma(own_server, "DUMMY1")))).max() <= 1), what="the table is linear"
+    )
     assert mended.problem() == ""
 
 
@@ -100,12 +103,12 @@ def test_another_mode_is_a_problem_until_it_is_undone(own_server: XServer, proje
     shown.open()
     shown.show(image)
     x.set_mode(own_server, "DUMMY1", "640x480")
-    x.until(lambda: "is 640x480 but the projector's own resolution" in shown.problem(), "the mode is told")
+    wait_until(lambda: "is 640x480 but the projector's own resolution" in shown.problem(), what="the mode is told")
     x.set_mode(own_server, "DUMMY1", None)
-    x.until(lambda: "switched off" in shown.problem(), "the output is told")
+    wait_until(lambda: "switched off" in shown.problem(), what="the output is told")
     x.set_mode(own_server, "DUMMY1", own_server.heads[1].mode)
-    x.until(lambda: not shown.problem(), "all is well")
-    x.until(lambda: np.array_equal(x.grab(own_server, 1), image), "the image is back")
+    wait_until(lambda: not shown.problem(), what="all is well")
+    wait_until(lambda: np.array_equal(x.grab(own_server, 1), image), what="the image is back")
 
 
 def test_a_window_that_is_moved_or_covered_comes_back(own_server: XServer, projector: Make) -> None:
@@ -115,7 +118,7 @@ def test_a_window_that_is_moved_or_covered_comes_back(own_server: XServer, proje
     with x.client(own_server) as display:
         x.top_window(display).configure(x=11, y=7)
         display.sync()
-        x.until(lambda: np.array_equal(x.grab(own_server, 1), image), "the window is back in its place")
+        wait_until(lambda: np.array_equal(x.grab(own_server, 1), image), what="the window is back in its place")
         screen = display.screen()
         other = screen.root.create_window(
             700, 10, 100, 100, 0, screen.root_depth, background_pixel=0xFFFFFF, override_redirect=True
@@ -123,8 +126,8 @@ def test_a_window_that_is_moved_or_covered_comes_back(own_server: XServer, proje
         other.map()
         other.configure(stack_mode=X.Above)
         display.sync()
-        x.until(lambda: np.array_equal(x.grab(own_server, 1), image), "the window is on top again")
-    x.until(lambda: not shown.problem(), "all is well")
+        wait_until(lambda: np.array_equal(x.grab(own_server, 1), image), what="the window is on top again")
+    wait_until(lambda: not shown.problem(), what="all is well")
 
 
 def test_a_compositor_is_told(own_server: XServer, projector: Make) -> None:

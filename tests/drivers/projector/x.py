@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -18,7 +17,6 @@ from Xlib.display import Display
 from sim.box.xserver import Head, XServer, XServerError
 
 DESKTOP, PROJECTOR = Head(640, 480), Head(320, 256, 59.94)
-DEADLINE_S = 30.0
 
 
 def start(server: XServer) -> XServer:
@@ -92,14 +90,6 @@ def bend_gamma(server: XServer, output: str, exponent: float = 2.2) -> NDArray[n
         display.xrandr_set_crtc_gamma(number, size, values, values, values)
         display.sync()
     return np.array([values] * 3)
-
-
-def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for a condition, at most half a minute."""
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"never: {what}"
-        time.sleep(0.01)
 
 
 def noise(server: XServer, head: int, seed: int = 0) -> NDArray[np.uint8]:

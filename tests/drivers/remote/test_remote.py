@@ -22,6 +22,7 @@ from drivers.errors import DeviceLost, DriverError, SettingRefused
 from drivers.protocols import Camera, Frame
 from drivers.remote import RemoteCamera
 from drivers.remote.camera import Limits
+from tools.waiting import wait_until
 
 TARGET = "tests.drivers.remote.fake:open_camera"
 QUICK = Limits(slots=8, silence_s=0.5, open_s=20.0, order_s=5.0, close_s=2.0)
@@ -48,13 +49,6 @@ def frames(camera: RemoteCamera, count: int, within_s: float = 10.0) -> list[Fra
         found += [] if frame is None else [frame]
     assert len(found) == count
     return found
-
-
-def until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
-    end = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def gone(pid: int, within_s: float = 10.0) -> bool:
@@ -167,8 +161,8 @@ def test_when_nobody_reads_the_oldest_are_dropped_and_counted(camera: Any) -> No
     remote = camera(frames=100)
     remote.open()
     remote.start()
-    until(lambda: remote.health().counters.get("given", 0) == 100)
-    until(lambda: remote.health().counters["ring_full"] > 0)
+    wait_until(lambda: remote.health().counters.get("given", 0) == 100)
+    wait_until(lambda: remote.health().counters["ring_full"] > 0)
     found = []
     while (frame := remote.read(0.3)) is not None:
         found.append(frame.trigger)
@@ -258,10 +252,10 @@ def test_health_comes_while_nobody_reads(camera: Any) -> None:
     remote = camera(frames=2)
     assert remote.health().temperature_c is None
     remote.open()
-    until(lambda: remote.health().temperature_c == 21.5)
+    wait_until(lambda: remote.health().temperature_c == 21.5)
     remote.start()
     frames(remote, 2)
-    until(lambda: remote.health().counters.get("given") == 2)
+    wait_until(lambda: remote.health().counters.get("given") == 2)
 
 
 def test_what_the_process_prints_goes_to_the_log(
@@ -271,7 +265,7 @@ def test_what_the_process_prints_goes_to_the_log(
         remote = camera()
         remote.open()
         remote.start()
-        until(lambda: "started" in caplog.messages)
+        wait_until(lambda: "started" in caplog.messages)
     assert capfd.readouterr() == ("", "")
 
 

@@ -8,12 +8,13 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from benchmarks.common.box_daemon import Daemon, wait_until
+from benchmarks.common.box_daemon import Daemon
 from fringed import subscribe
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.box.box import Box
 from sim.evaluate.score import Score, score
 from sim.render import render_pair
+from tools.waiting import wait_until
 
 PAIRS = 5
 

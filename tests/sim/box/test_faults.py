@@ -9,10 +9,11 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.common.box_daemon import Daemon, wait_until
+from benchmarks.common.box_daemon import Daemon
 from drivers.protocols import SIDES
 from sim.box.box import Box
 from sim.devices.faults import FaultKind
+from tools.waiting import wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 

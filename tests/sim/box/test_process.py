@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.common.box_daemon import wait_until
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
 from fringed import subscribe
@@ -19,6 +18,7 @@ from sim.box.box import Box, heads
 from sim.box.options import from_mapping
 from sim.box.xserver import XServer
 from sim.devices.options import OptionError
+from tools.waiting import wait_until
 
 CONFIG = """
 folder: {folder}

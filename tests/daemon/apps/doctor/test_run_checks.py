@@ -15,7 +15,7 @@ from daemon.apps.doctor.check_table import AREAS
 from daemon.apps.doctor.finding import LEVELS, Finding, Level, counts, exit_code
 from daemon.apps.doctor.run_checks import examine
 from tests.daemon.apps.doctor import bad_checks
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 
 @pytest.mark.parametrize("level", ["warning", "problem"])

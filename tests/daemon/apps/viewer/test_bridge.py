@@ -26,8 +26,8 @@ from daemon.cli.entry import run
 from fringed import SilenceError, subscribe
 from tests.daemon.apps.viewer import rrd_contents
 from tests.daemon.live.publishing import clouds
-from tests.daemon.live.publishing.clouds import until
 from tests.daemon.remote_access import listening_addresses
+from tools.waiting import wait_until
 
 LARGE = (256, 205)
 
@@ -45,7 +45,7 @@ def viewing(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def wanted(publisher: Any, *topics: str) -> None:
-    until(lambda: all(publisher.wants(topic) for topic in topics))
+    wait_until(lambda: all(publisher.wants(topic) for topic in topics))
 
 
 def test_of_what_waits_only_the_newest_of_each_topic_is_kept() -> None:
@@ -58,7 +58,7 @@ def test_of_what_waits_only_the_newest_of_each_topic_is_kept() -> None:
                 source.drain(0.01)
                 return source.skipped == seq and "cloud/full" in source._waiting
 
-            until(came)
+            wait_until(came)
         (cloud,) = (message for message in source.newest() if message.topic == "cloud/full")
         assert cloud.header.seq == 4 and (source.skipped, source.lost) == (4, 0)
         assert not list(source.newest())
@@ -80,7 +80,7 @@ def test_clouds_images_and_figures_of_a_stream_reach_the_file(tmp_path: Path) ->
                 bridge.show_newest()
                 return seen == {"cloud/full", "preview", "status"}
 
-            until(all_came)
+            wait_until(all_came)
     assert list(rrd_contents.clouds(file)) == [3]
     assert {"/images/left", "/images/right", "/images/modulation"} <= rrd_contents.entities(file)
     figures = {
@@ -108,7 +108,7 @@ def test_a_viewer_that_hangs_holds_up_neither_the_publisher_nor_other_subscriber
                         next(healthy)
                     return healthy.received >= 10
 
-                until(served)
+                wait_until(served)
             newest = next(numbers)
             os.kill(viewer.pid, signal.SIGCONT)
 
@@ -116,7 +116,7 @@ def test_a_viewer_that_hangs_holds_up_neither_the_publisher_nor_other_subscriber
                 publisher.offer(replace(large, seq=next(numbers)))
                 return viewer.poll() is not None
 
-            until(ended, 20.0)
+            wait_until(ended, 20.0)
             _, told = viewer.communicate()
             assert viewer.returncode == 0, told
     assert max(rrd_contents.clouds(file)) > newest and "30 clouds" in told
@@ -127,7 +127,7 @@ def test_ctrl_c_finishes_the_file(tmp_path: Path) -> None:
     with clouds.publisher() as publisher, viewing(publisher.endpoints[0], "--save", str(file)) as viewer:
         wanted(publisher, "cloud/full")
         clouds.send(publisher, clouds.item(1))
-        until(lambda: file.with_name(".x.rrd.partial").exists())
+        wait_until(lambda: file.with_name(".x.rrd.partial").exists())
         viewer.send_signal(signal.SIGINT)
         _, told = viewer.communicate(timeout=20)
     assert viewer.returncode in (0, 1), told  # 1: it was stopped before the cloud came
@@ -155,7 +155,7 @@ def test_the_web_viewer_prints_one_line_with_its_address_and_serves_the_page() -
             assert address.startswith("http://127.0.0.1:") and "/?url=rerun%2Bhttp://127.0.0.1:" in address
             with urlopen(address.partition("?")[0], timeout=10) as page:
                 assert b"<html" in page.read().lower()
-            until(lambda: len(listening_addresses.addresses(viewer.pid)) >= 2, 60)
+            wait_until(lambda: len(listening_addresses.addresses(viewer.pid)) >= 2, 60)
             assert {host for host, _ in listening_addresses.addresses(viewer.pid)} == {"127.0.0.1"}
             viewer.send_signal(signal.SIGINT)
             viewer.communicate(timeout=10)

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import secrets
 import socket
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.daemon import rigs
+from tools.waiting import wait_until
 
 PATIENT = pytest.mark.timeout(400)
 """For tests that wait for other processes and threads: each wait has a limit of its own, for busy machines."""
-
-
-def wait_until(condition: Callable[[], object], timeout_s: float = 90.0) -> None:
-    """Return as soon as the condition holds."""
-    rigs.wait_until(condition, timeout_s)
 
 
 class Manager:

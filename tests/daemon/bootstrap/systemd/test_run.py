@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.daemon.bootstrap.systemd.manager import PATIENT, Manager, wait_until
+from tests.daemon.bootstrap.systemd.manager import PATIENT, Manager
+from tools.waiting import wait_until
 
 pytestmark = PATIENT
 

@@ -13,8 +13,9 @@ from daemon.bootstrap.systemd.notifier import Notifier
 from daemon.bootstrap.systemd.supervisor import Supervisor
 from daemon.live.service import Service
 from sim.devices.open_rig import RigDevices
-from tests.daemon.bootstrap.systemd.manager import PATIENT, Manager, wait_until
+from tests.daemon.bootstrap.systemd.manager import PATIENT, Manager
 from tests.daemon.rigs import Collector, config, devices, rig_of, step
+from tools.waiting import wait_until
 
 pytestmark = PATIENT
 

@@ -13,7 +13,7 @@ import yaml
 from daemon.control.rpc.client import ControlClient
 from daemon.rig.calibration_file import read_calibration, read_cameras
 from sim.rig.layout import RigLayout
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "calibrate-sim.yaml"
 
@@ -25,6 +25,7 @@ from pathlib import Path
 from daemon.bootstrap.run import StopFlag, run_rig
 from daemon.live.service import Service
 from tests.daemon.lit_rig import FlatReconstructor
+from tools.waiting import wait_until
 Service._warm = lambda self: FlatReconstructor()
 with StopFlag().on_signals() as flag:
     run_rig(Path(sys.argv[1]), flag=flag)

@@ -10,7 +10,7 @@ import pytest
 
 from daemon.cli.measure import demo, demo_processes
 from daemon.config import load_rig
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 STATUS: dict[str, Any] = {
     "state": "running",

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
 from fringed import subscribe
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 RIG = """
 cameras: {{driver: sim}}

@@ -14,7 +14,7 @@ import zmq
 from daemon.control.rpc.background_executor import ROOM, BackgroundExecutor, Job
 from daemon.control.rpc.protocol import BUSY, FAILED, FORBIDDEN, MAX_ANSWER_BYTES, MAX_BATCH, Method, Role, answer
 from daemon.control.rpc.server import ControlServer
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 
 class Slow:

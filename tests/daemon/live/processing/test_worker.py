@@ -18,7 +18,8 @@ from daemon.live.processing.worker import Worker
 from drivers.protocols import Frame, Side
 from pipeline.common.errors import PipelineError
 from pipeline.reconstruct.cloud import Cloud
-from tests.daemon.rigs import SteppedClock, wait_until
+from tests.daemon.rigs import SteppedClock
+from tools.waiting import wait_until
 
 SIZE = (4, 6)
 CLOUD = Cloud(

@@ -17,7 +17,8 @@ from daemon.live.status import State
 from daemon.rig.open_rig import open_rig
 from pipeline.reconstruct.cloud import Cloud
 from tests.daemon.lit_rig import FlatReconstructor, FreeProjector, devices
-from tests.daemon.rigs import Collector, config, rig_of, wait_until
+from tests.daemon.rigs import Collector, config, rig_of
+from tools.waiting import wait_until
 
 RENDERED = """
 cameras: {{driver: sim}}

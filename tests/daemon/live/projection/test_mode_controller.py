@@ -19,7 +19,8 @@ from daemon.live.items import PairItem
 from daemon.live.status import State
 from daemon.recording.recorder import Recorder
 from tests.daemon.live.projection.mode_rigs import Lit, lit
-from tests.daemon.rigs import Collector, wait_until
+from tests.daemon.rigs import Collector
+from tools.waiting import wait_until
 
 
 class Desk:

@@ -20,7 +20,7 @@ from sim.render.render_pair import truths
 from sim.rig.layout import RigLayout
 from sim.scene import named_scenes
 from tests.daemon.live.projection.mode_rigs import rendered
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 LAYOUT = RigLayout().scaled(0.125)
 SPHERES = "scene: spheres"

@@ -17,7 +17,7 @@ from daemon.live.projection.sequence_player import SequencePlayer
 from daemon.live.sets import ImageSet
 from drivers.errors import DriverError
 from tests.daemon.live.projection.virtual_time import MS, Bench, image, level
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 LEVELS = [10, 60, 110, 160, 210]
 

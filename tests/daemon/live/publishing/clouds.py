@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -16,6 +15,7 @@ from drivers.protocols import Frame
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
 from tests.pipeline import rigs
+from tools.waiting import wait_until
 
 SIZE = (32, 26)
 TCP = "tcp://127.0.0.1:*"
@@ -85,15 +85,6 @@ def publisher(endpoint: str = TCP, *, session: str = "session-1", **options: Any
         made.close()
 
 
-def until(condition: Callable[[], Any], timeout_s: float = 8.0) -> Any:
-    """Wait for a condition; its value."""
-    deadline = time.monotonic() + timeout_s
-    while not (value := condition()):
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.002)
-    return value
-
-
 def sent(made: Publisher, topic: str) -> int:
     """How many messages of a topic went out."""
     return made.status()["sent"].get(topic, 0)
@@ -103,4 +94,4 @@ def send(made: Publisher, what: CloudItem, topic: str = "cloud/full") -> None:
     """Offer a cloud and wait until it is out."""
     before = sent(made, topic)
     assert made.offer(what)
-    until(lambda: sent(made, topic) > before)
+    wait_until(lambda: sent(made, topic) > before)

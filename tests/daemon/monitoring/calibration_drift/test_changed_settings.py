@@ -10,7 +10,8 @@ from daemon.config import RigConfig
 from daemon.monitoring.calibration_drift.sink import SelfCheck
 from daemon.monitoring.calibration_drift.verdicts import limits_of
 from tests.daemon.monitoring.calibration_drift.test_running_daemon import running
-from tests.daemon.rigs import config, wait_until
+from tests.daemon.rigs import config
+from tools.waiting import wait_until
 
 PLANE: dict[str, Any] = {"scene": "plane", "frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}}
 

@@ -22,7 +22,8 @@ from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.volume import Volume
 from sim.devices.open_rig import open_rig
 from sim.rig.layout import RigLayout
-from tests.daemon.rigs import SteppedClock, config, rig_of, step, wait_until
+from tests.daemon.rigs import SteppedClock, config, rig_of, step
+from tools.waiting import wait_until
 
 STEP_S = 0.05  # of the stepped clock, a trigger
 WITHIN = round(5 / STEP_S)
@@ -76,7 +77,7 @@ def _told(words: str) -> Callable[[dict[str, Any]], bool]:
     return lambda status: str(status["state"]) == "degraded" and any(words in reason for reason in status["reasons"])
 
 
-def until(service: Service, trigger: Callable[[], None], condition: Callable[[dict[str, Any]], bool]) -> int:
+def trigger_until(service: Service, trigger: Callable[[], None], condition: Callable[[dict[str, Any]], bool]) -> int:
     """Triggers until the status is so; fails after five seconds of the rig's time."""
     for count in range(1, WITHIN + 1):
         trigger()
@@ -103,10 +104,10 @@ def test_a_knock_is_reported_within_five_seconds_and_so_is_its_end(
         ]
         for side, change, words in disturbances:
             made.trigger.disturb(side, **change)
-            until(service, trigger, _told(words))
+            trigger_until(service, trigger, _told(words))
             back = {k: tuple(-x for x in v) if isinstance(v, tuple) else -v for k, v in change.items()}
             made.trigger.disturb(side, **back)
-            until(service, trigger, lambda s: str(s["state"]) == "running")
+            trigger_until(service, trigger, lambda s: str(s["state"]) == "running")
     rows = [json.loads(line) for line in (tmp_path / "selfcheck" / "history.jsonl").read_text().splitlines()]
     assert [row["event"] for row in rows if row["event"] in ("drifted", "ok")] == ["drifted", "ok"] * 3
     assert rows[-1]["event"] == "stopped"

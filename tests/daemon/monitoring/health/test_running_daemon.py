@@ -15,7 +15,7 @@ import pytest
 
 from daemon.common.errors import ControlError
 from daemon.control.rpc.client import ControlClient
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 RIG = """
 cameras: {{driver: sim}}

@@ -24,7 +24,7 @@ from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.volume import Volume
 from tests.daemon.live.publishing.clouds import calibration
 from tests.daemon.monitoring.health.samples import Clock, cloud, frame, pair, status
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 
 def rig_yaml(more: str = "margin: 0.1", limit_ms: float = 100.0) -> RigConfig:

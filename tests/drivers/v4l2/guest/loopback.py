@@ -17,7 +17,8 @@ from drivers.protocols import SIDES, Side
 from drivers.v4l2 import discover
 from drivers.v4l2 import structs as v
 from drivers.v4l2.kernel import LinuxKernel
-from tests.drivers.v4l2.guest.tools import DEADLINE_S, acquiring, read, until
+from tests.drivers.v4l2.guest.tools import DEADLINE_S, acquiring, read
+from tools.waiting import wait_until
 
 NODES: dict[Side, str] = {"left": "/dev/video40", "right": "/dev/video41"}
 SIZE = (320, 240)
@@ -109,7 +110,9 @@ def test_jpeg_is_decoded_and_a_broken_one_counted() -> None:
             os.write(fd, whole)
             assert np.abs(read(made).image.astype(int) - image).mean() < 4
             os.write(fd, whole[: len(whole) // 2])
-            until(lambda: not made.read(0.1) and made.health().counters["corrupt_jpeg"], "the broken one is counted")
+            wait_until(
+                lambda: not made.read(0.1) and made.health().counters["corrupt_jpeg"], what="the broken one is counted"
+            )
             os.write(fd, whole)
             assert np.abs(read(made).image.astype(int) - image).mean() < 4
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -52,10 +51,3 @@ def push(controls: Mapping[str, ControlValue], device: str = VIVID) -> None:
         assert "disconnect" in controls
     finally:
         opened.close()
-
-
-def until(condition: Any, what: str) -> None:
-    """Read and wait until something is so."""
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end, f"not within {DEADLINE_S} s: {what}"

@@ -15,7 +15,8 @@ from drivers.v4l2 import discover
 from drivers.v4l2.device import Device
 from drivers.v4l2.kernel import LinuxKernel
 from drivers.v4l2.stream import Stream
-from tests.drivers.v4l2.guest.tools import MULTIPLANAR, SPARE, VIVID, acquiring, camera, push, read, until
+from tests.drivers.v4l2.guest.tools import MULTIPLANAR, SPARE, VIVID, acquiring, camera, push, read
+from tools.waiting import wait_until
 
 PLAIN = {"osd_text_mode": "none", "test_pattern": "100% Red"}
 
@@ -168,7 +169,7 @@ def test_a_wrapped_sequence_goes_on_counting() -> None:
     try:
         with acquiring(frame_rate_hz=50.0) as made:
             frames = [read(made)]
-            until(lambda: frames.append(read(made)) or frames[-1].frame_id < 1000, "the sequence wraps")
+            wait_until(lambda: frames.append(read(made)) or frames[-1].frame_id < 1000, what="the sequence wraps")
             frames += [read(made) for _ in range(3)]
             counters = made.health().counters
     finally:
@@ -182,7 +183,9 @@ def test_a_frame_with_the_error_flag_is_counted_and_passed_over() -> None:
     with acquiring() as made:
         read(made)
         push({"inject_v4l2_buf_flag_error": True})
-        until(lambda: read(made) and made.health().counters["error_frames"] == 1, "the error frame is counted")
+        wait_until(
+            lambda: read(made) and made.health().counters["error_frames"] == 1, what="the error frame is counted"
+        )
 
 
 def test_dropped_buffers_are_gaps_that_are_counted() -> None:
@@ -229,7 +232,7 @@ def test_an_unplugged_camera_is_lost_and_found_again() -> None:
 
 def lost_and_found(made: Any) -> None:
     with contextlib.suppress(DeviceLost):
-        until(lambda: not read(made), "the camera is lost")
+        wait_until(lambda: not read(made), what="the camera is lost")
     assert made.health().counters["lost_device"] == 1
     made.open()
     made.start()

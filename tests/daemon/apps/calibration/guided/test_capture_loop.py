@@ -37,7 +37,8 @@ from drivers.errors import DriverError
 from pipeline.pattern.sequence import FrameSequence, Fringe, Uniform, camera_sequence
 from tests.daemon.apps.calibration.guided.hand_rig import BOARD, HandDevices, find, hand_devices
 from tests.daemon.lit_rig import UnmeasuringService
-from tests.daemon.rigs import Collector, config, rig_of, wait_until
+from tests.daemon.rigs import Collector, config, rig_of
+from tools.waiting import wait_until
 
 LIMITS = Limits(steady_s=0.05, wanted=3, most=3)
 

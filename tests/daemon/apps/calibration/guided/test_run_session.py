@@ -21,7 +21,7 @@ from daemon.control.rpc.protocol import Method
 from daemon.control.rpc.server import ControlServer
 from pipeline.pattern.sequence import camera_sequence
 from tests.daemon.apps.calibration.guided.hand_rig import BOARD, find
-from tests.daemon.rigs import wait_until
+from tools.waiting import wait_until
 
 RIG = """
 cameras: {{driver: hand}}
