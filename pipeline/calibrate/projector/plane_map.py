@@ -12,6 +12,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.homography import homography, mapped
+
 F64: TypeAlias = NDArray[np.float64]
 
 _CUBIC_FROM, _QUADRATIC_FROM = 30, 15
@@ -38,7 +40,7 @@ class SmoothMap:
 
         The polynomial is a cubic with 30 points or more, a quadratic with 15, none with fewer.
         """
-        matrix = homography(source, target)
+        matrix, _ = homography(source, target)
         origin, scale = source.mean(axis=0), float(np.abs(source - source.mean(axis=0)).max())
         terms = 10 if len(source) >= _CUBIC_FROM else 6 if len(source) >= _QUADRATIC_FROM else 1
         design = _powers((source - origin) / scale)[:, :terms] / sigma[:, None]
@@ -67,35 +69,6 @@ class SmoothMap:
         inside = points[:, None] + (rings[:, None, None] * spokes).reshape(-1, 2)
         area = np.abs(np.linalg.det(self.slope(inside)))[..., None]
         return np.asarray((self(inside) * area).sum(axis=1) / area.sum(axis=1) - self(points))
-
-
-def homography(source: F64, target: F64) -> F64:
-    """(3, 3) that maps source (n, 2) to target (n, 2), n of 4 or more, by linear least squares on scaled points."""
-    from_source, to_target = _scaling(source), _scaling(target)
-    x, y = mapped(from_source, source).T
-    u, v = mapped(to_target, target).T
-    one, none = np.ones_like(x), np.zeros_like(x)
-    rows = [
-        np.stack([x, y, one, none, none, none, -u * x, -u * y, -u], axis=1),
-        np.stack([none, none, none, x, y, one, -v * x, -v * y, -v], axis=1),
-    ]
-    stacked = np.concatenate(rows)
-    _, vectors = np.linalg.eigh(stacked.T @ stacked)
-    matrix = np.linalg.inv(to_target) @ vectors[:, 0].reshape(3, 3) @ from_source
-    return np.asarray(matrix / matrix[2, 2])
-
-
-def mapped(matrix: F64, points: F64) -> F64:
-    """Points (n, 2) through a homography."""
-    ends = points @ matrix[:, :2].T + matrix[:, 2]
-    return np.asarray(ends[:, :2] / ends[:, 2:])
-
-
-def _scaling(points: F64) -> F64:
-    """Similarity that brings points to mean 0 and mean distance sqrt(2) (Hartley, 1997)."""
-    middle = points.mean(axis=0)
-    factor = np.sqrt(2) / max(float(np.linalg.norm(points - middle, axis=1).mean()), 1e-12)
-    return np.array([[factor, 0, -factor * middle[0]], [0, factor, -factor * middle[1]], [0, 0, 1]])
 
 
 def _powers(points: F64) -> F64:

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibrate.projector.absolute_phase import Coordinate
-from pipeline.calibrate.projector.plane_map import SmoothMap, homography, mapped
+from pipeline.calibrate.projector.plane_map import SmoothMap
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.marks import Marks
 from pipeline.common.errors import TargetError
+from pipeline.geometry.homography import homography, mapped
 
 F64: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -168,12 +169,7 @@ def _projector_homography(field: _Field, centres: F64) -> F64:
     u, v = u[::step], v[::step]
     source = np.stack([u, v], axis=1).astype(np.float64)
     target = np.stack([field.x.px[v, u], field.y.px[v, u]], axis=1)
-    keep = np.ones(len(u), np.bool_)
-    for _ in range(3):
-        matrix = homography(source[keep], target[keep])
-        away = np.hypot(*(mapped(matrix, source) - target).T)
-        keep = away <= 4 * 1.4826 * max(float(np.median(away)), 1e-3)
-    return matrix
+    return homography(source, target)[0]
 
 
 def _fitted(

@@ -9,9 +9,10 @@ from pipeline.calibrate.bundle.adjust.levenberg_marquardt import Fit, fit, resid
 from pipeline.calibrate.bundle.adjust.observations import Observations
 from pipeline.calibrate.bundle.adjust.parameterisation import parameterise
 from pipeline.calibrate.bundle.adjust.state import INTRINSICS, State, intrinsics_of
-from pipeline.calibrate.bundle.initialise.homography import focal_length, homography, pose, shows_front
+from pipeline.calibrate.bundle.initialise.plane_pose import focal_length, pose, shows_front
 from pipeline.calibrate.bundle.options import Options
 from pipeline.common.errors import CalibrationError
+from pipeline.geometry.homography import homography
 from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.bundle.initialise.homography import focal_length, homography, pose
+from pipeline.calibrate.bundle.initialise.plane_pose import focal_length, pose
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.marks import BoardView, Marks
+from pipeline.geometry.homography import homography
 from pipeline.rig.camera_model import CameraModel
 
 Array = NDArray[np.float64]

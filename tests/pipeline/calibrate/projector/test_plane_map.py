@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.calibrate.projector.plane_map import SmoothMap, homography, mapped
+from pipeline.calibrate.projector.plane_map import SmoothMap
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD
+from pipeline.geometry.homography import homography, mapped
 from sim.boards.board_scene import BoardPose, true_centroids
 from sim.rig.layout import RigLayout
 
 MATRIX = np.array([[2.1, 0.1, 300.0], [-0.2, 1.9, 250.0], [4e-4, -3e-4, 1.0]])
 
 
-def test_a_homography_is_found_again() -> None:
+def test_a_homography_is_recovered_despite_a_wrong_point() -> None:
     points = np.random.default_rng(0).uniform(-150, 170, (50, 2))
-    np.testing.assert_allclose(homography(points, mapped(MATRIX, points)), MATRIX, rtol=1e-6, atol=1e-9)
+    image = mapped(MATRIX, points)
+    image[7] += 80
+    found, misfit = homography(points, image)
+    np.testing.assert_allclose(found / found[2, 2], MATRIX, rtol=1e-6, atol=1e-9)
+    assert misfit < 1e-6
 
 
 def test_slopes_are_those_of_the_map() -> None:
