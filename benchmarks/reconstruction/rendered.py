@@ -1,6 +1,6 @@
-"""Rendered images on disk: a benchmark is run many times, its images change only with the simulator.
+"""Rendered images on disk, which benchmarks share and which change only with the renderer.
 
-They stand in ``out/bench/images``, in a folder named by a digest of the simulator's own source; folders of other
+They lie in ``out/bench/images``, in a folder named by a digest of the source that they depend on; folders of other
 digests are removed.
 """
 
@@ -24,13 +24,13 @@ from sim.render.render_pair import render_pair
 from sim.scene.named_scenes import build
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "bench"
-# Of the pipeline only what the renderer uses.
-_SHARED = ("rig/calibration.py", "rig/camera_model.py", "pattern/color_fringe.py")
+_RENDERER = ("render", "rig", "scene")
+_OF_PIPELINE = ("rig/calibration.py", "rig/camera_model.py", "pattern/color_fringe.py")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredPair:
-    """A pair of images with the left camera's truth, and the file that they stand in."""
+    """A pair of images with the left camera's truth, and their file."""
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
@@ -41,7 +41,7 @@ class StoredPair:
 def stored_pair(
     case: Case, seed: int = 0, t_s: float = 0.0, noise: int | None = None, folder: Path | None = None
 ) -> StoredPair:
-    """The images of a case, from disk if they are there; textures of ``seed``, and its noise unless one is given."""
+    """The images of a case, from disk if present; textures of ``seed``, and its noise unless ``noise`` is given."""
     folder = folder or _folder()
     noise = seed if noise is None else noise
     file = folder / f"{_key(case, seed, t_s, noise)}.npz"
@@ -56,17 +56,17 @@ def stored_pair(
 
 def _keep(file: Path, arrays: dict[str, Any]) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=file.parent, prefix=".", delete=False) as fresh:
+    with tempfile.NamedTemporaryFile(dir=file.parent, prefix=".", delete=False) as temporary:
         try:
-            np.savez(fresh, **arrays)
+            np.savez(temporary, **arrays)
         except BaseException:
-            Path(fresh.name).unlink(missing_ok=True)
+            Path(temporary.name).unlink(missing_ok=True)
             raise
-    Path(fresh.name).replace(file)
+    Path(temporary.name).replace(file)
 
 
 def _key(case: Case, seed: int, t_s: float, noise: int) -> str:
-    # The depth of the volume is the reconstruction's affair: the same images serve every depth.
+    # The depth of the volume concerns only the reconstruction: the same images serve every depth.
     layout = astuple(replace(case.layout, depth_mm=1.0))
     parts = (case.scene, layout, astuple(case.optics), case.encoding, case.modulated, case.periods, seed, t_s, noise)
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
@@ -82,8 +82,8 @@ def _folder() -> Path:
 
 def source_digest() -> str:
     """Digest of every source file that the images depend on."""
-    files = sorted(Path(sim.__file__).parent.rglob("*.py"))
-    files += [Path(pipeline.__file__).parent / name for name in _SHARED]
+    files = [file for folder in _RENDERER for file in sorted((Path(sim.__file__).parent / folder).rglob("*.py"))]
+    files += [Path(pipeline.__file__).parent / name for name in _OF_PIPELINE]
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.name.encode() + b"\0" + file.read_bytes())
@@ -91,6 +91,6 @@ def source_digest() -> str:
 
 
 def moving(frames: int, rate_hz: float) -> tuple[Case, list[StoredPair]]:
-    """Successive images of the moving scene, as cameras at this rate take them."""
+    """Successive images of the moving scene at this rate."""
     case = Case("moving", "moving")
     return case, [stored_pair(case, t_s=0.4 + i / rate_hz, noise=i) for i in range(frames)]
