@@ -1,9 +1,8 @@
 #!/usr/bin/env python3
 """Audit the pinned dependencies (constraints.txt) for known vulnerabilities: ``tools/audit.py [CONSTRAINTS]``.
 
-A finding gives exit status 1. Where no source of advisories can be asked, it says NOT AUDITED and gives 0. A source
-that knows nothing finds nothing wrong with anything: it is first asked about a release that is known to be vulnerable,
-and believed only if it says so.
+A finding gives exit status 1. Without a source of advisories it prints NOT AUDITED and gives 0. An empty source reports
+no vulnerability at all, so a source is used only if it lists a release that is known to be vulnerable.
 """
 
 from __future__ import annotations
@@ -22,29 +21,29 @@ _INSTALL_S, _PROBE_S, _AUDIT_S = 180.0, 60.0, 300.0
 
 
 class NotAuditedError(Exception):
-    """Nobody could be asked."""
+    """No source of advisories is available."""
 
 
 def main(arguments: list[str]) -> int:
-    """The exit status."""
+    """Audit and return the exit status."""
     constraints = Path(arguments[0]) if arguments else ROOT / "constraints.txt"
     pinned = [line for line in constraints.read_text(encoding="utf-8").splitlines() if "==" in line]
     try:
         program = installed(ENVIRONMENT)
         if not vulnerable([KNOWN_BAD], program, _PROBE_S):
-            raise NotAuditedError(f"the source of advisories does not know that {KNOWN_BAD} is vulnerable")
+            raise NotAuditedError(f"the source of advisories does not list {KNOWN_BAD}, which is vulnerable")
         found = vulnerable(pinned, program, _AUDIT_S)
     except NotAuditedError as why:
-        say(f"NOT AUDITED: {why}")
+        print_line(f"NOT AUDITED: {why}")
         return 0
     for line in found:
-        say(line)
-    say(f"{len(pinned)} packages audited, {len(found)} known vulnerabilities")
+        print_line(line)
+    print_line(f"{len(pinned)} packages audited, {len(found)} known vulnerabilities")
     return int(bool(found))
 
 
 def installed(environment: Path) -> list[str]:
-    """The command of pip-audit, in an environment of its own."""
+    """Install pip-audit in an environment of its own and return its command."""
     python = environment / "bin" / "python"
     try:
         if not python.exists():
@@ -57,7 +56,7 @@ def installed(environment: Path) -> list[str]:
 
 
 def vulnerable(pinned: list[str], program: list[str], timeout_s: float) -> list[str]:
-    """A line for each known vulnerability of these releases."""
+    """Return a line for each known vulnerability of these releases."""
     with tempfile.TemporaryDirectory() as folder:
         wanted = Path(folder) / "pinned.txt"
         wanted.write_text("\n".join(pinned) + "\n", encoding="utf-8")
@@ -70,35 +69,35 @@ def vulnerable(pinned: list[str], program: list[str], timeout_s: float) -> list[
     return list(findings(report, len(pinned)))
 
 
-def findings(report: dict[str, list[dict[str, object]]], asked: int) -> list[str]:
-    """What a report of pip-audit says; NotAuditedError if it left packages out."""
-    told = report.get("dependencies", [])
-    skipped = [str(one.get("name")) for one in told if "skip_reason" in one]
-    if skipped or len(told) < asked:
-        raise NotAuditedError(f"{len(told) - len(skipped)} of {asked} packages could be looked up")
+def findings(report: dict[str, list[dict[str, object]]], requested: int) -> list[str]:
+    """Return the vulnerabilities of a report of pip-audit; NotAuditedError if it left packages out."""
+    packages = report.get("dependencies", [])
+    skipped = [str(one.get("name")) for one in packages if "skip_reason" in one]
+    if skipped or len(packages) < requested:
+        raise NotAuditedError(f"{len(packages) - len(skipped)} of {requested} packages have an answer")
     lines = []
-    for one in told:
+    for one in packages:
         for problem in one.get("vulns", []):  # type: ignore[attr-defined]
-            mended = ", ".join(problem["fix_versions"]) or "nothing yet"
-            lines.append(f"{one['name']} {one['version']}: {problem['id']}, mended in {mended}")
+            fixed = ", ".join(problem["fix_versions"]) or "no release yet"
+            lines.append(f"{one['name']} {one['version']}: {problem['id']}, fixed in {fixed}")
     return lines
 
 
 def run(command: list[str], timeout_s: float, *, check: bool = True) -> subprocess.CompletedProcess[str]:
-    """Run a program and keep what it says."""
+    """Run a program and capture its output."""
     return subprocess.run(
         command, capture_output=True, text=True, timeout=timeout_s, check=check, stdin=subprocess.DEVNULL
     )
 
 
 def short(error: Exception) -> str:
-    """An error in one line."""
-    told = str(getattr(error, "stderr", None) or error).strip().splitlines()
-    return told[-1][:200] if told else type(error).__name__
+    """Return an error as one line."""
+    lines = str(getattr(error, "stderr", None) or error).strip().splitlines()
+    return lines[-1][:200] if lines else type(error).__name__
 
 
-def say(text: str) -> None:
-    """One line."""
+def print_line(text: str) -> None:
+    """Write one line to standard output."""
     sys.stdout.write(text + "\n")
 
 

@@ -98,7 +98,7 @@ class Fringed:
         """Return the daemon's status once it answers and the condition holds."""
         last: dict[str, Any] = {}
 
-        def look() -> bool:
+        def probe() -> bool:
             last.clear()
             try:
                 last.update(self.status(5.0))
@@ -107,7 +107,7 @@ class Fringed:
             return good(last)
 
         try:
-            wait_until(look, WAIT_S, what)
+            wait_until(probe, WAIT_S, what)
         except Exception as error:
             raise AssertionError(f"{error}; status {last}\n{self.machine.tail(SERVICE)}") from None
         return last
@@ -122,16 +122,16 @@ class Fringed:
         space = Path(f"/proc/{self.machine.leader}/ns/pid").readlink()
         for status in Path("/proc").glob("[0-9]*/status"):
             try:
-                said = status.read_text()
+                fields = status.read_text()
                 ours = (status.parent / "ns/pid").readlink() == space
             except OSError:
                 continue
-            numbers = next((line.split()[1:] for line in said.splitlines() if line.startswith("NSpid:")), [])
+            numbers = next((line.split()[1:] for line in fields.splitlines() if line.startswith("NSpid:")), [])
             if ours and numbers[-1:] == [str(pid)]:
                 return int(numbers[0])
         raise AssertionError(f"no process {pid} in the container")
 
-    def said(self, text: str, since: str = "") -> bool:
+    def logged(self, text: str, since: str = "") -> bool:
         """Return whether a line of the service's journal has a text."""
         return any(text in str(line.get("MESSAGE", "")) for line in self.lines(since))
 

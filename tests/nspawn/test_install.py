@@ -29,9 +29,9 @@ def machine(container: type[Machine]) -> Iterator[Machine]:
 @pytest.fixture(scope="module")
 def rights(machine: Machine) -> dict[str, str]:
     """Return mode, owner and group of every installed file, by path."""
-    said = machine.run("find", *OURS, "/etc/systemd", "/etc/udev", "/etc/sysusers.d", "/etc/tmpfiles.d",
+    output = machine.run("find", *OURS, "/etc/systemd", "/etc/udev", "/etc/sysusers.d", "/etc/tmpfiles.d",
                        "-printf", "%p\t%m %u %g\n").stdout  # fmt: skip
-    return dict(line.split("\t") for line in said.splitlines())
+    return dict(line.split("\t") for line in output.splitlines())
 
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: str(place.path))
@@ -59,15 +59,15 @@ def test_login_as_its_users_is_impossible(machine: Machine) -> None:
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_the_exposure_score_is_below_the_limit(machine: Machine, unit: str) -> None:
-    said = machine.run("systemd-analyze", "security", "--no-pager", unit).stdout
-    level = re.search(r"Overall exposure level for \S+: ([\d.]+)", said)
-    assert level is not None and float(level[1]) <= 2.5, said
+    output = machine.run("systemd-analyze", "security", "--no-pager", unit).stdout
+    level = re.search(r"Overall exposure level for \S+: ([\d.]+)", output)
+    assert level is not None and float(level[1]) <= 2.5, output
 
 
 def test_systemd_analyze_verify_reports_nothing_about_the_units(machine: Machine) -> None:
     done = machine.run("systemd-analyze", "verify", *UNITS, check=False)
-    said = [line for line in (done.stdout + done.stderr).splitlines() if "fringed" in line]
-    assert (done.returncode, said) == (0, [])
+    output = [line for line in (done.stdout + done.stderr).splitlines() if "fringed" in line]
+    assert (done.returncode, output) == (0, [])
 
 
 def test_a_second_installation_changes_nothing(machine: Machine) -> None:

@@ -44,8 +44,8 @@ def test_without_a_trigger_it_waits_and_the_status_line_reports_it(started: Frin
     stepped = rig(simulation={"scene": "plane", "frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}})
     started.start(stepped, wait=False)
     started.wait("the wait for the trigger", lambda shown: "waiting for the trigger" in shown["StatusText"])
-    told = started.status()["uptime_s"]
-    status = started.wait_status("two more seconds", lambda status: status["uptime_s"] > told + 2)
+    uptime = started.status()["uptime_s"]
+    status = started.wait_status("two more seconds", lambda status: status["uptime_s"] > uptime + 2)
     shown = started.show()
     assert (shown["ActiveState"], shown["NRestarts"], status["clouds"]) == ("activating", "0", 0)
 
@@ -122,7 +122,7 @@ def test_a_frozen_process_is_killed_and_restarted(running: Fringed) -> None:
     since, before = running.cursor(), running.show()
     os.kill(running.pid_outside(before["MainPID"]), signal.SIGSTOP)
     running.wait_active(not_pid=before["MainPID"])
-    assert running.said("Watchdog timeout", since)
+    assert running.logged("Watchdog timeout", since)
     running.wait_clouds()
 
 
@@ -131,9 +131,9 @@ def test_one_frozen_thread_triggers_the_watchdog(running: Fringed, thread: str) 
     since, before = running.cursor(), running.show()
     with frozen(thread_of(running.pid_outside(before["MainPID"]), thread)):
         running.wait_active(not_pid=before["MainPID"])
-    assert running.said("Watchdog timeout", since)
-    told = [line for line in running.lines(since) if "watchdog is not fed" in str(line.get("MESSAGE"))]
-    assert told and thread.split("-")[-1] in told[0]["MESSAGE"]
+    assert running.logged("Watchdog timeout", since)
+    messages = [line for line in running.lines(since) if "watchdog is not fed" in str(line.get("MESSAGE"))]
+    assert messages and thread.split("-")[-1] in messages[0]["MESSAGE"]
     running.wait_clouds()
 
 
@@ -143,7 +143,7 @@ def test_a_valid_change_takes_effect_while_it_measures(running: Fringed) -> None
     running.write(RIG, rig(pipeline={"settings": {"min_modulation": 100.0}}))
     running.machine.systemctl("reload", SERVICE)
     running.wait_status("clouds under the new setting", lambda status: status["points"] < points // 10)
-    wait_until(lambda: running.said("reloaded", since), WAIT_S, "the line that reports it")
+    wait_until(lambda: running.logged("reloaded", since), WAIT_S, "the line that reports it")
     running.write(RIG, rig())
     running.machine.systemctl("reload", SERVICE)
     running.wait_status("clouds as before", lambda status: status["points"] > points // 2)
@@ -152,15 +152,15 @@ def test_a_valid_change_takes_effect_while_it_measures(running: Fringed) -> None
 
 
 @pytest.mark.parametrize(
-    ("bad", "told"),
+    ("bad", "reported"),
     [("pipeline: {settings: {min_modulation: high}}\n", "min_modulation"), ("{ no yaml\n", f"{RIG}:")],
 )
-def test_an_invalid_file_changes_nothing(running: Fringed, bad: str, told: str) -> None:
+def test_an_invalid_file_changes_nothing(running: Fringed, bad: str, reported: str) -> None:
     before, since = running.show(), running.cursor()
     running.write(RIG, rig() + bad)
     done = running.machine.run("systemctl", "reload", SERVICE, check=False)
     assert done.returncode != 0
-    wait_until(lambda: running.said(told, since), WAIT_S, "the mistake in the journal")
+    wait_until(lambda: running.logged(reported, since), WAIT_S, "the mistake in the journal")
     running.wait_clouds()
     assert running.show()["MainPID"] == before["MainPID"]
     running.write(RIG, rig())
@@ -187,7 +187,7 @@ def test_an_invalid_rig_is_not_retried(started: Fringed) -> None:
     started.start(rig() + "nonsense: 1\n", wait=False)
     shown = started.wait("the failed state", lambda shown: shown["ActiveState"] == "failed")
     assert shown["NRestarts"] == "0"
-    assert started.said("nonsense", since)
+    assert started.logged("nonsense", since)
     started.stop()
 
 
@@ -199,7 +199,7 @@ def test_a_stop_is_orderly(running: Fringed) -> None:
     running.machine.systemctl("stop", SERVICE)
     shown = running.show()
     assert (shown["ActiveState"], shown["Result"]) == ("inactive", "success")
-    assert running.said("stopped:", since)
+    assert running.logged("stopped:", since)
     assert not (running.machine.root / "run/fringed").exists()
     take = running.machine.run("fringed", "info", file).stdout
     assert "pairs" in take

@@ -27,8 +27,8 @@ class Session:
         return self.machine.run(*command, user=USER, env=self.env, check=check).stdout.strip()
 
     def show(self) -> dict[str, str]:
-        said = self.run("systemctl", "--user", "show", UNIT, "--property=ActiveState,MainPID,NRestarts,StatusText")
-        return dict(line.partition("=")[::2] for line in said.splitlines())
+        output = self.run("systemctl", "--user", "show", UNIT, "--property=ActiveState,MainPID,NRestarts,StatusText")
+        return dict(line.partition("=")[::2] for line in output.splitlines())
 
     def wait(self, what: str, good: Callable[[dict[str, str]], bool]) -> dict[str, str]:
         try:

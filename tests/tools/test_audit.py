@@ -1,4 +1,4 @@
-"""The audit of dependencies: a finding fails, silence is not taken for safety."""
+"""The audit of dependencies: a finding fails, a missing answer does not count as safe."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ def test_a_finding_fails(
     assert "good 1.0: CVE-1" in capsys.readouterr().out
 
 
-def test_nothing_found_by_a_source_that_knows_its_trade_is_good(
+def test_no_finding_of_a_source_that_lists_the_known_vulnerability_passes(
     audit: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(audit, monkeypatch, tmp_path, {audit.KNOWN_BAD: ["yes"], "good==1.0": []}) == 0
     assert "2 packages audited, 0 known" in capsys.readouterr().out
 
 
-def test_a_source_that_knows_nothing_is_not_believed(
+def test_a_source_without_the_known_vulnerability_is_not_used(
     audit: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(audit, monkeypatch, tmp_path, {audit.KNOWN_BAD: [], "good==1.0": []}) == 0
     assert capsys.readouterr().out.startswith("NOT AUDITED")
 
 
-def test_packages_that_could_not_be_looked_up_are_not_counted_as_safe(audit: Any) -> None:
-    assert audit.findings({"dependencies": [package("a"), package("b", "CVE-2")]}, 2) == ["b 1.0: CVE-2, mended in 1.1"]
+def test_packages_without_an_answer_are_not_counted_as_safe(audit: Any) -> None:
+    assert audit.findings({"dependencies": [package("a"), package("b", "CVE-2")]}, 2) == ["b 1.0: CVE-2, fixed in 1.1"]
     skipped = {"name": "b", "skip_reason": "not found"}
     with pytest.raises(audit.NotAuditedError, match="1 of 2"):
         audit.findings({"dependencies": [package("a"), skipped]}, 2)

@@ -126,33 +126,33 @@ class Machine:
 
     def show(self, unit: str, *names: str) -> dict[str, str]:
         """Return properties of a unit."""
-        said = self.systemctl("show", unit, f"--property={','.join(names)}")
-        return dict(line.partition("=")[::2] for line in said.splitlines() if "=" in line)
+        output = self.systemctl("show", unit, f"--property={','.join(names)}")
+        return dict(line.partition("=")[::2] for line in output.splitlines() if "=" in line)
 
     def wait_show(self, unit: str, what: str, good: Callable[[dict[str, str]], bool], *names: str) -> dict[str, str]:
         """Return the unit's properties once the condition holds; MachineError with its journal after WAIT_S."""
         last: dict[str, str] = {}
 
-        def look() -> bool:
+        def probe() -> bool:
             last.clear()
             last.update(self.show(unit, *names))
             return good(last)
 
         try:
-            wait_until(look, WAIT_S, what, poll_s=_POLL_S)
+            wait_until(probe, WAIT_S, what, poll_s=_POLL_S)
         except TimeoutError as error:
             raise MachineError(f"{error}; {unit} has {last}\n{self.tail(unit)}") from None
         return last
 
     def journal(self, unit: str, *more: str) -> list[dict[str, Any]]:
         """Return all messages of a unit, oldest first, with all their fields."""
-        said = self.run("journalctl", "--no-pager", "--output=json", f"--unit={unit}", *more).stdout
-        return [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+        output = self.run("journalctl", "--no-pager", "--output=json", f"--unit={unit}", *more).stdout
+        return [json.loads(line) for line in output.splitlines() if line.startswith("{")]
 
     def tail(self, unit: str, lines: int = 60) -> str:
         """Return the end of a unit's journal, for messages of failure."""
-        said = self.run("journalctl", "--no-pager", f"--lines={lines}", f"--unit={unit}", check=False).stdout
-        return said or "its journal is empty"
+        output = self.run("journalctl", "--no-pager", f"--lines={lines}", f"--unit={unit}", check=False).stdout
+        return output or "its journal is empty"
 
     def _inside(self, command: Sequence[str], env: Mapping[str, str], user: str) -> list[str]:
         entered = ["nsenter", f"--target={self.leader}", "--all", "--", "env", "-i"]
@@ -179,13 +179,13 @@ class Machine:
             self.run("ldconfig")
 
     def _wait(self, what: str, condition: Callable[[], bool]) -> None:
-        def look() -> bool:
+        def probe() -> bool:
             if self._outer is not None and self._outer.poll() is not None:
-                said = self._log.read_text(errors="replace")
-                raise MachineError(f"the container ended with {self._outer.returncode} before {what}\n{said}")
+                output = self._log.read_text(errors="replace")
+                raise MachineError(f"the container ended with {self._outer.returncode} before {what}\n{output}")
             return condition()
 
-        wait_until(look, WAIT_S, what, poll_s=_POLL_S)
+        wait_until(probe, WAIT_S, what, poll_s=_POLL_S)
 
     def _find_leader(self) -> bool:
         """Return the process id of systemd-nspawn's child; the child of unshare became systemd-nspawn."""
@@ -209,9 +209,9 @@ def _children(pid: int) -> list[int]:
     found = []
     for status in Path("/proc").glob("[0-9]*/status"):
         try:
-            said = status.read_text()
+            output = status.read_text()
         except OSError:
             continue
-        if f"\nPPid:\t{pid}\n" in said:
+        if f"\nPPid:\t{pid}\n" in output:
             found.append(int(status.parent.name))
     return found

@@ -48,7 +48,7 @@ def rig_file(tmp_path: Path, more: str = "") -> Path:
 
 
 def test_a_simulated_rig_is_rendered_measured_and_stopped_by_a_signal(tmp_path: Path, stream: Stream) -> None:
-    told: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
 
     def watch() -> None:
         wait_until(lambda: len(stream.clouds) >= 3, 90)
@@ -59,9 +59,9 @@ def test_a_simulated_rig_is_rendered_measured_and_stopped_by_a_signal(tmp_path: 
     watcher = threading.Thread(target=watch)
     with StopFlag().on_signals() as flag:
         watcher.start()
-        run.run_rig(rig_file(tmp_path), flag=flag, progress=lambda done, of: told.append((done, of)))
+        run.run_rig(rig_file(tmp_path), flag=flag, progress=lambda done, of: calls.append((done, of)))
     watcher.join()
-    assert told[-1] == (2, 2) and stream.closed
+    assert calls[-1] == (2, 2) and stream.closed
     assert stream.statuses[-1]["state"] == "stopping"
     assert not (tmp_path / "c").exists()
 
@@ -72,19 +72,19 @@ def test_a_signal_while_the_rig_is_rendered_ends_it_there(tmp_path: Path, stream
     assert not stream.items and not stream.statuses
 
 
-def test_an_unknown_option_of_the_simulation_is_told(tmp_path: Path) -> None:
+def test_an_unknown_option_of_the_simulation_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"rig\.yaml:3:\d+: simulation\.farmes is not an option"):
         run.run_rig(rig_file(tmp_path, ", farmes: 3"))
 
 
-def test_a_take_that_cannot_begin_is_told_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
+def test_a_take_that_cannot_begin_is_reported_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
     (tmp_path / "takes").write_text("no directory")
     with pytest.raises(DaemonError, match="takes: cannot be made"):
         run.run_rig(rig_file(tmp_path), record="x")
     assert stream.closed and not (tmp_path / "c").exists()
 
 
-def test_an_address_that_is_taken_is_told_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
+def test_an_address_in_use_is_reported_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
     path = rig_file(tmp_path)
     path.write_text(path.read_text().replace(f"ipc://{tmp_path}/c", f"ipc://{tmp_path}/no/such/{'x' * 20}"))
     (tmp_path / "no").write_text("a file where a directory should be")

@@ -62,8 +62,8 @@ def test_a_missing_group_and_a_missing_program_are_reported(image: Path) -> None
     before, to = groups.read_text(), link.readlink()
     groups.write_text("\n".join(line for line in before.splitlines() if not line.startswith("plugdev:")))
     link.unlink()
-    told = found(image)
+    findings = found(image)
     groups.write_text(before)
     link.symlink_to(to)
-    assert told["groups"].level == "warning" and "usermod -aG plugdev fringed" in told["groups"].remedy
-    assert told["program"].level == "problem" and "env/bin/python" in told["program"].text
+    assert findings["groups"].level == "warning" and "usermod -aG plugdev fringed" in findings["groups"].remedy
+    assert findings["program"].level == "problem" and "env/bin/python" in findings["program"].text

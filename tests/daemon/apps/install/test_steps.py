@@ -57,9 +57,9 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def install(root: Path, **wishes: object) -> list[str]:
-    said: list[str] = []
-    steps.install(Target(root), SOURCE, steps.Wishes(compile=False, **wishes), said.append)  # type: ignore[arg-type]
-    return said
+    messages: list[str] = []
+    steps.install(Target(root), SOURCE, steps.Wishes(compile=False, **wishes), messages.append)  # type: ignore[arg-type]
+    return messages
 
 
 @as_root
@@ -114,21 +114,21 @@ def test_a_second_installation_changes_nothing(image: Path) -> None:
         kept = (path for path in image.rglob("*") if path.is_file() and "etc/." not in str(path))
         return {path: path.stat().st_mtime_ns for path in kept if path.name != MARK}
 
-    before, said = all_times(), []
-    steps.install(Target(image), SOURCE, WISHES, said.append)
+    before, messages = all_times(), []
+    steps.install(Target(image), SOURCE, WISHES, messages.append)
     after = all_times()
     assert {path for path in after if after[path] != before.get(path)} == set()
-    assert said == [f"installed into the image {image}"]
+    assert messages == [f"installed into the image {image}"]
 
 
 def test_a_rig_file_of_the_user_is_kept_and_the_new_one_written_beside_it(bare: Path) -> None:
     install(bare)
     rig = bare / RIG.relative_to("/")
     rig.write_text("# mine\n")
-    said = install(bare)
+    messages = install(bare)
     assert rig.read_text() == "# mine\n"
     assert rig.with_name("rig.yaml.new").read_text() == config_files.SIMULATED
-    assert any("rig.yaml is kept" in text for text in said)
+    assert any("rig.yaml is kept" in text for text in messages)
 
 
 def test_the_files_named_by_a_rig_file_are_installed_too(bare: Path, tmp_path: Path) -> None:
@@ -207,17 +207,17 @@ def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
     install(bare)
     take = bare / "var/lib/fringed/takes/a.mcap"
     take.touch()
-    said: list[str] = []
-    steps.uninstall(Target(bare), said.append)
+    messages: list[str] = []
+    steps.uninstall(Target(bare), messages.append)
     assert take.exists() and (bare / "etc/fringed/rig.yaml").exists()
     for place in (*FILES.values(), *PROGRAMS.values()):
         assert not (bare / place.path.relative_to("/")).exists()
     for gone in ("opt/fringed", "var/cache/fringed", "usr/local/bin/fringed"):
         assert not os.path.lexists(bare / gone)
     assert not list((bare / "etc/systemd/system").rglob("*fringed*"))
-    assert "stay" in said[-1]
+    assert "stay" in messages[-1]
     with pytest.raises(InstallError, match="nothing is installed"):
-        steps.uninstall(Target(bare), said.append)
+        steps.uninstall(Target(bare), messages.append)
 
 
 def test_purge_removes_everything(bare: Path) -> None:

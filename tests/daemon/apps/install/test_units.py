@@ -68,11 +68,11 @@ def test_directories_of_the_unit_are_those_of_the_table() -> None:
 
 def test_modes_and_owners_of_tmpfiles_are_those_of_the_table() -> None:
     lines = (sources() / "tmpfiles.d/fringed.conf").read_text().splitlines()
-    told = {fields[1]: fields[2:5] for line in lines if (fields := line.split()) and fields[0] == "d"}
-    assert set(told) <= {str(place.path) for place in layout.DIRECTORIES}
+    listed = {fields[1]: fields[2:5] for line in lines if (fields := line.split()) and fields[0] == "d"}
+    assert set(listed) <= {str(place.path) for place in layout.DIRECTORIES}
     for place in layout.DIRECTORIES:
-        if str(place.path) in told:
-            assert told[str(place.path)] == [f"{place.mode:04o}", place.owner, place.group]
+        if str(place.path) in listed:
+            assert listed[str(place.path)] == [f"{place.mode:04o}", place.owner, place.group]
 
 
 @pytest.mark.parametrize("name", UNITS)
@@ -123,8 +123,8 @@ def test_systemd_accepts_every_line(name: str, tmp_path: Path) -> None:
         ["systemd-analyze", *user, "verify", "--recursive-errors=no", str(place)],
         capture_output=True, text=True, timeout=60, check=False, env=environ,
     )  # fmt: skip
-    told = [line for line in done.stderr.splitlines() if place.name in line and "not found" not in line]
-    assert told == []
+    mistakes = [line for line in done.stderr.splitlines() if place.name in line and "not found" not in line]
+    assert mistakes == []
 
 
 def test_a_mistake_in_a_unit_is_detected(tmp_path: Path) -> None:

@@ -57,12 +57,12 @@ class Manager:
         """Wait for a variable (with a part of its value); return the value."""
 
         def found() -> str | None:
-            return next((said for said in self.values(key) if value is None or value in said), None)
+            return next((text for text in self.values(key) if value is None or value in text), None)
 
         wait_until(lambda: found() is not None, timeout_s)
-        said = found()
-        assert said is not None
-        return said
+        result = found()
+        assert result is not None
+        return result
 
     def close(self) -> None:
         self._socket.close()
