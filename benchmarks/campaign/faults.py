@@ -207,7 +207,7 @@ FAULTS = (
     Fault("subscriber storm", faulty_clients.subscriber_storm),
     Fault("subscriber stopped", faulty_clients.stopped_subscriber),
     Fault("subscriber that never reads", faulty_clients.deaf_subscriber),
-    Fault("garbage to both sockets", faulty_clients.garbage),
+    Fault("invalid data to both sockets", faulty_clients.invalid_data),
     Fault("status storm", faulty_clients.status_storm),
     Fault("rig file broken, SIGHUP", _reload("cameras: [")),
     Fault("rig file of another rig, SIGHUP", _reload("cameras: {driver: sim}\npairing: {tolerance_us: 10}\n")),

@@ -1,4 +1,4 @@
-"""Clients that behave badly: storms, subscribers that stop or never read, and garbage."""
+"""Clients that behave badly: storms, subscribers that stop or never read, and invalid data."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def deaf_subscriber(place: Place, random_: random.Random) -> None:
         pause(random_.uniform(0.5, 2.0))
 
 
-def garbage(place: Place, random_: random.Random) -> None:
+def invalid_data(place: Place, random_: random.Random) -> None:
     """Random bytes to both sockets, as raw connections and as messages."""
     import socket
 
