@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any
 
 from tools.nspawn.boot import CHECKOUT, VENV
 from tools.waiting import wait_until
@@ -27,7 +27,6 @@ _ENVIRONMENT = {
     "LANG": "C.UTF-8",
     "HOME": "/root",
 }
-T = TypeVar("T")
 
 
 class MachineError(RuntimeError):
