@@ -1,12 +1,21 @@
-"""What all tests share: compiled kernels, and the public data sets, where they are there."""
+"""What all tests share: compiled kernels, the order and distribution of tests, commands, and the public data sets.
+
+``make test`` distributes the files over worker processes (pytest-xdist): a file stays together, so that its fixtures
+are made once; what shares a resource carries the same ``xdist_group``. Kernels are compiled once, before the workers.
+"""
 
 from __future__ import annotations
 
+import fcntl
 import os
+import random
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,24 +24,98 @@ from tests import kernels
 # As the program itself has it (daemon.cli.allocator), before anything imports numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+HERE = Path(__file__).parent
 UMASK = 0o022
 """What every test begins with, whoever runs the tests."""
 os.umask(UMASK)
 
 WITHOUT_KERNELS = (
-    "daemon/apps/calibration", "daemon/cli/calibrate", "daemon/live/publishing", "daemon/monitoring", "drivers",
-    "fringed", "pipeline/calibrate", "sim/boards", "sim/gentl", "test_module_names.py", "tools",
+    "daemon/apps", "daemon/cli/control", "daemon/common", "daemon/config", "daemon/control", "daemon/keys",
+    "daemon/live/acquisition", "daemon/live/publishing", "daemon/rig", "drivers", "fringed", "pipeline/calibrate",
+    "pipeline/pattern", "sim/boards", "sim/gentl", "test_module_names.py", "tools",
 )  # fmt: skip
-"""Directories of tests that neither measure nor render."""
+"""Directories of tests that neither measure nor render, or little: their kernels are compiled when they are called."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run files, and tests within each, in random order")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """With workers, compile before they start."""
+    if session.config.getoption("numprocesses", None) and not _is_worker(session.config):
+        named = [Path(arg.partition("::")[0]).resolve() for arg in session.config.args]
+        _compile_kernels(session.config, named)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Compile all kernels before the first test; the time-outs of the tests do not count it."""
-    here = Path(__file__).parent
-    places = {item.path.relative_to(here) for item in session.items}
-    if session.config.option.collectonly or all(any(map(place.is_relative_to, WITHOUT_KERNELS)) for place in places):
+    """Without workers, compile before the first test; the time-outs of the tests do not count it."""
+    if not session.config.getoption("numprocesses", None) and not _is_worker(session.config):
+        _compile_kernels(session.config, [item.path for item in session.items])
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Shuffle if asked for; else, for workers, files with slow tests come first, so that they end together."""
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    groups = list(files.values())
+    seed = config.getoption("--shuffle")
+    if seed is not None:
+        shuffled = random.Random(seed)
+        shuffled.shuffle(groups)
+        for group in groups:
+            shuffled.shuffle(group)
+    elif _is_worker(config):
+        groups.sort(key=lambda group: not any(item.get_closest_marker("slow") for item in group))
+    items[:] = [item for group in groups for item in group]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Files are the units of work, but for tests with an ``xdist_group``."""
+    from xdist.scheduler import LoadGroupScheduling
+
+    class ByFile(LoadGroupScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            scope: str = super()._split_scope(nodeid)
+            return scope.partition("::")[0] if scope == nodeid else scope
+
+    return ByFile(config, log)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Run a test marked ``alone`` while no other worker runs one; outside of time-outs."""
+    if not _is_worker(item.config):
+        return (yield)
+    run: str = item.config.workerinput["testrunuid"]  # type: ignore[attr-defined]
+    with _turn(Path(tempfile.gettempdir()) / f"fringed-tests-{run}", item.get_closest_marker("alone") is not None):
+        return (yield)
+
+
+@contextmanager
+def _turn(name: Path, alone: bool) -> Iterator[None]:
+    """A lock that many may hold together, or one alone; who waits for it alone is passed by nobody."""
+    with ExitStack() as stack:
+        queue = stack.enter_context(name.with_suffix(".queue").open("w"))
+        turn = stack.enter_context(name.with_suffix(".turn").open("w"))
+        fcntl.flock(queue, fcntl.LOCK_EX)
+        fcntl.flock(turn, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        fcntl.flock(queue, fcntl.LOCK_UN)
+        yield
+
+
+def _is_worker(config: pytest.Config) -> bool:
+    return hasattr(config, "workerinput")
+
+
+def _compile_kernels(config: pytest.Config, paths: list[Path]) -> None:
+    """Compile what tests in these files and folders need."""
+    without = [HERE / each for each in WITHOUT_KERNELS]
+    if config.option.collectonly or all(any(map(path.is_relative_to, without)) for path in paths):
         return
-    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
     if reporter is not None and reporter.verbosity >= 0:
         reporter.write_line("loading the kernels; after a change they are compiled, which takes minutes")
     problem = kernels.compile_elsewhere()

@@ -8,7 +8,7 @@ from zmq.utils import z85
 from daemon.common.counters import Counters
 from daemon.keys.authorized_keys import Allowed, Entry
 from daemon.remote_access.gate.zap_handler import Gatekeeper
-from fringed.keys import new_key
+from fringed.keys import Key, new_key
 
 VIEWER, OPERATOR, STRANGER = (new_key(name) for name in ("viewer", "operator", "stranger"))
 LIST = Allowed(
@@ -27,19 +27,20 @@ def code(domain: bytes, public: str, *, mechanism: bytes = b"CURVE") -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("public", "domain", "expected"),
+    ("key", "domain", "expected"),
     [
-        (VIEWER.public, b"stream", b"200"),
-        (VIEWER.public, b"control", b"300"),
-        (OPERATOR.public, b"control", b"200"),
-        (OPERATOR.public, b"stream", b"300"),
-        (STRANGER.public, b"stream", b"300"),
-        (OPERATOR.public, b"", b"300"),
-        (OPERATOR.public, b"elsewhere", b"300"),
+        (VIEWER, b"stream", b"200"),
+        (VIEWER, b"control", b"300"),
+        (OPERATOR, b"control", b"200"),
+        (OPERATOR, b"stream", b"300"),
+        (STRANGER, b"stream", b"300"),
+        (OPERATOR, b"", b"300"),
+        (OPERATOR, b"elsewhere", b"300"),
     ],
+    ids=lambda value: getattr(value, "name", None),
 )
-def test_a_key_gets_in_where_the_list_says_so(public: str, domain: bytes, expected: bytes) -> None:
-    assert code(domain, public) == expected
+def test_a_key_gets_in_where_the_list_says_so(key: Key, domain: bytes, expected: bytes) -> None:
+    assert code(domain, key.public) == expected
 
 
 @pytest.mark.parametrize("mechanism", [b"NULL", b"PLAIN", b"GSSAPI", b""])
