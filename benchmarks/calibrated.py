@@ -21,7 +21,7 @@ from pipeline.calibrate.bundle import calibrate
 from pipeline.calibrate.color import PhaseError, calibrate_color, check_sequence, color_sequence, phase_error
 from pipeline.calibrate.color.solution import ColorSolution
 from pipeline.calibrate.projector.absolute_phase import coordinate
-from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
+from pipeline.calibrate.projector.projector_marks import CameraObservation, projector_marks
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
 from pipeline.calibrate.targets.marks import BoardView
 from pipeline.pattern.color_fringe import ColorFringe
@@ -76,7 +76,7 @@ def view_of(
     for k, side in enumerate(SIDES):
         images = [pair[k] for pair in pairs]
         x, y = (coordinate(images, sequence, axis) for axis in ("x", "y"))  # type: ignore[arg-type]
-        seen[side] = Seen(marks_of(images[0], board), x, y)
+        seen[side] = CameraObservation(marks_of(images[0], board), x, y)
     marks = {side: one.marks for side, one in seen.items()}
     return BoardView(f"view {number}", marks | {"projector": projector_marks(board, seen).marks})
 
@@ -137,7 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     color = colors(rig, made)
     made = color.applied(made)
     print(f"calibrated in {time.monotonic() - began:.0f} s of rendering and solving: {quality}")
-    for line in color.advice:
+    for line in color.recommendations:
         print(line)
     kept = _report_phases(phase_errors(rig, color))
     true = rig.layout.calibration_for(optics)

@@ -62,7 +62,7 @@ PROSE = WORDS | {
 # Expressions that contain a retired word and stay, each with its reason.
 EXPRESSIONS = {
     r"single[- _]?shots?": "the method's name",
-    r"shot noise": "photon noise",
+    r"shot[ _]noise": "photon noise",
     r"garbage[- _]collect\w*": "Python's memory management",
     r"degrees? of freedom": "statistics",
     r"look[- ]ups?|looks up|looked up|look up": "a search in a table",

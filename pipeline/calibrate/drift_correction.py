@@ -1,9 +1,9 @@
-"""Small drifts corrected from ordinary scenes: which device has turned, by how much, and what that makes better.
+"""Correction of small drifts from ordinary scenes: the rotation of one device.
 
-Half of the pairs find the correction, the other half judge it. One device is turned: the one that alone explains the
-readings (see :mod:`pipeline.monitor.explain`), or the one that is named. A projector is refined in full by
+Half of the pairs determine the correction, the other half evaluate it. One device is rotated: the only one that
+explains the readings (see :mod:`pipeline.monitor.explain`), or the one that is named. A projector is refined in full by
 :mod:`pipeline.calibrate.projector.trinocular_residual`. The cameras' distances and lenses stay: a scene without known
-lengths says nothing of them.
+lengths does not determine them.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Refinement:
     Args:
         calibration: the corrected one; device: that was corrected.
         turn_deg, sigma_deg: of the device, about its own axes.
-        before, after: readings of the pairs that only judge.
+        before, after: readings of the held-out pairs.
         points: median number of points of a pair, before and after.
         explanations: every device, for the readings before.
-        pairs: that found the correction, and that judged it.
+        pairs: numbers used for the correction, and held out.
     """
 
     calibration: Calibration
@@ -61,11 +61,11 @@ class Refinement:
 
     @property
     def better(self) -> bool:
-        """Whether the pairs that were not used agree better."""
+        """Whether the held-out pairs agree better."""
         return _size(self.after) < _size(self.before)
 
 
-class _Look:
+class _Evaluation:
     """Readings of pairs under one calibration."""
 
     def __init__(self, calibration: Calibration, pattern: ColorFringe, volume: Volume, encoding: str) -> None:
@@ -84,8 +84,8 @@ class _Look:
         patches = Patches(*(np.concatenate([getattr(one, name) for one in found]) for name in Patches.__slots__))
         if len(patches) < _FEWEST_PATCHES:
             raise CalibrationError(
-                f"only {len(patches)} smooth pieces of surface are seen, at least {_FEWEST_PATCHES} are needed; show a "
-                "scene that fills the images, or calibrate again if hardly anything is measured any more"
+                f"only {len(patches)} smooth patches are measured, at least {_FEWEST_PATCHES} are needed; show "
+                "a scene that fills the images, or calibrate again if hardly anything can be measured"
             )
         return self._observer.readings(patches), patches, int(np.median(points))
 
@@ -106,61 +106,61 @@ def refine(
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Refinement:
-    """The correction of one device that makes ordinary pairs agree.
+    """The correction of one device with which ordinary pairs agree.
 
     Args:
-        pairs: raw images of any scene, better of several; at most :data:`MOST_PAIRS` are used.
-        device: ``left``, ``right`` or ``projector``; None = the one that alone explains the readings.
+        pairs: raw images of one scene or, better, of several; at most :data:`MOST_PAIRS` are used.
+        device: ``left``, ``right`` or ``projector``; None = the only one that explains the readings.
 
     Raises:
-        CalibrationError: too few pairs or surfaces, nothing to be corrected, more than one device would explain it, or
-            a drift too large for this.
+        CalibrationError: too few pairs or surfaces, nothing to correct, more than one device that explains it, or a
+            drift that is too large.
     """
     if len(pairs) < _FEWEST_PAIRS:
         raise CalibrationError(f"{len(pairs)} pairs of images, at least {_FEWEST_PAIRS} are needed")
     chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).astype(int))]
-    train, judge = chosen[::2], chosen[1::2]
+    train, held_out = chosen[::2], chosen[1::2]
     steps = _ROUNDS + 3
 
-    def tell(done: int) -> None:
+    def report_progress(done: int) -> None:
         if progress is not None:
             progress(done, steps)
 
-    tell(0)
-    before, _, points = _Look(calibration, pattern, volume, encoding).at(judge)
-    tell(1)
+    report_progress(0)
+    before, _, points = _Evaluation(calibration, pattern, volume, encoding).at(held_out)
+    report_progress(1)
     now, sum_deg = calibration, np.zeros(3)
     explanations: list[Turn] = []
     turn: Turn | None = None
     for number in range(_ROUNDS):
-        look = _Look(now, pattern, volume, encoding)
-        readings, patches, _ = look.at(train)
-        found = explain(now, patches.shape, look.first, readings)
+        evaluation = _Evaluation(now, pattern, volume, encoding)
+        readings, patches, _ = evaluation.at(train)
+        found = explain(now, patches.shape, evaluation.first, readings)
         if not explanations:
             explanations = found
             _require_drift(readings)
-            device = device or _the_one(found)
+            device = device or _only_explanation(found)
         turn = next(one for one in found if one.device == device)
         now = (
-            _projector(now, turn, look.samples(patches))
+            _projector(now, turn, evaluation.samples(patches))
             if device == "projector"
             else turned(now, turn.device, turn.turn_deg)
         )
         sum_deg += turn.turn_deg
         _require_small(sum_deg, turn.device)
-        tell(number + 2)
+        report_progress(number + 2)
     assert turn is not None  # noqa: S101 - there was at least one round
-    after, _, points_after = _Look(now, pattern, volume, encoding).at(judge)
-    tell(steps)
+    after, _, points_after = _Evaluation(now, pattern, volume, encoding).at(held_out)
+    report_progress(steps)
     total = float(sum_deg[0]), float(sum_deg[1]), float(sum_deg[2])
     return Refinement(
         now, turn.device, total, turn.sigma_deg, before, after, (points, points_after), explanations,
-        (len(train), len(judge)),
+        (len(train), len(held_out)),
     )  # fmt: skip
 
 
 def _projector(now: Calibration, turn: Turn, samples: Samples) -> Calibration:
-    """The projector refined in full, or only turned where the pieces of surface fill too little of its image."""
+    """The projector refined in full, or only rotated where the surfaces fill too little of its image."""
     try:
         return refine_projector(now, samples).calibration
     except CalibrationError:
@@ -172,7 +172,7 @@ def _require_drift(readings: dict[str, Reading]) -> None:
     if all(abs(one.value) < max(_WORTH * one.sigma, _SMALL_PX) for one in known):
         worst = max((abs(one.value) for one in known), default=0.0)
         raise CalibrationError(
-            f"there is nothing to correct: the largest residual is {worst:.3f} px, which is noise; "
+            f"there is nothing to correct: the largest residual is {worst:.3f} px, within the noise; "
             "the calibration fits these images"
         )
 
@@ -181,12 +181,12 @@ def _require_small(turn_deg: NDArray[np.float64], device: str) -> None:
     size = float(np.linalg.norm(turn_deg))
     if size > LARGEST_DEG:
         raise CalibrationError(
-            f"the {device} would have to be turned by {size:.2f} degrees, limit {LARGEST_DEG} degrees: that is no "
+            f"the {device} would have to be rotated by {size:.2f} degrees, limit {LARGEST_DEG} degrees: that is no "
             "small drift; calibrate again"
         )
 
 
-def _the_one(explanations: list[Turn]) -> str:
+def _only_explanation(explanations: list[Turn]) -> str:
     best = clear(explanations)
     if best is not None:
         return best.device
@@ -194,7 +194,7 @@ def _the_one(explanations: list[Turn]) -> str:
         f"{one.device} {np.linalg.norm(one.turn_deg):.3f} degrees (misfit {one.misfit:.1f})" for one in explanations
     )
     raise CalibrationError(
-        f"more than one device would explain the residuals, or none does: {texts}. Name the one that was touched "
+        f"more than one device explains the residuals, or none does: {texts}. Name the one that was touched "
         f"with --device {'|'.join(DEVICES)}, or calibrate again"
     )
 
@@ -216,7 +216,7 @@ def table(found: Refinement) -> list[str]:
         for axis, value, sigma in zip("xyz", found.turn_deg, found.sigma_deg, strict=True)
     )
     out = [f"{found.device} turned about its own axes, degrees: {turn}"]
-    out.append(f"judged by {found.pairs[1]} pairs that did not take part ({found.pairs[0]} did):")
+    out.append(f"evaluated on {found.pairs[1]} held-out pairs (corrected on {found.pairs[0]}):")
     out.append(f"{'':40} {'before':>18} {'after':>18}")
     for name, text in names.items():
         cells = [

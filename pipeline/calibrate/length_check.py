@@ -1,4 +1,4 @@
-"""Is a calibration still true? Distances on a board, or one known length, measured with it from one view."""
+"""Check of a calibration by distances on a board, or one known length, measured from one view."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _OFFSET_STEPS = 2
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What is accepted.
+    """Limits of the check.
 
     Args:
         ppm: of the scale: mean relative error of the distances.
-        mm: of the worst distance beside the scale; 0 = one part in 1000 of the longest.
+        mm: of the worst distance after the scale is removed; 0 = one part in 1000 of the longest.
         epipolar_px: root mean square.
     """
 
@@ -39,7 +39,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Distances:
-    """Distances of pairs of marks against what they are on the board.
+    """Measured distances of pairs of marks against those on the board.
 
     Args:
         marks, pairs: counts; longest_mm: of the distances.
@@ -47,7 +47,7 @@ class Distances:
         scale_ppm: by how much distances come out too long, least squares over all pairs.
         flatness_mm: root mean square distance of the marks from their common plane.
         epipolar_px: root mean square distance of marks from the epipolar lines of their partners.
-        complaints: what is beyond the limits, whole sentences; empty: the calibration is good.
+        complaints: exceeded limits, as sentences; empty: the calibration is good.
     """
 
     marks: int
@@ -81,14 +81,14 @@ def triangulated(left: CameraModel, right: CameraModel, in_left: Array, in_right
 
 
 def check_board(cameras: Cameras, board: Board, left: Marks, right: Marks, limits: Limits) -> Distances:
-    """Distances between all pairs of marks that both cameras saw.
+    """Distances between all pairs of marks that both cameras detected.
 
     Raises:
-        TargetError: fewer than 6 marks were seen by both.
+        TargetError: fewer than 6 marks were detected by both.
     """
     ids, in_left, in_right = paired(cameras, board, left, right)
     if len(ids) < LEAST_MARKS:
-        raise TargetError(f"{len(ids)} marks were seen by both cameras, at least {LEAST_MARKS} are needed")
+        raise TargetError(f"{len(ids)} marks were detected by both cameras, at least {LEAST_MARKS} are needed")
     truth = board.points[ids]
     if board.round:
         in_left, in_right = _as_points(cameras, board, truth, (in_left, in_right), (left, right), ids)
@@ -99,7 +99,7 @@ def check_board(cameras: Cameras, board: Board, left: Marks, right: Marks, limit
     error = np.linalg.norm(points[first] - points[second], axis=1) - true
     worst = int(np.abs(error).argmax())
     spread = np.linalg.svd(points - points.mean(axis=0))[1][2] / np.sqrt(len(points))
-    found = Distances(
+    result = Distances(
         marks=len(ids),
         pairs=len(error),
         longest_mm=float(true.max()),
@@ -111,8 +111,8 @@ def check_board(cameras: Cameras, board: Board, left: Marks, right: Marks, limit
         flatness_mm=float(spread),
         epipolar_px=float(np.sqrt((epipolar**2).mean())),
     )
-    found.complaints.extend(_complaints(found, error, true, limits))
-    return found
+    result.complaints.extend(_complaints(result, error, true, limits))
+    return result
 
 
 def check_length(cameras: Cameras, length_mm: float, in_left: Array, in_right: Array, limits: Limits) -> Distances:
@@ -124,13 +124,13 @@ def check_length(cameras: Cameras, length_mm: float, in_left: Array, in_right: A
     points = triangulated(cameras.left, cameras.right, in_left, in_right)
     error = float(np.linalg.norm(points[0] - points[1])) - length_mm
     epipolar = float(np.sqrt((straight**2).mean()))
-    found = Distances(2, 1, length_mm, error, abs(error), error, (0, 1), 1e6 * error / length_mm, 0.0, epipolar)
-    found.complaints.extend(_complaints(found, np.array([error]), np.array([length_mm]), limits))
-    return found
+    result = Distances(2, 1, length_mm, error, abs(error), error, (0, 1), 1e6 * error / length_mm, 0.0, epipolar)
+    result.complaints.extend(_complaints(result, np.array([error]), np.array([length_mm]), limits))
+    return result
 
 
 def paired(cameras: Cameras, board: Board, left: Marks, right: Marks) -> tuple[NDArray[np.int64], Array, Array]:
-    """Marks that both saw: numbers, pixels left and right; the right numbering turned as the epipolar lines want it."""
+    """Marks detected by both: numbers, pixels left and right, renumbered on the right to fit the epipolar lines."""
     best: tuple[float, NDArray[np.int64], Array, Array] | None = None
     for symmetry in symmetries(board):
         if symmetry.mirrored:
@@ -188,17 +188,17 @@ def _complaints(found: Distances, error: Array, true: Array, limits: Limits) -> 
         long = "long" if found.scale_ppm > 0 else "short"
         out.append(
             f"distances come out {abs(found.scale_ppm):.0f} ppm too {long} (limit {limits.ppm:g} ppm): the baseline "
-            "or a focal length changed, or the board is not what its description says"
+            "or a focal length changed, or the board differs from its description"
         )
     rest = float(np.abs(error - 1e-6 * found.scale_ppm * true).max())
     most = limits.mm or found.longest_mm / 1000
     if len(true) > 1 and rest > most:
         out.append(
-            f"a distance is wrong by {rest:.3f} mm beside the scale (limit {most:.3g} mm): a lens or a camera moved"
+            f"a distance is wrong by {rest:.3f} mm without the scale (limit {most:.3g} mm): a lens or a camera moved"
         )
     if found.epipolar_px > limits.epipolar_px:
         out.append(
             f"marks lie {found.epipolar_px:.2f} px rms from their epipolar lines (limit {limits.epipolar_px:g} px): a "
-            "camera was turned or a lens moved; calibrate again"
+            "camera was rotated or a lens moved; calibrate again"
         )
     return out

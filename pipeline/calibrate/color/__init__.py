@@ -1,7 +1,7 @@
-"""Colour of a rig from images of an even white surface: black, crosstalk, balance, response, lateral colour.
+"""Colour calibration of a rig from images of an even white surface.
 
-:func:`color_sequence` says what is shown, :func:`calibrate_color` makes the models of it, :func:`phase_error` checks
-them on a fresh pattern.
+:func:`color_sequence` is the sequence to be shown, :func:`calibrate_color` computes the models from its images,
+:func:`phase_error` checks them on another pattern.
 """
 
 from pipeline.calibrate.color.color_sequence import color_sequence

@@ -1,7 +1,7 @@
-"""Where red and blue light stands beside green on a flat board, in projector pixels, from fringes of single colours.
+"""Offsets of red and blue light against green on a flat board, in projector pixels, from fringes of single colours.
 
-The difference of two colours' phases at a pixel needs no unwrapping. The place on the projector and its slopes need the
-absolute coordinate of green: one period of the colour fringe tells the order, the fine fringe the rest.
+The difference of two colours' phases at a pixel needs no unwrapping. The projector coordinate and its slopes need the
+absolute phase of green: one period of the colour fringe gives the order, the fine fringe the fraction.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _LEAST_BLOCKS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offsets:
-    """Where red and blue light stands against green in one camera's images, at n blocks of the board.
+    """Offsets of red and blue light against green in one camera's images, at n blocks of the board.
 
     Args:
         pixels: (n, 2) in the camera's image; projector: (n, 2) coordinates of the green light there.
@@ -47,7 +47,7 @@ def measure_offsets(
     images: Images, roles: Roles, area: Mask, *, black: F32, full: F32, crosstalk: Array,
     response: Response, shown: Response | None,
 ) -> Offsets:  # fmt: skip
-    """Offsets of red and blue seen by one camera.
+    """Offsets of red and blue in one camera.
 
     Args:
         area, black, full: as in :func:`pipeline.calibrate.color.tone_response.level_curve`.
@@ -64,7 +64,8 @@ def measure_offsets(
     if np.count_nonzero(used) < _LEAST_BLOCKS:
         raise ImageError(
             f"{images.side} camera: only {np.count_nonzero(used)} blocks of {_SIDE} x {_SIDE} pixels are evenly "
-            f"white, at least {_LEAST_BLOCKS} are needed for lateral colour; fill the image with a white board"
+            f"white, at least {_LEAST_BLOCKS} are needed for lateral chromatic aberration; fill the image "
+            "with a white board"
         )
     pixels = np.stack([sum_u[used], sum_v[used]], axis=1) / weights[used, None]
     for axis in _AXES:
@@ -95,7 +96,7 @@ def _relative_light(counts: F32, full: F32, crosstalk: Array) -> Array:
 def _coarse_coordinate(relative: Array, response: Response | None, length: int) -> Array:
     """Projector coordinate from one period of the colour fringe, (H, W), good to some pixels.
 
-    A fringe that was not pre-distorted is sinusoidal in drive values, which the response gives back.
+    A fringe that was not pre-distorted is sinusoidal in drive values, which the inverse response restores.
     """
     wave = 255 * relative if response is None else response.drive(255 * relative)
     r, g, b = wave[..., 0], wave[..., 1], wave[..., 2]
@@ -108,8 +109,8 @@ def _smooth_coordinate(
 ) -> tuple[Array, Array]:
     """The board's projector coordinate at some pixels, (n,), and its slopes, (n, 2).
 
-    A polynomial of low degree through the coarse coordinate tells the order of the fine fringe, one of higher degree
-    goes through the fine coordinate: a flat board in a lens of little distortion needs no more.
+    A polynomial of low degree through the coarse coordinate gives the order of the fine fringe, one of higher degree
+    is fitted to the fine coordinate: a flat board in a lens of little distortion needs no more.
     """
     v, u = (index[::2] for index in np.nonzero(area))
     scale = np.array(area.shape[::-1], np.float64) / 2

@@ -100,7 +100,7 @@ def _shares(rows: int, columns: int, encoding: str) -> tuple[tuple[F32, F32], ..
 
 def _colors_of(shape: tuple[int, ...], encoding: str) -> NDArray[np.int64]:
     mosaic = mosaic_of(encoding)
-    assert mosaic is not None  # noqa: S101 (callers asked for a mosaic)
+    assert mosaic is not None  # noqa: S101 (callers require a mosaic)
     rows, columns = np.arange(shape[0]) & 1, np.arange(shape[1]) & 1
     return np.asarray(mosaic[rows[:, None], columns[None]])
 
@@ -113,7 +113,7 @@ def _tent(plane: F32) -> F32:
 
 
 def white_area(images: Images, full: F32) -> Mask:
-    """The evenly white part of the view, (H, W): where all three colours come back strongly, marks and edges left out.
+    """The evenly white part of the view, (H, W): where all three colours are strong, without marks and edges.
 
     Args:
         images: for errors; full: (H, W, 3), each colour's own full light, counts above the black frame.
@@ -157,7 +157,7 @@ def blocks(weights: Any, *planes: Any, side: int = 16) -> tuple[NDArray[np.float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One camera's images of one pass, and what does not change while they are evaluated.
+    """One camera's images of one pass with black frame, full light and white area.
 
     Args:
         black: (H, W, 3) mean of the black frames; full: (H, W, 3) each colour's own full light above it.

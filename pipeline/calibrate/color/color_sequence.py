@@ -1,4 +1,4 @@
-"""What is shown for the calibration of colour, and what each frame of such a sequence is for."""
+"""The sequence of the colour calibration, and the roles of its frames."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def color_sequence(
         levels: drive values per colour, black among them.
         period_px: of the fringes of one colour, projector pixels.
         steps: of these fringes, at least 3.
-        lateral: fringes in y too, and one period of the colour fringe both ways, which tells where they are; without
-            them lateral colour is not measured.
-        check: a fringe to measure with, whose phase error is to be told; None = none.
+        lateral: fringes in y too, and one period of the colour fringe both ways, which gives the order; without
+            them lateral chromatic aberration is not measured.
+        check: a measuring fringe whose phase error is to be reported; None = none.
     """
     if not 3 <= levels <= 64:
         raise PatternError(f"levels is {levels}, expected 3 to 64 drive values per colour")
@@ -87,14 +87,14 @@ class FringeSet:
 
 @dataclass(frozen=True, slots=True)
 class Roles:
-    """Which frame of a sequence is what.
+    """The roles of a sequence's frames.
 
     Args:
         black: dark frames; white: (frame, drive value) of those with three equal channels.
         levels: per colour, (drive value, frame) of the even images of that colour alone.
         single: steps of the fringes of one colour, for each of ``axes`` in the order red, green, blue.
         coarse: frame of the one-period colour fringe along an axis.
-        shots: colour fringes with their reference.
+        check_fringes: colour fringes with their reference.
     """
 
     black: tuple[int, ...]
@@ -102,15 +102,15 @@ class Roles:
     levels: tuple[tuple[tuple[int, int], ...], ...]
     single: dict[Axis, tuple[FringeSet, FringeSet, FringeSet]]
     coarse: dict[Axis, int]
-    shots: tuple[tuple[int, FringeSet], ...]
+    check_fringes: tuple[tuple[int, FringeSet], ...]
 
 
 def roles_of(sequence: FrameSequence) -> Roles:
-    """Sort the frames of a sequence; PatternError says what colour calibration misses in it."""
+    """Sort the frames of a sequence; PatternError if one for the colour calibration is missing."""
     black: list[int] = []
     white: list[tuple[int, int]] = []
     levels: list[list[tuple[int, int]]] = [[], [], []]
-    shots: list[int] = []
+    check_fringes: list[int] = []
     coarse: dict[Axis, int] = {}
     groups: dict[tuple[tuple[str, ...], Axis, float, float, float], list[tuple[int, Fringe]]] = {}
     for index, frame in enumerate(sequence.frames):
@@ -126,11 +126,11 @@ def roles_of(sequence: FrameSequence) -> Roles:
             key = (frame.channels, frame.axis, frame.periods, frame.mean, frame.amplitude)
             groups.setdefault(key, []).append((index, frame))
         elif isinstance(frame, GrayBit):
-            continue  # It says nothing about colours.
+            continue  # It carries no colour information.
         elif frame.profile is None and frame.periods <= 1.5:
             coarse[frame.axis] = index
         else:
-            shots.append(index)
+            check_fringes.append(index)
     sets = [_set(members) for members in groups.values() if len(members) >= 3]
     if not black:
         raise PatternError("the sequence has no black frame; a calibration of colour needs one (uniform, 0 0 0)")
@@ -145,7 +145,7 @@ def roles_of(sequence: FrameSequence) -> Roles:
         raise PatternError("the sequence has no fringes of red, of green and of blue alone, at least 3 steps of each")
     return Roles(
         tuple(black), tuple(white), tuple(tuple(found) for found in levels), single, coarse,
-        tuple(_with_reference(sequence, shots, sets)),
+        tuple(_with_reference(sequence, check_fringes, sets)),
     )  # fmt: skip
 
 
@@ -168,9 +168,11 @@ def _single(sets: list[FringeSet]) -> dict[Axis, tuple[FringeSet, FringeSet, Fri
     return found
 
 
-def _with_reference(sequence: FrameSequence, shots: list[int], sets: list[FringeSet]) -> list[tuple[int, FringeSet]]:
+def _with_reference(
+    sequence: FrameSequence, check_fringes: list[int], sets: list[FringeSet]
+) -> list[tuple[int, FringeSet]]:
     out = []
-    for index in shots:
+    for index in check_fringes:
         frame = sequence.frames[index]
         for s in sets:
             if (

@@ -1,9 +1,9 @@
 """Crosstalk, balance and black level of a camera.
 
 Crosstalk: in fringes of one colour, ``M_ck = B_c(k) / B_k(k)`` with B the amplitude that channel c shows of colour k.
-Ambient light and black drop out. A response that is not corrected bends the fringe, but the light that both channels
-see is the same, so the ratio is not touched. It is taken as the part of channel c's phasor that is in step with channel
-k's, block by block; the median over the board stands, its standard deviation tells how well.
+Ambient light and black drop out. A response that is not corrected distorts the fringe, but the light of both channels
+is the same, so the ratio is not affected. It is the part of channel c's phasor in phase with channel k's, block by
+block; the result is the median over the board with its standard deviation.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def fringe_phasors(images: Images, fringes: FringeSet, channels: Sequence[int]) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixSamples:
-    """Ratios by blocks of the board: for each projector channel k (n_k, 3), answers of the camera's channels."""
+    """Ratios by blocks of the board: for each projector channel k (n_k, 3), signals of the camera's channels."""
 
     ratios: tuple[Array, Array, Array]
 
@@ -52,7 +52,7 @@ Triplet: TypeAlias = tuple[FringeSet, FringeSet, FringeSet]
 
 
 def mix_samples(images: Images, fringes: Sequence[Triplet], area: Mask) -> MixSamples:
-    """Answers of the three channels to fringes of each colour alone, relative to the colour's own channel."""
+    """Signals of the three channels in fringes of each colour alone, relative to the colour's own channel."""
     out: list[list[Array]] = [[], [], []]
     for sets in fringes:
         for k, fringe in enumerate(sets):
@@ -88,7 +88,7 @@ def crosstalk_of(samples: Sequence[MixSamples], side: str) -> tuple[Array, Array
         strongest = int(np.abs(mix[:, k]).argmax())
         if strongest != k and abs(mix[strongest, k]) > 1.1:
             raise ImageError(
-                f"{side} camera: {_NAMES[k]} light is answered most by the channel called {_NAMES[strongest]} "
+                f"{side} camera: {_NAMES[k]} light is strongest in the channel named {_NAMES[strongest]} "
                 f"({mix[strongest, k]:.2f} times {_NAMES[k]}): the colours of camera or projector are swapped; "
                 "check the encoding (RGB or BGR, the mosaic's first row)"
             )
@@ -97,7 +97,7 @@ def crosstalk_of(samples: Sequence[MixSamples], side: str) -> tuple[Array, Array
 
 
 def balance_of(full: F32, area: Mask) -> Array:
-    """Answers of the channels to their own full light on the white area, relative to their mean, (3,)."""
+    """Signals of the channels in their own full light on the white area, relative to their mean, (3,)."""
     own = full[area].mean(axis=0, dtype=np.float64)
     return np.asarray(own / own.mean())
 
@@ -135,7 +135,7 @@ def black_level(
     images: Images, roles: Roles, black: F32, full: F32, area: Mask, *,
     dark: Sequence[NDArray[np.uint8]] | None, known: Array | None,
 ) -> tuple[Array, str]:  # fmt: skip
-    """Camera black, (3,) counts, and where it comes from: "lens cap", "marks", "known" or "darkest"."""
+    """Camera black, (3,) counts, and its source: "lens cap", "marks", "known" or "darkest"."""
     if dark:
         capped = Images(images.side, dark, images.encoding, ("lens cap",) * len(dark))
         mean = capped.mean(range(len(dark)))
@@ -147,12 +147,12 @@ def black_level(
                 f"than those of the dark projector ({usual.max():.1f}); cover the lens and take them again"
             )
         return level, "lens cap"
-    found = black_from_marks(black, full, area)
-    if found is not None:
-        return found, "marks"
+    from_marks = black_from_marks(black, full, area)
+    if from_marks is not None:
+        return from_marks, "marks"
     if known is not None:
         return np.asarray(known, np.float64), "known"
-    # Whatever is darkest is at least as bright as the black; the phase needs no better, see docs/calibration-file.md.
+    # The darkest part is at least as bright as the black, which suffices for the phase, see docs/calibration-file.md.
     index = roles.black[0]
     rows, columns = (n // 8 * 8 for n in black.shape[:2])
     small = images.planes(index)[:rows, :columns].reshape(rows // 8, 8, columns // 8, 8, 3).mean(axis=(1, 3))

@@ -1,11 +1,11 @@
-"""Lateral colour of both cameras and registration of the projector's colours, from fringes of one colour at a time.
+"""Lateral chromatic aberration of the cameras and registration of the projector's colours, from single-colour fringes.
 
-At a pixel the fringe of red has another phase than the fringe of green, in x and in y: red light stands t = -(J d + s)
-projector pixels beside its place, with d the displacement in the camera's image, J the derivative of the projector's
+At a pixel the fringe of red has another phase than the fringe of green, in x and in y: red light is displaced by
+t = -(J d + s) projector pixels, with d the displacement in the camera's image, J the derivative of the projector's
 coordinates by the camera's and s the projector's own offset. d belongs to one camera, s to both; both are fitted
-together by least squares. The images hardly tell a shift or a magnification common to both cameras from one of the
-projector: priors share such parts out (a shift is the projector's, a magnification anybody's). What the measuring needs
-is their sum, and that is told by the images alone.
+together by least squares. The images hardly separate a shift or a magnification common to both cameras from one of the
+projector: priors divide such parts (a shift is the projector's, a magnification either's). The measurement needs only
+their sum, which the images determine.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PRIOR_SHIFT, _PRIOR_MAGNIFICATION, _PRIOR_CUBIC_PX, _PRIOR_OFFSET, _PRIOR_STRET
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LateralChromaticSolution:
-    """Lateral colour of the cameras, registration of the projector; None where too small to matter.
+    """Lateral chromatic aberration of the cameras, registration of the projector; None where too small to matter.
 
     ``before_px``, ``after_px``: rms displacement of red and blue against green over the board, in camera pixels, per
     camera, as measured and after the fit.
@@ -46,7 +46,7 @@ class LateralChromaticSolution:
 def fit_lateral_chromatic(
     views: Sequence[Sequence[Offsets]], cameras: Sequence[CameraModel], size: tuple[int, int]
 ) -> LateralChromaticSolution:
-    """Both cameras' lateral colour and the projector's registration from all views.
+    """Both cameras' lateral chromatic aberration and the projector's registration from all views.
 
     Args:
         views: for each camera its views of the board; cameras: their models; size: of the projector.

@@ -1,7 +1,7 @@
-"""The proof: phase of one colour fringe against the phase of its green channel shown alone in many steps.
+"""Check of a colour calibration: the phase of one colour fringe against that of its green channel in many steps.
 
-The steps of one colour know neither crosstalk nor the other channels' response or place, and many of them are blind to
-harmonics; what the single shot shows beside them is its systematic error.
+The steps of one colour are free of crosstalk and of the other channels' response and offset, and many of them cancel
+harmonics; the difference of the single shot is its systematic error.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class PhaseError:
 
     Args:
         rms_rad: over the white area, noise of the images included.
-        systematic_rad: rms of the error's mean at each phase of the fringe: what colour calibration is to remove.
+        systematic_rad: rms of the error's mean at each phase of the fringe: which colour calibration removes.
         mean_rad: the constant part.
         second_rad, third_rad: amplitudes of its parts that go with twice and three times the phase: unequal channels
-            and crosstalk make the former, the response the latter.
+            and crosstalk cause the former, the response the latter.
         points: pixels used.
     """
 
@@ -66,26 +66,26 @@ def phase_error(
 
     Args:
         images: raw, in the order of the sequence.
-        color: what the calibration knows of the camera; None = nothing but that it has three channels.
+        color: the calibrated model of the camera; None = an uncalibrated one.
         area: (H, W) white pixels; None = where the fringes are strong.
         angles: (3, H, W), :func:`pipeline.decode.chromatic_phase.channel_angles` of this camera's pixels; None = 0.
     """
     frames = sequence.frames
-    shots = [f for f in frames if isinstance(f, ColorFringe)]
+    fringes = [f for f in frames if isinstance(f, ColorFringe)]
     steps = [(i, f) for i, f in enumerate(frames) if isinstance(f, Fringe)]
-    if len(images) != len(frames) or len(shots) != 1 or len(steps) < 5:
+    if len(images) != len(frames) or len(fringes) != 1 or len(steps) < 5:
         raise PatternError(
-            f"{len(images)} images of {len(frames)} frames, {len(shots)} of them a colour fringe and {len(steps)} "
+            f"{len(images)} images of {len(frames)} frames, {len(fringes)} of them a colour fringe and {len(steps)} "
             "steps of its reference; expected the frames of check_sequence()"
         )
     names = tuple(type(f).__name__ for f in frames)
-    seen = Images(side, images, encoding, names)
+    views = Images(side, images, encoding, names)
     reference = FringeSet(steps[0][1], tuple(i for i, _ in steps), tuple(f.shift for _, f in steps))
-    return error_of(seen, frames.index(shots[0]), shots[0], reference, color=color, area=area, angles=angles)
+    return error_of(views, frames.index(fringes[0]), fringes[0], reference, color=color, area=area, angles=angles)
 
 
 def error_of(
-    images: Images, shot: int, pattern: ColorFringe, reference: FringeSet, *, color: ColorModel | None,
+    images: Images, index: int, pattern: ColorFringe, reference: FringeSet, *, color: ColorModel | None,
     area: Mask | None = None, angles: Array | None = None,
 ) -> PhaseError:  # fmt: skip
     """Phase error of one frame of a sequence against the steps of another set of its frames."""
@@ -96,10 +96,10 @@ def error_of(
         area = eroded(size > 0.5 * np.percentile(size, 98), 2)
     if np.count_nonzero(area) < _LEAST_POINTS:
         raise ImageError(
-            f"{images.side} camera: fringes are seen on {np.count_nonzero(area)} pixels only, at least "
+            f"{images.side} camera: fringes are detected on {np.count_nonzero(area)} pixels only, at least "
             f"{_LEAST_POINTS} are needed; put a white board into the projector's light"
         )
-    levels = (images.planes(shot)[area] - color.black) @ color.unmix.T
+    levels = (images.planes(index)[area] - color.black) @ color.unmix.T
     delta = np.broadcast_to(np.array(pattern.shifts), levels.shape)
     if angles is not None:
         delta = delta + np.moveaxis(angles, 0, -1)[area]

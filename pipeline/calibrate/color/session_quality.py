@@ -1,4 +1,4 @@
-"""What the images of colour say about the session itself: exposure, gains, light that does not add up."""
+"""Quality of a colour session: exposure, gains, additivity of the light, agreement of the cameras."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def peak_of(view: View, crosstalk: Array) -> float:
 
 
 def additivity_of(view: View, roles: Roles, response: Response, crosstalk: Array) -> float | None:
-    """White light over the sum of its colours alone; None when white is clipped. Projectors that add white miss 1."""
+    """White light over the sum of its colours, 1 unless the projector adds white; None when white is clipped."""
     for index, level in roles.white:
         if view.images.saturated(index, view.area).max() > 0.001:
             continue
@@ -41,7 +41,7 @@ def additivity_of(view: View, roles: Roles, response: Response, crosstalk: Array
 
 
 def projector_quality(response: Response, curves: Sequence[Sequence[LevelCurve]]) -> dict[str, Any]:
-    """Noise of the response, and the exponents that its middle has."""
+    """Noise of the response, and the exponents at its middle."""
     inner = slice(1, -1)
     sigma = max(float(c.sigma[inner].max()) for seen in curves for c in seen) if len(curves[0][0].levels) > 2 else 0.0
     middle = response.light(np.full((1, 3), 127.5))[0] / 255
@@ -50,7 +50,7 @@ def projector_quality(response: Response, curves: Sequence[Sequence[LevelCurve]]
 
 
 def disagreement_of(curves: Sequence[Sequence[LevelCurve]], passes: int, quality: dict[str, Any]) -> list[str]:
-    """How far the cameras differ about the response, into ``quality``; a sentence if that is much."""
+    """Difference of the cameras' responses, written into ``quality``; a sentence if it exceeds the limit."""
     differences = []
     for seen in curves:
         left, right = (np.mean([c.light for c in part], axis=0) for part in (seen[:passes], seen[passes:]))
@@ -65,8 +65,8 @@ def disagreement_of(curves: Sequence[Sequence[LevelCurve]], passes: int, quality
     ]
 
 
-def advice_of(side: str, counts: Array, peak: float) -> list[str]:
-    """What to change about a camera's exposure and gains; counts (3,) of each channel's own full light."""
+def exposure_recommendations(side: str, counts: Array, peak: float) -> list[str]:
+    """Recommended changes of a camera's exposure and gains; counts (3,) of each channel's own full light."""
     out = []
     if not GOOD_PEAK[0] <= peak <= GOOD_PEAK[1]:
         change = "lengthen" if peak < GOOD_PEAK[0] else "shorten"

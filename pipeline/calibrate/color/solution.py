@@ -1,4 +1,4 @@
-"""From the images of a colour sequence to everything that a calibration file says about colour."""
+"""Colour calibration from the images of a colour sequence."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from pipeline.calibrate.color.lateral_chromatic_fit import LateralChromaticSolut
 from pipeline.calibrate.color.phase_error import error_of
 from pipeline.calibrate.color.session_quality import (
     additivity_of,
-    advice_of,
     disagreement_of,
+    exposure_recommendations,
     peak_of,
     projector_quality,
 )
@@ -46,12 +46,12 @@ class ColorSolution:
     """Colours of a rig.
 
     Args:
-        left, right: black, crosstalk, balance and lateral colour of the cameras.
+        left, right: black, crosstalk, balance and lateral chromatic aberration of the cameras.
         response: of the projector's channels, at all 256 levels.
         registration: of the projector's colours; None = not measured or too small to matter.
         white_balance: per camera, counts of each channel for its own full light on the white area, (3,).
-        quality: numbers and words for the file's ``quality`` and for the report, see :func:`calibrate_color`.
-        advice: plain sentences on what to change about exposure and gains; may be empty.
+        quality: figures and texts for the file's ``quality`` and for the report, see :func:`calibrate_color`.
+        recommendations: plain sentences on what to change about exposure and gains; may be empty.
     """
 
     left: ColorModel
@@ -60,7 +60,7 @@ class ColorSolution:
     registration: Registration | None
     white_balance: dict[str, Array]
     quality: dict[str, Any]
-    advice: tuple[str, ...]
+    recommendations: tuple[str, ...]
 
     def applied(self, calibration: Calibration) -> Calibration:
         """The calibration with these colours; its geometry stays."""
@@ -79,15 +79,15 @@ def calibrate_color(
     dark: Sequence[Pair] | None = None,
     shown: Response | None = None,
 ) -> ColorSolution:
-    """Black, crosstalk, balance, response and lateral colour from raw images of a white board.
+    """Black, crosstalk, balance, response and lateral chromatic aberration from raw images of a white board.
 
     Args:
         frames: (left, right) of every frame of the sequence, in its order; several passes one after the other are
             averaged, and the board may be moved between them.
         sequence: what was shown, see :func:`pipeline.calibrate.color.color_sequence.color_sequence`.
-        calibration: the rig's geometry, for lateral colour, and the black levels known so far; None = no lateral
-            colour.
-        dark: images with the lenses covered, for the black level; without them it is told from dark marks on the
+        calibration: the rig's geometry, for lateral chromatic aberration, and the black levels known so far; None = no
+            lateral colour.
+        dark: images with the lenses covered, for the black level; without them it is estimated from dark marks on the
             board, taken from ``calibration``, or bounded by the darkest part of the view.
         shown: the response that the fringes were pre-distorted for; None = shown as they are.
 
@@ -111,30 +111,30 @@ def calibrate_color(
     names = tuple(_name(frame) for frame in sequence.frames)
     passes = [frames[i : i + len(sequence)] for i in range(0, len(frames), len(sequence))]
     views = [
-        [view_of(Images(side, [pair[i] for pair in once], encoding, names), roles) for once in passes]
+        [view_of(Images(side, [pair[i] for pair in one], encoding, names), roles) for one in passes]
         for i, side in enumerate(SIDES)
     ]
     curves: list[list[LevelCurve]] = [
-        [level_curve(v.images, roles, k, v.black, v.full, v.area) for seen in views for v in seen] for k in range(3)
+        [level_curve(v.images, roles, k, v.black, v.full, v.area) for own in views for v in own] for k in range(3)
     ]
     response = response_of(curves)
     models, quality = [], projector_quality(response, curves)
     for i, side in enumerate(SIDES):
-        known = None if calibration is None else (calibration.left_color, calibration.right_color)[i].black
-        known = known if known is not None and known.any() else None  # zero: nobody measured it
+        known_black = None if calibration is None else (calibration.left_color, calibration.right_color)[i].black
+        known_black = known_black if known_black is not None and known_black.any() else None  # zero: not measured
         covered = None if dark is None else [pair[i] for pair in dark]
-        model, more = _camera(views[i], roles, response, covered, known, side)
+        model, camera_quality = _camera(views[i], roles, response, covered, known_black, side)
         models.append(model)
-        quality[side] = more
+        quality[side] = camera_quality
     registration: Registration | None = None
-    advice = disagreement_of(curves, len(passes), quality)
+    recommendations = disagreement_of(curves, len(passes), quality)
     if calibration is not None and set(roles.single) == set(roles.coarse) == {"x", "y"}:
         try:
             lateral_chromatic = _lateral_chromatic(views, models, roles, calibration, response, shown)
         except ImageError as problem:
-            # The rest is worth having without it.
+            # The other results do not depend on it.
             quality["lateral_problem"] = str(problem)
-            advice.append(f"lateral colour was not measured: {problem}")
+            recommendations.append(f"lateral chromatic aberration was not measured: {problem}")
         else:
             models = [
                 replace(m, lateral_chromatic=one) for m, one in zip(models, lateral_chromatic.cameras, strict=True)
@@ -143,18 +143,18 @@ def calibrate_color(
             for side, before, after in zip(SIDES, lateral_chromatic.before_px, lateral_chromatic.after_px, strict=True):
                 quality[side] |= {"lateral_before_px": before, "lateral_after_px": after}
     _check(views, models, sequence, roles, quality)
-    balance = {s: np.mean([v.full[v.area].mean(axis=0, dtype=np.float64) for v in seen], axis=0)
-               for s, seen in zip(SIDES, views, strict=True)}  # fmt: skip
+    balance = {s: np.mean([v.full[v.area].mean(axis=0, dtype=np.float64) for v in own], axis=0)
+               for s, own in zip(SIDES, views, strict=True)}  # fmt: skip
     for side in SIDES:
-        advice += advice_of(side, balance[side], quality[side]["peak"])
-    return ColorSolution(models[0], models[1], response, registration, balance, quality, tuple(advice))
+        recommendations += exposure_recommendations(side, balance[side], quality[side]["peak"])
+    return ColorSolution(models[0], models[1], response, registration, balance, quality, tuple(recommendations))
 
 
 def _camera(
     views: Sequence[View], roles: Roles, response: Response, dark: Sequence[NDArray[np.uint8]] | None,
     known: Array | None, side: str,
 ) -> tuple[ColorModel, dict[str, Any]]:  # fmt: skip
-    """Colour model of one camera without lateral colour, and its quality."""
+    """Colour model of one camera without lateral chromatic aberration, and its quality."""
     samples: list[MixSamples] = [mix_samples(v.images, list(roles.single.values()), v.area) for v in views]
     crosstalk, sigma, scatter = crosstalk_of(samples, side)
     blacks = [black_level(v.images, roles, v.black, v.full, v.area, dark=dark, known=known) for v in views]
@@ -196,7 +196,7 @@ def _check(
     quality: dict[str, Any],
 ) -> None:  # fmt: skip
     """Phase errors of the colour fringes in the sequence, before and after, into ``quality``."""
-    for index, reference in roles.shots[:1]:
+    for index, reference in roles.check_fringes[:1]:
         pattern = sequence.frames[index]
         if not isinstance(pattern, ColorFringe):
             continue

@@ -2,7 +2,7 @@
 
 On a white board the counts above the black frame are proportional to the light, whatever albedo, distance and
 vignetting are, so each level is one factor against the full one, fitted over all pixels of the white area. Crosstalk
-does not matter, one colour is lit at a time. The factors are made monotone, each weighed by its own noise, and joined
+does not matter: one colour is lit at a time. The factors are made monotone, weighted by their noise, and interpolated
 by a monotone cubic (PCHIP; Fritsch and Carlson, SIAM J. Numer. Anal. 17, 238, 1980).
 """
 
@@ -33,7 +33,7 @@ class LevelCurve:
 
 
 def level_curve(images: Images, roles: Roles, channel: int, black: F32, full: F32, area: Mask) -> LevelCurve:
-    """Relative light of a channel as one camera sees it.
+    """Relative light of a channel in one camera.
 
     Args:
         black: (H, W, 3) black frame; full: (H, W, 3) full light above it; area: white pixels, (H, W).
@@ -42,21 +42,21 @@ def level_curve(images: Images, roles: Roles, channel: int, black: F32, full: F3
     dark = black[..., channel][area]
     levels, light, sigma = [0.0], [0.0], [_LEAST_SIGMA]
     for level, index in roles.levels[channel]:
-        answer = (images.planes(index)[..., channel][area] - dark).astype(np.float64)
-        share, error = proportion(answer, reference)
+        counts = (images.planes(index)[..., channel][area] - dark).astype(np.float64)
+        share, error = proportion(counts, reference)
         levels.append(float(level))
         light.append(share)
         sigma.append(error)
     return LevelCurve(*_joined(np.array(levels), np.array(light), np.array(sigma)))
 
 
-def proportion(answer: Array, reference: Array) -> tuple[float, float]:
+def proportion(counts: Array, reference: Array) -> tuple[float, float]:
     """Factor of least squares between two fields, without the outermost residuals, and its standard deviation."""
-    keep = np.ones(len(answer), bool)
+    keep = np.ones(len(counts), bool)
     share = 0.0
     for _ in range(3):
-        share = float((answer[keep] * reference[keep]).sum() / (reference[keep] ** 2).sum())
-        residual = answer - share * reference
+        share = float((counts[keep] * reference[keep]).sum() / (reference[keep] ** 2).sum())
+        residual = counts - share * reference
         scatter = 1.4826 * float(np.median(np.abs(residual[keep]))) + 0.3
         keep = np.abs(residual) < 4 * scatter
     spread = float(residual[keep].std())
@@ -64,16 +64,16 @@ def proportion(answer: Array, reference: Array) -> tuple[float, float]:
 
 
 def response_of(curves: list[list[LevelCurve]]) -> Response:
-    """The response from the curves that the cameras saw, ``curves[channel]`` a list of them; at all 256 levels."""
+    """The response from the cameras' curves, ``curves[channel]`` a list of them; at all 256 levels."""
     drive = np.arange(256.0)
     out = []
-    for name, seen in zip(("red", "green", "blue"), curves, strict=True):
-        levels, light, sigma = _joined(*(np.concatenate(parts) for parts in zip(*map(_parts, seen), strict=True)))
+    for name, own in zip(("red", "green", "blue"), curves, strict=True):
+        levels, light, sigma = _joined(*(np.concatenate(parts) for parts in zip(*map(_parts, own), strict=True)))
         rise = light[-1] - light[0]
         if not rise > 0 or np.diff(light).min() < -0.1:
             at = levels[int(np.diff(light).argmin()) + 1]
             raise ImageError(
-                f"the light of {name} falls towards drive value {at:.0f}: frames and levels do not belong together, or "
+                f"the light of {name} falls towards drive value {at:.0f}: frames and levels do not match, or "
                 "the exposure is no whole number of colour cycles; take the sequence again"
             )
         # Both ends are exact by definition.

@@ -1,1 +1,1 @@
-"""The projector as a camera that sees backwards: its marks, phases and residuals."""
+"""The projector as an inverse camera: its marks, absolute phases and residuals."""

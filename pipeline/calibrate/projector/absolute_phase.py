@@ -1,8 +1,8 @@
 """Absolute phase of a scene at rest from the images of a sequence, in any encoding.
 
-Every pixel is solved by itself (see :mod:`pipeline.multi_frame.n_step`): a Bayer mosaic needs no demosaicing where
-fringes are grey. In a three-chip image the channels are added up first: what crosstalk takes from one channel it
-gives to another, and grey stays grey.
+Every pixel is solved independently (see :mod:`pipeline.multi_frame.n_step`): a Bayer mosaic needs no demosaicing where
+fringes are grey. In a three-chip image the channels are added up first: crosstalk only moves light between channels,
+so that the sum keeps it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _AXES: tuple[Axis, ...] = ("x", "y")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coordinate:
-    """Where on the projector's image a camera's pixels are lit from, along one axis; all (H, W).
+    """Projector coordinate of a camera's pixels along one axis; all (H, W).
 
     Args:
         px: projector column (axis x) or row (axis y), NaN where unknown.
@@ -43,8 +43,8 @@ class Coordinate:
     saturated: Bools
 
     @property
-    def good(self) -> Bools:
-        """Where the coordinate is known."""
+    def valid(self) -> Bools:
+        """Where the coordinate is valid."""
         return np.asarray(np.isfinite(self.px))
 
 
@@ -158,12 +158,12 @@ def evenly_lit(
 ) -> NDArray[np.float32]:
     """The scene without fringes, in the raw images' own layout and counts, float32.
 
-    The mean of the finest fringes of both axes: as good as a white image of so many exposures, so marks are better
-    found here than in one white image. Where a sample of the images is saturated it is too dark.
+    The mean of the finest fringes of both axes: as good as a white image of so many exposures, so marks are
+    localised better here than in one white image. Where a sample of the images is saturated it is too dark.
     """
     finest = [found[-1] for axis in _AXES if (found := levels(sequence, axis, lit=lit))]
     if not finest or len(images) != len(sequence):
-        raise ImageError(f"{len(images)} images of sequence {sequence.name!r}: no even light comes of them")
+        raise ImageError(f"{len(images)} images of sequence {sequence.name!r}: they give no evenly lit image")
     total = np.zeros(images[finest[0].frames[0]].shape, np.float32)
     for level in finest:
         for number, share in zip(level.frames, solution_of(np.array(level.shifts))[0], strict=True):

@@ -1,7 +1,7 @@
-"""A smooth map of a plane into an image: a homography, and a cubic for what the lens adds.
+"""A smooth map of a plane into an image: a homography plus a cubic for the lens.
 
-It needs no camera model, so it serves before there is one. It is for what changes slowly over a board (slopes, the
-shift of a circle's centroid), not for where a mark is: the mark itself says that better.
+It needs no camera model. It describes what changes slowly over a board (slopes, the shift of a circle's centroid); the
+positions of the marks are measured themselves.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SmoothMap:
         return SmoothMap(matrix, np.asarray(np.linalg.lstsq(design, error, rcond=None)[0]), origin, scale)
 
     def __call__(self, points: F64) -> F64:
-        """Where points (..., 2) go."""
+        """Images of points (..., 2)."""
         flat = points.reshape(-1, 2)
         powers = _powers((flat - self.origin) / self.scale)[:, : len(self.rest)]
         return np.asarray((mapped(self.matrix, flat) + powers @ self.rest).reshape(points.shape))

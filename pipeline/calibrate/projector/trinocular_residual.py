@@ -1,9 +1,9 @@
-"""The projector against the cameras' own points: the dense trinocular residual, and what it corrects.
+"""The dense trinocular residual, projector against the points of the cameras, and the correction of the projector.
 
-Two calibrated cameras measure a surface without the projector's geometry: it only says which pixels belong together.
-Then every point predicts the projector pixel that lights it, and the phase observed there says which one it was. The
-difference, seen over thousands of points of any scene at rest, shows a projector that has moved, turned or refocused,
-and corrects it. The cameras stay as they are: they are the metric reference.
+Two calibrated cameras measure a surface without the projector's geometry: its phase only matches their pixels. Then
+every point predicts the projector pixel that lights it, and the phase observed there gives the true one. The
+difference over thousands of points of any scene at rest reveals a projector that has moved, rotated or refocused, and
+corrects it. The cameras are the metric reference and stay unchanged.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ F64: TypeAlias = NDArray[np.float64]
 
 FEWEST_SAMPLES = 300
 LARGEST_RESIDUAL_PX = 8.0
-"""Median beyond which the points' fringe orders are in doubt: nothing to be refined."""
+"""Median above which the points' fringe orders are unreliable and nothing is refined."""
 _FEWEST_CELLS = 16
 _CELLS = 12
 _FEWEST_IN_CELL = 8
@@ -40,10 +40,10 @@ DEFAULT_PRIOR: Mapping[str, float] = MappingProxyType(
         "focal": 1e-3, "aspect": 1e-4, "cx": 2.0, "cy": 2.0,
     }
 )  # fmt: skip
-"""What may have changed, and by how much (one standard deviation): turns about the projector's own axes (radians), its
+"""Prior of the changes (one standard deviation): rotations about the projector's own axes (radians), its
 centre in the world, both focal lengths together and fy against fx (shares), principal point (pixels)."""
 LENS_PRIOR: Mapping[str, float] = MappingProxyType({"k1": 0.02, "k2": 0.05, "p1": 5e-4, "p2": 5e-4})
-"""Distortion, which a knock does not change: only to be added where the lens was never calibrated well."""
+"""Distortion, which a mechanical disturbance does not change: add it only where the lens was not calibrated well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,12 +91,12 @@ def residuals(projector: CameraModel, samples: Samples) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Residuals of many samples in short, pixels.
+    """Statistics of the residuals of many samples, pixels.
 
     Args:
         rms_px: robust, noise and all.
         systematic_px: root mean square over cells of the projector's image of the cell's median, the median's own
-            noise taken off: what a better projector would remove.
+            noise removed: the part that a better projector model removes.
         worst_px: largest median of a cell.
         samples: number of them; wrong: share that lies beyond 5 robust deviations.
     """
@@ -109,7 +109,7 @@ class Spread:
 
 
 def spread(projector: CameraModel, samples: Samples) -> Spread:
-    """Residuals of a projector in short."""
+    """Statistics of a projector's residuals."""
     error = residuals(projector, samples)
     usual = 1.4826 * float(np.median(np.abs(error - np.median(error)))) + 1e-9
     fine = np.abs(error - np.median(error)) <= 5 * usual
@@ -121,16 +121,16 @@ def spread(projector: CameraModel, samples: Samples) -> Spread:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """A corrected projector, and how much it is to be believed.
+    """A corrected projector with its uncertainty.
 
     Args:
         calibration: the given one with the projector corrected.
         before, after: residuals of samples that were not used for the correction.
         changes: by how much each parameter was changed; units as in :data:`DEFAULT_PRIOR`.
-        sigma: standard deviation of each change, the prior included; several that act alike (a turn and a shift of the
-            principal point) are each uncertain and yet well known together: see the covariance, in the same order.
+        sigma: standard deviation of each change, the prior included; correlated ones (a rotation and a shift of
+            the principal point) are each uncertain but accurate together: see the covariance, in the same order.
         effect_px: root mean square of what each change does to the observed coordinates.
-        prior: standard deviation of each parameter before anything was seen.
+        prior: standard deviation of each parameter before the fit.
     """
 
     calibration: Calibration
@@ -159,12 +159,12 @@ class Refined:
 
     @property
     def supported(self) -> tuple[str, ...]:
-        """Parameters of which the samples, each by itself, say at least twice as much as was known before."""
+        """Parameters whose standard deviation the samples reduce at least to half of the prior."""
         return tuple(name for name, sigma in self.sigma.items() if sigma < _SUPPORTED * self.prior[name])
 
     @property
     def better(self) -> bool:
-        """Whether samples that it had not seen agree better with it."""
+        """Whether held-out samples agree better with it."""
         return self.after.rms_px < self.before.rms_px
 
 
@@ -173,37 +173,37 @@ def refine_projector(
 ) -> Refined:
     """The projector that agrees best with the samples, and departs least from the calibrated one.
 
-    A maximum a posteriori fit by Gauss-Newton steps with Tukey's weights. What the samples do not support stays where
-    it was: a parameter is held by its prior, and a mixture of parameters (an eigenvector of what the samples say) is
-    only changed where the samples show it at 3 standard deviations. Every fourth sample is kept apart and only judges.
+    A maximum a posteriori fit by Gauss-Newton steps with Tukey's weights. What the samples do not determine stays
+    unchanged: a parameter is held by its prior, and a combination of parameters (an eigenvector of the information) is
+    only changed where the samples show it at 3 standard deviations. Every fourth sample is held out for evaluation.
 
     Args:
         prior: parameters that may change and their standard deviations; see :data:`DEFAULT_PRIOR`, :data:`LENS_PRIOR`.
 
     Raises:
         CalibrationError: too few samples, too small a part of the projector's image, or residuals so large that the
-            points themselves are in doubt.
+            points themselves are unreliable.
     """
     unknown = set(prior) - set(DEFAULT_PRIOR) - set(LENS_PRIOR)
     if unknown or not prior or not all(value > 0 for value in prior.values()):
-        raise CalibrationError(f"prior of the projector: {sorted(unknown) or dict(prior)} is not understood")
-    fine = np.isfinite(samples.points).all(axis=1) & np.isfinite(samples.observed) & (samples.sigma_px > 0)
-    samples = samples.some(fine)
+        raise CalibrationError(f"prior of the projector: {sorted(unknown) or dict(prior)} has unknown or no parameters")
+    usable = np.isfinite(samples.points).all(axis=1) & np.isfinite(samples.observed) & (samples.sigma_px > 0)
+    samples = samples.some(usable)
     _check(calibration.projector, samples)
     test = np.arange(len(samples)) % _TEST_EVERY == _TEST_EVERY - 1
-    used, judges = samples.some(~test), samples.some(test)
+    used, held_out = samples.some(~test), samples.some(test)
     values, covariance = _solved(calibration.projector, used, prior)
     changes = dict(zip(prior, values.tolist(), strict=True))
     projector = moved(calibration.projector, changes)
-    start = residuals(calibration.projector, judges)
+    start = residuals(calibration.projector, held_out)
     effects = {
-        name: float(np.sqrt(np.mean((residuals(moved(calibration.projector, {name: value}), judges) - start) ** 2)))
+        name: float(np.sqrt(np.mean((residuals(moved(calibration.projector, {name: value}), held_out) - start) ** 2)))
         for name, value in changes.items()
     }
     return Refined(
         replace(calibration, projector=projector),
-        spread(calibration.projector, judges),
-        spread(projector, judges),
+        spread(calibration.projector, held_out),
+        spread(projector, held_out),
         changes,
         dict(zip(prior, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
         effects,
@@ -249,7 +249,7 @@ def _check(projector: CameraModel, samples: Samples) -> None:
     if not np.median(np.abs(error)) <= LARGEST_RESIDUAL_PX:
         raise CalibrationError(
             f"the projector is off by {np.median(np.abs(error)):.1f} px (median), limit {LARGEST_RESIDUAL_PX:g} px: "
-            "the measurement itself is in doubt; calibrate again"
+            "the measurement itself is unreliable; calibrate again"
         )
     cells = len(_cells(projector, samples, error)[0])
     if cells < _FEWEST_CELLS:
@@ -273,11 +273,11 @@ def _cells(projector: CameraModel, samples: Samples, error: F64) -> tuple[F64, F
 
 def _solved(start: CameraModel, samples: Samples, prior: Mapping[str, float]) -> tuple[F64, F64]:
     """Changes and their covariance."""
-    names, known = list(prior), np.array(list(prior.values()))
-    values = np.zeros(len(known))
+    names, prior_sigma = list(prior), np.array(list(prior.values()))
+    values = np.zeros(len(prior_sigma))
 
     def error_at(scaled: F64) -> F64:
-        return residuals(moved(start, dict(zip(names, scaled * known, strict=True))), samples) / samples.sigma_px
+        return residuals(moved(start, dict(zip(names, scaled * prior_sigma, strict=True))), samples) / samples.sigma_px
 
     for _ in range(_ROUNDS):
         error = error_at(values)
@@ -291,17 +291,18 @@ def _solved(start: CameraModel, samples: Samples, prior: Mapping[str, float]) ->
         values = values + step
         if np.abs(step).max() < 1e-7:
             break
-    final = moved(start, dict(zip(names, values * known, strict=True)))
+    final = moved(start, dict(zip(names, values * prior_sigma, strict=True)))
     medians, noise = _cells(final, samples, residuals(final, samples))
-    # Neighbours that err alike tell less than they seem to: the scatter of the cells says how much less.
+    # Correlated errors of neighbours carry less information: the scatter of the cells measures how much less.
     excess = float((medians**2).sum() / max(float((noise**2).sum()), 1e-18)) if len(medians) > len(values) else 1.0
-    told, mixtures = np.linalg.eigh((normal - np.eye(len(values))) / max(excess, 1.0))
-    told = np.maximum(told, 1e-12)
+    information, mixtures = np.linalg.eigh((normal - np.eye(len(values))) / max(excess, 1.0))
+    information = np.maximum(information, 1e-12)
     shares = mixtures.T @ values
-    # Without its prior a share would be (told + 1) / told as large, with a standard deviation of 1 / sqrt(told).
-    shares[np.abs(shares) * (told + 1) / np.sqrt(told) < _SIGNIFICANT] = 0.0
-    covariance = (mixtures / (told + 1)) @ mixtures.T
-    return (mixtures @ shares) * known, np.asarray(covariance * np.outer(known, known))
+    # Without its prior a share would be (information + 1) / information as large, with a standard deviation of 1 /
+    # sqrt(information).
+    shares[np.abs(shares) * (information + 1) / np.sqrt(information) < _SIGNIFICANT] = 0.0
+    covariance = (mixtures / (information + 1)) @ mixtures.T
+    return (mixtures @ shares) * prior_sigma, np.asarray(covariance * np.outer(prior_sigma, prior_sigma))
 
 
 def _slopes(function: Callable[[F64], F64], at: F64, step: float = 1e-4) -> F64:

@@ -1,8 +1,8 @@
 """Points and the projector coordinates observed there, for the trinocular residual.
 
 Two sources: a cloud of the single-shot measurement with the phases of its left image, and the absolute phases of a
-scene at rest in both cameras. In the second the cameras' pixels are matched by what lit them, both coordinates at once,
-so nothing of the projector's geometry is used.
+scene at rest in both cameras. In the second the cameras' pixels are matched by both projector coordinates, so that the
+projector's geometry is not used.
 """
 
 from __future__ import annotations
@@ -99,42 +99,42 @@ def samples_of_phases(
 ) -> Samples:
     """Of a scene at rest under a sequence: projector columns and rows (x, y) of both cameras' pixels.
 
-    Each place is fitted in 5 x 5 pixels, in the left image to have its projector coordinates, in the right one to
-    find where the same coordinates are.
+    Planes are fitted in 5 x 5 pixels: in the left image for the projector coordinates, in the right one for the
+    position of the same coordinates.
 
     Args:
         stride: step of the left pixels taken, in both directions.
     """
-    light = _stacked(left)
-    there = _stacked(right)
-    for name, field, device in (("left", light, calibration.left), ("right", there, calibration.right)):
+    left_field = _stacked(left)
+    right_field = _stacked(right)
+    for name, field, device in (("left", left_field, calibration.left), ("right", right_field, calibration.right)):
         if field.shape[:2] != device.size[::-1]:
             raise CalibrationError(f"{name} phases are {field.shape[:2]}, the camera's image is {device.size[::-1]}")
-    rows, columns = light.shape[:2]
+    rows, columns = left_field.shape[:2]
     v, u = (index.ravel() for index in np.mgrid[stride // 2 : rows : stride, stride // 2 : columns : stride])
-    place, _, fine = _fits(light, u, v)
-    u, v, place = u[fine], v[fine], place[fine]
-    found_u, found_v, fine = _lookup(there, place, calibration.projector.size)
-    u, v, place, found_u, found_v = u[fine], v[fine], place[fine], found_u[fine], found_v[fine]
-    value, gradient, fine = _fits(there, found_u, found_v)
-    # Solved one by one where the two coordinates do change with the place.
-    fine &= np.abs(np.linalg.det(gradient)) > 1e-3
-    u, v, place, found_u, found_v = u[fine], v[fine], place[fine], found_u[fine], found_v[fine]
-    away = np.linalg.solve(gradient[fine], (place - value[fine])[..., None])[..., 0]
-    match = np.stack([found_u, found_v], axis=1) + away
-    fine = (np.abs(away) <= _FARTHEST_PX).all(axis=1)
-    pixels, place = np.stack([u, v], axis=1)[fine].astype(np.float64), place[fine]
-    points = triangulate(calibration.left, calibration.right, pixels, match[fine])
+    lit_by, _, valid = _fits(left_field, u, v)
+    u, v, lit_by = u[valid], v[valid], lit_by[valid]
+    matched_u, matched_v, valid = _lookup(right_field, lit_by, calibration.projector.size)
+    u, v, lit_by, matched_u, matched_v = u[valid], v[valid], lit_by[valid], matched_u[valid], matched_v[valid]
+    value, gradient, valid = _fits(right_field, matched_u, matched_v)
+    # Solved pixel by pixel where both coordinates change with the position.
+    valid &= np.abs(np.linalg.det(gradient)) > 1e-3
+    u, v, lit_by, matched_u, matched_v = u[valid], v[valid], lit_by[valid], matched_u[valid], matched_v[valid]
+    away = np.linalg.solve(gradient[valid], (lit_by - value[valid])[..., None])[..., 0]
+    match = np.stack([matched_u, matched_v], axis=1) + away
+    valid = (np.abs(away) <= _FARTHEST_PX).all(axis=1)
+    pixels, lit_by = np.stack([u, v], axis=1)[valid].astype(np.float64), lit_by[valid]
+    points = triangulate(calibration.left, calibration.right, pixels, match[valid])
     noise = [
-        np.hypot(here.sigma_px[v, u], other.sigma_px[found_v, found_u])[fine] / (2 * _RADIUS + 1)
-        for here, other in zip(left, right, strict=True)
+        np.hypot(one.sigma_px[v, u], other.sigma_px[matched_v, matched_u])[valid] / (2 * _RADIUS + 1)
+        for one, other in zip(left, right, strict=True)
     ]
     axis = np.repeat(np.arange(2), len(points))
-    return Samples(np.concatenate([points, points]), place.T.ravel(), axis, np.concatenate(noise))
+    return Samples(np.concatenate([points, points]), lit_by.T.ravel(), axis, np.concatenate(noise))
 
 
 def _stacked(pair: tuple[Coordinate, Coordinate]) -> F64:
-    """(H, W, 2), both known or both NaN."""
+    """(H, W, 2), both valid or both NaN."""
     both = np.stack([pair[0].px, pair[1].px], axis=-1)
     both[~np.isfinite(both).all(axis=-1)] = np.nan
     return both
@@ -159,20 +159,20 @@ def _fits(field: F64, u: Ints, v: Ints) -> tuple[F64, F64, NDArray[np.bool_]]:
     return solution[:, 0], np.swapaxes(solution[:, 1:], 1, 2), enough & (rough <= _ROUGHEST_PX)
 
 
-def _lookup(field: F64, wanted: F64, size: tuple[int, int]) -> tuple[Ints, Ints, NDArray[np.bool_]]:
-    """Pixels (u, v) whose projector coordinates are next to the wanted ones (n, 2), and whether there is one near."""
+def _lookup(field: F64, targets: F64, size: tuple[int, int]) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+    """Pixels (u, v) with the projector coordinates nearest to the targets (n, 2), and whether there is one near."""
     width, height = size
     v, u = np.nonzero(np.isfinite(field[..., 0]))
     cell = np.rint(field[v, u]).astype(np.int64)
     table = np.full((height + 2 * _NEAR, width + 2 * _NEAR), -1, np.int64)
     table[np.clip(cell[:, 1], 0, height - 1) + _NEAR, np.clip(cell[:, 0], 0, width - 1) + _NEAR] = np.arange(len(u))
-    asked = np.clip(np.rint(wanted).astype(np.int64), 0, [width - 1, height - 1]) + _NEAR
-    best, least = np.zeros(len(wanted), np.int64), np.full(len(wanted), np.inf)
+    cells = np.clip(np.rint(targets).astype(np.int64), 0, [width - 1, height - 1]) + _NEAR
+    best, least = np.zeros(len(targets), np.int64), np.full(len(targets), np.inf)
     for dy in range(-_NEAR, _NEAR + 1):
         for dx in range(-_NEAR, _NEAR + 1):
-            found = table[asked[:, 1] + dy, asked[:, 0] + dx]
-            there = np.where(found >= 0, found, 0)
-            away = np.hypot(*(field[v[there], u[there]] - wanted).T) if len(u) else least
+            found = table[cells[:, 1] + dy, cells[:, 0] + dx]
+            index = np.where(found >= 0, found, 0)
+            away = np.hypot(*(field[v[index], u[index]] - targets).T) if len(u) else least
             closer = (found >= 0) & (away < least)
             best[closer], least[closer] = found[closer], away[closer]
     fine = np.isfinite(least)

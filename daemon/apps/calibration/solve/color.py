@@ -63,7 +63,9 @@ def colored(path: Path, sources: Sequence[Source], progress: Progress) -> Colore
     """
     file = read_calibration(path)
     solution = solved(sources, progress, file.calibration)
-    return Colored(file, solution.applied(file.calibration), solution, summary(solution), list(solution.advice))
+    return Colored(
+        file, solution.applied(file.calibration), solution, summary(solution), list(solution.recommendations)
+    )
 
 
 def with_colors(result: Calibrated, sources: Sequence[Source], progress: Progress) -> Calibrated:
@@ -80,7 +82,9 @@ def with_colors(result: Calibrated, sources: Sequence[Source], progress: Progres
         note for note in result.notes if "of the old file stay" not in note and "in the old file stays" not in note
     ]
     result = replace(result, notes=notes)
-    return _with_colors(result, cameras, {"color": plain(solution.quality)}, summary(solution) + list(solution.advice))
+    return _with_colors(
+        result, cameras, {"color": plain(solution.quality)}, summary(solution) + list(solution.recommendations)
+    )
 
 
 def solved(sources: Sequence[Source], progress: Progress, calibration: Calibration | None) -> ColorSolution:

@@ -8,7 +8,7 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.views.detect_marks import Looked
 from daemon.apps.calibration.views.view import Progress, Source, View, white_frame
 from pipeline.calibrate.projector.absolute_phase import coordinates, levels
-from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
+from pipeline.calibrate.projector.projector_marks import CameraObservation, projector_marks
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.marks import BoardView, Marks
 from pipeline.common.errors import ImageError, TargetError
@@ -72,10 +72,10 @@ def add_with_fringes(looked: Looked, view: View, sequence: sequences.FrameSequen
         looked.phases.append(((left.x, left.y), (right.x, right.y)))
 
 
-def _seen(marks: dict[str, Marks], view: View, sequence: sequences.FrameSequence) -> dict[str, Seen]:
+def _seen(marks: dict[str, Marks], view: View, sequence: sequences.FrameSequence) -> dict[str, CameraObservation]:
     seen = {}
     for device, images in (("left", view.left), ("right", view.right)):
         if device in marks:
             x, y = coordinates(images, sequence, encoding=view.encoding)
-            seen[device] = Seen(marks[device], x, y)
+            seen[device] = CameraObservation(marks[device], x, y)
     return seen

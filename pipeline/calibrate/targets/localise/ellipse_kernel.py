@@ -4,7 +4,7 @@ Model of the light at x: ``I = P - Q S + sigma phi(d / sigma) n . grad Q`` with 
 disc), S = Phi(-(d + kappa sigma^2 / 2) / sigma), d the distance to the ellipse along its normal n, kappa its curvature.
 That is a sharp ellipse under light that changes linearly, blurred by a Gaussian: for a plane times an indicator s,
 ``G * (Q s) = Q (G * s) + sigma^2 grad Q . grad (G * s)`` is exact, and the curvature enters to first order (a blurred
-disc looks smaller by kappa sigma^2 / 2). The pixels' own aperture adds 1/12 to sigma^2.
+disc appears smaller by kappa sigma^2 / 2). The pixels' own aperture adds 1/12 to sigma^2.
 
 Parameters: u, v (relative to the start), E11, E12, E22 (radius matrix), sigma, three of P, three of Q.
 """

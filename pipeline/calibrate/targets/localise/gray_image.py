@@ -22,7 +22,7 @@ class GrayImage:
 
     Args:
         values: (H, W) float32, in the units of the image.
-        clip: value from which a sample is clipped; infinite where the image does not tell.
+        clip: value from which a sample is clipped; infinite where it is unknown.
         saturated: share of the samples of the whole image, all colours, that are clipped.
     """
 

@@ -1,4 +1,4 @@
-"""What is shown, and what is made of a sequence that came from elsewhere."""
+"""The colour sequence, and the roles of frames in any sequence."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from pipeline.pattern.sequence import FrameSequence, Uniform, from_mapping
 SIZE = (256, 200)
 
 
-def test_every_frame_has_its_role_also_after_a_way_through_a_file():
+def test_every_frame_has_its_role_also_when_read_from_a_file():
     pattern = ColorFringe(SIZE, 20)
     sequence = color_sequence(SIZE, check=pattern)
     roles = roles_of(from_mapping(sequence.as_mapping()))
@@ -22,12 +22,12 @@ def test_every_frame_has_its_role_also_after_a_way_through_a_file():
     for sets in roles.single.values():
         assert [s.frame.channels for s in sets] == [("red",), ("green",), ("blue",)]
         assert all(len(s.indices) == 4 for s in sets)
-    ((shot, reference),) = roles.shots
-    assert sequence.frames[shot] == pattern or sequence.frames[shot].periods == 20
+    ((index, reference),) = roles.check_fringes
+    assert sequence.frames[index] == pattern or sequence.frames[index].periods == 20
     assert len(reference.indices) == 8
 
 
-def test_without_lateral_colour_there_are_fringes_in_x_only():
+def test_without_lateral_chromatic_aberration_there_are_fringes_in_x_only():
     roles = roles_of(color_sequence(SIZE, levels=5, lateral_chromatic=False))
     assert set(roles.single) == {"x"}
     assert not roles.coarse

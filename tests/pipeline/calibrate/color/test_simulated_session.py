@@ -1,4 +1,4 @@
-"""The whole way on the simulated rig: a session on its plane, then a fresh pattern."""
+"""A colour session on the simulated rig's plane, checked on another pattern."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ LAYOUT = RigLayout().scaled(0.1875)
 OPTICS = Optics(gamma=2.2, crosstalk=0.12, precorrected=False)
 
 
-def shoot(sequence, seed, response=None):
+def capture(sequence, seed, response=None):
     scene = build("plane")
     return [
         render_images(LAYOUT, scene, frame.image(response), OPTICS, seed=seed + i)
@@ -24,14 +24,14 @@ def shoot(sequence, seed, response=None):
 @pytest.mark.slow
 def test_a_session_takes_crosstalk_and_gamma_out_of_the_phase():
     sequence = color_sequence(LAYOUT.projector_size, lateral_chromatic=False)
-    found = calibrate_color(shoot(sequence, 0), sequence)
+    found = calibrate_color(capture(sequence, 0), sequence)
     for model, true in zip((found.left, found.right), OPTICS.true_crosstalk(), strict=True):
         assert np.abs(model.crosstalk - true).max() < 0.01
         assert np.abs(np.linalg.inv(model.crosstalk) @ true - np.eye(3)).max() < 0.01
     assert np.abs(found.response.curves - OPTICS.response_table()[1]).max() < 0.005
 
     check = check_sequence(LAYOUT.pattern())
-    before, after = shoot(check, 500), shoot(check, 600, found.response)
+    before, after = capture(check, 500), capture(check, 600, found.response)
     for side, model in enumerate((found.left, found.right)):
         was = phase_error([pair[side] for pair in before], check)
         now = phase_error([pair[side] for pair in after], check, color=model)

@@ -21,7 +21,7 @@ def test_the_monotone_fit_never_falls_keeps_the_mean_and_does_not_change_what_ri
     assert np.allclose(isotonic(np.sort(v), weights), np.sort(v))
 
 
-def test_a_value_without_weight_gives_way_to_its_neighbours():
+def test_a_value_without_weight_takes_that_of_its_neighbours():
     fitted = isotonic(np.array([0.0, 1.0, 0.2, 2.0]), np.array([1.0, 1.0, 1e-9, 1.0]))
     assert np.allclose(fitted, [0, 1, 1, 2], atol=1e-6)
 
@@ -41,7 +41,7 @@ def test_the_cubic_of_a_line_is_the_line():
 
 
 @pytest.mark.parametrize("gamma", [0.6, 1.0, 2.2, 2.8])
-def test_seventeen_levels_tell_a_power_law_within_a_fifth_of_a_percent(gamma):
+def test_seventeen_levels_give_a_power_law_within_a_fifth_of_a_percent(gamma):
     levels = np.rint(np.linspace(0, 255, 17))
     curve = LevelCurve(levels, (levels / 255) ** gamma, np.full(17, 1e-3))
     truth = (np.arange(256) / 255) ** gamma
@@ -50,7 +50,7 @@ def test_seventeen_levels_tell_a_power_law_within_a_fifth_of_a_percent(gamma):
     assert error < (0.03 if gamma < 1 else 0.002)
 
 
-def test_two_cameras_are_weighed_by_their_noise():
+def test_two_cameras_are_weighted_by_their_noise():
     levels = np.array([0.0, 128, 255])
     good = LevelCurve(levels, np.array([0, 0.5, 1]), np.full(3, 1e-3))
     poor = LevelCurve(levels, np.array([0, 0.6, 1]), np.full(3, 1e-1))

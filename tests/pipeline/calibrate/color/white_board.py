@@ -1,4 +1,4 @@
-"""A white board in front of two cameras, computed from the formulas alone: quick, and every fault can be set."""
+"""A white board in front of two cameras, computed from the formulas, with adjustable faults."""
 
 from dataclasses import dataclass, field
 
@@ -33,7 +33,7 @@ def rig():
 
 
 @dataclass
-class Bench:
+class WhiteBoard:
     """Images of a board; counts are ``black + albedo (gain mix (light + glow + ambient))``."""
 
     gamma: tuple = (2.2, 2.2, 2.2)
@@ -63,7 +63,7 @@ class Bench:
         v, u = np.mgrid[0 : CAMERA[1], 0 : CAMERA[0]].astype(float)
         pixels = np.stack([u, v], axis=-1)
         camera = (rig().left, rig().right)[side]
-        away = (
+        displacement = (
             np.zeros((3, *pixels.shape))
             if self.lateral_chromatic is None
             else self.lateral_chromatic.at(camera, pixels)
@@ -75,7 +75,7 @@ class Bench:
             if isinstance(frame, Uniform):
                 out[..., k] = light[0, 0]
                 continue
-            at = projected(pixels - away[k], side)
+            at = projected(pixels - displacement[k], side)
             if self.registration is not None:
                 at = at - self.registration.at(PROJECTOR, at)[k]
             first = 0 if frame.axis == "x" else 1
@@ -95,7 +95,7 @@ class Bench:
         colors = np.array(BAYER[self.encoding])[v & 1, u & 1]
         return np.take_along_axis(rgb, colors[..., None], axis=2)[..., 0]
 
-    def shoot(self, sequence, *, seed=0, shown=None, **more):
+    def capture(self, sequence, *, seed=0, shown=None, **more):
         return [
             tuple(self.image(frame, side, 1000 * seed + i, shown, **more) for side in (0, 1))
             for i, frame in enumerate(sequence.frames)

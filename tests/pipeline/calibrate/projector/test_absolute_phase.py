@@ -1,4 +1,4 @@
-"""Absolute phase from several fringes: exact without noise, certain or unknown with it, blind to light and gain."""
+"""Absolute phase from several fringes: exact without noise, certain or unknown with it, for any light and gain."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SEQUENCE = projector_sequence(SIZE)
 
 
 def _columns(n: int = 4000, seed: int = 3) -> NDArray[np.float64]:
-    """Places all over the image, (n,), also within the first and the last column."""
+    """Positions all over the image, (n,), also within the first and the last column."""
     rng = np.random.default_rng(seed)
     return np.concatenate([[-0.4, 0.0, SIZE[0] - 1.0, SIZE[0] - 0.6], rng.uniform(-0.45, SIZE[0] - 0.55, n - 4)])
 
@@ -30,7 +30,7 @@ def _light(frame: Fringe, at: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _sets(at: NDArray[np.float64], gain: float = 0.7, ambient: float = 9.0, sigma: float = 0.0, seed: int = 0):
-    """Phases of the sequence's fringes along x at these places, and the numbers of periods."""
+    """Phases of the sequence's fringes along x at these positions, and the numbers of periods."""
     rng = np.random.default_rng(seed)
     found = levels(SEQUENCE, "x")
     sets = []
@@ -69,7 +69,7 @@ def test_the_phase_of_synthetic_fringes_is_exact_for_any_shifts() -> None:
         np.testing.assert_allclose(got.mean, 100, atol=1e-10)
 
 
-def test_the_absolute_phase_is_exact_whatever_gain_and_ambient_light() -> None:
+def test_the_absolute_phase_is_exact_for_any_gain_and_ambient_light() -> None:
     at = _columns()
     for gain, ambient in ((0.7, 9.0), (0.2, 0.0), (0.9, 60.0)):
         sets, periods = _sets(at, gain, ambient)
@@ -77,7 +77,7 @@ def test_the_absolute_phase_is_exact_whatever_gain_and_ambient_light() -> None:
         np.testing.assert_allclose(phase[0] * SIZE[0] / (2 * np.pi * periods[-1]) - 0.5, at, atol=1e-9)
 
 
-def test_the_scatter_of_the_phase_is_the_one_that_is_told() -> None:
+def test_the_scatter_of_the_phase_agrees_with_its_sigma() -> None:
     at = _columns(20000)
     sets, _ = _sets(at, sigma=2.0)
     for one, clean in zip(sets, _sets(at)[0], strict=True):
@@ -97,7 +97,7 @@ def test_shot_noise_counts_at_the_brightness_of_each_image() -> None:
     np.testing.assert_allclose(ratio.reshape(9, -1).std(axis=1), 1.0, atol=0.03)
 
 
-def test_noise_is_found_in_what_two_sets_means_differ_by() -> None:
+def test_noise_is_estimated_from_the_difference_of_two_sets_means() -> None:
     at = np.tile(_columns(4000), 10)
     images = _images(at, gamma=2.2)
     rng = np.random.default_rng(2)
@@ -113,7 +113,7 @@ def test_noise_is_found_in_what_two_sets_means_differ_by() -> None:
     assert noise.gain == pytest.approx(0.025, rel=0.1)
 
 
-def test_unwrapping_is_right_or_unknown_up_to_the_noise_where_nothing_is_known() -> None:
+def test_unwrapping_is_right_or_unknown_at_any_noise() -> None:
     at = _columns(40000)
     known = []
     for sigma in (1.0, 4.0, 12.0, 30.0):
@@ -136,11 +136,11 @@ def test_a_pixel_between_two_periods_is_left_unknown() -> None:
     assert np.isnan(got[1])
 
 
-def test_a_bent_response_does_not_move_the_fine_phase() -> None:
+def test_a_nonlinear_response_does_not_move_the_fine_phase() -> None:
     at = _columns()
     got = coordinate([np.rint(p).astype(np.uint8) for p in _images(at)], SEQUENCE, "x", encoding="mono8")
     bent = coordinate([(257 * p).astype(np.uint16) for p in _images(at, gamma=2.2)], SEQUENCE, "x", encoding="mono16")
-    assert bent.good.mean() > 0.999
+    assert bent.valid.mean() > 0.999
     assert np.nanstd(got.px - at) < 0.02
     assert np.nanmax(np.abs(bent.px - at)) < 0.003
 
@@ -166,12 +166,12 @@ def test_every_encoding_gives_both_coordinates(encoding: str) -> None:
         raw.append(np.rint(colored + 0.1 * rng.standard_normal(colored.shape)).astype(np.uint8))
     x = coordinate(raw, SEQUENCE, "x", encoding=encoding)
     y = coordinate(raw, SEQUENCE, "y", encoding=encoding)
-    assert x.good.mean() > 0.99
+    assert x.valid.mean() > 0.99
     assert np.nanstd(x.px - at) < 0.06
     assert np.nanstd(y.px - 40.3 - np.arange(6.0)[:, None]) < 0.06
 
 
-def test_crosstalk_takes_nothing_from_grey_fringes() -> None:
+def test_crosstalk_does_not_change_grey_fringes() -> None:
     at = _columns(600)
     mix = np.eye(3) + 0.12 * np.array([[0, 0.9, 0.3], [1.0, 0, 0.8], [0.2, 1.1, 0]])
     images = [0.6 * p for p in _images(at)]
@@ -187,32 +187,32 @@ def test_saturated_and_dark_pixels_are_unknown() -> None:
         p[2] = np.minimum(p[2] * 1.9, 255)
         p[3] = p[3] // 40
     got = coordinate(bright, SEQUENCE, "y", encoding="mono8")
-    assert got.good[[0, 1, 4, 5]].all()
-    assert not got.good[[3]].any()
+    assert got.valid[[0, 1, 4, 5]].all()
+    assert not got.valid[[3]].any()
     saturated = np.stack([p[2] >= 254 for p in bright[-6:]]).any(axis=0)
     assert saturated.any()
-    assert not got.good[2, saturated].any()
+    assert not got.valid[2, saturated].any()
 
 
-def test_a_scene_without_fringes_comes_of_the_same_images() -> None:
+def test_an_evenly_lit_image_is_computed_from_the_same_images() -> None:
     at = _columns(500)
     shade = np.linspace(0.3, 1.0, 500)
     images = [np.rint(257 * shade * p).astype(np.uint16) for p in _images(at, gamma=2.2)]
     flat = evenly_lit(images, SEQUENCE) / (257 * shade)
     assert flat.shape == (6, 500)
     assert flat.std() < 0.02
-    with pytest.raises(ImageError, match="no even light"):
+    with pytest.raises(ImageError, match="no evenly lit image"):
         evenly_lit(images[:3], SEQUENCE)
 
 
-def test_only_the_fringes_of_the_asked_channels_count() -> None:
+def test_only_the_fringes_of_the_chosen_channels_count() -> None:
     red = tuple(replace(f, channels=("red",)) for f in SEQUENCE.frames if isinstance(f, Fringe) and f.axis == "x")
     both = FrameSequence("both", (*SEQUENCE.frames, *red))
     assert [level.frames for level in levels(both, "x")] == [level.frames for level in levels(SEQUENCE, "x")]
     assert [level.frames[0] for level in levels(both, "x", lit=("red",))] == [28, 31, 35]
 
 
-def test_what_cannot_be_decoded_is_refused_in_words() -> None:
+def test_images_that_cannot_be_decoded_are_refused_with_the_reason() -> None:
     with pytest.raises(PatternError, match="at least 3"):
         wrapped_phase([np.zeros((2, 2))] * 2, [0.0, 1.0])
     with pytest.raises(PatternError, match="apart"):

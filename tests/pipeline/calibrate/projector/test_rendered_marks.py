@@ -1,4 +1,4 @@
-"""From rendered images to projector marks: a bent response, crosstalk, blur and noise, none of them known."""
+"""From rendered images to projector marks: a nonlinear response, crosstalk, blur and noise, all unknown."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibrate.projector.absolute_phase import Coordinate, coordinates
-from pipeline.calibrate.projector.projector_marks import Seen, projector_marks
+from pipeline.calibrate.projector.projector_marks import CameraObservation, projector_marks
 from pipeline.calibrate.projector.trinocular_residual import moved, refine_projector, spread
 from pipeline.calibrate.projector.trinocular_samples import samples_of_phases
 from pipeline.calibrate.targets.board.board import Board
@@ -18,7 +18,7 @@ from pipeline.rig.calibration import Calibration
 from sim.boards.board_scene import BoardPose, RenderedViews, render_views, true_centroids, true_marks
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from tests.pipeline.calibrate.projector.views import seen
+from tests.pipeline.calibrate.projector.views import observation
 
 pytestmark = pytest.mark.timeout(300)  # the renderer's kernels may have to be compiled
 
@@ -41,20 +41,20 @@ def _phases(view: RenderedViews, side: int, seed: int) -> tuple[Coordinate, Coor
     return x, y
 
 
-def _seen(view: RenderedViews, side: int, seed: int) -> Seen:
+def _observation(view: RenderedViews, side: int, seed: int) -> CameraObservation:
     rig = LAYOUT.calibration()
     pixels, areas = true_centroids((rig.left, rig.right)[side], BOARD, *POSE.in_world(BOARD, LAYOUT))
     noise = MARK_PX * np.random.default_rng([seed, side]).standard_normal(pixels.shape)
     marks = Marks(np.arange(len(pixels)), pixels + noise, np.full(len(pixels), MARK_PX), areas)
-    return Seen(marks, *_phases(view, side, seed))
+    return CameraObservation(marks, *_phases(view, side, seed))
 
 
-def test_marks_are_found_as_well_as_they_are_told(view: RenderedViews) -> None:
+def test_errors_of_marks_agree_with_their_sigma(view: RenderedViews) -> None:
     true = true_marks(LAYOUT, BOARD, POSE)["projector"]
     errors, ratios = [], []
     for seed in range(4):
-        got = projector_marks(BOARD, {"left": _seen(view, 0, seed), "right": _seen(view, 1, seed)})
-        assert not len(got.left_out)
+        got = projector_marks(BOARD, {"left": _observation(view, 0, seed), "right": _observation(view, 1, seed)})
+        assert not len(got.rejected)
         assert len(got.marks) == len(BOARD.points)
         assert 0.6 < got.disagreement_px / got.expected_px < 1.5
         errors.append(got.marks.pixels - true[got.marks.ids])
@@ -63,7 +63,7 @@ def test_marks_are_found_as_well_as_they_are_told(view: RenderedViews) -> None:
     assert 0.7 < np.std(ratios) < 1.4
 
 
-def test_a_board_that_was_lit_by_a_sequence_brings_a_knocked_projector_back(view: RenderedViews) -> None:
+def test_a_board_under_a_sequence_corrects_a_disturbed_projector(view: RenderedViews) -> None:
     rig = LAYOUT.calibration()
     samples = samples_of_phases(rig, _phases(view, 0, 7), _phases(view, 1, 7), stride=3)
     assert spread(rig.projector, samples).systematic_px < 0.005
@@ -74,9 +74,9 @@ def test_a_board_that_was_lit_by_a_sequence_brings_a_knocked_projector_back(view
     assert got.better
 
 
-def test_matches_by_light_need_nothing_of_the_projector() -> None:
+def test_matches_by_light_do_not_use_the_projector() -> None:
     rig = LAYOUT.calibration()
-    both = {side: seen(LAYOUT, BOARD, POSE, side) for side in ("left", "right")}
+    both = {side: observation(LAYOUT, BOARD, POSE, side) for side in ("left", "right")}
     left, right = ((both[side].x, both[side].y) for side in ("left", "right"))
     wrong = replace(rig, projector=moved(rig.projector, {"cx": 3.0, "rotation_z": 0.01}))
     samples = samples_of_phases(wrong, left, right, stride=5)

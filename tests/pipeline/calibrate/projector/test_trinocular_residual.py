@@ -1,4 +1,4 @@
-"""The projector refined from points that it lit: brought back, with an honest sigma, and never on doubtful grounds."""
+"""Refinement of the projector from points: disturbances are corrected, sigma is right, bad samples are refused."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_true_projector_leaves_no_residual() -> None:
     np.testing.assert_allclose(residuals(RIG.projector, samples), 0.0, atol=1e-9)
 
 
-def test_a_knocked_projector_is_brought_back_to_the_noise() -> None:
+def test_a_disturbed_projector_is_corrected_to_the_noise() -> None:
     samples = _samples(6000)
     got = refine_projector(_disturbed(DISTURBANCE), samples)
     assert got.before.systematic_px > 0.3
@@ -73,8 +73,8 @@ def test_the_cameras_and_colours_stay_as_they_are() -> None:
     assert after.left_color is before.left_color
 
 
-def test_what_the_samples_do_not_support_stays_where_it_was() -> None:
-    # Columns alone say little of turns about the projector's own horizontal axis or of its rows.
+def test_what_the_samples_do_not_determine_stays_unchanged() -> None:
+    # Columns alone hardly determine rotations about the projector's own horizontal axis or of its rows.
     got = refine_projector(_disturbed({"cx": 0.5}), _samples(4000))
     assert abs(got.changes["cy"]) < 0.2
     assert got.sigma["cy"] > 0.5 * DEFAULT_PRIOR["cy"]
@@ -92,7 +92,7 @@ def test_nothing_is_changed_where_nothing_is_wrong() -> None:
     assert _error_px(got.calibration.projector, _samples(500, seed=5)) < 0.005
 
 
-def test_the_scatter_of_the_changes_is_the_one_that_is_told() -> None:
+def test_the_scatter_of_the_changes_agrees_with_their_sigma() -> None:
     ratios = []
     for seed in range(12):
         got = refine_projector(_disturbed(DISTURBANCE), _samples(1500, seed=seed))
@@ -104,7 +104,7 @@ def test_the_scatter_of_the_changes_is_the_one_that_is_told() -> None:
     assert 0.7 < np.std(ratios) < 1.4
 
 
-def test_wrong_orders_and_edges_do_no_harm() -> None:
+def test_wrong_orders_and_edges_do_not_matter() -> None:
     samples = _samples(6000)
     rng = np.random.default_rng(8)
     wild = samples.observed + np.where(rng.random(6000) < 0.1, 13.3 * rng.integers(-1, 2, 6000), 0.0)
@@ -113,7 +113,7 @@ def test_wrong_orders_and_edges_do_no_harm() -> None:
     assert got.after.wrong == pytest.approx(0.067, abs=0.03)
 
 
-def test_unknown_points_are_passed_over() -> None:
+def test_unknown_points_are_ignored() -> None:
     samples = _samples(3000)
     points = samples.points.copy()
     points[::7] = np.nan
@@ -121,7 +121,7 @@ def test_unknown_points_are_passed_over() -> None:
     assert got.after.systematic_px < 0.015
 
 
-def test_a_lens_is_refined_only_when_asked() -> None:
+def test_a_lens_is_refined_only_on_request() -> None:
     bent = _disturbed({"k1": 0.02})
     samples = joined(_samples(8000, axes=(0, 1)), _samples(4000, axes=(0, 1), seed=2))
     stiff = refine_projector(bent, samples)
@@ -139,23 +139,23 @@ def test_moving_back_and_forth_changes_nothing() -> None:
     np.testing.assert_allclose(turned.centre, RIG.projector.centre, atol=1e-9)
 
 
-def test_doubtful_grounds_are_refused_in_words() -> None:
+def test_insufficient_samples_are_refused_with_the_reason() -> None:
     with pytest.raises(CalibrationError, match="at least 300"):
         refine_projector(RIG, _samples(200))
     samples = _samples(2000)
     with pytest.raises(CalibrationError, match="calibrate again"):
         refine_projector(_disturbed({"cx": 30.0}), samples)
     middle = np.hypot(samples.points[:, 0], samples.points[:, 1]) < 25
-    crowd = joined(*[samples.some(middle)] * 40)
+    dense = joined(*[samples.some(middle)] * 40)
     with pytest.raises(CalibrationError, match="larger surface"):
-        refine_projector(RIG, crowd)
-    with pytest.raises(CalibrationError, match="not understood"):
+        refine_projector(RIG, dense)
+    with pytest.raises(CalibrationError, match="unknown or no parameters"):
         refine_projector(RIG, samples, prior={"warp": 1.0})
     with pytest.raises(CalibrationError, match="do not agree"):
         Samples(samples.points, samples.observed[:5], samples.axis, samples.sigma_px)
 
 
-def test_the_spread_tells_noise_from_what_a_better_projector_removes() -> None:
+def test_the_spread_separates_noise_from_the_systematic_residual() -> None:
     samples = _samples(20000)
     still = spread(RIG.projector, samples)
     assert still.rms_px == pytest.approx(NOISE_PX, rel=0.03)

@@ -1,4 +1,4 @@
-"""A projector that moved since calibration is brought back by one single-shot pair of a scene at rest."""
+"""A projector that moved since the calibration is corrected by one single-shot pair of a scene at rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DISTURBANCE = {"cx": 0.25, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
 
 
 @pytest.mark.slow
-def test_one_pair_brings_a_knocked_projector_back() -> None:
+def test_one_pair_corrects_a_disturbed_projector() -> None:
     layout, optics = RigLayout().scaled(0.5), Optics()
     true, pattern = layout.calibration_for(optics), layout.pattern()
     disturbed = replace(true, projector=moved(true.projector, DISTURBANCE))

@@ -1,4 +1,4 @@
-"""Views of a board as perfect decoding would give them, computed from the true rig; noise is added to order."""
+"""Views of a board as perfect decoding gives them, computed from the true rig, with optional noise."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibrate.projector.absolute_phase import Coordinate
-from pipeline.calibrate.projector.projector_marks import Seen
+from pipeline.calibrate.projector.projector_marks import CameraObservation
 from pipeline.calibrate.targets.board import board_drawing
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.marks import Marks
@@ -18,7 +18,7 @@ F64 = NDArray[np.float64]
 
 
 def on_board(device: CameraModel, rotation: F64, place: F64) -> F64:
-    """Places on the board (H, W, 2), mm, that the device's pixels see."""
+    """Positions on the board (H, W, 2), mm, of the device's pixels."""
     rays = np.concatenate([device.rays(), np.ones((*device.size[::-1], 1))], axis=-1) @ device.rotation
     origin = (device.centre - place) @ rotation
     local = rays @ rotation
@@ -39,7 +39,7 @@ def whiteness(board: Board, places: F64) -> F64:
     return np.where(ink, 0.05, np.where(beyond, 0.3, 1.0))
 
 
-def seen(
+def observation(
     layout: RigLayout,
     board: Board,
     pose: BoardPose,
@@ -48,8 +48,8 @@ def seen(
     phase_px: float = 0.0,
     mark_px: float = 0.0,
     seed: int = 0,
-) -> Seen:
-    """What a camera knows of a view: noise of the projector coordinates on white, and of the marks, pixels."""
+) -> CameraObservation:
+    """A camera's observation of a view, with noise of the projector coordinates on white and of the marks, pixels."""
     rig = layout.calibration()
     device = {"left": rig.left, "right": rig.right}[side]
     rng = np.random.default_rng([seed, len(side)])
@@ -70,4 +70,4 @@ def seen(
     else:
         pixels, areas = device.project(board.points @ rotation.T + place), None
     pixels = pixels + mark_px * rng.standard_normal(pixels.shape)
-    return Seen(Marks(ids, pixels, np.full(len(ids), max(mark_px, 1e-6)), areas), *coordinates)
+    return CameraObservation(Marks(ids, pixels, np.full(len(ids), max(mark_px, 1e-6)), areas), *coordinates)

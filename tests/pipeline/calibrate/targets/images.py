@@ -1,4 +1,4 @@
-"""Images of boards with known truth: the drawing seen through the full camera model, four samples across a pixel."""
+"""Images of boards with known truth: the drawing projected by the full camera model, four samples across a pixel."""
 
 from __future__ import annotations
 
@@ -72,13 +72,13 @@ def noisy(light, seed=0, *, full_well=10_000.0, read_dn=0.8, gain=1.0):
 
 
 def truth(board, device, pose):
-    """Where the marks are: centroids of circles' images, images of corners."""
+    """Positions of the marks: centroids of circles' images, images of corners."""
     rotation, translation = pose.of(board)
     radius = board.printed_diameter_mm / 2 if board.round else 0.0
     return circle_projection.centroids(device, rotation, translation, board.points, radius)
 
 
 def centres(board, device, pose):
-    """Images of the marks' own places, without what a circle's size does."""
+    """Images of the marks' centres, without the offset of a circle's centroid."""
     rotation, translation = pose.of(board)
     return circle_projection.centroids(device, rotation, translation, board.points, 0.0)

@@ -73,7 +73,7 @@ def test_the_default_board_fits_on_its_sheet_with_the_drawing_in_the_middle():
     assert shapes(DEFAULT_BOARD).height_mm <= 300
 
 
-def test_refusals_tell_what_to_do():
+def test_errors_name_the_remedy():
     with pytest.raises(TargetError, match="take larger paper"):
         shapes(DEFAULT_BOARD, paper_mm=(297, 210))
     with pytest.raises(TargetError, match="larger pixels"):

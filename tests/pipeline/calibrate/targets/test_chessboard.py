@@ -1,4 +1,4 @@
-"""Chessboards and ChArUco boards of simulated images: where their corners are, and which is which."""
+"""Chessboards and ChArUco boards of simulated images: positions and numbers of their corners."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ CHESS, CHARUCO = parse_board("chessboard:9x6:34"), parse_board("charuco:10x7:34:
 
 
 def errors(found, board, pose):
-    """Found minus true places, in the board's own numbering: colours or markers tell it."""
+    """Detected minus true positions, in the board's own numbering by colours or markers."""
     return found.marks.pixels - truth(board, DEVICE, pose)[found.marks.ids]
 
 
@@ -23,7 +23,7 @@ def errors(found, board, pose):
 @pytest.mark.parametrize(
     "pose", [Pose(), Pose(40, 10), Pose(-20, 40, 30, FAR), Pose(10, 10, 90, FAR), Pose(15, -15, 180)]
 )
-def test_every_corner_is_found_where_the_full_model_has_it(board, pose):
+def test_every_corner_is_located_where_the_full_model_has_it(board, pose):
     light = clean(board, DEVICE, pose, shade=(0.6, -0.4))
     error, sigma = [], []
     for seed in range(3):
@@ -50,7 +50,7 @@ def test_moving_the_image_and_its_gain_change_nothing(board):
     assert np.abs(scaled.pixels - marks.pixels).max() < 0.02
 
 
-def test_a_board_that_looks_the_same_after_a_turn_has_rows_that_run_right_or_down():
+def test_a_symmetric_board_has_rows_that_run_right_or_down():
     for text, ways in (("chessboard:7x5:34", 2), ("chessboard:6x6:34", 4), ("chessboard:8x5:34", 1)):
         board = parse_board(text)
         assert len(symmetries(board)) == ways
@@ -77,7 +77,7 @@ def test_a_part_of_a_charuco_board_is_enough():
     assert np.abs(errors(found, CHARUCO, pose)).max() < 0.1
 
 
-def test_corners_whose_markers_cannot_be_read_are_found_all_the_same():
+def test_corners_are_located_although_their_markers_cannot_be_decoded():
     """The markers of the middle are painted over; the corners of their squares are not."""
     pose = Pose(20, -25, 8)
     image = noisy(clean(CHARUCO, DEVICE, pose))
@@ -107,7 +107,7 @@ def test_the_drawing_of_older_opencv_versions_is_read():
     assert np.abs(found.marks.pixels - (board.points[:, :2] / 30 * 40 + 79.5)).max() < 0.05
 
 
-def test_following_live():
+def test_unrefined_detection():
     for board in (CHESS, CHARUCO):
         image = noisy(clean(board, DEVICE, Pose(20, -25, 8)))
         quick, best = find_marks(image, board, refine=False), find_marks(image, board)

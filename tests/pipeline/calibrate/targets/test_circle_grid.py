@@ -1,4 +1,4 @@
-"""Circles of simulated images: where they are, how well that is known, and what must not change it."""
+"""Circles of simulated images: their positions, sigmas, and independence of light, type and surroundings."""
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ def tilted():
 
 
 def errors(found, board, device, pose, positions=truth):
-    """Found minus true places (n, 2), in that numbering which the board allows and the image asks for."""
+    """Detected minus true positions (n, 2), in the symmetric numbering of the image."""
     expected = positions(board, device, pose)
     trials = [found.marks.pixels - expected[np.array(s)][found.marks.ids] for s in symmetries(board)]
     return min(trials, key=lambda error: np.abs(error).max())
@@ -39,7 +39,7 @@ POSES = [
 
 
 @pytest.mark.parametrize("pose", POSES)
-def test_every_circle_is_found_where_the_full_model_has_its_centroid(pose):
+def test_every_circle_is_located_where_the_full_model_has_its_centroid(pose):
     light = clean(DEFAULT_BOARD, DEVICE, pose, shade=(0.5, -0.3))
     error, sigma = [], []
     for seed in range(3):
@@ -101,7 +101,7 @@ def test_a_gradient_of_light_does_not_move_the_circles(shade):
 
 
 @pytest.mark.parametrize("blur_px", [0.35, 1.5, 3.0, 4.0])
-def test_blur_costs_certainty_but_no_truth(blur_px):
+def test_blur_increases_the_sigma_but_gives_no_bias(blur_px):
     found = find_marks(noisy(clean(DEFAULT_BOARD, DEVICE, Pose(20, 20), blur_px=blur_px)), DEFAULT_BOARD)
     error = errors(found, DEFAULT_BOARD, DEVICE, Pose(20, 20))
     assert len(error) == 99
@@ -160,7 +160,7 @@ def test_other_types_and_colour_give_the_same_marks(tilted):
     assert np.abs(find_marks(colour, DEFAULT_BOARD, channel=2).marks.pixels - marks.pixels).max() < 1e-6
 
 
-def test_a_clipped_ground_costs_no_truth(tilted):
+def test_a_saturated_ground_gives_no_bias(tilted):
     found = find_marks(noisy(tilted, gain=2.0), DEFAULT_BOARD)
     error = errors(found, DEFAULT_BOARD, DEVICE, TILTED)
     assert found.saturated > 0.3
@@ -169,7 +169,7 @@ def test_a_clipped_ground_costs_no_truth(tilted):
     assert np.sqrt((error**2).mean()) < 0.012
 
 
-def test_noise_that_demosaicing_has_smeared_is_counted(tilted):
+def test_correlated_noise_of_demosaicing_is_counted(tilted):
     rng = np.random.default_rng(3)
     error, sigma = [], []
     for _ in range(4):
@@ -224,7 +224,7 @@ def test_covered_circles_are_left_out_and_the_others_keep_their_numbers(tilted):
     assert np.median(np.abs(found.pixels - same)) < 0.002 and np.abs(found.pixels - same).max() < 0.02
 
 
-def test_following_live_costs_little_and_is_good_to_a_tenth_of_a_pixel(tilted):
+def test_unrefined_detection_is_fast_and_good_to_a_tenth_of_a_pixel(tilted):
     image = noisy(tilted)
     quick, best = find_marks(image, DEFAULT_BOARD, refine=False), find_marks(image, DEFAULT_BOARD)
     assert (quick.marks.ids == best.marks.ids).all()

@@ -57,7 +57,7 @@ def test_without_distortion_the_centroid_is_the_centre_of_the_projected_conic():
         assert centroid == pytest.approx(dual[:2, 2] / dual[2, 2], abs=1e-5)
 
 
-def test_a_circle_seen_from_the_front_and_a_circle_without_size_have_no_offset():
+def test_a_frontal_circle_and_a_circle_without_size_have_no_offset():
     device, (rotation, translation) = camera(), pose(0, 0)
     assert np.abs(circle_projection.offsets(device, rotation, translation, DEFAULT_BOARD.points, 10.0)).max() < 1e-9
     device, (rotation, translation) = camera((-0.3, 0.4, 0.003, -0.002, -0.5)), pose(30, 40)

@@ -1,4 +1,4 @@
-"""Numbering of lattice places: every turn and shift is undone, and what cannot be told is said."""
+"""Numbering of lattice positions: every rotation and shift is resolved, and an ambiguous numbering is reported."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ BOARDS = [
         ("charuco:6x5:2:1:D", 1),
     ],
 )
-def test_in_how_many_ways_a_board_looks_the_same(text, ways):
+def test_the_number_of_symmetries_of_a_board(text, ways):
     board = parse_board(text)
     found = symmetries(board)
     assert len(found) == ways
@@ -46,7 +46,7 @@ def test_in_how_many_ways_a_board_looks_the_same(text, ways):
 
 @settings(deadline=None, max_examples=60)
 @given(st.sampled_from(BOARDS[:4]), st.integers(0, 3), st.integers(-9, 9), st.integers(-9, 9), st.integers(0, 4))
-def test_a_turned_shifted_and_incomplete_lattice_is_numbered_as_the_board(text, turn, right, down, missing):
+def test_a_rotated_shifted_and_incomplete_lattice_is_numbered_as_the_board(text, turn, right, down, missing):
     board = parse_board(text)
     positions = board_positions(board) @ np.linalg.matrix_power([[0, -1], [1, 0]], turn).T + (right, down)
     kept = np.delete(np.arange(len(positions)), np.linspace(3, len(positions) - 6, missing).astype(int))

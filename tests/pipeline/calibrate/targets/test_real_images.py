@@ -1,4 +1,4 @@
-"""Real images that others took: every board is found, and the numbers agree with what is known of them."""
+"""Public images: every board is detected, and the results agree with the known values."""
 
 import cv2
 import numpy as np
@@ -25,7 +25,7 @@ def stored(path):
     ("folder", "name", "kind", "count"),
     [("symmetric", "circles", "circles", 14), ("asymmetric", "acircles", "acircles", 9)],
 )
-def test_all_circle_boards_are_found_near_the_stored_centres(shared_data, folder, name, kind, count, refine):
+def test_all_circle_boards_are_detected_near_the_stored_centres(shared_data, folder, name, kind, count, refine):
     """The stored centres are centroids of blobs, which differ from the edges' ellipses by some tenths of a pixel.
 
     Thresholds alone do worse than a fit where the camera has sharpened the image (circles2).
@@ -44,8 +44,8 @@ def test_all_circle_boards_are_found_near_the_stored_centres(shared_data, folder
         assert np.median(distance) < 0.2 and distance.max() < (0.5 if refine else 0.8), f"{name}{number}"
 
 
-def test_all_chessboards_are_found_and_calibrate_better_than_opencv_corners(shared_data):
-    """OpenCV's finder with cornerSubPix gives 0.198, 0.210 and 0.219 px on these images (see their README)."""
+def test_all_chessboards_are_detected_and_calibrate_better_than_opencv_corners(shared_data):
+    """OpenCV's detector with cornerSubPix gives 0.198, 0.210 and 0.219 px on these images (see their README)."""
     board = parse_board("chessboard:9x6:1")
     pixels = {"left": [], "right": []}
     for side, found in pixels.items():

@@ -1,4 +1,4 @@
-"""Each kind of image that cannot be used has an error of its own, which says what to do."""
+"""Each kind of image that cannot be used has an error of its own, which names the remedy."""
 
 import cv2
 import numpy as np
