@@ -11,8 +11,8 @@ from daemon.config import RigConfig, parse_rig
 from daemon.live.items import CloudItem, Item, PairItem
 from daemon.rig.open_rig import Rig
 from pipeline.pattern import color_fringe
-from pipeline.reconstruct import cloud
 from pipeline.rig import calibration
+from pipeline.rig.volume import Volume
 from sim.devices.open_rig import RigDevices, open_rig
 
 SMALL = {"frames": 2, "rate_hz": 0.0, "layout": {"scale": 0.125}}
@@ -70,7 +70,7 @@ def rig_of(made: RigDevices) -> Rig:
         made.projector,
         calibration.from_mapping(made.calibration),
         color_fringe.from_mapping(made.pattern),
-        cloud.Volume(**made.volume),
+        Volume(**made.volume),
         b"x",
         "sha256:00",
         made.close,
