@@ -88,7 +88,7 @@ def end(process: subprocess.Popen[bytes], patience_s: float) -> int:
         return process.wait()
 
 
-class Prints:
+class OutputReader:
     """Passes what a process prints on to a logger, line by line, and keeps the last lines.
 
     Args:

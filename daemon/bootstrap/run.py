@@ -138,7 +138,7 @@ def _run(
         publisher.publish_status(status)
         supervisor.told(status)
         if health is not None:
-            health.watch.note_status(status)
+            health.health.note_status(status)
         if on_status is not None:
             on_status(status)
 
@@ -149,7 +149,7 @@ def _run(
             sinks["selfcheck"] = open_selfcheck(config, rig, base_dir)
         if config.health.enabled:
             health = HealthMethods(open_health(config, rig, base_dir))
-            sinks["health"] = health.watch
+            sinks["health"] = health.health
         service = Service(config, rig, sinks, on_status=publish, session=session)
         takes = config.path(config.recording.dir, base_dir)
         recorder = Recorder(

@@ -56,14 +56,14 @@ def open_gate(
 ) -> Sink | None:
     """The gate between other machines and the stream and ``control``; None when no address is meant for them."""
     from daemon.keys.key_store import KeyStore
-    from daemon.remote_access.gate_messages import Order
+    from daemon.remote_access.gate_messages import GateConfig
     from daemon.remote_access.gate_sink import RemoteGate
 
     stream = [endpoint for endpoint in config.stream.endpoints if for_others(endpoint)]
     if config.security.keys is None or not (stream or config.control.remote):
         return None
     return RemoteGate(
-        Order(
+        GateConfig(
             stream=stream,
             control=config.control.remote,
             source=publisher.endpoints[0],

@@ -30,7 +30,7 @@ def key_problems(data: dict[str, Any], base_dir: Path) -> Iterator[tuple[Path_, 
     store = KeyStore(base_dir / directory)
     if not store.readable():
         return
-    for read in (store.server, store.allowed):
+    for read in (store.server, store.authorized):
         try:
             read()
         except DaemonError as error:

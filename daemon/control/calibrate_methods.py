@@ -1,7 +1,7 @@
-"""The methods ``calibrate.*``: show images and capture what the cameras see of them, while the daemon runs.
+"""The methods ``calibrate.*``: project a sequence and capture it with the cameras while the daemon runs.
 
-``calibrate.capture`` starts a job and answers at once; ``calibrate.status`` tells how far it is and, at the end, the
-file: a take whose ``pattern.json`` is the sequence. Solving is not the daemon's work.
+``calibrate.capture`` starts a job and returns at once; ``calibrate.status`` reports its progress and, at the end, its
+file: a take whose ``pattern.json`` is the sequence. The calibration is solved outside the daemon.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from daemon.control.rpc.params import number
 from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, Method, RpcError
-from daemon.control.sequence_capture import LONGEST_HOLD_S, MOST_PAIRS, Capture, Order
+from daemon.control.sequence_capture import LONGEST_HOLD_S, MOST_PAIRS, Capture, CaptureRequest
 from daemon.live.service import Service
 from pipeline.common.errors import CalibrationError, PatternError
 from pipeline.pattern.sequence import FrameSequence
@@ -25,13 +26,13 @@ _CURVES = ("red", "green", "blue")
 
 
 class CalibrateMethods:
-    """Methods over one capture; their errors name the parameter."""
+    """RPC methods of one capture; their errors name the parameter."""
 
     def __init__(self, service: Service, capture: Capture) -> None:
         self._service, self._capture = service, capture
 
     def table(self) -> dict[str, Method]:
-        """Every method by its name."""
+        """Return every method by its name."""
         return {
             "calibrate.capture": Method(self.capture, ("frames", "pairs", "hold_s", "name", "response")),
             "calibrate.status": Method(self.status),
@@ -40,41 +41,40 @@ class CalibrateMethods:
         }
 
     def capture(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Begin to capture.
+        """Start a capture.
 
-        Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs``, how often they are gone
-        through (1); ``hold_s``, how long the last image stays for the next capture (0); ``name`` of the sequence;
-        ``response`` of the projector, levels and red, green, blue as in a calibration file, for fringes (none: as they
-        are).
+        Params: ``frames``, 1 to 512 pattern descriptions of the projector's size; ``pairs``, passes through them (1);
+        ``hold_s``, how long the last image stays for the next capture (0); ``name`` of the sequence; ``response`` of
+        the projector, levels and red, green, blue as in a calibration file, for fringes (none: not corrected).
         """
-        order = Order(
+        request = CaptureRequest(
             sequence=self._sequence(params),
-            pairs=int(_number(params, "pairs", 1, 1, MOST_PAIRS, whole=True)),
-            hold_s=_number(params, "hold_s", 0, 0, LONGEST_HOLD_S),
+            pairs=int(number(params, "pairs", 1, 1, MOST_PAIRS, whole=True)),
+            hold_s=number(params, "hold_s", 0, 0, LONGEST_HOLD_S),
             response=_response(params),
         )
-        return self._capture.start(order)
+        return self._capture.start(request)
 
     def status(self, _: dict[str, Any]) -> dict[str, Any]:
-        """How far the newest capture is, the size of the projector's images, and whether a hand is simulated."""
+        """Return the newest capture's progress, the projector's size, and whether a hand is simulated."""
         projector, hand = self._service.projector, self._service.rig.next_pose is not None
         size = None if projector is None else list(projector.size)
         return self._capture.status() | {"projector": size, "hand": hand}
 
     def next_pose(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Move the board of a simulated rig on."""
+        """Move the board of a simulated rig to its next pose."""
         move = self._service.rig.next_pose
         if move is None:
-            raise RpcError(FAILED, "no simulated hand holds the board of this rig: move it yourself")
+            raise RpcError(FAILED, "this rig has no simulated hand: move the board yourself")
         return {"pose": move()}
 
     @property
     def capturing(self) -> bool:
-        """Whether the projector belongs to a capture."""
+        """Whether a capture uses the projector."""
         return self._capture.active
 
     def refuse_while_capturing(self) -> None:
-        """RpcError while the projector belongs to a capture."""
+        """Raise RpcError while a capture uses the projector."""
         if self._capture.active:
             raise RpcError(FAILED, "the projector is showing images for a capture; end it with calibrate.cancel")
 
@@ -95,17 +95,6 @@ class CalibrateMethods:
                 "frames[0].size",
             )
         return sequence
-
-
-def _number(
-    params: Mapping[str, Any], key: str, default: float, least: float, most: float, *, whole: bool = False
-) -> float:
-    value = params.get(key, default)
-    kind = int if whole else int | float
-    if isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
-        what = "a whole number" if whole else "a number"
-        raise RpcError(INVALID_PARAMS, f"{key} is {value!r:.60}, expected {what} from {least:g} to {most:g}", key)
-    return float(value)
 
 
 def _response(params: Mapping[str, Any]) -> Response | None:

@@ -1,4 +1,4 @@
-"""What can be asked of a running daemon."""
+"""The RPC methods of a running daemon."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from daemon.common.files import write_atomically
 from daemon.common.version import program_version
 from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.health_methods import HealthMethods
+from daemon.control.rpc.params import number, string
 from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, Method, Role, RpcError
 from daemon.control.settings.catalogue import catalogue
 from daemon.control.settings.change import Changer, NeedsRestartError, SettingError
@@ -40,9 +41,9 @@ class Methods:
     """The table of methods for one service.
 
     Args:
-        service: the daemon; recorder: its recording switch; path: its rig.yaml, for ``reload``.
-        base_dir: where its relative paths start; calibrate: the methods ``calibrate.*``, if it offers them.
-        health: the methods ``health*``, if it watches itself.
+        service: the daemon; recorder: its recorder; path: its rig.yaml, for ``reload``.
+        base_dir: base of its relative paths; calibrate: the methods ``calibrate.*``, if it offers them.
+        health: the methods ``health*``, if its health is monitored.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class Methods:
         self._reloader = Reloader(self._changer, path, self._refusal)
 
     def table(self) -> Mapping[str, Method]:
-        """Every method by its name."""
+        """Return every method by its name."""
         view = Role.VIEW
         own = {
             "hello": Method(self.hello, role=view),
@@ -85,7 +86,7 @@ class Methods:
         return own
 
     def hello(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Who answers."""
+        """Return version, device, session and methods of the daemon."""
         service = self._service
         return {
             "program": "fringed",
@@ -98,16 +99,16 @@ class Methods:
         }
 
     def status(self, _: dict[str, Any]) -> dict[str, Any]:
-        """See :class:`daemon.live.status.Status`."""
+        """Return the status, see :class:`daemon.live.status.Status`."""
         return self._service.status().as_dict()
 
     def get(self, params: dict[str, Any]) -> Any:
-        """Settings.
+        """Return settings.
 
         Params: ``path`` of a setting or a section, for its value; without one, or with ``detail: true``: a row for
         each, see :func:`daemon.control.settings.catalogue.catalogue`.
         """
-        path, detail = _text(params, "path", ""), params.get("detail", False)
+        path, detail = string(params, "path", ""), params.get("detail", False)
         if not isinstance(detail, bool):
             raise RpcError(INVALID_PARAMS, "detail must be true or false")
         config, settings = self._service.config, self._service.settings
@@ -119,8 +120,8 @@ class Methods:
         return rows[0]["value"] if rows[0]["path"] == path else _nested(rows, path)
 
     def set(self, params: dict[str, Any]) -> Any:
-        """Change a setting that can change while measuring; the value as it is now."""
-        path = _text(params, "path")
+        """Change a setting that can change while measuring; return its new value."""
+        path = string(params, "path")
         if "value" not in params:
             raise RpcError(INVALID_PARAMS, "the parameter value is missing", path)
         if path == "mode" and (refusal := self._refusal()):
@@ -135,7 +136,7 @@ class Methods:
         return {path: value}
 
     def reload(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Read rig.yaml and its files again; take over all of it, or refuse all of it."""
+        """Read rig.yaml and its files again; apply all of it, or refuse all of it."""
         try:
             return self._reloader.reload()
         except NeedsRestartError as error:
@@ -145,11 +146,11 @@ class Methods:
             raise RpcError(FAILED, str(error)) from error
 
     def _refusal(self) -> str:
-        """Why a reload must wait."""
+        """Return why neither a reload nor a new mode is possible now."""
         if self._recorder.recording:
             return "a take is being written, which carries the calibration and the mode; stop it first"
         if self._calibrate is not None and self._calibrate.capturing:
-            return "a capture for a calibration is going on; end it with calibrate.cancel"
+            return "a capture for a calibration is in progress; end it with calibrate.cancel"
         return ""
 
     def snapshot(self, params: dict[str, Any]) -> dict[str, Any]:
@@ -167,18 +168,16 @@ class Methods:
         return {"file": str(target), "seq": item.seq, "t_ns": item.t_ns, "points": item.cloud.points}
 
     def record_start(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Begin a take, ``before_s`` seconds ago if they were kept."""
-        name, before_s = _name(params, "take"), params.get("before_s", 0.0)
-        if isinstance(before_s, bool) or not isinstance(before_s, int | float) or not 0 <= before_s <= 3600:
-            raise RpcError(INVALID_PARAMS, "before_s must be a number of seconds, 0 to 3600")
+        """Begin a take, ``before_s`` seconds ago if they are in the buffer."""
+        name, before_s = _name(params, "take"), number(params, "before_s", 0.0, 0, 3600)
         try:
             return self._recorder.start(name, before_s)
         except (DaemonError, OSError) as error:
             raise RpcError(FAILED, str(error)) from error
 
     def pattern_show(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Show the measuring ``fringe`` or a plain image; no cloud can be expected under a plain one."""
-        name = _text(params, "name", "fringe")
+        """Show the measuring ``fringe`` or a plain image, under which no cloud is measured."""
+        name = string(params, "name", "fringe")
         if self._calibrate is not None:
             self._calibrate.refuse_while_capturing()
         size, mode_controller = self._service.rig.pattern.size, self._service.mode_controller
@@ -191,18 +190,18 @@ class Methods:
         return {"shown": name}
 
     def pattern_mode(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Tell the mode, or measure in another one: as setting ``mode``."""
+        """Return the mode; with ``name``, set it first."""
         if "name" in params:
-            self.set({"path": "mode", "value": _text(params, "name")})
+            self.set({"path": "mode", "value": string(params, "name")})
         return self._service.mode_controller.status()
 
-    def _measure(self, wanted: bool) -> dict[str, Any]:
-        self._service.measure(wanted)
+    def _measure(self, on: bool) -> dict[str, Any]:
+        self._service.measure(on)
         return {"state": str(self._service.state()[0])}
 
 
 def _nested(rows: list[dict[str, Any]], path: str) -> dict[str, Any]:
-    """The section at ``path`` as it would stand in rig.yaml."""
+    """Return the section at ``path`` as nested values, as in rig.yaml."""
     out: dict[str, Any] = {}
     for row in rows:
         *above, name = row["path"].removeprefix(path + ".").split(".")
@@ -213,16 +212,9 @@ def _nested(rows: list[dict[str, Any]], path: str) -> dict[str, Any]:
     return out
 
 
-def _text(params: dict[str, Any], key: str, default: str | None = None) -> str:
-    value = params.get(key, default)
-    if not isinstance(value, str):
-        raise RpcError(INVALID_PARAMS, f"the parameter {key} must be a text")
-    return value
-
-
 def _name(params: dict[str, Any], default: str) -> str:
-    """A name that is safe as part of a file name: no separators, no leading dot."""
-    name = _text(params, "name", default)
+    """Return a name that is safe as part of a file name: no separators, no leading dot."""
+    name = string(params, "name", default)
     if not _NAME.fullmatch(name):
         raise RpcError(INVALID_PARAMS, "name takes letters, digits, '.', '_' and '-', at most 64, not '.' first")
     return name

@@ -1,11 +1,11 @@
-"""Captured sequences: the daemon shows images instead of its fringe and writes what the cameras saw as a take.
+"""Capture of sequences: the daemon projects images instead of its fringe and writes the captured pairs as a take.
 
     idle --start--> capturing --> holding --start--> capturing ...
       ^                              |
-      +------- hold over, cancel ----+     the fringe is shown again, and the daemon measures as before
+      +------- hold over, cancel ----+     the fringe is shown again, and measuring resumes
 
-While it captures or holds, nothing is measured or recorded. Nothing lasts without somebody who asks for it: a capture
-that nobody asks about is given up, and a hold ends by itself.
+While it captures or holds, nothing is measured or recorded. Both end without a client: a capture whose status is not
+polled is cancelled, and a hold has a time limit.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ log = logging.getLogger("fringed.capture")
 MOST_PAIRS, LONGEST_HOLD_S = 64, 60.0
 MOST_BYTES = 4 << 30
 ABANDONED_S = 15.0
-"""A capture whose status nobody asks for so long has lost its client."""
+"""A capture whose status has not been polled for this long has lost its client."""
 
 _SMALL_BYTES = 64 << 20
 _KEPT = 4
@@ -47,12 +47,12 @@ OpenTake = Callable[[Path, Mapping[str, Any], int], Sink]
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """What is to be captured.
+class CaptureRequest:
+    """A sequence to capture.
 
     Args:
-        sequence: what is shown; response: of the projector, for images that are given as light.
-        pairs: how often it is gone through; hold_s: how long the last image stays afterwards, for the next order.
+        sequence: of projected images; response: of the projector, for images that are given as light.
+        pairs: passes through the sequence; hold_s: how long the last image stays afterwards, for the next request.
     """
 
     sequence: FrameSequence
@@ -63,7 +63,7 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a job is; ``outcome`` is empty while it goes on, then ``done``, ``failed`` or ``cancelled``."""
+    """Progress of a job; ``outcome`` is empty while it runs, then ``done``, ``failed`` or ``cancelled``."""
 
     job: int = 0
     done: int = 0
@@ -74,7 +74,7 @@ class Progress:
 
 
 class Capture:
-    """Takes one order at a time and carries it out in a thread of its own.
+    """Executes one capture request at a time in a thread of its own.
 
     Args:
         service: whose pairs and projector are used.
@@ -88,65 +88,65 @@ class Capture:
         self._small, self._large = directories
         self._kept: dict[Path, deque[Path]] = {directory: deque() for directory in directories}
         self._changed = threading.Condition()
-        self._turn = threading.Lock()  # of the threads: the next one begins when the last one has cleaned up
+        self._exclusive = threading.Lock()  # a new thread begins only when the one before has cleaned up
         self._thread: threading.Thread | None = None
-        self._order: Order | None = None
+        self._request: CaptureRequest | None = None
         self._progress = Progress()
-        self._cancelled = self._going_back = False
-        self._asked_ns = self._hold_until_ns = 0
+        self._cancelled = self._resuming = False
+        self._polled_ns = self._hold_until_ns = 0
 
     @property
     def active(self) -> bool:
-        """Whether the projector is not showing the fringe."""
-        return self._thread is not None or self._turn.locked()
+        """Whether a capture uses the projector."""
+        return self._thread is not None or self._exclusive.locked()
 
-    def start(self, order: Order) -> dict[str, Any]:
-        """Begin; the number of the job is told.
+    def start(self, request: CaptureRequest) -> dict[str, Any]:
+        """Begin a capture; return the number of the job.
 
         Raises:
-            DaemonError: another one is going on, this one is too large, or the daemon is still starting.
+            DaemonError: another one is running, this one is too large, or the daemon is still starting.
         """
         if not self._service.ready:
             raise DaemonError("the daemon is still starting; try again when it is running")
-        size = self._bytes(order)
+        size = self._bytes(request)
         if size > MOST_BYTES:
             raise DaemonError(
-                f"{len(order.sequence)} frames with {order.pairs} pairs are {size >> 20} MB, limit {MOST_BYTES >> 20}; "
-                "capture fewer at a time"
+                f"{len(request.sequence)} frames with {request.pairs} pairs are {size >> 20} MB, "
+                f"limit {MOST_BYTES >> 20}; capture fewer at a time"
             )
         with self._changed:
             if self._busy():
                 raise DaemonError(
-                    f"capture {self._progress.job} is going on; wait for it (calibrate.status) or end it "
+                    f"capture {self._progress.job} is running; wait for it (calibrate.status) or end it "
                     "(calibrate.cancel)"
                 )
-            self._order, self._cancelled = order, False
-            self._asked_ns = self._now_ns()
-            self._progress = Progress(self._progress.job + 1, of=len(order.sequence) * order.pairs)
+            self._request, self._cancelled = request, False
+            self._polled_ns = self._now_ns()
+            self._progress = Progress(self._progress.job + 1, of=len(request.sequence) * request.pairs)
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
                 self._thread.start()
             self._changed.notify_all()
-            return {"job": self._progress.job, "frames": len(order.sequence), "bytes": size}
+            return {"job": self._progress.job, "frames": len(request.sequence), "bytes": size}
 
     def status(self) -> dict[str, Any]:
-        """The newest job, and what goes on."""
+        """Return the state and the newest job."""
         with self._changed:
-            self._asked_ns = self._now_ns()
-            told = self._progress
+            self._polled_ns = self._now_ns()
+            progress = self._progress
             state = "capturing" if self._busy() else "holding" if self._thread is not None else "idle"
             return {
                 "state": state,
-                "job": told.job,
-                "done": told.done,
-                "of": told.of,
-                "outcome": told.outcome,
-                "file": told.file or None,
-                "problem": told.problem or None,
+                "job": progress.job,
+                "done": progress.done,
+                "of": progress.of,
+                "outcome": progress.outcome,
+                "file": progress.file or None,
+                "problem": progress.problem or None,
             }
 
     def cancel(self) -> dict[str, Any]:
-        """End a capture or a hold soon; the daemon then measures again."""
+        """End a capture or a hold soon; measuring then resumes."""
         with self._changed:
             self._cancelled = True
             self._hold_until_ns = 0
@@ -154,7 +154,7 @@ class Capture:
         return self.status()
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """End, and remove the captures that are kept in memory."""
+        """End the capture and remove the files that are kept in memory."""
         self.cancel()
         thread = self._thread
         if thread is not None:
@@ -169,42 +169,42 @@ class Capture:
     def _now_ns(self) -> int:
         return self._service.clock.monotonic_ns()
 
-    def _bytes(self, order: Order) -> int:
+    def _bytes(self, request: CaptureRequest) -> int:
         total = 0
         for side in SIDES:
             camera = self._service.cameras[side].status
             if camera.encoding not in ENCODINGS:
-                raise DaemonError(f"camera {side} is not there yet; try again when the daemon is running")
+                raise DaemonError(f"camera {side} is not open yet; try again when the daemon is running")
             dtype, channels = ENCODINGS[camera.encoding]
             total += camera.size[0] * camera.size[1] * channels * int(dtype[-1])
-        return total * len(order.sequence) * order.pairs
+        return total * len(request.sequence) * request.pairs
 
     def _run(self) -> None:
-        with self._turn:
-            box: LatestWinsQueue[Pair] = LatestWinsQueue(4)
-            shooting: ConfirmedCapture | None = None
-            self._going_back = False
+        with self._exclusive:
+            pairs: LatestWinsQueue[Pair] = LatestWinsQueue(4)
+            capture: ConfirmedCapture | None = None
+            self._resuming = False
             try:
-                self._service.divert(box.put)
-                shooting = self._shooting(box)
-                while (order := self._next()) is not None:
-                    self._carry_out(order, shooting)
+                self._service.divert(pairs.put)
+                capture = self._confirmed_capture(pairs)
+                while (request := self._next()) is not None:
+                    self._execute(request, capture)
             except Exception as error:
                 log.warning("capture: %s", error)
                 with self._changed:
-                    self._thread = self._order = None
+                    self._thread = self._request = None
                 self._finish("failed", problem=str(error))
             finally:
-                self._measure_again(shooting)
+                self._resume_measuring(capture)
 
-    def _shooting(self, box: LatestWinsQueue[Pair]) -> ConfirmedCapture:
+    def _confirmed_capture(self, pairs: LatestWinsQueue[Pair]) -> ConfirmedCapture:
         service = self._service
         projector, refresh_hz = service.rig.projector, service.projector.refresh_hz if service.projector else 0.0
         tolerance_ns = round(1000 * service.config.pairing.tolerance_us)
         settle_ns = settling_ns(projector, refresh_hz, tolerance_ns=tolerance_ns)
         return ConfirmedCapture(
             projector,
-            box,
+            pairs,
             clock=service.clock,
             settle_ns=settle_ns,
             patience_s=patience_s(rendered=service.rig.next_pose is not None),
@@ -212,45 +212,45 @@ class Capture:
         )
 
     def _give_up(self) -> bool:
-        abandoned = self._now_ns() - self._asked_ns > ABANDONED_S * 1e9
-        return self._service.stopping or (not self._going_back and (self._cancelled or abandoned))
+        abandoned = self._now_ns() - self._polled_ns > ABANDONED_S * 1e9
+        return self._service.stopping or (not self._resuming and (self._cancelled or abandoned))
 
-    def _next(self) -> Order | None:
-        """The next order, or None once the hold is over."""
+    def _next(self) -> CaptureRequest | None:
+        """Return the next request, or None once the hold is over."""
         with self._changed:
-            while self._order is None:
+            while self._request is None:
                 if self._now_ns() >= self._hold_until_ns or self._service.stopping:
-                    # From here on an order starts a new thread.
+                    # From here on a request starts a new thread.
                     self._thread = None
                     return None
                 self._changed.wait(_TICK_S)
-            order, self._order = self._order, None
-            return order
+            request, self._request = self._request, None
+            return request
 
-    def _carry_out(self, order: Order, shooting: ConfirmedCapture) -> None:
+    def _execute(self, request: CaptureRequest, capture: ConfirmedCapture) -> None:
         path, sink = None, None
         try:
-            path, sink = self._open(order)
-            self._write(order, shooting, sink)
+            path, sink = self._open(request)
+            self._write(request, capture, sink)
             sink.close()
-            told = sink.status()
-            if told.get("problem") or any(told.get("dropped", {}).values()):
-                raise DaemonError(str(told.get("problem") or f"{path}: not everything was written"))
-            self._hold_until_ns = self._now_ns() + round(1e9 * order.hold_s)
+            written = sink.status()
+            if written.get("problem") or any(written.get("dropped", {}).values()):
+                raise DaemonError(str(written.get("problem") or f"{path}: not everything was written"))
+            self._hold_until_ns = self._now_ns() + round(1e9 * request.hold_s)
             self._finish("done", file=str(path))
-        except Exception as error:  # whatever it is, the daemon goes back to measuring
+        except Exception as error:  # measuring resumes after any error
             outcome = "cancelled" if isinstance(error, CaptureCancelledError) else "failed"
             log.warning("capture %d %s: %s", self._progress.job, outcome, error)
             if sink is not None:
                 sink.close()
             if path is not None:
-                self._forget(path)
-            # What failed may be tried again at once; what was cancelled is over.
-            self._hold_until_ns = self._now_ns() + (round(1e9 * order.hold_s) if outcome == "failed" else 0)
+                self._discard(path)
+            # A failed request may be repeated during the hold; a cancelled one ends it.
+            self._hold_until_ns = self._now_ns() + (round(1e9 * request.hold_s) if outcome == "failed" else 0)
             self._finish(outcome, problem=str(error))
 
-    def _open(self, order: Order) -> tuple[Path, Sink]:
-        size = self._bytes(order)
+    def _open(self, request: CaptureRequest) -> tuple[Path, Sink]:
+        size = self._bytes(request)
         small = size <= _SMALL_BYTES and _free(self._small) > 4 * size + (8 << 20)
         directory = self._small if small else self._large
         directory.mkdir(parents=True, exist_ok=True)
@@ -260,22 +260,22 @@ class Capture:
         while len(kept) >= _KEPT:
             kept.popleft().unlink(missing_ok=True)
         least = 4 << 20 if small else self._service.config.recording.min_free_mb * 1_000_000
-        sink = self._open_take(path, order.sequence.as_mapping(), least)
+        sink = self._open_take(path, request.sequence.as_mapping(), least)
         kept.append(path)
         return path, sink
 
-    def _forget(self, path: Path) -> None:
+    def _discard(self, path: Path) -> None:
         for file in (path, path.with_name(path.name + ".partial")):
             file.unlink(missing_ok=True)
         for kept in self._kept.values():
             if path in kept:
                 kept.remove(path)
 
-    def _write(self, order: Order, shooting: ConfirmedCapture, sink: Sink) -> None:
-        """The pairs in the order of their numbers: frame i of the k-th pass is ``k * frames + i``, a pass is a view."""
-        frames = order.sequence.frames
-        images = (frame.image(order.response) for _ in range(order.pairs) for frame in frames)
-        for number, pair in enumerate(shooting.each(images)):
+    def _write(self, request: CaptureRequest, capture: ConfirmedCapture, sink: Sink) -> None:
+        """Write the pairs, numbered in their order: frame i of pass k is ``k * frames + i``; a pass is a view."""
+        frames = request.sequence.frames
+        images = (frame.image(request.response) for _ in range(request.pairs) for frame in frames)
+        for number, pair in enumerate(capture.each(images)):
             item = PairItem(replace(pair.left, trigger=number), replace(pair.right, trigger=number))
             end_ns = self._now_ns() + round(1e9 * _DISK_S)
             while not sink.offer(item):
@@ -291,17 +291,17 @@ class Capture:
         with self._changed:
             self._progress = replace(self._progress, outcome=outcome, file=file, problem=problem)
 
-    def _measure_again(self, shooting: ConfirmedCapture | None) -> None:
-        """Show the fringe, and let pairs through once one has seen it."""
+    def _resume_measuring(self, capture: ConfirmedCapture | None) -> None:
+        """Show the fringe, and let pairs through once one shows it."""
         rig = self._service.rig
         try:
-            if shooting is not None and not self._service.stopping:
-                self._going_back = True
-                shooting.forget()
-                shooting.show(rig.pattern.image(rig.calibration.response))
-                shooting.pair()
-        except Exception as error:  # a camera that is gone, say: the status tells it
-            log.warning("capture: the fringe is not seen again yet: %s", error)
+            if capture is not None and not self._service.stopping:
+                self._resuming = True
+                capture.forget()
+                capture.show(rig.pattern.image(rig.calibration.response))
+                capture.pair()
+        except Exception as error:  # a lost camera, for example, which the status reports
+            log.warning("capture: the fringe is not detected again yet: %s", error)
         finally:
             self._service.divert(None)
 

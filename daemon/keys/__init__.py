@@ -1,1 +1,1 @@
-"""The keys of other machines: who is authorised, and the directory that keeps them."""
+"""The keys of other machines: the list of authorised keys and the directory that stores them."""

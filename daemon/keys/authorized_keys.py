@@ -1,4 +1,4 @@
-"""The list of keys that may connect: a line for each, with what it may do on the stream and on control."""
+"""The list of authorised keys: one line each, with its roles on the stream and on control."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ROLES: Mapping[Service, tuple[Role, ...]] = {"stream": ("none", "view"), "contr
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What one key may do."""
+    """A key and its roles."""
 
     name: str
     stream: Role
@@ -28,34 +28,34 @@ class Entry:
     public: str
 
     def line(self) -> str:
-        """As it stands in the file."""
+        """Return the entry's line of the file."""
         return f"{self.name} {self.stream} {self.control} {self.public}\n"
 
 
 @dataclass(frozen=True, slots=True)
-class Allowed:
-    """Every key that may connect, by its public half."""
+class AuthorizedKeys:
+    """Every authorised key, by its public half."""
 
     entries: Mapping[str, Entry] = field(default_factory=dict)
 
     def role(self, service: Service, public: str) -> Role:
-        """What a key may do; "none" for one that is not known."""
+        """Return the role of a key, "none" for one that is not in the list."""
         entry = self.entries.get(public)
         if entry is None:
             return "none"
         return entry.stream if service == "stream" else entry.control
 
-    def lost(self, service: Service, newer: Allowed) -> bool:
-        """Whether anybody who could connect to a service cannot any more with a newer list."""
+    def lost(self, service: Service, newer: AuthorizedKeys) -> bool:
+        """Return whether a key that may connect to a service may not with a newer list."""
         had = (public for public in self.entries if self.role(service, public) != "none")
         return any(newer.role(service, public) == "none" for public in had)
 
 
-def parse(text: str, where: str) -> Allowed:
-    """The list of a text.
+def parse(text: str, where: str) -> AuthorizedKeys:
+    """Parse a list.
 
     Raises:
-        DaemonError: with file:line of the first mistake; half a list is never used.
+        DaemonError: with file:line of the first mistake; a list with a mistake is never used in part.
     """
     entries: dict[str, Entry] = {}
     names: dict[str, int] = {}
@@ -64,12 +64,12 @@ def parse(text: str, where: str) -> Allowed:
     for number, entry in _entries(text, where):
         if entry.name in names or entry.public in entries:
             first = names.get(entry.name) or names[entries[entry.public].name]
-            raise DaemonError(f"{where}:{number}: this name or key stands here already, in line {first}")
+            raise DaemonError(f"{where}:{number}: this name or key is already in line {first}")
         names[entry.name] = number
         entries[entry.public] = entry
     if len(entries) > MAX_ENTRIES:
-        raise DaemonError(f"{where}: {len(entries)} keys, at most {MAX_ENTRIES} are taken")
-    return Allowed(entries)
+        raise DaemonError(f"{where}: {len(entries)} keys, at most {MAX_ENTRIES} are accepted")
+    return AuthorizedKeys(entries)
 
 
 def _entries(text: str, where: str) -> Iterator[tuple[int, Entry]]:
@@ -81,22 +81,22 @@ def _entries(text: str, where: str) -> Iterator[tuple[int, Entry]]:
                 raise DaemonError(f"{where}:{number}: {error}") from None
 
 
-def _entry(words: list[str]) -> Entry:
-    if len(words) != 4:
-        raise ValueError(f"{len(words)} words, expected four: name, stream's role, control's role, public key")
-    name, stream, control, public = words
+def _entry(fields: list[str]) -> Entry:
+    if len(fields) != 4:
+        raise ValueError(f"{len(fields)} fields, expected four: name, stream's role, control's role, public key")
+    name, stream, control, public = fields
     if not is_name(name):
-        raise ValueError("the name has something else than letters, digits, '.', '_' and '-', or more than 64")
+        raise ValueError("the name has other characters than letters, digits, '.', '_' and '-', or more than 64")
     if not is_z85(public):
         raise ValueError(f"the key of {name} is not 40 characters of Z85")
     return Entry(name, role("stream", stream), role("control", control), public)
 
 
 def role(service: Service, text: str) -> Role:
-    """A role by its name.
+    """Return a role by its name.
 
     Raises:
-        ValueError: none of this service.
+        ValueError: the service has no such role.
     """
     for known in _ROLES[service]:
         if text == known:
@@ -105,12 +105,12 @@ def role(service: Service, text: str) -> Role:
 
 
 def with_entry(text: str, entry: Entry) -> str:
-    """A file's text with one entry more, or with the line of that name replaced; comments stay."""
+    """Return a file's text with an entry added, or with the line of that name replaced; comments stay."""
     return "".join(_other_lines(text or HEADER, entry.name)) + entry.line()
 
 
 def without(text: str, name: str) -> str:
-    """A file's text without the entry of a name; comments stay."""
+    """Return a file's text without the entry of a name; comments stay."""
     return "".join(_other_lines(text, name))
 
 

@@ -1,4 +1,4 @@
-"""The directory of keys: the daemon's own pair, and the list of those that may connect."""
+"""The directory of keys: the daemon's own pair and the list of authorised keys."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pathlib import Path
 
 from daemon.common.errors import DaemonError
 from daemon.common.files import write_atomically
-from daemon.keys import authorized_keys as allowed
-from daemon.keys.authorized_keys import Allowed, Entry
+from daemon.keys import authorized_keys
+from daemon.keys.authorized_keys import AuthorizedKeys, Entry
 from fringed.errors import KeyFileError
 from fringed.keys import Key, new_key, read_key
 
@@ -21,7 +21,7 @@ SYSTEM_DIR = Path("/etc/fringed/keys")
 
 
 def default_dir() -> Path:
-    """The machine's directory where it is there, or may be made; else the user's."""
+    """Return the machine's directory where it exists or can be created; else the user's."""
     if SYSTEM_DIR.is_dir() or os.geteuid() == 0:
         return SYSTEM_DIR
     base = os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()
@@ -29,9 +29,9 @@ def default_dir() -> Path:
 
 
 class KeyStore:
-    """Keys in a directory; changes are whole files, and two programs that change it wait for each other.
+    """Keys in a directory; changes replace whole files, under a lock.
 
-    A directory that its group alone may enter (0750, the service's) shares its secrets with the group.
+    A directory that only its group may enter (0750, the service's) shares its secrets with the group.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -39,14 +39,14 @@ class KeyStore:
 
     @property
     def public(self) -> Path:
-        """The file for everybody who connects."""
+        """File of the public server key, for clients."""
         return self.directory / SERVER_PUBLIC
 
     def server(self) -> Key:
-        """The daemon's own pair.
+        """Return the daemon's own pair.
 
         Raises:
-            DaemonError: there is none, or it cannot be used.
+            DaemonError: it is missing or cannot be used.
         """
         path = self.directory / SERVER_KEY
         try:
@@ -55,8 +55,8 @@ class KeyStore:
             hint = "" if path.exists() else f"; make it with: fringed keys server --dir {self.directory}"
             raise DaemonError(f"{error}{hint}") from error
 
-    def allowed(self) -> Allowed:
-        """Who may connect; nobody while there is no list.
+    def authorized(self) -> AuthorizedKeys:
+        """Return the authorised keys, none while there is no list.
 
         Raises:
             DaemonError: a list with a mistake, with file:line, or one that others can change.
@@ -64,11 +64,11 @@ class KeyStore:
         path = self.directory / LIST
         text = self._text()
         if text and path.stat().st_mode & (stat.S_IWOTH | stat.S_IWGRP):
-            raise DaemonError(f"{path}: others can change it, so that anybody could get in; chmod go-w {path}")
-        return allowed.parse(text, str(path))
+            raise DaemonError(f"{path}: others can change it and so authorise any key; chmod go-w {path}")
+        return authorized_keys.parse(text, str(path))
 
     def readable(self) -> bool:
-        """Whether this user may look at all; what is not there counts as looked at."""
+        """Return whether this user may read the files; missing ones count as readable."""
         paths = (self.directory, self.directory / SERVER_KEY, self.directory / LIST)
         try:
             return all(os.access(path, os.R_OK) or not path.exists() for path in paths)
@@ -76,18 +76,18 @@ class KeyStore:
             return False
 
     def signature(self) -> tuple[tuple[int, int, int], ...]:
-        """Changes whenever one of the files does; costs no descriptor."""
-        found = []
+        """Return a value that changes whenever one of the files does; uses no descriptor."""
+        signatures = []
         for name in (SERVER_KEY, LIST):
             try:
                 status = (self.directory / name).stat()
-                found.append((status.st_ino, status.st_ctime_ns, status.st_size))
+                signatures.append((status.st_ino, status.st_ctime_ns, status.st_size))
             except OSError:
-                found.append((0, 0, 0))
-        return tuple(found)
+                signatures.append((0, 0, 0))
+        return tuple(signatures)
 
     def make_server(self) -> Key:
-        """The daemon's own pair, made if it is not there yet."""
+        """Return the daemon's own pair, created if it does not exist yet."""
         with self._changing():
             if (self.directory / SERVER_KEY).exists():
                 key = self.server()
@@ -99,30 +99,32 @@ class KeyStore:
             return key
 
     def allow(self, entry: Entry) -> None:
-        """Let a key connect; one of the same name is replaced, the old list stays when anything is wrong."""
+        """Authorise a key; one of the same name is replaced, the old list stays after an error."""
         with self._changing():
-            text = allowed.with_entry(self._text(), entry)
-            allowed.parse(text, str(self.directory / LIST))
+            text = authorized_keys.with_entry(self._text(), entry)
+            authorized_keys.parse(text, str(self.directory / LIST))
             self._write(LIST, text)
 
     def revoke(self, name: str) -> Entry:
-        """Let the key of a name connect no more."""
+        """Remove the key of a name from the list."""
         with self._changing():
-            entry = next((one for one in self.allowed().entries.values() if one.name == name), None)
+            entry = next((one for one in self.authorized().entries.values() if one.name == name), None)
             if entry is None:
-                raise DaemonError(f"no key is called {name!r:.80} in {self.directory / LIST}; see: fringed keys list")
-            self._write(LIST, allowed.without(self._text(), name))
+                raise DaemonError(f"no key is named {name!r:.80} in {self.directory / LIST}; see: fringed keys list")
+            self._write(LIST, authorized_keys.without(self._text(), name))
             return entry
 
     def _text(self) -> str:
         path = self.directory / LIST
         try:
             with path.open(encoding="utf-8") as file:
-                return file.read(allowed.MAX_BYTES + 1)
+                return file.read(authorized_keys.MAX_BYTES + 1)
         except FileNotFoundError:
             return ""
-        except (OSError, UnicodeDecodeError) as error:
-            raise DaemonError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not text'}") from error
+        except OSError as error:
+            raise DaemonError(f"{path}: cannot be read: {error.strerror}") from error
+        except UnicodeDecodeError as error:
+            raise DaemonError(f"{path}: cannot be read: not text") from error
 
     def _write(self, name: str, text: str) -> None:
         directory = self.directory.stat()
@@ -148,7 +150,7 @@ class KeyStore:
 
 
 def write_key(path: Path, key: Key, *, secret: bool) -> None:
-    """Write a key, for its owner alone if the secret is in it."""
+    """Write a key; with its secret, only the owner may read the file."""
     _write(path, key.text(secret=secret), 0o600 if secret else 0o644)
 
 

@@ -1,1 +1,1 @@
-"""Who may read the stream and who may operate the rig from another machine: keys, roles, and the gate that asks."""
+"""Access from other machines: the gate process that authenticates clients and relays stream and control."""

@@ -1,32 +1,32 @@
-"""What the daemon tells its gate, and what the gate tells back: one JSON object a line."""
+"""Messages between the daemon and its gate process: one JSON object a line."""
 
 from __future__ import annotations
 
 import msgspec
 
-from daemon.keys.authorized_keys import Allowed, Entry
+from daemon.keys.authorized_keys import AuthorizedKeys, Entry
 from fringed.keys import Key
 
 
 class Keyring(msgspec.Struct, frozen=True):
-    """The daemon's own pair, and those that may connect."""
+    """The daemon's own pair and the authorised keys."""
 
     server: Key
     entries: list[Entry]
 
-    def allowed(self) -> Allowed:
-        """The list by key."""
-        return Allowed({entry.public: entry for entry in self.entries})
+    def authorized(self) -> AuthorizedKeys:
+        """Return the authorised keys by public key."""
+        return AuthorizedKeys({entry.public: entry for entry in self.entries})
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True):
-    """What to guard, the first word of the daemon; each later one is a Keyring that replaces the one before.
+class GateConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """Configuration of the gate, the daemon's first message; each later one is a Keyring that replaces the last.
 
     Args:
         stream, control: addresses to bind, either may be empty.
         source, target: the daemon's own stream and control endpoints, on this machine.
         roles: needed for each method of control, view or operate.
-        connections: at most so many at a time. memory_mb: of the gate; beyond it everybody is cut off.
+        connections: at most, at a time. memory_mb: limit of the gate, beyond which all clients are disconnected.
     """
 
     stream: list[str]
@@ -38,14 +38,14 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
     memory_mb: int = 1024
 
 
-class Told(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A word of the gate.
+class GateStatus(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Status of the gate, sent once a second.
 
     Args:
-        stream, control: addresses with their real ports. failed: why it cannot begin.
-        refused: how often, by service and reason. accepted: connections that were let in, connections: now.
-        sent, skipped: messages of the stream; requests: passed on. cut: how often everybody was cut off, by reason.
-        last: the newest refusal, in words.
+        stream, control: addresses with their real ports. failed: why it cannot start.
+        refused: count by service and reason. accepted: connections since the start, connections: now.
+        sent, skipped: messages of the stream; requests: forwarded. cut: disconnections of all clients, by reason.
+        last: description of the newest refusal.
     """
 
     stream: list[str] = []

@@ -1,4 +1,4 @@
-"""The gate as the daemon sees it: a sink that takes nothing, starts the gate's process, and tells how it goes."""
+"""The daemon's side of the gate: a sink that starts the gate process, restarts it, and reports its status."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import msgspec
 from daemon.common.errors import DaemonError
 from daemon.keys.key_store import KeyStore
 from daemon.live.items import Item
-from daemon.remote_access.gate_messages import Order, Told
+from daemon.remote_access.gate_messages import GateConfig, GateStatus
 from daemon.remote_access.key_watch import KeyWatch
 from daemon.remote_access.link import Link
 from drivers import child_process
@@ -25,33 +25,33 @@ from drivers.errors import DriverError
 log = logging.getLogger("fringed.gate")
 
 _START_S = 60.0
-_SILENCE_S = 60.0  # a gate that says nothing for so long hangs, and is replaced
+_SILENCE_S = 60.0  # a gate without a message for this long hangs and is replaced
 _PAUSES_S = (0.5, 1.0, 2.0, 5.0)
 _JOIN_S = 5.0
-_LOOK_S = 0.25  # so soon does a revoked key lose its connections
+_POLL_S = 0.25  # a revoked key loses its connections within this time
 
 
 class RemoteGate:
-    """Lets other machines in, as far as their keys allow.
+    """Runs the gate, through which other machines connect as their keys allow.
 
     Args:
-        order: what to guard; store: the keys.
+        config: of the gate; store: the keys.
 
     Raises:
         DaemonError: keys that cannot be used, an address that cannot be bound.
     """
 
-    def __init__(self, order: Order, store: KeyStore) -> None:
-        self._order, self._keys = order, KeyWatch(store)
+    def __init__(self, config: GateConfig, store: KeyStore) -> None:
+        self._config, self._keys = config, KeyWatch(store)
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._restarts = 0
         self._down = ""
-        self._link, self._process, self._prints = self._start()
-        self._told = self._first()
+        self._link, self._process, self._output = self._start()
+        self._status = self._first_status()
         # After a restart the addresses must be the same, whatever port was free the first time.
-        self._order = msgspec.structs.replace(order, stream=self._told.stream, control=self._told.control)
-        for service, endpoints in (("stream", self._told.stream), ("control", self._told.control)):
+        self._config = msgspec.structs.replace(config, stream=self._status.stream, control=self._status.control)
+        for service, endpoints in (("stream", self._status.stream), ("control", self._status.control)):
             if endpoints:
                 log.info(
                     "%s for other machines at %s, %d keys",
@@ -62,47 +62,47 @@ class RemoteGate:
         self._thread = threading.Thread(target=self._run, name="gate", daemon=True)
         self._thread.start()
 
-    def offer(self, item: Item) -> bool:  # noqa: ARG002 - it reads the stream itself, like any subscriber
-        """Take nothing."""
+    def offer(self, item: Item) -> bool:  # noqa: ARG002 - the gate subscribes to the stream instead
+        """Ignore an item."""
         return True
 
     @property
     def pid(self) -> int:
-        """Of the gate's process now."""
+        """Id of the gate process now."""
         return self._process.pid
 
     def status(self) -> dict[str, Any]:
-        """Where it listens, who came, who was refused and why."""
-        told, down = self._told, self._down
+        """Return addresses, connections, and refusals by reason."""
+        status, down = self._status, self._down
         values: dict[str, Any] = {
-            "stream": told.stream,
-            "control": told.control,
+            "stream": status.stream,
+            "control": status.control,
             "keys": len(self._keys.keyring.entries),
-            "accepted": told.accepted,
-            "connections": told.connections,
-            "refused": told.refused,
-            "last_refused": told.last,
-            "cut": told.cut,
-            "sent": told.sent,
-            "skipped": told.skipped,
-            "requests": told.requests,
-            "memory_mb": told.memory_mb,
+            "accepted": status.accepted,
+            "connections": status.connections,
+            "refused": status.refused,
+            "last_refused": status.last,
+            "cut": status.cut,
+            "sent": status.sent,
+            "skipped": status.skipped,
+            "requests": status.requests,
+            "memory_mb": status.memory_mb,
             "restarts": self._restarts,
         }
         problem = down or self._keys.problem
         return values | ({"problem": problem} if problem else {})
 
     def close(self) -> None:
-        """Let nobody in any more; may be called twice."""
+        """End the gate; may be called twice."""
         self._closing.set()
         with self._lock:
-            self._link.hang_up()
+            self._link.shut_down()
         self._thread.join(_JOIN_S)
         self._link.close()
         child_process.end(self._process, _JOIN_S)
-        self._prints.join(1.0)
+        self._output.join(1.0)
 
-    def _start(self) -> tuple[Link, subprocess.Popen[bytes], child_process.Prints]:
+    def _start(self) -> tuple[Link, subprocess.Popen[bytes], child_process.OutputReader]:
         ours, theirs = socket.socketpair()
         try:
             arguments = [str(theirs.fileno()), str(os.getpid())]
@@ -112,86 +112,86 @@ class RemoteGate:
             raise
         finally:
             theirs.close()
-        prints = child_process.Prints(process, log, "gate-prints")
+        output = child_process.OutputReader(process, log, "gate-output")
         link = Link(ours)
-        with suppress(OSError):  # it has ended; what it printed is told when its first word does not come
-            link.say(self._order)
-            link.say(self._keys.keyring)
-        return link, process, prints
+        with suppress(OSError):  # it has ended; its output is reported when its first status does not come
+            link.send(self._config)
+            link.send(self._keys.keyring)
+        return link, process, output
 
-    def _first(self) -> Told:
-        """The first word of the gate that was just started."""
+    def _first_status(self) -> GateStatus:
+        """Return the first status of the gate that was just started."""
         try:
-            told = self._word(_START_S)
+            status = self._receive(_START_S)
         except TimeoutError:
-            told = None
-        if told is not None and not told.failed:
-            return told
+            status = None
+        if status is not None and not status.failed:
+            return status
         self._link.close()
-        child_process.end(self._process, _JOIN_S if told is not None else 0.0)
-        self._prints.join(1.0)
-        raise DaemonError(told.failed if told is not None else f"the gate does not start: {self._prints.text()}")
+        child_process.end(self._process, _JOIN_S if status is not None else 0.0)
+        self._output.join(1.0)
+        raise DaemonError(status.failed if status is not None else f"the gate does not start: {self._output.text()}")
 
     def _run(self) -> None:
         failures = 0
         while not self._closing.is_set():
             began_s = time.monotonic()
-            why = self._listen()
+            reason = self._listen()
             if self._closing.is_set():
                 return
             failures = failures + 1 if time.monotonic() - began_s < _SILENCE_S else 0
-            self._down = f"no other machine can connect: {why}; it is started again"
+            self._down = f"no other machine can connect: {reason}; it is restarted"
             log.error("%s", self._down)
-            self._begin_again(failures)
+            self._restart(failures)
 
     def _listen(self) -> str:
-        """Hear what the gate tells, and tell it of other keys, until it ends or falls silent; the reason."""
-        heard_s = time.monotonic()
-        while time.monotonic() - heard_s < _SILENCE_S:
+        """Receive the gate's status and send it changed keys until it ends or falls silent; return the reason."""
+        received_s = time.monotonic()
+        while time.monotonic() - received_s < _SILENCE_S:
             try:
-                told = self._word(_LOOK_S)
+                status = self._receive(_POLL_S)
             except TimeoutError:
                 pass
             else:
-                if told is None:
+                if status is None:
                     break
-                heard_s = time.monotonic()
-                if told.last != self._told.last:
-                    log.warning("%s", told.last)
-                self._told = told
+                received_s = time.monotonic()
+                if status.last != self._status.last:
+                    log.warning("%s", status.last)
+                self._status = status
             if self._keys.changed():
                 with suppress(OSError):
-                    self._link.say(self._keys.keyring)
+                    self._link.send(self._keys.keyring)
         if self._closing.is_set():
             return ""
-        status = child_process.end(self._process, 1.0)
-        self._prints.join(1.0)
-        return f"the gate ended with exit status {status}: {self._prints.text()}"
+        exit_status = child_process.end(self._process, 1.0)
+        self._output.join(1.0)
+        return f"the gate ended with exit status {exit_status}: {self._output.text()}"
 
-    def _word(self, timeout_s: float) -> Told | None:
-        word = self._link.next(timeout_s)
+    def _receive(self, timeout_s: float) -> GateStatus | None:
+        message = self._link.receive(timeout_s)
         try:
-            return None if word is None else msgspec.json.decode(word, type=Told)
+            return None if message is None else msgspec.json.decode(message, type=GateStatus)
         except msgspec.MsgspecError:
             return None
 
-    def _begin_again(self, failures: int) -> None:
+    def _restart(self, failures: int) -> None:
         while not self._closing.wait(_PAUSES_S[min(failures, len(_PAUSES_S) - 1)]):
             failures += 1
             try:
-                link, process, prints = self._start()
+                link, process, output = self._start()
             except DriverError as error:
                 self._down = f"no other machine can connect: {error}"
                 continue
             with self._lock:
                 self._link.close()
-                self._link, self._process, self._prints = link, process, prints
+                self._link, self._process, self._output = link, process, output
                 if self._closing.is_set():
-                    link.hang_up()
+                    link.shut_down()
                     return
             self._restarts += 1
             try:
-                self._told = self._first()
+                self._status = self._first_status()
             except DaemonError as error:
                 self._down = f"no other machine can connect: {error}"
                 continue

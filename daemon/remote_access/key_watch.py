@@ -1,4 +1,4 @@
-"""The files of keys, read again when they change; the gate gets what they say, and needs no files itself."""
+"""The key files, read again when they change; the gate gets their content and needs no files itself."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ log = logging.getLogger("fringed.gate")
 
 
 class KeyWatch:
-    """Keys as the files are; a mistake in them changes nothing and is told as ``problem``.
+    """The keys as in the files; a file with a mistake changes nothing and is reported as ``problem``.
 
     Raises:
-        DaemonError: keys that cannot be used from the start.
+        DaemonError: the keys cannot be used at the start.
     """
 
     def __init__(self, store: KeyStore) -> None:
         self._store = store
-        self._seen = store.signature()
+        self._signature = store.signature()
         self.keyring = self._read()
         self.problem = ""
 
     def changed(self) -> bool:
-        """Look at the files; whether ``keyring`` is another one than before."""
-        seen = self._store.signature()
-        if seen == self._seen:
+        """Read the files if they have changed; return whether ``keyring`` is another one than before."""
+        signature = self._store.signature()
+        if signature == self._signature:
             return False
-        self._seen = seen
+        self._signature = signature
         try:
             fresh = self._read()
         except (DaemonError, FringedError, OSError) as error:
-            self.problem = f"the keys are those of before: {error}"
+            self.problem = f"the previous keys stay in use: {error}"
             log.error("%s", self.problem)
             return False
         self.problem = ""
@@ -42,4 +42,4 @@ class KeyWatch:
         return fresh != before
 
     def _read(self) -> Keyring:
-        return Keyring(server=self._store.server(), entries=list(self._store.allowed().entries.values()))
+        return Keyring(server=self._store.server(), entries=list(self._store.authorized().entries.values()))

@@ -1,4 +1,4 @@
-"""Words between the daemon and its gate: JSON, one a line, over a pair of sockets."""
+"""The connection between the daemon and its gate: JSON messages, one a line, over a pair of sockets."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ _MAX_BYTES = 1 << 20
 
 
 class Link:
-    """One end."""
+    """One end of the connection."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end, self._text = end, b""
 
     @property
     def descriptor(self) -> int:
-        """To wait for."""
+        """Descriptor to poll."""
         return self._end.fileno()
 
-    def say(self, word: msgspec.Struct) -> None:
-        """Send a word."""
-        self._end.sendall(msgspec.json.encode(word) + b"\n")
+    def send(self, message: msgspec.Struct) -> None:
+        """Send a message."""
+        self._end.sendall(msgspec.json.encode(message) + b"\n")
 
-    def next(self, timeout_s: float | None = None) -> bytes | None:
-        """The next word; None when the other side has hung up.
+    def receive(self, timeout_s: float | None = None) -> bytes | None:
+        """Return the next message; None when the other side has closed the connection.
 
         Raises:
             TimeoutError: none came in time.
@@ -45,14 +45,14 @@ class Link:
         finally:
             with suppress(OSError):
                 self._end.settimeout(None)
-        word, _, self._text = self._text.partition(b"\n")
-        return word
+        message, _, self._text = self._text.partition(b"\n")
+        return message
 
-    def hang_up(self) -> None:
-        """Wake whoever waits, here and there."""
+    def shut_down(self) -> None:
+        """Shut the connection down and wake the waiting threads at both ends."""
         with suppress(OSError):
             self._end.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the descriptor."""
         self._end.close()

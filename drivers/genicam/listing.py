@@ -73,7 +73,7 @@ def discover(producers: Sequence[Path]) -> list[CameraFound]:
         raise
     finally:
         os.close(writing)
-    prints = child_process.Prints(process, log, "listing-prints")
+    prints = child_process.OutputReader(process, log, "listing-prints")
     try:
         text = _read_all(reading, time.monotonic() + _TIMEOUT_S)
     finally:

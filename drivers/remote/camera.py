@@ -61,7 +61,7 @@ class _Process:
 
     process: subprocess.Popen[bytes]
     socket: socket.socket
-    prints: child_process.Prints
+    prints: child_process.OutputReader
     poll: select.poll
     ring: RingReader | None = None
     lent: set[int] = field(default_factory=set)
@@ -164,7 +164,7 @@ class RemoteCamera:
                 raise
         poll = select.poll()
         poll.register(ours, select.POLLIN)
-        prints = child_process.Prints(process, self._log, f"prints-{self.side}")
+        prints = child_process.OutputReader(process, self._log, f"prints-{self.side}")
         child = _Process(process, ours, prints, poll)
         with self._lock:
             self._child = child

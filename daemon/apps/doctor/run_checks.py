@@ -87,7 +87,7 @@ class _Worker:
             raise
         finally:
             os.close(writing)
-        self._prints = child_process.Prints(self._process, log, "doctor-prints")
+        self._prints = child_process.OutputReader(self._process, log, "doctor-prints")
         self._text = b""
         self._late = False
         self._ended = ""

@@ -98,7 +98,7 @@ def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
 def _page(page: int, data: int) -> Iterator[None]:
     """The page of the viewer, in a process of its own."""
     process = child_process.start("daemon.apps.viewer.web_page", [str(page), str(data), str(os.getpid())])
-    prints = child_process.Prints(process, log, "page-prints")
+    prints = child_process.OutputReader(process, log, "page-prints")
     try:
         _await(process, page)
         yield

@@ -86,7 +86,7 @@ def show(
 ) -> None:
     """Show every key that may connect, and what it may do."""
     store = _store(directory, rig)
-    entries = sorted(store.allowed().entries.values(), key=lambda entry: entry.name)
+    entries = sorted(store.authorized().entries.values(), key=lambda entry: entry.name)
     if as_json:
         typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
         return

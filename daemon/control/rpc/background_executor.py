@@ -1,4 +1,4 @@
-"""The extra lane of control: what may wait is carried out here, one at a time, and never holds up the other methods."""
+"""Execution of slow methods in the background, one at a time, so that they never delay the others."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 log = logging.getLogger("fringed.control")
 
-ROOM = 8
+CAPACITY = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Something slow.
+    """A slow request.
 
     Args:
-        name: for messages; run: does it; give_up: is called in its place when the lane ends first.
+        name: for messages; run: executes it; give_up: called instead when the executor ends first.
     """
 
     name: str
@@ -27,40 +27,39 @@ class Job:
 
 
 class BackgroundExecutor:
-    """A thread and a short queue of jobs.
+    """A thread with a short queue of jobs.
 
-    A job that never comes back (a disk that hangs) costs this lane alone, and its thread does not keep the program
-    from ending.
+    A job that never returns (a disk that hangs) blocks this thread alone, which does not keep the program from ending.
     """
 
-    def __init__(self, *, room: int = ROOM) -> None:
-        self._room = room
+    def __init__(self, *, capacity: int = CAPACITY) -> None:
+        self._capacity = capacity
         self._jobs: deque[Job] = deque()
         self._changed = threading.Condition()
         self._closed = False
-        self._doing = ""
-        self._thread = threading.Thread(target=self._run, name="control-lane", daemon=True)
+        self._running = ""
+        self._thread = threading.Thread(target=self._run, name="control-background", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     @property
-    def doing(self) -> str:
-        """The name of the job at hand, empty when there is none."""
-        return self._doing
+    def running(self) -> str:
+        """Name of the running job, empty when there is none."""
+        return self._running
 
     def submit(self, job: Job) -> bool:
-        """Take a job; False when too many wait already, or after the end."""
+        """Queue a job; False when too many wait already, or after the end."""
         with self._changed:
-            if self._closed or len(self._jobs) >= self._room:
+            if self._closed or len(self._jobs) >= self._capacity:
                 return False
             self._jobs.append(job)
             self._changed.notify()
             return True
 
     def close(self, timeout_s: float) -> bool:
-        """Give up the jobs that wait, finish the one at hand; False when that does not come back in time."""
+        """Give up the waiting jobs and finish the running one; False when that does not return in time."""
         with self._changed:
             self._closed = True
             waiting = list(self._jobs)
@@ -81,10 +80,10 @@ class BackgroundExecutor:
 
     def _next(self) -> Job | None:
         with self._changed:
-            self._doing = ""
+            self._running = ""
             self._changed.wait_for(lambda: self._jobs or self._closed)
             if not self._jobs:
                 return None
             job = self._jobs.popleft()
-            self._doing = job.name
+            self._running = job.name
             return job

@@ -1,4 +1,4 @@
-"""Ask a running daemon."""
+"""Client of a daemon's control socket."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ControlClient:
     """One connection to a daemon's control socket.
 
     Args:
-        endpoint: where the daemon listens; timeout_s: how long to wait for each answer.
+        endpoint: of the daemon; timeout_s: longest wait for each response.
         keys: for a daemon on another machine.
     """
 
@@ -29,9 +29,9 @@ class ControlClient:
         self._hint = "start one with `fringed run rig.yaml`, or name its control endpoint"
         if endpoint.startswith("tcp://"):
             self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
-        if keys is not None and not endpoint.startswith("ipc://"):  # which is this machine's and plain
+        if keys is not None and not endpoint.startswith("ipc://"):  # ipc stays on this machine and needs no keys
             keys.apply(self._socket)
-            self._hint = "is it running, does it know this key, and is that its server key?"
+            self._hint = "is it running, does it allow this key, and is that its server key?"
         try:
             self._socket.connect(endpoint)
         except zmq.ZMQError as error:
@@ -47,14 +47,14 @@ class ControlClient:
         self.close()
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self._context.destroy(linger=0)
 
     def call(self, method: str, /, **params: Any) -> Any:
-        """The result of a method.
+        """Call a method and return its result.
 
         Raises:
-            ControlError: no answer in time, or the daemon's own words for what went wrong.
+            ControlError: no response in time, or the daemon's error message.
         """
         request_id = str(uuid.uuid4())
         request = {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
@@ -62,7 +62,7 @@ class ControlClient:
         while self._socket.poll(round(1000 * self._timeout_s)):
             response = json.loads(self._socket.recv_multipart()[-1])
             if response.get("id") not in (request_id, None):
-                continue  # an answer to an earlier request that came too late
+                continue  # a late response to an earlier request
             if "error" in response:
                 raise ControlError(f"the daemon refused {method}: {response['error'].get('message')}")
             return response.get("result")

@@ -1,6 +1,6 @@
-"""JSON-RPC 2.0: bytes in, bytes out. Whatever comes in, the answer is a proper response or nothing.
+"""JSON-RPC 2.0 from bytes to bytes: every input gives a valid response or none.
 
-Requests, notifications (no ``id``, never answered) and batches of at most 32; parameters by name or by position.
+Requests, notifications (no ``id``, no response) and batches of at most 32; parameters by name or by position.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ FAILED, FORBIDDEN, BUSY = -32000, -32001, -32002
 
 
 class RpcError(Exception):
-    """An error for the caller.
+    """An error that is reported to the caller.
 
     Args:
-        path: names the setting that it is about; data: more members of the error's ``data``.
+        path: of the setting or parameter it concerns; data: more members of the error's ``data``.
     """
 
     def __init__(
@@ -40,13 +40,13 @@ class RpcError(Exception):
         self.code, self.message, self.path, self.data = code, message, path, dict(data or {})
 
     def as_object(self) -> dict[str, Any]:
-        """The ``error`` member of a response."""
+        """Return the ``error`` member of a response."""
         data = self.data | ({} if self.path is None else {"path": self.path})
         return {"code": self.code, "message": self.message} | ({"data": data} if data else {})
 
 
 class Role(StrEnum):
-    """What a caller may do: only look, or everything."""
+    """Permissions of a caller: read only, or everything."""
 
     VIEW = "view"
     OPERATE = "operate"
@@ -57,9 +57,9 @@ class Method:
     """One method of the table.
 
     Args:
-        call: takes the parameters by name; params: their names, in the order of parameters by position.
+        call: called with the parameters by name; params: their names, in the order of parameters by position.
         role: that a caller needs at least.
-        slow: may wait (for a disk, for the pipeline): it is carried out beside the others, one at a time.
+        slow: may wait (for a disk, for the pipeline): it is executed in the background, one at a time.
     """
 
     call: Callable[[dict[str, Any]], Any]
@@ -68,7 +68,7 @@ class Method:
     slow: bool = False
 
     def __call__(self, params: dict[str, Any]) -> Any:
-        """The result; RpcError for unknown parameters and for what the daemon refuses."""
+        """Return the result; RpcError for unknown parameters and for what the daemon refuses."""
         unknown = sorted(set(params) - set(self.params))
         if unknown:
             known = ", ".join(self.params) or "none"
@@ -79,15 +79,15 @@ class Method:
             raise RpcError(FAILED, str(error)) from error
 
 
-class Received:
-    """A message that came in: one request, a batch of them, or a ``problem``."""
+class RequestMessage:
+    """A received message: one request, a batch of them, or a ``problem``."""
 
     def __init__(self, message: bytes) -> None:
         self.problem: RpcError | None = None
         self._requests: list[Any] = []
         self._batch = False
         try:
-            parsed = _parsed(message)
+            parsed = parse_json(message)
         except RpcError as error:
             self.problem = error
             return
@@ -98,7 +98,7 @@ class Received:
 
     @property
     def name(self) -> str:
-        """What is asked for, for people."""
+        """The requested method, for messages to people."""
         if self._batch:
             return f"a batch of {len(self._requests)}"
         return f"{self._requests[0].get('method', '')!s:.60}" if isinstance(self._requests[0], dict) else ""
@@ -110,12 +110,12 @@ class Received:
         named = [request.get("method") for request in self._requests if isinstance(request, dict)]
         return any(isinstance(name, str) and name in methods and methods[name].slow for name in named)
 
-    def answered(self, methods: Mapping[str, Method], role: Role = Role.OPERATE) -> bytes | None:
-        """Carry out what is asked and tell the response, None when none is wanted."""
-        return self._each(lambda request: _called(request, methods, role))
+    def respond(self, methods: Mapping[str, Method], role: Role = Role.OPERATE) -> bytes | None:
+        """Execute the requests and return the response, None for notifications."""
+        return self._each(lambda request: _call(request, methods, role))
 
-    def refused(self, error: RpcError) -> bytes | None:
-        """The response that carries nothing out."""
+    def refuse(self, error: RpcError) -> bytes | None:
+        """Return an error as the response to every request; execute none."""
 
         def refuse(_: dict[str, Any]) -> Any:
             raise error
@@ -124,29 +124,26 @@ class Received:
 
     def _each(self, call: Callable[[dict[str, Any]], Any]) -> bytes | None:
         if self.problem is not None:
-            return _dumped(_failed(None, self.problem))
-        answers = [answer for request in self._requests if (answer := _answer(request, call)) is not None]
-        if not answers:
+            return _encoded(_error_response(None, self.problem))
+        responses = [response for request in self._requests if (response := _response(request, call)) is not None]
+        if not responses:
             return None
-        return _dumped(answers if self._batch else answers[0])
+        return _encoded(responses if self._batch else responses[0])
 
 
-def answer(message: bytes, methods: Mapping[str, Method], role: Role = Role.OPERATE) -> bytes | None:
-    """The response to a message; None for a notification (a request without id)."""
-    return Received(message).answered(methods, role)
+def respond(message: bytes, methods: Mapping[str, Method], role: Role = Role.OPERATE) -> bytes | None:
+    """Return the response to a message; None for a notification (a request without id)."""
+    return RequestMessage(message).respond(methods, role)
 
 
-def _parsed(message: bytes) -> Any:
+def parse_json(message: bytes) -> Any:
+    """Return the JSON value of a message; RpcError for anything else, numbers that are not finite included."""
     if len(message) > MAX_BYTES:
         raise RpcError(INVALID_REQUEST, f"{len(message)} bytes, a request has at most {MAX_BYTES}")
     try:
-        return json.loads(message.decode("utf-8"), parse_constant=_no_constant, parse_float=_finite)
+        return json.loads(message.decode("utf-8"), parse_constant=_finite, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise RpcError(PARSE_ERROR, f"not JSON: {type(error).__name__}") from error
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(name)
 
 
 def _finite(text: str) -> float:
@@ -156,36 +153,37 @@ def _finite(text: str) -> float:
     return value
 
 
-def _answer(request: Any, call: Callable[[dict[str, Any]], Any]) -> dict[str, Any] | None:
+def _response(request: Any, call: Callable[[dict[str, Any]], Any]) -> dict[str, Any] | None:
     request_id = None
     try:
-        _check(request)
+        check_request(request)
         request_id = request.get("id")
         response = {"jsonrpc": "2.0", "id": request_id, "result": call(request)}
     except RpcError as error:
-        response = _failed(request_id, error)
+        response = _error_response(request_id, error)
         if error.code == INVALID_REQUEST:
             return response
     return response if "id" in request else None
 
 
-def _check(request: Any) -> None:
+def check_request(request: Any) -> None:
+    """Raise RpcError unless a value is a JSON-RPC 2.0 request."""
     if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":
         raise RpcError(INVALID_REQUEST, 'not a JSON-RPC 2.0 request: "jsonrpc": "2.0" is missing')
     request_id = request.get("id")
-    proper = isinstance(request_id, str | int | float | None) and not isinstance(request_id, bool)
-    if not isinstance(request.get("method"), str) or not proper:
-        raise RpcError(INVALID_REQUEST, "a request has a text as method, and a text or number as id")
+    valid_id = isinstance(request_id, str | int | float | None) and not isinstance(request_id, bool)
+    if not isinstance(request.get("method"), str) or not valid_id:
+        raise RpcError(INVALID_REQUEST, "a request has a string as method, and a string or number as id")
 
 
-def _called(request: dict[str, Any], methods: Mapping[str, Method], role: Role) -> Any:
+def _call(request: dict[str, Any], methods: Mapping[str, Method], role: Role) -> Any:
     name = request["method"]
     method = methods.get(name)
     if method is None:
         raise RpcError(METHOD_NOT_FOUND, f"there is no method {name!r:.60}; there are {', '.join(sorted(methods))}")
     if method.role is Role.OPERATE and role is not Role.OPERATE:
         raise RpcError(FORBIDDEN, f"{name} needs the role operate, this key has the role {role}")
-    params = _named(request.get("params", {}), method)
+    params = _named_params(request.get("params", {}), method)
     try:
         return method(params)
     except RpcError:
@@ -195,7 +193,7 @@ def _called(request: dict[str, Any], methods: Mapping[str, Method], role: Role) 
         raise RpcError(INTERNAL_ERROR, f"{name} failed: {type(error).__name__}: {error}") from error
 
 
-def _named(params: Any, method: Method) -> dict[str, Any]:
+def _named_params(params: Any, method: Method) -> dict[str, Any]:
     if isinstance(params, list) and len(params) <= len(method.params):
         return dict(zip(method.params, params, strict=False))
     if not isinstance(params, dict):
@@ -204,11 +202,11 @@ def _named(params: Any, method: Method) -> dict[str, Any]:
     return params
 
 
-def _failed(request_id: Any, error: RpcError) -> dict[str, Any]:
+def _error_response(request_id: Any, error: RpcError) -> dict[str, Any]:
     return {"jsonrpc": "2.0", "id": request_id, "error": error.as_object()}
 
 
-def _dumped(response: Any) -> bytes:
+def _encoded(response: Any) -> bytes:
     try:
         text = json.dumps(response, allow_nan=False)
     except ValueError:
@@ -216,12 +214,12 @@ def _dumped(response: Any) -> bytes:
     if len(text) > MAX_ANSWER_BYTES:
         request_id = response.get("id") if isinstance(response, dict) else None
         too_long = RpcError(INTERNAL_ERROR, f"the answer has {len(text)} bytes, limit {MAX_ANSWER_BYTES}; ask for less")
-        text = json.dumps(_failed(request_id, too_long))
+        text = json.dumps(_error_response(request_id, too_long))
     return text.encode()
 
 
 def _without_nan(value: Any) -> Any:
-    """The same with null for numbers that JSON does not know."""
+    """Return a value with null for numbers that JSON cannot represent."""
     if isinstance(value, dict):
         return {key: _without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

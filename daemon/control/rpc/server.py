@@ -1,6 +1,6 @@
-"""The control socket: one thread owns a ROUTER and answers; what may wait is answered from a lane beside it.
+"""The control socket: one thread owns a ROUTER and responds; slow requests are executed in the background.
 
-Answers to slow requests may come after those to later ones: they are told apart by their ids.
+Responses to slow requests may come after those to later ones: their ids distinguish them.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import zmq
 from daemon.common.errors import DaemonError
 from daemon.common.ipc_endpoints import prepare_ipc, share_ipc
 from daemon.control.rpc.background_executor import BackgroundExecutor, Job
-from daemon.control.rpc.protocol import BUSY, FAILED, MAX_BYTES, Method, Received, Role, RpcError
+from daemon.control.rpc.protocol import BUSY, FAILED, MAX_BYTES, Method, RequestMessage, Role, RpcError
 
 log = logging.getLogger("fringed.control")
 
 _MOST_PARTS = 3
 _MOST_WAITING = 256
-_LANE_S = 3.0
+_CLOSE_S = 3.0
 
 
 class ControlServer:
-    """Answers JSON-RPC on an endpoint from :meth:`start` to :meth:`close`.
+    """Responds to JSON-RPC on an endpoint from :meth:`start` to :meth:`close`.
 
     A message over 64 KiB disconnects its sender before it is held in memory.
     """
@@ -51,7 +51,7 @@ class ControlServer:
             self._socket.setsockopt(option, value)
         try:
             prepare_ipc(endpoint)
-            _refuse_if_alive(endpoint)
+            _refuse_if_used(endpoint)
             self._socket.bind(endpoint)
             share_ipc(endpoint)
         except (zmq.ZMQError, OSError, DaemonError) as error:
@@ -60,22 +60,22 @@ class ControlServer:
                 raise
             raise DaemonError(f"control cannot listen on {endpoint}: {error}") from error
         self.endpoint = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()  # type: ignore[union-attr]
-        self._lane = BackgroundExecutor()
+        self._background = BackgroundExecutor()
         self._outbox: deque[list[bytes]] = deque(maxlen=_MOST_WAITING)
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        weakref.finalize(self, os.close, self._wake_fd)  # not earlier: the lane may be left behind and wake it still
+        weakref.finalize(self, os.close, self._wake_fd)  # not earlier: a job left behind may still write to it
         self._stop = False
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
 
     def start(self) -> None:
-        """Begin to answer."""
-        self._lane.start()
+        """Start to respond."""
+        self._background.start()
         self._thread.start()
 
     def close(self) -> None:
-        """Answer no more; the socket file is removed."""
-        if not self._lane.close(_LANE_S):
-            log.error("control: %s does not come back; left behind", self._lane.doing)
+        """Stop responding and remove the socket file."""
+        if not self._background.close(_CLOSE_S):
+            log.error("control: %s does not return; left behind", self._background.running)
         self._stop = True
         self._wake()
         if self._thread.ident is not None:
@@ -97,7 +97,7 @@ class ControlServer:
                 ready = dict(poller.poll())
                 if self._wake_fd in ready:
                     os.eventfd_read(self._wake_fd)
-                self._tend()
+                self._send_responses()
                 if self._socket in ready:
                     self._serve_one(self._socket.recv_multipart(zmq.NOBLOCK))
             except zmq.Again:
@@ -109,30 +109,30 @@ class ControlServer:
             except Exception:
                 log.exception("control: a message failed")
         with suppress(zmq.ZMQError):
-            self._tend()
+            self._send_responses()
 
-    def _tend(self) -> None:
-        """Send what the lane has answered."""
+    def _send_responses(self) -> None:
+        """Send the responses of background jobs."""
         while self._outbox:
             self._socket.send_multipart(self._outbox.popleft())
 
     def _serve_one(self, parts: list[bytes]) -> None:
-        """Request parts: sender, perhaps an empty one (REQ sockets), the JSON text."""
+        """Serve a message of these parts: sender, optionally an empty one (REQ sockets), the JSON text."""
         if not 2 <= len(parts) <= _MOST_PARTS or (len(parts) == _MOST_PARTS and parts[1]):
             log.warning("control: a message of %d parts is not a request", len(parts))
             return
-        request, role = Received(parts[-1]), Role.OPERATE
+        request, role = RequestMessage(parts[-1]), Role.OPERATE
         if request.slow(self._methods):
-            self._hand_on(parts[:-1], request, role)
+            self._submit(parts[:-1], request, role)
         else:
-            self._reply(parts[:-1], request.answered(self._methods, role))
+            self._reply(parts[:-1], request.respond(self._methods, role))
 
     def _reply(self, to: list[bytes], response: bytes | None) -> None:
         if response is not None:
             self._socket.send_multipart([*to, response])
 
-    def _hand_on(self, to: list[bytes], request: Received, role: Role) -> None:
-        """Let the lane answer."""
+    def _submit(self, to: list[bytes], request: RequestMessage, role: Role) -> None:
+        """Execute a request in the background."""
 
         def send(response: bytes | None) -> None:
             if response is not None:
@@ -141,16 +141,16 @@ class ControlServer:
 
         job = Job(
             request.name,
-            run=lambda: send(request.answered(self._methods, role)),
-            give_up=lambda: send(request.refused(RpcError(FAILED, "the daemon is stopping"))),
+            run=lambda: send(request.respond(self._methods, role)),
+            give_up=lambda: send(request.refuse(RpcError(FAILED, "the daemon is stopping"))),
         )
-        if not self._lane.submit(job):
-            busy = f"busy: {self._lane.doing or 'earlier requests'} must end first; try again later"
-            self._reply(to, request.refused(RpcError(BUSY, busy)))
+        if not self._background.submit(job):
+            busy = f"busy: {self._background.running or 'earlier requests'} must end first; try again later"
+            self._reply(to, request.refuse(RpcError(BUSY, busy)))
 
 
-def _refuse_if_alive(endpoint: str) -> None:
-    """Two daemons on one ipc path would steal it from each other: the later one is refused."""
+def _refuse_if_used(endpoint: str) -> None:
+    """Raise DaemonError where another daemon listens on an ipc path, which binding would take from it."""
     import socket
 
     path = Path(endpoint.removeprefix("ipc://"))

@@ -1,1 +1,1 @@
-"""The settings of a running daemon: which there are, which can change live, and how they change together."""
+"""The settings of a running daemon: their catalogue, which of them can change live, and their changes."""

@@ -1,4 +1,4 @@
-"""Every setting with what a person must know of it: value, type, bounds, unit, meaning, and whether it changes live."""
+"""The catalogue of settings: value, type, bounds, unit, meaning, and whether a setting changes live."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _UNITS = dict.fromkeys(("window_radius", "window_sigma", "lattice_x", "lattice_y
 
 
 def catalogue(config: RigConfig, settings: Settings, below: str = "") -> list[dict[str, Any]]:
-    """A row for every setting at or below a path, in the order of rig.yaml.
+    """Return a row for every setting at or below a path, in the order of rig.yaml.
 
     Keys: ``path``, ``value``, ``type``, ``live``, ``doc`` and, where there are any, ``by_file`` (live by reload only),
     ``unit``, ``default``, ``min``, ``max``, ``above``, ``below`` (bounds that are not allowed themselves), ``choices``,
@@ -62,13 +62,13 @@ def catalogue(config: RigConfig, settings: Settings, below: str = "") -> list[di
     return [
         {"path": path, "value": value, "live": is_live(path)}
         | ({"by_file": True} if path in BY_FILE else {})
-        | _known(path)
+        | _description(path)
         for path, value in leaves(config, settings).items()
         if not below or path == below or path.startswith(below + ".")
     ]
 
 
-def _known(path: str) -> dict[str, Any]:
+def _description(path: str) -> dict[str, Any]:
     if path.startswith(PIPELINE + "."):
         return _of_pipeline(path.removeprefix(PIPELINE + "."))
     return _of_schema(path)
@@ -81,7 +81,7 @@ def _schema() -> dict[str, Any]:
 
 @functools.cache
 def _of_schema(path: str) -> dict[str, Any]:
-    """What the schema of rig.yaml says of a setting."""
+    """Describe a setting from the schema of rig.yaml."""
     node = _schema()
     for part in path.split("."):
         section = next((kind for kind in _kinds(node) if part in kind.get("properties", {})), {})
@@ -96,7 +96,7 @@ def _of_schema(path: str) -> dict[str, Any]:
 
 
 def _kinds(node: dict[str, Any]) -> list[dict[str, Any]]:
-    """What a value may be: the branches of a union, references followed."""
+    """Return the alternatives of a value: the branches of a union, references resolved."""
     if "$ref" in node:
         return _kinds(_schema()["$defs"][node["$ref"].rpartition("/")[2]])
     inner = node.get("anyOf", node.get("oneOf"))
@@ -119,9 +119,9 @@ _JSON = {bool: "boolean", int: "integer", float: "number"}
 
 @functools.cache
 def _docs() -> dict[str, str]:
-    """The texts below the fields of the pipeline's settings; Python keeps them in the source alone."""
+    """Return the docstrings of the pipeline's settings, which Python keeps in the source only."""
     try:
-        (made,) = (
+        (definition,) = (
             node
             for node in ast.parse(inspect.getsource(pipeline_settings)).body
             if isinstance(node, ast.ClassDef) and node.name == Settings.__name__
@@ -129,7 +129,8 @@ def _docs() -> dict[str, str]:
     except (OSError, ValueError):
         return {}
     docs = {}
-    for field, text in zip(made.body, made.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-            docs[field.target.id] = " ".join(str(getattr(text.value, "value", "")).split())
+    for field, text in zip(definition.body, definition.body[1:], strict=False):
+        match field, text:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(doc))):
+                docs[name] = " ".join(doc.split())
     return docs

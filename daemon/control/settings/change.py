@@ -1,4 +1,4 @@
-"""Changes of a running daemon: everything that can fail comes first, then all of it at one border between two pairs."""
+"""Changes of a running daemon: all that can fail comes first, then everything changes at once between two pairs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from daemon.live.service import Service
 
 
 class NeedsRestartError(DaemonError):
-    """Changes that a running daemon cannot take over; nothing was changed.
+    """Changes that a running daemon cannot apply; nothing was changed.
 
     Args:
         restart: paths that need a restart; live: those that would not.
@@ -31,7 +31,7 @@ class NeedsRestartError(DaemonError):
 
 
 class SettingError(DaemonError):
-    """A setting that is not there, or a value that it does not take; ``path`` names it."""
+    """An unknown setting or an invalid value; ``path`` names the setting."""
 
     def __init__(self, path: str, message: str) -> None:
         self.path = path
@@ -39,10 +39,10 @@ class SettingError(DaemonError):
 
 
 class Changer:
-    """Takes over other settings, one change at a time.
+    """Applies changes of settings, one at a time.
 
     Args:
-        service: whose; base_dir: where the relative paths of its rig.yaml start.
+        service: to change; base_dir: base of the relative paths of its rig.yaml.
     """
 
     def __init__(self, service: Service, base_dir: Path) -> None:
@@ -50,10 +50,10 @@ class Changer:
         self._lock = threading.Lock()
 
     def set(self, path: str, value: Any) -> Any:
-        """Change one setting; its value afterwards is returned.
+        """Change one setting; return its new value.
 
         Raises:
-            SettingError: a path or value that is not one; NeedsRestartError; DaemonError, PipelineError: refused.
+            SettingError: an unknown path or invalid value; NeedsRestartError; DaemonError, PipelineError: refused.
         """
         with self._lock:
             service = self._service
@@ -65,24 +65,24 @@ class Changer:
                     f"{path} cannot be set live; change it in rig.yaml and restart the daemon. Nothing was changed",
                 )
             if path in BY_FILE or (path in FILES and isinstance(value, str)):
-                raise SettingError(path, f"{path} names a place on the disk; change it in rig.yaml and reload")
+                raise SettingError(path, f"{path} names a path on the disk; change it in rig.yaml and reload")
             try:
                 config = with_value(service.config, service.settings, path, value, self._base_dir)
             except (ConfigError, ValueError, TypeError, RecursionError) as error:
                 raise SettingError(path, str(error)) from error
-            self._take_over(config, files=[path])
+            self._apply(config, files=[path])
             return leaves(service.config, service.settings)[path]
 
-    def take_over(self, config: RigConfig) -> list[str]:
-        """Change to a whole configuration, and to what the files that it names say now; the changed paths.
+    def apply(self, config: RigConfig) -> list[str]:
+        """Change to a whole configuration and the present content of its files; return the changed paths.
 
         Raises:
-            NeedsRestartError: where anything of it needs a restart; DaemonError, PipelineError, OSError: refused.
+            NeedsRestartError: a change needs a restart; DaemonError, PipelineError, OSError: refused.
         """
         with self._lock:
-            return self._take_over(config, files=FILES)
+            return self._apply(config, files=FILES)
 
-    def _take_over(self, config: RigConfig, *, files: Collection[str]) -> list[str]:
+    def _apply(self, config: RigConfig, *, files: Collection[str]) -> list[str]:
         service = self._service
         settings = settings_of(config)
         rig = read_again(service.rig, config, self._base_dir, names=files)

@@ -1,4 +1,4 @@
-"""The files that rig.yaml names, read again: what of them has changed, and whether the rig can take it over live."""
+"""The files that rig.yaml names, read again: what has changed in them, and whether it can be applied live."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from pipeline.rig.volume import Volume
 
 
 def read_again(rig: Rig, config: RigConfig, base_dir: Path, *, names: Collection[str] = FILES) -> Rig:
-    """The same devices with calibration, pattern and volume as the files say now; what no file says stays.
+    """Return the rig with calibration, pattern and volume read again; what no file defines stays.
 
     Args:
-        names: those that are read.
+        names: of the files to read.
 
     Raises:
         PipelineError: a file that cannot be used. OSError: one that cannot be read.
@@ -52,7 +52,7 @@ def read_again(rig: Rig, config: RigConfig, base_dir: Path, *, names: Collection
 
 
 def changed_files(old: Rig, new: Rig) -> list[str]:
-    """Which of calibration, pattern and volume differ."""
+    """Return which of calibration, pattern and volume differ."""
     same = {
         "calibration": old.identity == new.identity,
         "pattern": old.pattern.as_mapping() == new.pattern.as_mapping(),
@@ -62,13 +62,13 @@ def changed_files(old: Rig, new: Rig) -> list[str]:
 
 
 def needs_restart(old: Rig, new: Rig) -> list[str]:
-    """Of the changed files those that change the projected image: images of both would be measured for a while."""
+    """Return the changed files that change the projected image: images of both would be measured for a while."""
     pattern = ["pattern"] if "pattern" in changed_files(old, new) else []
     return pattern if same_light(old.calibration, new.calibration) else ["calibration", *pattern]
 
 
 def same_light(old: Calibration, new: Calibration) -> bool:
-    """Whether the projector is driven alike under both."""
+    """Return whether both calibrations drive the projector identically."""
     a, b = old.response, new.response
     if a is None or b is None:
         return a is b
@@ -76,8 +76,7 @@ def same_light(old: Calibration, new: Calibration) -> bool:
 
 
 def check_fit(new: Rig, cameras: dict[Side, CameraStatus]) -> None:
-    """DaemonError where a calibration is not of these cameras and this pattern."""
-    problems = [size_problem(side, cameras[side].size, new.calibration) for side in SIDES]
-    told = [problem for problem in problems if problem]
-    if told:
-        raise DaemonError("; ".join(told))
+    """Raise DaemonError where a calibration does not belong to these cameras and this pattern."""
+    problems = list(filter(None, (size_problem(side, cameras[side].size, new.calibration) for side in SIDES)))
+    if problems:
+        raise DaemonError("; ".join(problems))

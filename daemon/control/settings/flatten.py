@@ -1,4 +1,4 @@
-"""A configuration as a flat table, path to value: what two of them differ in, and one of them with a value changed."""
+"""A configuration as a flat table of paths and values: differences of two, and one with a value changed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PIPELINE = "pipeline.settings"
 
 
 def leaves(config: RigConfig, settings: Settings) -> dict[str, Any]:
-    """Every setting by its path, plain values; the pipeline's with their defaults filled in."""
+    """Return every setting by its path as plain values, the pipeline's with their defaults filled in."""
     return dict(_walk(config, "", settings))
 
 
@@ -34,22 +34,22 @@ def _walk(section: BaseModel, above: str, settings: Settings) -> Iterator[tuple[
 
 
 def settings_of(config: RigConfig) -> Settings:
-    """The pipeline's settings that a configuration wants."""
+    """Return the pipeline's settings of a configuration."""
     return Settings().with_overrides(config.pipeline.settings)
 
 
 def differences(old: tuple[RigConfig, Settings], new: tuple[RigConfig, Settings]) -> list[str]:
-    """Paths of the settings that differ, in the order of rig.yaml."""
+    """Return the paths of the settings that differ, in the order of rig.yaml."""
     before, after = leaves(*old), leaves(*new)
     absent = object()
     return [p for p in dict.fromkeys((*before, *after)) if before.get(p, absent) != after.get(p, absent)]
 
 
 def with_value(config: RigConfig, settings: Settings, path: str, value: Any, base_dir: Path) -> RigConfig:
-    """The configuration with one setting changed, checked like a whole rig.yaml.
+    """Return the configuration with one setting changed, checked like a whole rig.yaml.
 
     Raises:
-        ConfigError: a value that rig.yaml would not take.
+        ConfigError: a value that is invalid in rig.yaml.
     """
     data = config.model_dump(mode="json")
     data["pipeline"]["settings"] = _changed(asdict(Settings()), asdict(settings))

@@ -21,19 +21,19 @@ LIVE: tuple[str, ...] = (
     "health.margin",
     "health.limits.*",
 )
-"""Paths, or sections with ``.*``. Who takes one over is a sink (:class:`daemon.live.items.Changeable`), or reads the
-service's ``config`` anew each time."""
+"""Paths, or sections with ``.*``. A setting is applied by a sink (:class:`daemon.live.items.Changeable`), or is read
+from the service's ``config`` at each use."""
 
 FILES = ("calibration", "pattern", "volume")
-"""Settings that name a file, whose content counts like a setting."""
+"""Settings that name a file whose content counts like a setting."""
 
 
 BY_FILE = ("calibration", "recording.dir")
-"""Places on the disk are the business of whoever writes rig.yaml: they change live by a reload, not by `set`."""
+"""Settings that name a path on the disk: they change live by a reload of rig.yaml only, not by `set`."""
 
 
 def is_live(path: str) -> bool:
-    """Whether a setting can change while the daemon measures."""
+    """Return whether a setting can change while the daemon measures."""
     return any(
         path == entry or (entry.endswith(".*") and (path + ".").startswith(entry.removesuffix("*"))) for entry in LIVE
     )

@@ -1,4 +1,4 @@
-"""Reload: rig.yaml and the files that it names are read again, and taken over live as a whole or not at all."""
+"""Reload: rig.yaml and the files that it names are read again and applied live, as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ class Reloader:
 
     Args:
         path: of rig.yaml, None for a daemon that was not started from a file.
-        refusal: tells why now is no time for it, empty when it is.
+        refusal: returns why a reload is not possible now, empty when it is.
     """
 
     def __init__(self, changer: Changer, path: Path | None, refusal: Callable[[], str]) -> None:
         self._changer, self._path, self._refusal = changer, path, refusal
 
     def reload(self) -> dict[str, Any]:
-        """Take over what the files say; ``changed`` names the settings.
+        """Apply the content of the files; ``changed`` names the settings.
 
-        What was set live and does not stand in the file goes back to what the file says.
+        Settings that were changed live return to their value in the file, or to their default.
 
         Raises:
-            ConfigError: a file with mistakes; NeedsRestartError: where anything of it needs a restart; DaemonError,
-                PipelineError, OSError: refused. Nothing was changed then.
+            ConfigError: a file with mistakes; NeedsRestartError: a change needs a restart; DaemonError, PipelineError,
+                OSError: refused. Nothing was changed then.
         """
         try:
             changed = self._reload()
@@ -48,4 +48,4 @@ class Reloader:
         refusal = self._refusal()
         if refusal:
             raise DaemonError(f"no reload now, nothing was changed: {refusal}")
-        return self._changer.take_over(load_rig(self._path))
+        return self._changer.apply(load_rig(self._path))

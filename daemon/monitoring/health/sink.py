@@ -124,7 +124,7 @@ class Health:
         with self._lock:
             return self.monitor.judge.events(most)
 
-    def courses(self, names: list[str], seconds: float, points: int) -> dict[str, Any]:
+    def time_series(self, names: list[str], seconds: float, points: int) -> dict[str, Any]:
         """How these quantities went over the last ``seconds``, in at most so many pieces."""
         now_s = self._clock.monotonic_ns() / 1e9
         shift_s = self._clock.realtime_ns() / 1e9 - now_s

@@ -1,9 +1,8 @@
-"""Control for other machines: each request is read, judged by its sender's role, written anew and passed on."""
+"""Control for other machines: each request is parsed, authorised by its sender's role, rewritten and forwarded."""
 
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,20 +11,29 @@ from typing import Any
 import zmq
 
 from daemon.common.counters import Counters
-from daemon.control.rpc.protocol import BUSY, FAILED, FORBIDDEN, INVALID_REQUEST, MAX_BYTES, PARSE_ERROR, RpcError
-from daemon.keys.authorized_keys import Allowed, Role, Service
-from daemon.remote_access.gate.curve_socket import Front
+from daemon.control.rpc.protocol import (
+    BUSY,
+    FAILED,
+    FORBIDDEN,
+    INVALID_REQUEST,
+    MAX_BYTES,
+    RpcError,
+    check_request,
+    parse_json,
+)
+from daemon.keys.authorized_keys import AuthorizedKeys, Role, Service
+from daemon.remote_access.gate.curve_socket import CurveSocket
 from fringed.keys import Key
 
 _MOST_WAITING, _MOST_WAITING_EACH = 256, 16
 _PATIENCE_S = 120.0
-_PER_SECOND = 500.0  # requests passed on; more than that wait in the senders' queues
+_PER_SECOND = 500.0  # requests forwarded; further ones wait in the senders' queues
 _AT_ONCE = 64
 
 
 @dataclass(slots=True)
 class _Waiting:
-    """A request that the daemon has not answered yet."""
+    """A request without a response so far."""
 
     envelope: list[bytes]
     request_id: Any
@@ -33,11 +41,11 @@ class _Waiting:
 
 
 class ControlGate:
-    """Between control (plain, on this machine) and clients elsewhere.
+    """Relays between the control socket (plain, on this machine) and clients on other machines.
 
     Args:
         endpoints: to bind; target: the daemon's control endpoint.
-        roles: of the methods; one that is not named needs ``operate``. allowed: gives the list of keys.
+        roles: of the methods; one that is not named needs ``operate``. authorized: returns the list of keys.
     """
 
     service: Service = "control"
@@ -49,14 +57,16 @@ class ControlGate:
         target: str,
         *,
         roles: Mapping[str, str],
-        allowed: Callable[[], Allowed],
+        authorized: Callable[[], AuthorizedKeys],
         server: Key,
         refused: Counters,
     ) -> None:
-        self._roles, self._allowed, self._refused = roles, allowed, refused
-        # What CURVE adds to a message fits into the rest.
+        self._roles, self._authorized, self._refused = roles, authorized, refused
+        # The margin holds what CURVE adds to a message.
         options = {zmq.MAXMSGSIZE: MAX_BYTES + 1024, zmq.RCVHWM: 64, zmq.SNDHWM: 64}
-        self.front = Front(context, zmq.ROUTER, "control", endpoints, server=server, options=options, refused=refused)
+        self.public = CurveSocket(
+            context, zmq.ROUTER, "control", endpoints, server=server, options=options, refused=refused
+        )
         self.daemon: zmq.Socket[Any] = context.socket(zmq.DEALER)
         for option, value in ((zmq.LINGER, 0), (zmq.SNDHWM, 64), (zmq.RECONNECT_IVL, 50)):
             self.daemon.setsockopt(option, value)
@@ -64,31 +74,31 @@ class ControlGate:
         self._waiting: dict[int, _Waiting] = {}
         self._number = 0
         self._budget, self._counted_s = _PER_SECOND, time.monotonic()
-        self.passed = 0
+        self.forwarded = 0
 
     def sockets(self) -> list[zmq.Socket[Any]]:
-        """What to wait for; requests only while there is room for them."""
+        """Return the sockets to poll; that of the requests only while the rate permits."""
         self._refill()
-        return [self.front.monitor, self.daemon, *([self.front.socket] if self._budget >= 1 else [])]
+        return [self.public.monitor, self.daemon, *([self.public.socket] if self._budget >= 1 else [])]
 
     def serve(self, ready: set[Any]) -> None:
-        """Do what the sockets that are ready ask for."""
-        if self.front.monitor in ready:
-            self.front.count_handshakes()
+        """Serve the sockets that are ready."""
+        if self.public.monitor in ready:
+            self.public.count_handshakes()
         if self.daemon in ready:
-            self._answers()
-        if self.front.socket in ready:
+            self._responses()
+        if self.public.socket in ready:
             self._requests()
 
     def cut(self, server: Key) -> None:
-        """End every connection; answers that are on their way are lost."""
+        """End every connection; pending responses are lost."""
         self._waiting.clear()
-        self.front.cut(server)
+        self.public.cut(server)
 
     def close(self) -> None:
-        """End everything."""
+        """Close all sockets."""
         self.daemon.close(linger=0)
-        self.front.close()
+        self.public.close()
 
     def _refill(self) -> None:
         now_s = time.monotonic()
@@ -98,7 +108,7 @@ class ControlGate:
     def _requests(self) -> None:
         for _ in range(_AT_ONCE):
             try:
-                frames = self.front.socket.recv_multipart(zmq.NOBLOCK, copy=False)
+                frames = self.public.socket.recv_multipart(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 return
             self._request(frames)
@@ -112,21 +122,22 @@ class ControlGate:
             return
         envelope, request_id = parts[:-1], None
         try:
-            request = _read(parts[-1])
+            request = _parse(parts[-1])
             request_id = request.get("id")
-            self._judge(_role(frames[-1], self._allowed()), request["method"])
-            self._pass_on(envelope, request)
+            self._authorize(_role(frames[-1], self._authorized()), request["method"])
+            self._forward(envelope, request)
         except RpcError as error:
             self._refused.add("control_role" if error.code == FORBIDDEN else "control_request")
-            self._answer(envelope, {"jsonrpc": "2.0", "id": request_id, "error": error.as_object()})
+            self._respond(envelope, {"jsonrpc": "2.0", "id": request_id, "error": error.as_object()})
 
-    def _judge(self, role: Role, method: str) -> None:
+    def _authorize(self, role: Role, method: str) -> None:
         needed = "view" if self._roles.get(method) == "view" else "operate"
         if role != "operate" and role != needed:
-            raise RpcError(FORBIDDEN, f"{method:.60}: this key may {_words(role)}, the method needs operate")
+            permission = "only view" if role == "view" else "do nothing"
+            raise RpcError(FORBIDDEN, f"{method:.60}: this key may {permission}, the method needs operate")
 
-    def _pass_on(self, envelope: list[bytes], request: dict[str, Any]) -> None:
-        """Written anew, so that the daemon cannot read anything else in it than what was judged here."""
+    def _forward(self, envelope: list[bytes], request: dict[str, Any]) -> None:
+        """Forward a rewritten request, so that the daemon cannot parse anything else than what was authorised here."""
         fresh = {"jsonrpc": "2.0", "method": request["method"], "params": request.get("params", {})}
         if "id" in request:
             self._make_room(envelope)
@@ -145,7 +156,7 @@ class ControlGate:
         except zmq.Again:
             raise RpcError(FAILED, "the daemon does not take requests; try again") from None
         self._budget -= 1
-        self.passed += 1
+        self.forwarded += 1
         if "id" in request:
             self._waiting[self._number] = _Waiting(envelope, request["id"], time.monotonic())
 
@@ -155,9 +166,9 @@ class ControlGate:
             del self._waiting[number]
         own = sum(one.envelope[0] == envelope[0] for one in self._waiting.values())
         if len(self._waiting) >= _MOST_WAITING or own >= _MOST_WAITING_EACH:
-            raise RpcError(BUSY, "too many requests wait for the daemon; wait for their answers")
+            raise RpcError(BUSY, "too many requests wait for the daemon; wait for their responses")
 
-    def _answers(self) -> None:
+    def _responses(self) -> None:
         for _ in range(_AT_ONCE):
             try:
                 parts = self.daemon.recv_multipart(zmq.NOBLOCK)
@@ -166,46 +177,27 @@ class ControlGate:
             response = json.loads(parts[-1])
             waiting = self._waiting.pop(response.get("id", 0), None) if isinstance(response, dict) else None
             if waiting is not None:
-                self._answer(waiting.envelope, response | {"id": waiting.request_id})
+                self._respond(waiting.envelope, response | {"id": waiting.request_id})
 
-    def _answer(self, envelope: list[bytes], response: dict[str, Any]) -> None:
+    def _respond(self, envelope: list[bytes], response: dict[str, Any]) -> None:
         try:
-            self.front.socket.send_multipart([*envelope, json.dumps(response).encode()], zmq.NOBLOCK)
+            self.public.socket.send_multipart([*envelope, json.dumps(response).encode()], zmq.NOBLOCK)
         except zmq.ZMQError:  # a client that reads nothing, or has gone
             self._refused.add("control_answer")
 
 
-def _read(message: bytes) -> dict[str, Any]:
-    """The one request of a message."""
-    try:
-        request = json.loads(message.decode("utf-8"), parse_constant=_finite, parse_float=_finite)
-    except (ValueError, RecursionError) as error:
-        raise RpcError(PARSE_ERROR, f"not JSON: {type(error).__name__}") from error
+def _parse(message: bytes) -> dict[str, Any]:
+    """Return the one request of a message."""
+    request = parse_json(message)
     if isinstance(request, list):
-        raise RpcError(INVALID_REQUEST, "batches are not taken from other machines; send one request at a time")
-    if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":
-        raise RpcError(INVALID_REQUEST, 'not a JSON-RPC 2.0 request: "jsonrpc": "2.0" is missing')
-    request_id = request.get("id")
-    proper = isinstance(request_id, str | int | float | None) and not isinstance(request_id, bool)
-    if not isinstance(request.get("method"), str) or not proper:
-        raise RpcError(INVALID_REQUEST, "a request has a text as method, and a text or number as id")
-    return request
+        raise RpcError(INVALID_REQUEST, "batches are not accepted from other machines; send one request at a time")
+    check_request(request)
+    return dict(request)
 
 
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(text)
-    return value
-
-
-def _role(frame: Any, allowed: Allowed) -> Role:
-    """What the sender of a frame may do now, whatever it might when it connected."""
+def _role(frame: Any, authorized: AuthorizedKeys) -> Role:
+    """Return the present role of a frame's sender, which may have changed since it connected."""
     try:
-        return allowed.role("control", str(frame.get("User-Id")))
+        return authorized.role("control", str(frame.get("User-Id")))
     except (zmq.ZMQError, UnicodeDecodeError):
         return "none"
-
-
-def _words(role: Role) -> str:
-    return "only view" if role == "view" else "do nothing"

@@ -1,4 +1,4 @@
-"""A server socket that only known keys reach, with a count of the handshakes that failed."""
+"""A CURVE server socket that only authorised keys reach, with a count of failed handshakes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from daemon.common.errors import DaemonError
 from daemon.keys.authorized_keys import Service
 from fringed.keys import Key
 
-_HANDSHAKE_MS = 5000  # who has not shown a key by then is cut off
+_HANDSHAKE_MS = 5000  # a client that has not sent a key by then is disconnected
 _REBIND_S = 20.0
 _FAILED = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _EVENTS_AT_ONCE = 256
@@ -23,11 +23,11 @@ _EVENTS_AT_ONCE = 256
 Options = dict[zmq.SocketOption, int]
 
 
-class Front:
-    """Binds, counts, and can cut everybody off by beginning anew at the same addresses.
+class CurveSocket:
+    """Binds, counts handshakes, and can disconnect all clients by binding the same addresses again.
 
     Args:
-        kind: of the socket; service: names the domain of ZAP; options: of the socket.
+        kind: of the socket; service: the ZAP domain; options: of the socket.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Front:
         self._open(server, 0.0)
 
     def cut(self, server: Key) -> None:
-        """End every connection; clients that are still allowed come back by themselves."""
+        """End every connection; authorised clients reconnect by themselves."""
         self.close()
         self._open(server, _REBIND_S)
 
@@ -59,7 +59,7 @@ class Front:
         self.socket.close(linger=0)
 
     def count_handshakes(self) -> None:
-        """Take note of what the monitor tells; keys that are not allowed are counted where they are refused."""
+        """Count the monitor's handshake events; keys that are not authorised are counted where they are refused."""
         for _ in range(_EVENTS_AT_ONCE):
             try:
                 event = recv_monitor_message(self.monitor, zmq.NOBLOCK)["event"]
@@ -72,14 +72,14 @@ class Front:
 
     def _open(self, server: Key, patience_s: float) -> None:
         self.socket: zmq.Socket[Any] = self._context.socket(self._kind)
-        # Only where it is wanted: addresses of IPv4 would be told in the form of IPv6.
-        named = {zmq.IPV6: int(any("[" in endpoint for endpoint in self.endpoints))}
-        for option, value in (_DEFAULTS | named | self._options).items():
+        # Only where needed: IPv4 addresses would be reported in the form of IPv6.
+        ipv6 = {zmq.IPV6: int(any("[" in endpoint for endpoint in self.endpoints))}
+        for option, value in (_DEFAULTS | ipv6 | self._options).items():
             self.socket.setsockopt(option, value)
         self.socket.setsockopt(zmq.CURVE_SERVER, 1)
         self.socket.setsockopt(zmq.CURVE_SECRETKEY, str(server.secret).encode())
         self.socket.setsockopt(zmq.ZAP_DOMAIN, self._service.encode())
-        # Without this a reply is only asked for, not obeyed, in a domain that is empty: any key would get in.
+        # Without this the ZAP reply of an empty domain is requested and ignored: any key would be accepted.
         self.socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
         self.monitor = self.socket.get_monitor_socket(_FAILED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
         try:
@@ -89,7 +89,7 @@ class Front:
             raise
 
     def _bind(self, endpoint: str, patience_s: float) -> str:
-        """The address with its real port; ZeroMQ closes in the background, so one's own port may still be taken."""
+        """Bind an address and return it with its real port; ZeroMQ may still be closing its earlier socket there."""
         deadline_s = time.monotonic() + patience_s
         while True:
             with suppress(zmq.Again):

@@ -1,4 +1,4 @@
-"""The stream for other machines: read once from the daemon, sent encrypted to whoever may view."""
+"""The stream for other machines: read once from the daemon, sent encrypted to authorised subscribers."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import zmq
 
 from daemon.common.counters import Counters
 from daemon.keys.authorized_keys import Service
-from daemon.remote_access.gate.curve_socket import Front
+from daemon.remote_access.gate.curve_socket import CurveSocket
 from fringed.keys import Key
 
 _MAX_PREFIX_BYTES = 64
 _QUEUE = 4  # messages of 14 MB
 _AT_ONCE = 64
-_FRESHEST = frozenset({b"cloud/full", b"cloud/depth", b"preview", b"status"})
-"""Topics of which only the newest message is worth sending."""
+_LATEST_ONLY = frozenset({b"cloud/full", b"cloud/depth", b"preview", b"status"})
+"""Topics of which only the newest waiting message is sent."""
 
 
 class StreamGate:
-    """Between the daemon's stream (plain, on this machine) and subscribers elsewhere.
+    """Relays between the daemon's stream (plain, on this machine) and subscribers on other machines.
 
-    What nobody here subscribes to is not read from the daemon. A slow reader loses messages, never holds up others.
+    Topics without a subscriber are not read from the daemon. A slow reader loses messages and never delays others.
     """
 
     service: Service = "stream"
@@ -31,33 +31,35 @@ class StreamGate:
     ) -> None:
         self._context, self._source, self._refused = context, source, refused
         options = {zmq.XPUB_VERBOSE: 1, zmq.SNDHWM: _QUEUE, zmq.MAXMSGSIZE: 4096}
-        self.front = Front(context, zmq.XPUB, "stream", endpoints, server=server, options=options, refused=refused)
+        self.public = CurveSocket(
+            context, zmq.XPUB, "stream", endpoints, server=server, options=options, refused=refused
+        )
         self.skipped = self.sent = 0
         self._connect()
 
     def sockets(self) -> list[zmq.Socket[Any]]:
-        """What to wait for."""
-        return [self.front.socket, self.front.monitor, self.source]
+        """Return the sockets to poll."""
+        return [self.public.socket, self.public.monitor, self.source]
 
     def serve(self, ready: set[Any]) -> None:
-        """Do what the sockets that are ready ask for."""
-        if self.front.monitor in ready:
-            self.front.count_handshakes()
-        if self.front.socket in ready:
+        """Serve the sockets that are ready."""
+        if self.public.monitor in ready:
+            self.public.count_handshakes()
+        if self.public.socket in ready:
             self._subscriptions()
         if self.source in ready:
             self._messages()
 
     def cut(self, server: Key) -> None:
-        """End every connection, and with it what was subscribed to."""
+        """End every connection and with it every subscription."""
         self.source.close(linger=0)
-        self.front.cut(server)
+        self.public.cut(server)
         self._connect()
 
     def close(self) -> None:
-        """End everything."""
+        """Close all sockets."""
         self.source.close(linger=0)
-        self.front.close()
+        self.public.close()
 
     def _connect(self) -> None:
         self.source: zmq.Socket[Any] = self._context.socket(zmq.XSUB)
@@ -70,29 +72,29 @@ class StreamGate:
     def _subscriptions(self) -> None:
         for _ in range(_AT_ONCE):
             try:
-                said = self.front.socket.recv_multipart(zmq.NOBLOCK)
+                frames = self.public.socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 return
-            if len(said) == 1 and said[0][:1] in (b"\0", b"\1") and len(said[0]) <= 1 + _MAX_PREFIX_BYTES:
-                self.source.send(said[0])
+            if len(frames) == 1 and frames[0][:1] in (b"\0", b"\1") and len(frames[0]) <= 1 + _MAX_PREFIX_BYTES:
+                self.source.send(frames[0])
             else:
                 self._refused.add("stream_request")
 
     def _messages(self) -> None:
         waiting: list[list[Any]] = []
-        places: dict[bytes, int] = {}
+        positions: dict[bytes, int] = {}
         while len(waiting) < _AT_ONCE:
             try:
                 frames = self.source.recv_multipart(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 break
             topic = frames[0].bytes
-            if topic in _FRESHEST and topic in places:
-                waiting[places[topic]] = frames
+            if topic in _LATEST_ONLY and topic in positions:
+                waiting[positions[topic]] = frames
                 self.skipped += 1
             else:
-                places[topic] = len(waiting)
+                positions[topic] = len(waiting)
                 waiting.append(frames)
         for frames in waiting:
-            self.front.socket.send_multipart(frames, zmq.NOBLOCK, copy=False)
+            self.public.socket.send_multipart(frames, zmq.NOBLOCK, copy=False)
             self.sent += 1

@@ -204,7 +204,7 @@ def test_ten_thousand_messages_harm_nothing(fuzzed: Fuzzed) -> None:
     before = resident_bytes()
     send_all(fuzzed)
     assert fuzzed.sent >= MESSAGES
-    wait_until(lambda: not fuzzed.server._lane.doing, 60)
+    wait_until(lambda: not fuzzed.server._background.running, 60)
     fuzzed.settle()
     fuzzed.check()
     gc.collect()

@@ -70,10 +70,10 @@ def test_get_refuses_what_is_not_there(methods: Methods) -> None:
 
 
 def test_a_snapshot_is_the_newest_cloud_in_the_directory_of_takes(methods: Methods) -> None:
-    answer = call(methods, "snapshot", name="desk")
+    answer = call(methods, "snapshot", name="bench")
     assert isinstance(answer, dict)
     path = Path(answer["file"])
-    assert path.parent.name == "takes" and path.name.startswith("desk_")
+    assert path.parent.name == "takes" and path.name.startswith("bench_")
     with np.load(path) as file:
         assert sorted(file) == ["gray", "sigma_mm", "xyz"]
 

@@ -147,7 +147,7 @@ def test_a_hold_ends_by_itself(bench: Bench) -> None:
 
 def test_one_capture_at_a_time_and_it_can_be_cancelled(bench: Bench) -> None:
     job = bench.call("calibrate.capture", frames=bench.frames(*range(1, 201)), pairs=4)["job"]
-    with pytest.raises(RpcError, match=f"capture {job} is going on"):
+    with pytest.raises(RpcError, match=f"capture {job} is running"):
         bench.call("calibrate.capture", frames=bench.frames(1))
     bench.call("calibrate.cancel")
     told = bench.ended()
@@ -201,7 +201,7 @@ def test_clients_that_start_and_cancel_as_they_like_never_leave_it_stuck(bench: 
                 else:
                     bench.call("calibrate.cancel")
             except RpcError as error:
-                assert "is going on" in error.message
+                assert "is running" in error.message
             threading.Event().wait(rng.uniform(0, 0.08))
 
     clients = [threading.Thread(target=client, args=(seed,)) for seed in range(3)]
@@ -251,7 +251,7 @@ def test_too_much_is_refused(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_hand_is_only_where_one_is_simulated(bench: Bench) -> None:
-    with pytest.raises(RpcError, match="move it yourself"):
+    with pytest.raises(RpcError, match="move the board yourself"):
         bench.call("calibrate.next_pose")
 
 

@@ -90,19 +90,19 @@ def entry(name: str, control: str = "view") -> Entry:
 def test_a_key_is_allowed_changed_and_revoked_and_comments_stay(tmp_path: Path) -> None:
     store = KeyStore(tmp_path / "keys")
     store.make_server()
-    first, second = entry("laptop"), entry("desk", "operate")
+    first, second = entry("laptop"), entry("bench", "operate")
     store.allow(first)
     with (store.directory / "allowed").open("a") as file:
         file.write("# the one in the hall\n")
     store.allow(second)
-    assert store.allowed().role("control", second.public) == "operate"
+    assert store.authorized().role("control", second.public) == "operate"
     store.allow(Entry("laptop", "none", "view", first.public))
-    assert store.allowed().role("stream", first.public) == "none"
-    store.revoke("desk")
-    assert list(store.allowed().entries) == [first.public]
+    assert store.authorized().role("stream", first.public) == "none"
+    store.revoke("bench")
+    assert list(store.authorized().entries) == [first.public]
     assert "# the one in the hall" in (store.directory / "allowed").read_text()
-    with pytest.raises(DaemonError, match="no key is called 'desk'"):
-        store.revoke("desk")
+    with pytest.raises(DaemonError, match="no key is named 'bench'"):
+        store.revoke("bench")
 
 
 def test_the_same_key_under_two_names_is_refused_and_the_list_stays(tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_the_same_key_under_two_names_is_refused_and_the_list_stays(tmp_path: Pa
     first = entry("laptop")
     store.allow(first)
     before = (tmp_path / "allowed").read_bytes()
-    with pytest.raises(DaemonError, match="stands here already, in line 2"):
+    with pytest.raises(DaemonError, match="is already in line 2"):
         store.allow(Entry("other", "view", "operate", first.public))
     assert (tmp_path / "allowed").read_bytes() == before
 
@@ -118,7 +118,7 @@ def test_the_same_key_under_two_names_is_refused_and_the_list_stays(tmp_path: Pa
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("laptop view view", ":1: 3 words"),
+        ("laptop view view", ":1: 3 fields"),
         ("laptop see view " + "0" * 40, ":1: 'see' is no role on stream; there are none, view"),
         ("laptop view boss " + "0" * 40, ":1: 'boss' is no role on control"),
         ("laptop view view short", ":1: the key of laptop"),
@@ -136,14 +136,14 @@ def test_a_list_that_others_can_change_is_not_used(tmp_path: Path) -> None:
     store.allow(entry("laptop"))
     (tmp_path / "allowed").chmod(0o666)
     with pytest.raises(DaemonError, match="others can change it"):
-        store.allowed()
+        store.authorized()
 
 
 def test_programs_that_change_the_list_at_the_same_time_lose_nothing(tmp_path: Path) -> None:
     entries = [entry(f"key-{i}") for i in range(24)]
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda one: KeyStore(tmp_path).allow(one), entries))
-    assert set(KeyStore(tmp_path).allowed().entries) == {one.public for one in entries}
+    assert set(KeyStore(tmp_path).authorized().entries) == {one.public for one in entries}
 
 
 @pytest.mark.parametrize(("directory", "secret"), [(0o700, 0o600), (0o750, 0o640), (0o755, 0o600)])

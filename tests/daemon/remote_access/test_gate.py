@@ -15,7 +15,7 @@ from daemon.common.errors import ControlError, DaemonError
 from daemon.control.rpc.client import ControlClient
 from daemon.keys.key_store import KeyStore
 from daemon.remote_access import gate_sink
-from daemon.remote_access.gate_messages import Order
+from daemon.remote_access.gate_messages import GateConfig
 from daemon.remote_access.gate_sink import RemoteGate
 from fringed import SilenceError, subscribe
 from fringed.keys import new_key
@@ -55,7 +55,7 @@ def test_a_key_that_is_not_allowed_neither_sees_nor_operates(shared: World) -> N
     shared.called.clear()
     assert not shared.sees(shared.stranger, timeout_s=SHORT_S)
     with shared.client(shared.stranger, timeout_s=SHORT_S) as client:
-        with pytest.raises(ControlError, match="know this key"):
+        with pytest.raises(ControlError, match="allow this key"):
             client.call("set", value=1)
         wait_until(lambda: shared.refused("control_key"))
     with closing(subscribe(shared.stream, keys=shared.keys(shared.stranger))):
@@ -220,7 +220,7 @@ def test_a_gate_that_hangs_is_replaced(own: World, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_gate_that_is_too_large_begins_anew(shared: World) -> None:
-    order = Order(
+    order = GateConfig(
         stream=["tcp://127.0.0.1:*"],
         control=[],
         source=shared.publisher.endpoints[0],
@@ -255,7 +255,7 @@ def test_a_stop_of_the_whole_group_leaves_the_gate_to_its_daemon(own: World) -> 
 
 
 def test_an_address_that_is_taken_is_told(shared: World) -> None:
-    order = Order(
+    order = GateConfig(
         stream=[shared.stream],
         control=[],
         source=shared.publisher.endpoints[0],
@@ -267,7 +267,7 @@ def test_an_address_that_is_taken_is_told(shared: World) -> None:
 
 
 def test_keys_that_are_missing_are_told(shared: World, tmp_path: Path) -> None:
-    order = Order(stream=["tcp://127.0.0.1:*"], control=[], source="", target="", roles={})
+    order = GateConfig(stream=["tcp://127.0.0.1:*"], control=[], source="", target="", roles={})
     with pytest.raises(DaemonError, match="fringed keys server"):
         RemoteGate(order, KeyStore(tmp_path))
     shared.lives()

@@ -6,12 +6,12 @@ import pytest
 from zmq.utils import z85
 
 from daemon.common.counters import Counters
-from daemon.keys.authorized_keys import Allowed, Entry
-from daemon.remote_access.gate.zap_handler import Gatekeeper
+from daemon.keys.authorized_keys import AuthorizedKeys, Entry
+from daemon.remote_access.gate.zap_handler import ZapHandler
 from fringed.keys import Key, new_key
 
 VIEWER, OPERATOR, STRANGER = (new_key(name) for name in ("viewer", "operator", "stranger"))
-LIST = Allowed(
+LIST = AuthorizedKeys(
     {
         VIEWER.public: Entry("viewer", "view", "none", VIEWER.public),
         OPERATOR.public: Entry("operator", "none", "operate", OPERATOR.public),
@@ -21,7 +21,7 @@ LIST = Allowed(
 
 def code(domain: bytes, public: str, *, mechanism: bytes = b"CURVE") -> bytes:
     request = [b"1.0", b"1", domain, b"10.0.0.7", b"", mechanism, z85.decode(public.encode())]
-    reply = Gatekeeper(lambda: LIST, Counters()).reply(request)
+    reply = ZapHandler(lambda: LIST, Counters()).reply(request)
     assert reply[:2] == [b"1.0", b"1"] and len(reply) == 6
     return reply[2]
 
@@ -53,5 +53,5 @@ def test_no_other_mechanism_gets_in(mechanism: bytes) -> None:
 )
 def test_an_odd_request_is_refused_and_counted(frames: list[bytes]) -> None:
     refused = Counters()
-    assert Gatekeeper(lambda: LIST, refused).reply(frames)[2] == b"400"
+    assert ZapHandler(lambda: LIST, refused).reply(frames)[2] == b"400"
     assert refused.snapshot() == {"request_odd": 1}

@@ -20,7 +20,7 @@ from daemon.keys import authorized_keys
 from daemon.keys.authorized_keys import Entry
 from daemon.keys.key_store import KeyStore
 from daemon.live.publishing.publisher import Publisher
-from daemon.remote_access.gate_messages import Order
+from daemon.remote_access.gate_messages import GateConfig
 from daemon.remote_access.gate_sink import RemoteGate
 from fringed import Keys, SilenceError, subscribe
 from fringed.keys import Key, new_key
@@ -49,7 +49,7 @@ class World:
         }
         self.control = ControlServer(f"ipc://{folder}/control", methods)
         self.control.start()
-        order = Order(
+        order = GateConfig(
             stream=["tcp://127.0.0.1:*"],
             control=["tcp://127.0.0.1:*"],
             source=publisher.endpoints[0],

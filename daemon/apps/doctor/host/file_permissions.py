@@ -45,9 +45,9 @@ def keys(directory: Path) -> Finding:
         return area.note("keys", f"{directory} can only be read by the service's user")
     try:
         store.server()
-        allowed = store.allowed()
+        authorized = store.authorized()
     except DaemonError as error:
         return area.problem(
             "keys", str(error), f"fringed keys server --dir {directory}; fringed keys list --dir {directory}"
         )
-    return area.ok("keys", f"{directory}: {len(allowed.entries)} keys may connect from other machines")
+    return area.ok("keys", f"{directory}: {len(authorized.entries)} keys may connect from other machines")

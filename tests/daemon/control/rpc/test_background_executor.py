@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import zmq
 
-from daemon.control.rpc.background_executor import ROOM, BackgroundExecutor, Job
-from daemon.control.rpc.protocol import BUSY, FAILED, FORBIDDEN, MAX_ANSWER_BYTES, MAX_BATCH, Method, Role, answer
+from daemon.control.rpc.background_executor import CAPACITY, BackgroundExecutor, Job
+from daemon.control.rpc.protocol import BUSY, FAILED, FORBIDDEN, MAX_ANSWER_BYTES, MAX_BATCH, Method, Role, respond
 from daemon.control.rpc.server import ControlServer
 from tools.waiting import wait_until
 
@@ -85,13 +85,13 @@ def test_quick_requests_are_answered_while_a_slow_one_waits(client: Asking, slow
 def test_more_slow_requests_than_there_is_room_for_are_busy(client: Asking, slow: Slow) -> None:
     client.send(0, "slow")
     wait_until(lambda: slow.calls == 1)
-    for i in range(1, ROOM + 3):
+    for i in range(1, CAPACITY + 3):
         client.send(i, "slow")
     refused = [client.answer(), client.answer()]
-    assert [(one["id"], one["error"]["code"]) for one in refused] == [(ROOM + 1, BUSY), (ROOM + 2, BUSY)]
+    assert [(one["id"], one["error"]["code"]) for one in refused] == [(CAPACITY + 1, BUSY), (CAPACITY + 2, BUSY)]
     assert "slow" in refused[0]["error"]["message"]
     slow.go.set()
-    assert [client.answer()["id"] for _ in range(ROOM + 1)] == list(range(ROOM + 1))
+    assert [client.answer()["id"] for _ in range(CAPACITY + 1)] == list(range(CAPACITY + 1))
 
 
 def test_who_waits_when_the_daemon_stops_is_told(client: Asking, slow: Slow, server: ControlServer) -> None:
@@ -102,7 +102,7 @@ def test_who_waits_when_the_daemon_stops_is_told(client: Asking, slow: Slow, ser
     assert client.answer()["id"] == 3
     closing = threading.Thread(target=server.close)
     closing.start()
-    wait_until(lambda: not server._lane.submit(Job("late", lambda: None, lambda: None)))
+    wait_until(lambda: not server._background.submit(Job("late", lambda: None, lambda: None)))
     slow.go.set()
     told = {one["id"]: one for one in (client.answer(), client.answer())}
     assert told[1]["result"] == "slow" and told[2]["error"]["code"] == FAILED
@@ -126,7 +126,7 @@ METHODS = {
 
 
 def asked(request: object, role: Role = Role.OPERATE) -> Any:
-    response = answer(json.dumps(request).encode(), METHODS, role)
+    response = respond(json.dumps(request).encode(), METHODS, role)
     return None if response is None else json.loads(response)
 
 
@@ -172,5 +172,5 @@ def test_an_id_is_a_text_or_a_number(request_id: object) -> None:
 
 
 def test_a_number_that_is_not_finite_is_no_json() -> None:
-    response = answer(b'{"jsonrpc": "2.0", "id": 1e999, "method": "look"}', METHODS)
+    response = respond(b'{"jsonrpc": "2.0", "id": 1e999, "method": "look"}', METHODS)
     assert response is not None and json.loads(response)["error"]["code"] == -32700

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from daemon.common.errors import ControlError, DaemonError
 from daemon.control.rpc.client import ControlClient
-from daemon.control.rpc.protocol import MAX_BYTES, Method, Role, RpcError, answer
+from daemon.control.rpc.protocol import MAX_BYTES, Method, Role, RpcError, respond
 from daemon.control.rpc.server import ControlServer
 
 
@@ -49,7 +49,7 @@ def test_a_request_is_answered(server: ControlServer) -> None:
 
 
 def test_an_error_carries_code_message_and_path() -> None:
-    response = json.loads(answer(b'{"jsonrpc": "2.0", "id": 7, "method": "refuse"}', METHODS) or b"")
+    response = json.loads(respond(b'{"jsonrpc": "2.0", "id": 7, "method": "refuse"}', METHODS) or b"")
     assert response["id"] == 7
     assert response["error"] == {"code": -32602, "message": "too large", "data": {"path": "pipeline.settings.x"}}
 
@@ -71,17 +71,17 @@ def test_an_error_carries_code_message_and_path() -> None:
     ],
 )
 def test_what_is_not_a_request_gets_its_error(message: bytes, code: int) -> None:
-    assert json.loads(answer(message, METHODS) or b"{}")["error"]["code"] == code
+    assert json.loads(respond(message, METHODS) or b"{}")["error"]["code"] == code
 
 
 def test_a_notification_is_not_answered() -> None:
-    assert answer(b'{"jsonrpc": "2.0", "method": "echo"}', METHODS) is None
+    assert respond(b'{"jsonrpc": "2.0", "method": "echo"}', METHODS) is None
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.binary(max_size=200))
 def test_any_bytes_get_a_proper_answer_or_none(message: bytes) -> None:
-    response = answer(message, METHODS)
+    response = respond(message, METHODS)
     assert response is None or json.loads(response)["jsonrpc"] == "2.0"
 
 
