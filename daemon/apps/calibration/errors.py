@@ -1,4 +1,4 @@
-"""What can go wrong between images and a calibration file."""
+"""Errors of the calibration commands."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from daemon.common.errors import DaemonError
 
 
 class SourceError(DaemonError):
-    """Images that cannot be read, or that do not belong together; the message names the file."""
+    """Unreadable or mismatched images; the message names the file."""
 
 
 class KeptError(DaemonError):
-    """A calibration that was not written because the one in its place is better."""
+    """A calibration was not written because the existing file is better."""

@@ -16,9 +16,11 @@ BOARD_HELP = (
 def main(
     pdf: Annotated[Path, typer.Option("--pdf", help="Write the page here.")],
     board: Annotated[str, typer.Argument(help=f"{BOARD_HELP}")] = "circles:11x9:32:20",
-    paper: Annotated[str, typer.Option(help="a4 to a0, or such as 420x297 (mm).", show_default="what fits")] = "",
+    paper: Annotated[
+        str, typer.Option(help="a4 to a0, or such as 420x297 (mm).", show_default="the smallest that fits")
+    ] = "",
 ) -> None:
-    """Print a calibration board: a PDF to scale, with what is on it and a ruler to check the scale."""
+    """Print a calibration board: a PDF to scale, with its description and a ruler to check the scale."""
     from daemon.apps.calibration.board_print.board_sheet import board_sheet
     from daemon.common.files import write_atomically
     from pipeline.calibrate.targets.board.board import parse_board
@@ -27,5 +29,5 @@ def main(
     write_atomically(pdf, sheet.data)
     typer.echo(
         f"{pdf}: {sheet.board} on {sheet.paper}, {sheet.width_mm:g} x {sheet.height_mm:g} mm; "
-        "print it at 100 %, check that its ruler measures 100 mm, and glue it on something flat"
+        "print it at 100 %, check that its ruler measures 100 mm, and glue it to a flat plate"
     )

@@ -1,4 +1,4 @@
-"""``fringed calibrate check``: is a calibration still true? From one view of a board, or of a known length."""
+"""``fringed calibrate check``: the accuracy of a calibration, from a view of a board or of a known length."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ def main(
     right: Annotated[str, typer.Option(help="Images of the right camera, as many.")],
     calibration: Annotated[Path, typer.Option(help="The calibration to check.")] = Path("calibration.yaml"),
     board: Annotated[str | None, typer.Option(help=BOARD_HELP)] = None,
-    length: Annotated[float | None, typer.Option(min=1e-3, help="mm between two circles, the only ones seen.")] = None,
+    length: Annotated[
+        float | None, typer.Option(min=1e-3, help="mm between two circles, the only ones visible.")
+    ] = None,
     limit_ppm: Annotated[float, typer.Option(min=0.0, help="Largest scale error.")] = 500.0,
     limit_mm: Annotated[float, typer.Option(min=0.0, help="Largest error of a distance.", show_default="0.1 %")] = 0.0,
     limit_px: Annotated[float, typer.Option(min=0.0, help="Largest epipolar error, rms.")] = 0.5,
     as_json: Annotated[bool, typer.Option("--json", help="Print plain JSON.")] = False,
 ) -> None:
-    """Measure known distances with a calibration; the exit status is 1 when they come out wrong."""
+    """Measure known distances with a calibration; the exit status is 1 if an error exceeds its limit."""
     import json
     from dataclasses import asdict
 
@@ -33,7 +35,7 @@ def main(
     from pipeline.calibrate.length_check import Limits
 
     if (board is None) == (length is None):
-        raise typer.BadParameter("give --board or --length, one of them")
+        raise typer.BadParameter("give either --board or --length")
     cameras = read_cameras(calibration).cameras
     limits = Limits(limit_ppm, limit_mm, limit_px)
     found = _board(cameras, left, right, board, limits) if board else _bar(cameras, left, right, length or 0.0, limits)
@@ -47,7 +49,7 @@ def main(
 
 
 def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -> list[tuple[str, Distances]]:
-    from daemon.apps.calibration.views.detect_marks import look, require
+    from daemon.apps.calibration.views.detect_marks import detect_views, require_views
     from daemon.apps.calibration.views.open_source import ImagePairs
     from daemon.cli.options.progress import rendering
     from pipeline.calibrate.length_check import check_board
@@ -55,30 +57,30 @@ def _board(cameras: Cameras, left: str, right: str, text: str, limits: Limits) -
     from pipeline.common.errors import TargetError
 
     board = parse_board(text)
-    with rendering("Finding marks") as progress:
-        looked = look([ImagePairs(left, right)], board, progress)
-    require(looked, 1)
-    _same_size(cameras, looked.sizes, left, right)
-    if looked.problems:
-        first = looked.problems[0]
+    with rendering("Detecting marks") as progress:
+        detected = detect_views([ImagePairs(left, right)], board, progress)
+    require_views(detected, 1)
+    _same_size(cameras, detected.sizes, left, right)
+    if detected.problems:
+        first = detected.problems[0]
         raise TargetError(f"{first.file}: {first.problem}")
-    views = [(view.name, view.marks["left"], view.marks["right"]) for view in looked.views]
+    views = [(view.name, view.marks["left"], view.marks["right"]) for view in detected.views]
     return [(name, check_board(cameras, board, a, b, limits)) for name, a, b in views]
 
 
 def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits) -> list[tuple[str, Distances]]:
-    from daemon.apps.calibration.images.image_files import unpacked
+    from daemon.apps.calibration.images.image_files import demosaic
     from daemon.apps.calibration.views.open_source import ImagePairs
     from daemon.cli.options.progress import rendering
     from pipeline.calibrate.length_check import check_length
     from pipeline.calibrate.targets.scale_bar import two_circles
 
     found = []
-    with rendering("Finding circles") as progress:
+    with rendering("Detecting circles") as progress:
         for view in ImagePairs(left, right).views(progress):
             ends, sizes = [], {}
             for device, file, images in zip(("left", "right"), view.files, (view.left, view.right), strict=True):
-                image = unpacked(images[0], view.encoding)
+                image = demosaic(images[0], view.encoding)
                 sizes[device] = image.shape[1::-1]
                 ends.append(two_circles(image, file))
             _same_size(cameras, sizes, *view.files)
@@ -89,12 +91,11 @@ def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits)
 def _same_size(cameras: Cameras, sizes: dict[str, tuple[int, int]], left: str, right: str) -> None:
     from daemon.common.errors import DaemonError
 
-    for device, name, known in (("left", left, cameras.left.size), ("right", right, cameras.right.size)):
-        if device in sizes and tuple(sizes[device]) != known:
+    for device, name, size in (("left", left, cameras.left.size), ("right", right, cameras.right.size)):
+        if device in sizes and tuple(sizes[device]) != size:
             width, height = sizes[device]
             raise DaemonError(
-                f"{name}: {width} x {height} pixels, but the {device} camera was calibrated with "
-                f"{known[0]} x {known[1]}"
+                f"{name}: {width} x {height} pixels, but the {device} camera was calibrated with {size[0]} x {size[1]}"
             )
 
 

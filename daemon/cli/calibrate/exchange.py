@@ -10,46 +10,46 @@ import typer
 _FORMATS = "opencv (FileStorage), kalibr (camchain) or ros (camera_info, left and right)."
 
 
-def bring(
+def import_calibration(
     files: Annotated[list[Path], typer.Argument(help="Files that belong together; for ROS the left, then the right.")],
     out: Annotated[Path, typer.Option("--out", help="Write this calibration.")],
     form: Annotated[str, typer.Option("--format", help=_FORMATS, show_default="by content")] = "",
-    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of the images, where OpenCV's files do not tell.")] = "",
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of the images, for OpenCV files without it.")] = "",
     unit_mm: Annotated[float, typer.Option(min=1e-6, help="Millimetres of one unit of OpenCV's T: 1000 for m.")] = 1.0,
-    force: Annotated[bool, typer.Option("--force", help="Also over a calibration that is better.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a better calibration too.")] = False,
 ) -> None:
-    """Make a calibration file of another program's files; a projector and colours are calibrated afterwards."""
+    """Convert another program's files to a calibration file; a projector and colours are calibrated afterwards."""
     from daemon.apps.calibration.exchange import read_foreign
-    from daemon.apps.calibration.solve.archive import present, store
+    from daemon.apps.calibration.solve.archive import existing, store
     from daemon.apps.calibration.solve.keep_colors import with_old_colors
 
     found = read_foreign(files, form=form, size=_size(size), unit_mm=unit_mm)
-    cameras, notes = with_old_colors(found.cameras, present(out) if out.exists() and not force else None)
+    cameras, notes = with_old_colors(found.cameras, existing(out) if not force else None)
     quality = {"imported_from": found.form, "imported_files": [path.name for path in files]}
     stored = store(out, cameras, quality=quality, force=force)
     for note in [*found.notes, *notes, *stored.notes]:
         typer.echo(f"note: {note}", err=True)
     typer.echo(f"{out}: baseline {cameras.baseline_mm:.2f} mm, {stored.identity}")
     if stored.kept is not None:
-        typer.echo(f"the one before is kept as {stored.kept}")
+        typer.echo(f"the previous file is kept as {stored.kept}")
 
 
-def give(
+def export_calibration(
     calibration: Annotated[Path, typer.Argument(help="calibration.yaml")],
     form: Annotated[str, typer.Option("--format", help=_FORMATS)],
     out: Annotated[Path, typer.Option("--out", help="Directory for the files.")] = Path(),
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:
-    """Write a calibration as OpenCV, Kalibr or ROS reads it; what the format cannot hold is told."""
+    """Write a calibration for OpenCV, Kalibr or ROS, with notes about what the format cannot represent."""
     from daemon.apps.calibration.exchange import write_foreign
     from daemon.common.errors import DaemonError
     from daemon.common.files import write_atomically
     from daemon.rig.calibration_file import read_cameras
 
     files, notes = write_foreign(read_cameras(calibration).cameras, form)
-    there = [out / name for name in files if (out / name).exists()]
-    if there and not force:
-        raise DaemonError(f"{there[0]} is there already; --force replaces it")
+    present = [out / name for name in files if (out / name).exists()]
+    if present and not force:
+        raise DaemonError(f"{present[0]} exists already; --force replaces it")
     out.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
         write_atomically(out / name, data)

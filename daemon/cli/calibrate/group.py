@@ -1,4 +1,4 @@
-"""``fringed calibrate``: the commands, each in a module of its own that is imported when it runs."""
+"""``fringed calibrate``: the table of its commands."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=N
 
 @app.callback()
 def _root() -> None:
-    """Calibrate cameras, projector and colours from images of a board, and check that they are still true."""
+    """Calibrate cameras, projector and colours from images of a board, and check a calibration."""
     keep_from_others()
 
 
@@ -23,5 +23,5 @@ app.command("color")(steps.color)
 app.command("all")(steps.everything)
 app.command("check")(check.main)
 app.command("refine")(refine.main)
-app.command("import")(exchange.bring)
-app.command("export")(exchange.give)
+app.command("import")(exchange.import_calibration)
+app.command("export")(exchange.export_calibration)

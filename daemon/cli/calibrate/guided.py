@@ -9,7 +9,7 @@ import typer
 
 from daemon.apps.calibration.guided.capture_loop import Outcome
 from daemon.apps.calibration.guided.rerun_view import Kind as ViewKind
-from daemon.apps.calibration.guided.run_session import What, run_session
+from daemon.apps.calibration.guided.run_session import Step, run_session
 from daemon.bootstrap.run import StopFlag
 from daemon.cli.options.progress import rendering
 from daemon.common.errors import DaemonError
@@ -17,7 +17,7 @@ from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
 
 
 def run(
-    step: What,
+    step: Step,
     rig: Path,
     solve: Callable[[list[Path]], None],
     *,
@@ -61,7 +61,7 @@ def run(
     solve([outcome.folder for outcome in captured])
 
 
-def stopped_text(step: What, captured: list[Outcome]) -> str:
+def stopped_text(step: Step, captured: list[Outcome]) -> str:
     """The captured views of a stopped session, and the command that continues with them."""
     if not captured:
         return "stopped; no view was captured"

@@ -1,4 +1,4 @@
-"""``fringed calibrate refine``: correct a small drift from ordinary scenes, after asking."""
+"""``fringed calibrate refine``: correct a small drift from ordinary scenes, after confirmation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ def main(
     source: Annotated[Path, typer.Argument(help="A take of ordinary scenes, or the rig.yaml of a rig at rest.")],
     calibration: Annotated[Path, typer.Option(help="The calibration to correct.")] = Path("calibration.yaml"),
     out: Annotated[
-        Path | None, typer.Option(help="Where to write; its own place if left out, the old file being kept.")
+        Path | None, typer.Option(help="Write here instead of replacing --calibration; a replaced file is kept.")
     ] = None,
-    device: Annotated[str | None, typer.Option(help="What has moved: left, right or projector.")] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
+    device: Annotated[str | None, typer.Option(help="The device that moved: left, right or projector.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Write without confirmation.")] = False,
 ) -> None:
-    """Correct the turn of one device by the residuals of ordinary images; shows what it changes, then asks."""
+    """Correct the rotation of one device from the residuals of ordinary images; print the change, then confirm it."""
     from daemon.apps.calibration.solve import archive
-    from daemon.apps.calibration.views.drift_pairs import files_of_take, of_rig
+    from daemon.apps.calibration.views.drift_pairs import from_rig, from_take
     from daemon.cli.options.progress import rendering
     from daemon.rig.calibration_file import read_calibration
     from pipeline.calibrate.drift_correction import refine, table
@@ -29,15 +29,15 @@ def main(
         raise typer.BadParameter(f"--device is {device!r}, expected one of {', '.join(DEVICES)}")
     file = read_calibration(calibration)
     with rendering("Reading pairs") as progress:
-        scene = (of_rig if source.suffix in (".yaml", ".yml") else files_of_take)(source, progress)
-    with rendering("Finding the drift") as progress:
+        drift = (from_rig if source.suffix in (".yaml", ".yml") else from_take)(source, progress)
+    with rendering("Estimating the drift") as progress:
         found = refine(
-            file.calibration, scene.pattern, scene.volume, scene.encoding, scene.pairs, device=device, progress=progress
+            file.calibration, drift.pattern, drift.volume, drift.encoding, drift.pairs, device=device, progress=progress
         )
     for line in table(found):
         typer.echo(line)
     if not found.better:
-        typer.echo("the pairs that judge do not agree better with it: nothing is written", err=True)
+        typer.echo("the correction does not improve the validation pairs: nothing is written", err=True)
         raise typer.Exit(1)
     target = out if out is not None else calibration
     if not yes and not typer.confirm(f"write {target}?", default=False):
@@ -58,4 +58,4 @@ def main(
     )
     typer.echo(f"wrote {stored.path}, {stored.identity}")
     if stored.kept is not None:
-        typer.echo(f"the one before it is {stored.kept}")
+        typer.echo(f"the previous file is kept as {stored.kept}")

@@ -1,4 +1,4 @@
-"""``fringed calibrate cameras``, ``projector``, ``color`` and ``all``: on images, or live with a rig.yaml."""
+"""``fringed calibrate cameras``, ``projector``, ``color`` and ``all``: from images, or live with a rig.yaml."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from daemon.cli.calibrate.board import BOARD_HELP
 
 if TYPE_CHECKING:
     from daemon.apps.calibration.guided.rerun_view import Kind as ViewKind
-    from daemon.apps.calibration.guided.run_session import What
-    from daemon.apps.calibration.solve.archive import Stored
-    from daemon.apps.calibration.solve.solve import Calibrated
+    from daemon.apps.calibration.guided.run_session import Step
+    from daemon.apps.calibration.solve.archive import StoredCalibration
+    from daemon.apps.calibration.solve.solve import CalibrationResult
     from daemon.apps.calibration.views.view import Source
     from daemon.rig.calibration_file import CamerasFile
     from pipeline.calibrate.bundle import Options
 
-Rig = Annotated[Path | None, typer.Argument(help="Live: the rig.yaml. Without it images are named by the options.")]
+Rig = Annotated[Path | None, typer.Argument(help="Live: the rig.yaml. Without it, the options name images.")]
 Left = Annotated[str | None, typer.Option(help="Images of the left camera, such as 'L/*.png', sorted by name.")]
 Right = Annotated[str | None, typer.Option(help="Images of the right camera, paired by their order.")]
 Views = Annotated[list[Path] | None, typer.Option(help="Capture folder or take; may be given several times.")]
 BoardText = Annotated[str, typer.Option("--board", help=BOARD_HELP)]
-Out = Annotated[Path, typer.Option("--out", help="Write the calibration here; the one before is kept beside it.")]
+Out = Annotated[Path, typer.Option("--out", help="Write the calibration here; a replaced file is kept.")]
 ReportFile = Annotated[
     Path | None, typer.Option("--report", help="Write the report here.", show_default="beside --out")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Also over a calibration that is better.")]
-FreeSkew = Annotated[bool, typer.Option("--skew/--no-skew", help="Find the skew of the pixels' axes.")]
-FreeK3 = Annotated[bool, typer.Option("--k3/--no-k3", help="Find the third radial coefficient.")]
-Refine = Annotated[bool, typer.Option("--refine-board", help="Find the marks' places on the board, too.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace a better calibration too.")]
+FreeSkew = Annotated[bool, typer.Option("--skew/--no-skew", help="Estimate the skew of the pixel axes.")]
+FreeK3 = Annotated[bool, typer.Option("--k3/--no-k3", help="Estimate the third radial coefficient.")]
+Refine = Annotated[bool, typer.Option("--refine-board", help="Estimate the marks' positions on the board too.")]
 Distance = Annotated[
     str | None, typer.Option("--distance", help="Scale from a distance on the board: MARK-MARK:MM such as 0-98:409.2.")
 ]
-Poses = Annotated[int, typer.Option(min=3, help="Live: places of the board that are wanted.")]
+Poses = Annotated[int, typer.Option(min=3, help="Live: least number of poses of the board.")]
 Show = Annotated[Literal["none", "web", "native"], typer.Option("--view", help="Live: a view in Rerun.")]
 Session = Annotated[Path | None, typer.Option(help="Live: folder for the images.", show_default="beside rig.yaml")]
 
@@ -59,7 +59,7 @@ def cameras(
     view: Show = "none",
     session: Session = None,
 ) -> None:
-    """Calibrate both cameras together, from images of a board at ten or more places."""
+    """Calibrate both cameras together, from images of a board in ten or more poses."""
     _step("cameras", **locals())
 
 
@@ -80,9 +80,9 @@ def projector(
     view: Show = "none",
     session: Session = None,
 ) -> None:
-    """Calibrate projector and cameras together, from fringes in both directions on a board at ten or more places.
+    """Calibrate projector and cameras together, from fringes in both directions on a board in ten or more poses.
 
-    Views without fringes (--left and --right, or another --views) help with the cameras.
+    Views without fringes (--left and --right, or another --views) contribute to the cameras.
     """
     _step("projector", **locals())
 
@@ -90,9 +90,9 @@ def projector(
 def color(
     rig: Rig = None,
     views: Views = None,
-    calibration: Annotated[Path, typer.Option(help="The calibration to put the colours into.")] = DEFAULT_OUT,
+    calibration: Annotated[Path, typer.Option(help="The calibration that gets the colours.")] = DEFAULT_OUT,
     out: Annotated[Path | None, typer.Option(help="Write here instead.", show_default="--calibration")] = None,
-    board: Annotated[str, typer.Option("--board", help="Live: the board that is held. " + BOARD_HELP)] = DEFAULT_BOARD,
+    board: Annotated[str, typer.Option("--board", help="Live: the board. " + BOARD_HELP)] = DEFAULT_BOARD,
     force: Force = False,
     poses: Poses = 12,
     view: Show = "none",
@@ -104,14 +104,14 @@ def color(
             "color", rig, None, None, views, board=board, poses=poses, view=view, session=session,
             calibration=calibration, out=out, force=force,
         )  # fmt: skip
-    from daemon.apps.calibration.solve.color import colored
+    from daemon.apps.calibration.solve.color import calibrate_colors
     from daemon.cli.options.progress import rendering
 
     sources = _sources(None, None, views)
     with rendering("Reading images") as progress:
-        result = colored(calibration, sources, progress)
+        result = calibrate_colors(calibration, sources, progress)
     stored = result.write(out or calibration, force=force)
-    _tell(stored, [*result.summary, *result.advice])
+    _print_stored(stored, [*result.summary, *result.advice])
     return None
 
 
@@ -137,16 +137,16 @@ def everything(
 
 
 def _step(
-    step: What, *, rig: Path | None, left: str | None, right: str | None, views: list[Path] | None, **options: Any
+    step: Step, *, rig: Path | None, left: str | None, right: str | None, views: list[Path] | None, **options: Any
 ) -> None:
-    """A step that finds geometry, live or on images; ``options`` are the command's other arguments by name."""
+    """Run a geometric step, live or from images; ``options`` are the command's other arguments by name."""
     if rig is not None:
         _live(step, rig, left, right, views, **options)
         return
-    solving = _options(options["skew"], options["k3"], options["refine_board"], options["distance"])
+    adjustment = _options(options["skew"], options["k3"], options["refine_board"], options["distance"])
     _geometry(
         step, _sources(left, right, views), options["board"], options["out"], options["report"], options["force"],
-        solving,
+        adjustment,
     )  # fmt: skip
 
 
@@ -164,9 +164,11 @@ def _geometry(
     boards = [source for source in sources if source not in colors]
     if step == "all" and (not colors or not boards):
         lacking = "colours (sequence 'color')" if not colors else "the board (sequence 'projector')"
-        raise typer.BadParameter(f"no --views for {lacking}; all needs both")
-    with rendering("Finding marks") as progress:
-        result = solve.solved(board, boards, progress, fringes=step != "cameras", options=options, before=before)
+        raise typer.BadParameter(f"no --views for {lacking}; `all` requires both")
+    with rendering("Detecting marks") as progress:
+        result = solve.calibrate_sources(
+            board, boards, progress, fringes=step != "cameras", options=options, before=before
+        )
     if colors:
         with rendering("Reading colours") as progress:
             result = with_colors(result, colors, progress)
@@ -174,29 +176,29 @@ def _geometry(
     report = report or out.with_name(f"{out.stem}.report.html")
     stored = solve.finish(result, out, report, force=force, title=title.get(step, "Calibration of the rig"))
     _summary(result)
-    _tell(stored, [*result.notes, *result.advice])
+    _print_stored(stored, [*result.notes, *result.advice])
     typer.echo(f"report: {report}")
 
 
 def _before(out: Path, force: bool) -> CamerasFile | None:
-    from daemon.apps.calibration.solve.archive import present
+    from daemon.apps.calibration.solve.archive import existing
     from pipeline.common.errors import CalibrationError
 
     try:
-        return present(out)
+        return existing(out)
     except CalibrationError:
         if not force:
             raise
         return None
 
 
-def _summary(result: Calibrated) -> None:
+def _summary(result: CalibrationResult) -> None:
     s = result.solution
     for rejection in s.rejected:
         typer.echo(f"{'repaired' if rejection.repaired else 'left out'}: {rejection}", err=True)
-    for seen in result.looked.problems:
-        typer.echo(f"left out: {seen.file}: {seen.problem}", err=True)
-    for problem in result.looked.left_out:
+    for image in result.detected.problems:
+        typer.echo(f"left out: {image.file}: {image.problem}", err=True)
+    for problem in result.detected.left_out:
         typer.echo(f"left out: {problem}", err=True)
     rms = ", ".join(f"{name} {value:.3f}" for name, value in s.rms.items())
     typer.echo(
@@ -205,12 +207,12 @@ def _summary(result: Calibrated) -> None:
     )
 
 
-def _tell(stored: Stored, notes: list[str]) -> None:
+def _print_stored(stored: StoredCalibration, notes: list[str]) -> None:
     for note in [*notes, *stored.notes]:
         typer.echo(f"note: {note}", err=True)
     typer.echo(f"{stored.path}: {stored.identity}")
     if stored.kept is not None:
-        typer.echo(f"the one before is kept as {stored.kept}")
+        typer.echo(f"the previous file is kept as {stored.kept}")
 
 
 def _sources(left: str | None, right: str | None, views: list[Path] | None) -> list[Source]:
@@ -218,12 +220,12 @@ def _sources(left: str | None, right: str | None, views: list[Path] | None) -> l
 
     if (left is None) != (right is None):
         raise typer.BadParameter("--left and --right belong together")
-    found: list[Source] = [open_source(path) for path in views or ()]
+    sources: list[Source] = [open_source(path) for path in views or ()]
     if left is not None and right is not None:
-        found.append(ImagePairs(left, right))
-    if not found:
+        sources.append(ImagePairs(left, right))
+    if not sources:
         raise typer.BadParameter("give a rig.yaml to calibrate live, or images: --left and --right, or --views")
-    return found
+    return sources
 
 
 def _options(skew: bool, k3: bool, refine_board: bool, distance: str | None) -> Options:
@@ -231,17 +233,17 @@ def _options(skew: bool, k3: bool, refine_board: bool, distance: str | None) -> 
 
     from pipeline.calibrate.bundle import Options
 
-    known = None
+    distance_mm = None
     if distance is not None:
         match = re.fullmatch(r"(\d{1,4})-(\d{1,4}):(\d+(?:\.\d+)?)", distance)
         if match is None:
             raise typer.BadParameter(f"--distance {distance}: expected two marks and mm, such as 0-98:409.2")
-        known = (int(match[1]), int(match[2]), float(match[3]))
-    return Options(skew=skew, k3=k3, board_refined=refine_board, known_distance=known)
+        distance_mm = (int(match[1]), int(match[2]), float(match[3]))
+    return Options(skew=skew, k3=k3, board_refined=refine_board, known_distance=distance_mm)
 
 
 def _live(
-    step: What,
+    step: Step,
     rig: Path,
     left: str | None,
     right: str | None,
@@ -254,7 +256,9 @@ def _live(
     **options: Any,
 ) -> None:
     if left or right or views:
-        raise typer.BadParameter("a rig.yaml calibrates live; --left, --right and --views are images: give one kind")
+        raise typer.BadParameter(
+            "a rig.yaml calibrates live, --left, --right and --views from images: give one of them"
+        )
     from daemon.cli.calibrate.guided import run
 
     command: Any = {"cameras": cameras, "projector": projector, "color": color, "all": everything}[step]

@@ -14,7 +14,7 @@ from pipeline.calibrate.targets.board.board_drawing import shapes
 
 PAPERS = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "a2": (594.0, 420.0), "a1": (841.0, 594.0), "a0": (1189.0, 841.0)}
 EDGE_MM = 5.0
-"""White that printers want around everything."""
+"""White margin that printers need."""
 STRIP_MM = 9.0
 """Height of the line with the description and the ruler."""
 RULER_MM = 100
@@ -23,12 +23,12 @@ _TEXT_MM = 2.6
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """A sheet that was laid out.
+    """A page with a board.
 
     Args:
-        board: with the diameter that was drawn.
+        board: with the drawn diameter.
         data: the PDF.
-        paper: name or size; width_mm, height_mm: of it.
+        paper: name or size; width_mm, height_mm: its dimensions.
     """
 
     board: Board
@@ -39,16 +39,16 @@ class Sheet:
 
 
 def board_sheet(board: Board, paper: str = "") -> Sheet:
-    """The PDF of a board.
+    """Draw the PDF page of a board.
 
     Args:
-        paper: ``a4`` to ``a0``, ``420x297`` in mm, or nothing for the smallest of the named ones that will do.
+        paper: ``a4`` to ``a0``, ``420x297`` in mm, or empty for the smallest named one that fits.
 
     Raises:
-        SourceError: the paper is too small (it says which would do), or its name is unknown.
+        SourceError: the paper is too small (the message names one that fits), or its name is unknown.
         TargetError: the board cannot be drawn.
     """
-    if board.round:  # what is drawn is what the description must say
+    if board.round:  # the description states the drawn diameter
         board = replace(board, diameter_mm=board.printed_diameter_mm)
     printed = shapes(board)
     boxes = [printed.discs[:, :2] - printed.discs[:, 2:], printed.squares[:, :2]]
@@ -67,24 +67,24 @@ def board_sheet(board: Board, paper: str = "") -> Sheet:
 
 
 def needed_mm(drawing: tuple[float, float]) -> tuple[float, float]:
-    """Smallest paper for a drawing, width and height."""
+    """Width and height of the smallest paper for a drawing."""
     legend = RULER_MM + 2 * EDGE_MM
     return max(drawing[0] + 2 * EDGE_MM, legend), drawing[1] + 2 * EDGE_MM + STRIP_MM
 
 
 def _paper(board: Board, paper: str, drawing: tuple[float, float]) -> tuple[str, tuple[float, float]]:
     need = needed_mm(drawing)
-    upright = needed_mm((drawing[1], drawing[0]))
-    fits = [known for known, size in PAPERS.items() if _turned(size, need) is not None]
+    portrait = needed_mm((drawing[1], drawing[0]))
+    fits = [name for name, size in PAPERS.items() if _turned(size, need) is not None]
     if not paper:
         if not fits:
-            raise SourceError(f"board {board}: no paper up to a0 is large enough; give --paper {_least(need)}")
+            raise SourceError(f"board {board}: it does not fit on a0; give --paper {_least(need)}")
         paper = fits[0]
     size = _size(paper)
     turned = _turned(size, need)
     if turned is None:
-        least = need if need[0] <= upright[0] else upright
-        other = f"--paper {fits[0]} would do" if fits else f"give --paper {_least(least)}"
+        least = need if need[0] <= portrait[0] else portrait
+        other = f"--paper {fits[0]} is large enough" if fits else f"give --paper {_least(least)}"
         raise SourceError(
             f"board {board}: with margin and ruler it needs {need[0]:g} x {need[1]:g} mm, {paper} has "
             f"{size[0]:g} x {size[1]:g} mm; {other}"
@@ -105,9 +105,9 @@ def _size(paper: str) -> tuple[float, float]:
 
 
 def _turned(size: tuple[float, float], need: tuple[float, float]) -> tuple[float, float] | None:
-    """The paper lying or standing, whichever the drawing fits on."""
-    fitting = (way for way in (size, (size[1], size[0])) if way[0] >= need[0] and way[1] >= need[1])
-    return next(fitting, None)
+    """The size in landscape or portrait, whichever fits; None if neither does."""
+    orientations = (size, (size[1], size[0]))
+    return next((s for s in orientations if s[0] >= need[0] and s[1] >= need[1]), None)
 
 
 def _least(need: tuple[float, float]) -> str:

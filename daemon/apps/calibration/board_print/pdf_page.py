@@ -16,7 +16,7 @@ class Page:
 
     Args:
         width_mm, height_mm: of the paper.
-        title, subject: what the file says of itself.
+        title, subject: the document's information entries.
     """
 
     def __init__(self, width_mm: float, height_mm: float, *, title: str, subject: str) -> None:
@@ -65,19 +65,19 @@ class Page:
             ),
         ]
         out = bytearray(b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n")
-        places = []
-        for number, thing in enumerate(objects, 1):
-            places.append(len(out))
-            out += b"%d 0 obj\n%s\nendobj\n" % (number, thing)
+        offsets = []
+        for number, data in enumerate(objects, 1):
+            offsets.append(len(out))
+            out += b"%d 0 obj\n%s\nendobj\n" % (number, data)
         table = len(out)
         out += b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1)
-        out += b"".join(b"%010d 00000 n \n" % place for place in places)
+        out += b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
         out += b"trailer\n<< /Size %d /Root 1 0 R /Info 6 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (len(objects) + 1, table)
         return bytes(out)
 
 
 def _n(value: float) -> str:
-    """A number of millimetres to 10 nm, without an exponent, which PDF does not know."""
+    """Format millimetres to 10 nm, without an exponent, which PDF does not allow."""
     return f"{value:.5f}".rstrip("0").rstrip(".").replace("-0", "0") if abs(value) < 5e-6 else f"{value:.5f}"
 
 

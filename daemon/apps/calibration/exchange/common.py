@@ -1,4 +1,4 @@
-"""What the formats share: a file with its name, numbers out of mappings, the nearest model with fewer terms."""
+"""Common parts of the formats: named files, numbers of a mapping, the nearest camera model with fewer terms."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ _GRID = 41
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
-    """The bytes of a file and what errors call it."""
+class NamedFile:
+    """The bytes of a file and its name in messages."""
 
     name: str
     data: bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Imported:
-    """Cameras out of another program's files; ``notes`` are whole sentences about what was not as one would expect."""
+class ImportedCameras:
+    """Cameras read from another program's files; ``notes`` are whole sentences about their peculiarities."""
 
     cameras: Cameras
     form: str
     notes: list[str] = field(default_factory=list)
 
 
-def yaml_mapping(file: Named) -> dict[str, Any]:
+def yaml_mapping(file: NamedFile) -> dict[str, Any]:
     """The keys and values of a YAML file."""
     try:
         return load_mapping(file.data, file.name)
@@ -46,7 +46,7 @@ def yaml_mapping(file: Named) -> dict[str, Any]:
 
 
 def numbers(mapping: Mapping[str, Any], key: str, count: tuple[int, ...], name: str) -> Array:
-    """A flat array of numbers of one of the lengths ``count``; nested lists are unfolded."""
+    """Read a flat array of numbers of one of the lengths ``count``; nested lists are flattened."""
     if key not in mapping:
         raise SourceError(f"{name}: {key} is missing")
     try:
@@ -54,23 +54,23 @@ def numbers(mapping: Mapping[str, Any], key: str, count: tuple[int, ...], name: 
     except (TypeError, ValueError) as error:
         raise SourceError(f"{name}: {key} is not a list of numbers") from error
     if len(array) not in count or not np.isfinite(array).all():
-        wanted = " or ".join(str(n) for n in count)
-        raise SourceError(f"{name}: {key} holds {len(array)} numbers, expected {wanted} finite ones")
+        expected = " or ".join(str(n) for n in count)
+        raise SourceError(f"{name}: {key} has {len(array)} numbers, expected {expected} finite ones")
     return array
 
 
-def five(coefficients: Array, name: str) -> Array:
-    """k1, k2, p1, p2, k3 of a list of 4 or more; SourceError if one of the others is used."""
+def five_coefficients(coefficients: Array, name: str) -> Array:
+    """k1, k2, p1, p2, k3 of a list of 4 or more; SourceError if another coefficient is not zero."""
     if len(coefficients) > 5 and np.abs(coefficients[5:]).max() > 0:
         raise SourceError(
-            f"{name}: {len(coefficients)} distortion coefficients; only k1, k2, p1, p2, k3 are known here: "
+            f"{name}: {len(coefficients)} distortion coefficients; only k1, k2, p1, p2, k3 are supported: "
             "calibrate again without the rational, thin-prism and tilted models"
         )
     return np.concatenate([coefficients, np.zeros(5)])[:5]
 
 
 def orthonormal(rotation: Array, name: str) -> Array:
-    """The nearest rotation; SourceError if the matrix is none but for rounding."""
+    """The nearest rotation; SourceError if the matrix differs from it by more than rounding."""
     u, _, vt = np.linalg.svd(rotation)
     nearest = u @ vt
     away = float(np.abs(nearest - rotation).max())
@@ -80,8 +80,8 @@ def orthonormal(rotation: Array, name: str) -> Array:
 
 
 @contextmanager
-def named(name: str) -> Iterator[None]:
-    """Puts the file's name before what a camera model complains of."""
+def naming_file(name: str) -> Iterator[None]:
+    """Prefix the errors of a camera model with the file's name."""
     try:
         yield
     except CalibrationError as error:
@@ -89,10 +89,10 @@ def named(name: str) -> Iterator[None]:
 
 
 def fewer_terms(device: CameraModel, *, k3: bool) -> tuple[CameraModel, float]:
-    """The device without skew, and without k3 unless asked for, fitted to its image.
+    """The device without skew, and without k3 unless ``k3``, fitted to its image.
 
     Pixels are linear in fx, cx and in their products with the coefficients; the fit keeps the focal lengths and
-    the principal point and finds the coefficients.
+    the principal point and estimates the coefficients.
 
     Returns:
         The device, and the largest distance in pixels between its image and the true one.
@@ -119,8 +119,8 @@ def fewer_terms(device: CameraModel, *, k3: bool) -> tuple[CameraModel, float]:
     return fitted, float(np.linalg.norm(shift, axis=1).max())
 
 
-def lost(side: str, error_px: float, form: str, terms: str) -> list[str]:
-    """The sentence about terms that a format cannot hold; none where nothing was lost."""
+def loss_note(side: str, error_px: float, form: str, terms: str) -> list[str]:
+    """The note about terms that a format cannot represent; none if nothing is lost."""
     if error_px == 0.0:
         return []
-    return [f"{side}: {form} holds no {terms}; without, its image differs by up to {error_px:.3f} px"]
+    return [f"{side}: {form} has no {terms}; without them its image differs by up to {error_px:.3f} px"]

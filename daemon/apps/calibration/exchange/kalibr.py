@@ -10,12 +10,12 @@ import yaml
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.exchange.common import (
-    Imported,
-    Named,
+    ImportedCameras,
+    NamedFile,
     fewer_terms,
-    five,
-    lost,
-    named,
+    five_coefficients,
+    loss_note,
+    naming_file,
     numbers,
     orthonormal,
     yaml_mapping,
@@ -24,24 +24,24 @@ from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
 
 
-def read(files: Sequence[Named]) -> Imported:
-    """Cameras out of one camchain."""
+def read(files: Sequence[NamedFile]) -> ImportedCameras:
+    """Read the cameras of one camchain."""
     if len(files) != 1:
         raise SourceError(f"{len(files)} files; a Kalibr camchain is one file")
     chain, name = yaml_mapping(files[0]), files[0].name
     left, right = (_device(chain, key, side, name) for key, side in (("cam0", "left"), ("cam1", "right")))
-    notes = [f"{name}: {key} is left out; two cameras are a rig" for key in chain if key not in ("cam0", "cam1")]
-    with named(name):
-        return Imported(Cameras(left, right), "kalibr", notes)
+    notes = [f"{name}: {key} is left out; a rig has two cameras" for key in chain if key not in ("cam0", "cam1")]
+    with naming_file(name):
+        return ImportedCameras(Cameras(left, right), "kalibr", notes)
 
 
 def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
-    """``camchain.yaml``; what radtan cannot hold (k3, skew) is fitted away, with a note of what that costs."""
+    """``camchain.yaml``; terms that radtan lacks (k3, skew) are approximated, with a note of the error."""
     chain: dict[str, Any] = {}
     notes: list[str] = []
     for number, (side, device) in enumerate((("left", cameras.left), ("right", cameras.right))):
         kept, error_px = fewer_terms(device, k3=False)
-        notes += lost(side, error_px, "Kalibr's radtan", "k3 and no skew")
+        notes += loss_note(side, error_px, "Kalibr's radtan", "k3 and no skew")
         m = kept.matrix
         entry: dict[str, Any] = {
             "camera_model": "pinhole",
@@ -65,18 +65,18 @@ def _device(chain: Mapping[str, Any], key: str, side: str, name: str) -> CameraM
     entry = chain.get(key)
     if not isinstance(entry, Mapping):
         raise SourceError(f"{name}: {key} is missing")
-    place = f"{name}: {key}"
-    for what, known in (("camera_model", "pinhole"), ("distortion_model", "radtan")):
-        if entry.get(what) != known:
-            raise SourceError(f"{place}: {what} is {entry.get(what)!r:.40}, only {known} can be used here")
-    fx, fy, cx, cy = numbers(entry, "intrinsics", (4,), place)
-    width, height = numbers(entry, "resolution", (2,), place)
-    distortion = five(numbers(entry, "distortion_coeffs", (4,), place), place)
+    path = f"{name}: {key}"
+    for model, supported in (("camera_model", "pinhole"), ("distortion_model", "radtan")):
+        if entry.get(model) != supported:
+            raise SourceError(f"{path}: {model} is {entry.get(model)!r:.40}, only {supported} is supported")
+    fx, fy, cx, cy = numbers(entry, "intrinsics", (4,), path)
+    width, height = numbers(entry, "resolution", (2,), path)
+    distortion = five_coefficients(numbers(entry, "distortion_coeffs", (4,), path), path)
     pose = {}
     if side == "right":
-        transform = numbers(entry, "T_cn_cnm1", (16,), place).reshape(4, 4)
-        pose["rotation"] = orthonormal(transform[:3, :3], f"{place}: T_cn_cnm1")
+        transform = numbers(entry, "T_cn_cnm1", (16,), path).reshape(4, 4)
+        pose["rotation"] = orthonormal(transform[:3, :3], f"{path}: T_cn_cnm1")
         pose["translation"] = 1000 * transform[:3, 3]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    with named(name):
+    with naming_file(name):
         return CameraModel((int(width), int(height)), matrix, distortion, **pose, name=side)

@@ -1,7 +1,7 @@
 """OpenCV's FileStorage (YAML, XML, JSON) with the key names of its samples: M1 D1 M2 D2 R T, cameraMatrix1 and so on.
 
-In OpenCV, too, ``X_right = R X_left + T``, (0, 0) is the centre of the first pixel, and the coefficients are k1, k2,
-p1, p2, k3. Its functions ignore the skew.
+OpenCV also has ``X_right = R X_left + T``, (0, 0) at the centre of the first pixel, and the coefficients k1, k2, p1,
+p2, k3. Its functions ignore the skew.
 """
 
 from __future__ import annotations
@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.apps.calibration.exchange.common import Imported, Named, fewer_terms, five, lost, named, orthonormal
+from daemon.apps.calibration.exchange.common import (
+    ImportedCameras,
+    NamedFile,
+    fewer_terms,
+    five_coefficients,
+    loss_note,
+    naming_file,
+    orthonormal,
+)
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
 
@@ -27,8 +35,8 @@ _ROTATION = {2: ("R", "R12", "rotation"), 3: ("R13",)}
 _TRANSLATION = {2: ("T", "T12", "translation"), 3: ("T13",)}
 
 
-def read(files: Sequence[Named], *, size: tuple[int, int] | None = None, unit_mm: float = 1.0) -> Imported:
-    """Cameras, and the projector if it is there as device 3, out of one or more files."""
+def read(files: Sequence[NamedFile], *, size: tuple[int, int] | None = None, unit_mm: float = 1.0) -> ImportedCameras:
+    """Read the cameras, and a projector given as device 3, from one or more files."""
     values: dict[str, Array] = {}
     for file in files:
         values |= _matrices(file)
@@ -37,19 +45,19 @@ def read(files: Sequence[Named], *, size: tuple[int, int] | None = None, unit_mm
     right = _device(values, 2, name, size, unit_mm)
     with_third = any(key.format(3) in values for key in _MATRIX)
     projector = _device(values, 3, name, None, unit_mm) if with_third else None
-    with named(name):
-        return Imported(Cameras(left, right, projector=projector), "opencv")
+    with naming_file(name):
+        return ImportedCameras(Cameras(left, right, projector=projector), "opencv")
 
 
 def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
-    """``stereo.yml`` with M1 D1 M2 D2 R T, sizes and, if there is one, the projector as device 3; mm."""
+    """``stereo.yml`` with M1 D1 M2 D2 R T, the sizes and a projector as device 3; mm."""
     storage = cv2.FileStorage("stereo.yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     notes: list[str] = []
     for number, device in enumerate([cameras.left, cameras.right, cameras.projector], 1):
         if device is None:
             continue
         kept, error_px = fewer_terms(device, k3=True)
-        notes += lost(_SIDES[number], error_px, "OpenCV", "skew")
+        notes += loss_note(_SIDES[number], error_px, "OpenCV", "skew")
         storage.write(f"imageSize{number}", np.array([kept.size], dtype=np.float64))
         storage.write(f"M{number}", kept.matrix)
         storage.write(f"D{number}", kept.distortion[None])
@@ -59,13 +67,13 @@ def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
     return {"stereo.yml": storage.releaseAndGetString().encode()}, notes
 
 
-def _matrices(file: Named) -> dict[str, Array]:
+def _matrices(file: NamedFile) -> dict[str, Array]:
     """Every matrix and list of numbers at the top of a file."""
     storage = cv2.FileStorage()
     try:
         text = file.data.decode("utf-8")
         if not storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY):
-            raise SourceError(f"{file.name}: not a file of cv2.FileStorage")
+            raise SourceError(f"{file.name}: not a cv2.FileStorage file")
         root = storage.root()
         found = {}
         for key in root.keys():  # noqa: SIM118 - a FileNode is no mapping
@@ -74,7 +82,7 @@ def _matrices(file: Named) -> dict[str, Array]:
             if value is not None:
                 found[key] = value
     except (cv2.error, UnicodeDecodeError, SystemError) as error:
-        raise SourceError(f"{file.name}: not a file of cv2.FileStorage") from error
+        raise SourceError(f"{file.name}: not a cv2.FileStorage file") from error
     finally:
         storage.release()
     return found
@@ -103,15 +111,15 @@ def _device(
     pose = {}
     if number > 1:
         rotation = _first(values, _ROTATION[number], (9, 3), name)
-        if len(rotation) == 3:  # some write Rodrigues' vector
+        if len(rotation) == 3:  # some programs write a rotation vector
             rotation = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
         pose["rotation"] = orthonormal(rotation.reshape(3, 3), f"{name}: {_ROTATION[number][0]}")
         pose["translation"] = unit_mm * _first(values, _TRANSLATION[number], (3,), name)
     bare = matrix.copy()
     bare[2] = 0, 0, 1
-    with named(name):
+    with naming_file(name):
         return CameraModel(
-            _size(values, number, name, size), bare, five(distortion, f"{name}: {side}"), **pose, name=side
+            _size(values, number, name, size), bare, five_coefficients(distortion, f"{name}: {side}"), **pose, name=side
         )
 
 
@@ -123,16 +131,16 @@ def _size(values: dict[str, Array], number: int, name: str, size: tuple[int, int
     if "image_width" in values and "image_height" in values:
         return int(values["image_width"][0]), int(values["image_height"][0])
     if size is None:
-        raise SourceError(f"{name}: it does not tell the size of the images; give --size WIDTHxHEIGHT")
+        raise SourceError(f"{name}: it does not contain the size of the images; give --size WIDTHxHEIGHT")
     return size
 
 
 def _first(values: dict[str, Array], keys: Sequence[str], count: tuple[int, ...], name: str) -> Array:
     for key in keys:
         if key in values:
-            found = values[key].ravel()
-            if len(found) not in count or not np.isfinite(found).all():
-                wanted = " or ".join(str(n) for n in count)
-                raise SourceError(f"{name}: {key} holds {len(found)} numbers, expected {wanted} finite ones")
-            return found
-    raise SourceError(f"{name}: {keys[0]} is missing (other names looked for: {', '.join(keys[1:])})")
+            value = values[key].ravel()
+            if len(value) not in count or not np.isfinite(value).all():
+                expected = " or ".join(str(n) for n in count)
+                raise SourceError(f"{name}: {key} has {len(value)} numbers, expected {expected} finite ones")
+            return value
+    raise SourceError(f"{name}: {keys[0]} is missing (other accepted names: {', '.join(keys[1:])})")

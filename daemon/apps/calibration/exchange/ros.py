@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.exchange.common import (
-    Imported,
-    Named,
+    ImportedCameras,
+    NamedFile,
     fewer_terms,
-    five,
-    lost,
-    named,
+    five_coefficients,
+    loss_note,
+    naming_file,
     numbers,
     orthonormal,
     yaml_mapping,
@@ -32,10 +32,10 @@ from pipeline.rig.camera_model import CameraModel
 Array = NDArray[np.float64]
 
 
-def read(files: Sequence[Named]) -> Imported:
-    """Cameras out of the left and the right file, in this order."""
+def read(files: Sequence[NamedFile]) -> ImportedCameras:
+    """Read the cameras from the left and the right file, in this order."""
     if len(files) != 2:
-        raise SourceError(f"{len(files)} files; ROS has one for each camera: give the left one, then the right one")
+        raise SourceError(f"{len(files)} files, ROS has one for each camera: give the left one, then the right one")
     infos = [yaml_mapping(file) for file in files]
     left, right = (_intrinsics(info, file.name) for info, file in zip(infos, files, strict=True))
     rectify = [
@@ -45,15 +45,17 @@ def read(files: Sequence[Named]) -> Imported:
     across = [_across(info, file.name) for info, file in zip(infos, files, strict=True)]
     if abs(across[0]).max() > 0 and abs(across[1]).max() == 0:
         raise SourceError(
-            f"{files[0].name}: its projection_matrix carries the baseline: this is the right camera's file"
+            f"{files[0].name}: its projection_matrix contains the baseline: this is the right camera's file"
         )
     if abs(across[1]).max() == 0:
-        raise SourceError(f"{files[1].name}: projection_matrix carries no baseline; this is no stereo pair")
+        raise SourceError(f"{files[1].name}: projection_matrix contains no baseline; the files are no stereo pair")
     rotation = rectify[1].T @ rectify[0]
     translation = 1000 * rectify[1].T @ (across[1] - across[0])
-    with named(files[1].name):
+    with naming_file(files[1].name):
         placed = CameraModel(right.size, right.matrix, right.distortion, rotation, translation, "right")
-        return Imported(Cameras(CameraModel(left.size, left.matrix, left.distortion, name="left"), placed), "ros")
+        return ImportedCameras(
+            Cameras(CameraModel(left.size, left.matrix, left.distortion, name="left"), placed), "ros"
+        )
 
 
 def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
@@ -62,7 +64,7 @@ def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
     devices = []
     for side, device in (("left", cameras.left), ("right", cameras.right)):
         kept, error_px = fewer_terms(device, k3=True)
-        notes += lost(side, error_px, "ROS plumb_bob", "skew")
+        notes += loss_note(side, error_px, "ROS plumb_bob", "skew")
         devices.append(kept)
     left, right = devices
     r1, r2, p1, p2, *_ = cv2.stereoRectify(
@@ -105,11 +107,13 @@ def _across(info: Mapping[str, Any], name: str) -> Array:
 
 def _intrinsics(info: Mapping[str, Any], name: str) -> CameraModel:
     if info.get("distortion_model") != "plumb_bob":
-        raise SourceError(f"{name}: distortion_model is {info.get('distortion_model')!r:.40}, only plumb_bob is known")
+        raise SourceError(
+            f"{name}: distortion_model is {info.get('distortion_model')!r:.40}, only plumb_bob is supported"
+        )
     entry = info.get("distortion_coefficients")
     coefficients = entry.get("data") if isinstance(entry, Mapping) else entry
     distortion = numbers({"distortion_coefficients": coefficients}, "distortion_coefficients", (4, 5), name)
     sizes = [int(numbers(info, key, (1,), name)[0]) for key in ("image_width", "image_height")]
     matrix = _matrix(info, "camera_matrix", 9, name).reshape(3, 3)
-    with named(name):
-        return CameraModel((sizes[0], sizes[1]), matrix, five(distortion, name))
+    with naming_file(name):
+        return CameraModel((sizes[0], sizes[1]), matrix, five_coefficients(distortion, name))

@@ -1,1 +1,1 @@
-"""The guided session: the board is looked at live, and captured by itself whenever it is held still at a new pose."""
+"""The guided session: the board is observed live and captured whenever it is still in a new pose."""

@@ -1,4 +1,4 @@
-"""Images of a sequence as the cameras gave them, and who can take them."""
+"""Captured raw images of a sequence, and the protocol of their capture."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pipeline.pattern.sequence import FrameSequence
 Progress = Callable[[int, int], None]
 
 
-def unheard(done: int, of: int) -> None:
-    """Progress that nobody wants to hear of."""
+def no_progress(completed: int, total: int) -> None:
+    """Ignore progress."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shots:
-    """One pair of raw images a frame of a sequence.
+class CapturedImages:
+    """One pair of raw images for each frame of a sequence.
 
     Args:
         encoding: as of :class:`drivers.protocols.Frame`.
@@ -35,33 +35,33 @@ class Shots:
         return {"left": (left.shape[1], left.shape[0]), "right": (right.shape[1], right.shape[0])}
 
 
-class Shooter(Protocol):
-    """Shows images on the projector and takes pairs that surely show them."""
+class ImageCapture(Protocol):
+    """Projects frames and captures pairs that are confirmed to show them."""
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) of the projector, pixels."""
 
-    def shoot(self, sequence: FrameSequence, *, progress: Progress = unheard) -> Shots:
-        """A pair for each frame.
+    def capture(self, sequence: FrameSequence, *, progress: Progress = no_progress) -> CapturedImages:
+        """Capture a pair for each frame.
 
         Args:
-            progress: told (done, of).
+            progress: called with the completed and the total number of frames.
 
         Raises:
-            DriverError, DaemonError: no pairs came, or the projector failed; it may be tried again.
+            DriverError, DaemonError: no pairs arrived, or the projector failed; a retry is possible.
         """
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the person should know, in sentences."""
+        """Notes for the user, whole sentences."""
 
     @property
     def has_hand(self) -> bool:
-        """Whether a simulated hand holds the board, not a person."""
+        """Whether a simulated hand, not a person, holds the board."""
 
     def next_pose(self) -> bool:
-        """Let the simulated hand move the board on; False once it has shown all its poses, or where there is none."""
+        """Move the board to the simulated hand's next pose; False after the last pose, or without a simulated hand."""
 
     def close(self) -> None:
-        """Let go of everything; the last image does not stay."""
+        """Stop projecting and release all devices."""

@@ -1,4 +1,4 @@
-"""Shooting with the rig's own devices, where no daemon runs: a rig that has no calibration yet has no daemon."""
+"""Capture with the rig's own devices, where no daemon runs, such as for a rig without a calibration."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
-from daemon.apps.calibration.guided.capture import Progress, Shots, unheard
+from daemon.apps.calibration.guided.capture import CapturedImages, Progress, no_progress
 from daemon.common.clock import SystemClock
 from daemon.common.errors import DaemonError
 from daemon.common.latest_wins_queue import LatestWinsQueue
@@ -25,16 +25,15 @@ from pipeline.rig.calibration import Response
 _START_S, _TICK_S = 15.0, 0.05
 
 
-class DeviceShooter:
-    """Owns the devices of a rig from its making to :meth:`close`.
+class CaptureFromDevices:
+    """Owns the devices of a rig from construction to :meth:`close`.
 
     Args:
-        devices: cameras and projector as :func:`daemon.rig.open_rig.open_devices` gives them, closed; closed again at
-            the end.
-        config: of the rig, for its pairing. response: of the projector, for images that are given as light.
+        devices: cameras and projector of :func:`daemon.rig.open_rig.open_devices`, not opened.
+        config: of the rig, for the pairing. response: of the projector, for frames that are given as light.
 
     Raises:
-        DriverError: no projector. DaemonError: a camera does not come.
+        DriverError: no projector. DaemonError: a camera delivers no frames.
     """
 
     def __init__(
@@ -55,16 +54,16 @@ class DeviceShooter:
         )
         self._move = next_pose(devices)
         self._pose: Any = None
-        box: LatestWinsQueue[Pair] = LatestWinsQueue(4)
-        pairer = LockedPairer(limits, paired=lambda pair: _put(box, pair), lone=_pass_over, clock=clock)
+        queue: LatestWinsQueue[Pair] = LatestWinsQueue(4)
+        pairer = LockedPairer(limits, paired=lambda pair: _put(queue, pair), lone=_drop, clock=clock)
         try:
             projector = devices.projector.open()
             self._size: tuple[int, int] = projector.size
             self._open_cameras(pairer, clock)
             settle_ns = settling_ns(devices.projector, projector.refresh_hz, tolerance_ns=limits.tolerance_ns)
-            self._shooting = ConfirmedCapture(
+            self._confirmed = ConfirmedCapture(
                 devices.projector,
-                box,
+                queue,
                 clock=clock,
                 settle_ns=settle_ns,
                 patience_s=patience_s(rendered=self._move is not None),
@@ -87,42 +86,42 @@ class DeviceShooter:
         """(width, height) of the projector, pixels."""
         return self._size
 
-    def shoot(self, sequence: FrameSequence, *, progress: Progress = unheard) -> Shots:
-        """A pair for each frame, see :class:`daemon.apps.calibration.guided.capture.Shooter`."""
+    def capture(self, sequence: FrameSequence, *, progress: Progress = no_progress) -> CapturedImages:
+        """Capture a pair for each frame, see :class:`daemon.apps.calibration.guided.capture.ImageCapture`."""
         pairs: list[Pair] = []
         try:
-            for pair in self._shooting.each(frame.image(self._response) for frame in sequence.frames):
+            for pair in self._confirmed.each(frame.image(self._response) for frame in sequence.frames):
                 pairs.append(pair)
                 progress(len(pairs), len(sequence))
         except DriverError as error:
-            gone = [f"camera {side}: {c.status.problem}" for side, c in self._cameras.items() if c.status.problem]
-            raise DriverError("; ".join([*gone, str(error)])) from error
-        return Shots(pairs[0].left.encoding, tuple((pair.left.image, pair.right.image) for pair in pairs))
+            lost = [f"camera {side}: {c.status.problem}" for side, c in self._cameras.items() if c.status.problem]
+            raise DriverError("; ".join([*lost, str(error)])) from error
+        return CapturedImages(pairs[0].left.encoding, tuple((pair.left.image, pair.right.image) for pair in pairs))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the person should know, in sentences."""
+        """Notes for the user, whole sentences."""
         if getattr(self._devices.projector, "latency_s", None) is not None:
             return ()
         return (
-            "the projector's latency is not known, so every image is waited for the longer; "
+            "the projector's latency is unknown, so every capture waits longer than necessary; "
             "`fringed projector latency RIG --write` measures it",
         )
 
     @property
     def has_hand(self) -> bool:
-        """Whether a simulated hand holds the board, not a person."""
+        """Whether a simulated hand, not a person, holds the board."""
         return self._move is not None
 
     def next_pose(self) -> bool:
-        """Let the simulated hand move the board on; False once it has shown all its poses, or where there is none."""
+        """Move the board to the simulated hand's next pose; False after the last pose, or without a simulated hand."""
         if self._move is None:
             return False
         before, self._pose = self._pose, self._move()
         return self._pose is None or self._pose != before
 
     def close(self) -> None:
-        """Go dark and close the devices."""
+        """Stop projecting and close the devices."""
         for camera in self._cameras.values():
             camera.ask_stop()
         for camera in self._cameras.values():
@@ -145,22 +144,22 @@ class DeviceShooter:
         for side, camera in self._cameras.items():
             while not camera.status.encoding:
                 if time.monotonic() > end_s:
-                    problem = camera.status.problem or "it does not answer"
-                    raise DaemonError(f"camera {side}: {problem}; `fringed doctor` may find out why")
+                    problem = camera.status.problem or f"no frame within {_START_S:g} s"
+                    raise DaemonError(f"camera {side}: {problem}; `fringed doctor` examines it")
                 time.sleep(_TICK_S)
         encodings = {side: camera.status.encoding for side, camera in self._cameras.items()}
         if len(set(encodings.values())) != 1:
-            raise DaemonError(f"the cameras send {encodings}; both must send the same encoding")
+            raise DaemonError(f"the cameras have the encodings {encodings}, expected the same one")
 
 
-def _put(box: LatestWinsQueue[Pair], pair: Pair) -> None:
-    """What is pushed out was not waited for."""
-    box.put(pair)
+def _put(queue: LatestWinsQueue[Pair], pair: Pair) -> None:
+    """Queue a pair; the pair that it displaces was not needed."""
+    queue.put(pair)
 
 
-def _pass_over(_: Frame) -> None:
-    """A frame without a partner is of no use."""
+def _drop(_: Frame) -> None:
+    """Ignore an unpaired frame."""
 
 
 def _unchanged() -> None:
-    """Nobody waits for the cameras' states."""
+    """Ignore the cameras' changes of state."""

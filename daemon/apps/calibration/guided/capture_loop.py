@@ -1,4 +1,4 @@
-"""Runs a guided session: look, decide, capture, keep; until there is enough or somebody stops it."""
+"""The loop of a guided session: observe, decide, capture, store; until the views suffice or the user stops it."""
 
 from __future__ import annotations
 
@@ -7,57 +7,58 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from daemon.apps.calibration.guided.capture import Progress, Shooter, Shots
+from daemon.apps.calibration.guided.capture import CapturedImages, ImageCapture, Progress
 from daemon.apps.calibration.guided.session_folder import SessionFolder
-from daemon.apps.calibration.guided.session_state import Detection, Limits, Session, Sight, State, Told
-from daemon.apps.calibration.images.image_files import Image, unpacked
+from daemon.apps.calibration.guided.session_state import Instruction, Limits, Observation, Session, State
+from daemon.apps.calibration.images.image_files import Image, demosaic
 from daemon.apps.calibration.views.view import white_frame
 from daemon.common.errors import DaemonError
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from drivers.errors import DriverError
 from drivers.protocols import SIDES, Clock
 from pipeline.calibrate.targets.board.board import Board
+from pipeline.calibrate.targets.detect.detection import Detection
 from pipeline.common.errors import TargetError
 from pipeline.pattern.sequence import FrameSequence
 
-Probe = tuple[FrameSequence, Callable[[Shots], str]]
+Probe = tuple[FrameSequence, Callable[[CapturedImages], str]]
 Find = Callable[[Image, Board], Detection]
-_MOST_LOOKS, _MOST_STEADY = 20, 4
-"""A simulated hand leaves a pose that became no view after more looks, and after more times the steady time."""
+_MOST_OBSERVATIONS, _MOST_STEADY = 20, 4
+"""A simulated hand leaves a pose without a view after more observations and after more times the steady time."""
 MOST_FAILURES = 5
-"""Looks in a row that may fail before the session ends."""
+"""Consecutive observations that may fail before the session ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """What there is to show after a look: images by camera, what was found in them, and what to do."""
+class SessionUpdate:
+    """The state to display after an observation: images by camera, detections, and the instruction."""
 
     images: dict[str, Image]
-    sight: Sight
-    told: Told
+    observation: Observation
+    instruction: Instruction
     session: Session
 
 
-class Watcher(Protocol):
-    """Shows how a session goes; it must not hold it up."""
+class SessionDisplay(Protocol):
+    """Displays the progress of a session without delaying it."""
 
-    def seen(self, scene: Scene) -> None:
-        """After every look and every capture."""
+    def show(self, update: SessionUpdate) -> None:
+        """Display the state after an observation or a capture."""
 
-    def capturing(self, done: int, of: int) -> None:
-        """While a sequence is shown."""
+    def capturing(self, completed: int, total: int) -> None:
+        """Display the progress of a capture."""
 
-    def trouble(self, text: str) -> None:
-        """A look failed; it is tried again."""
+    def failure(self, text: str) -> None:
+        """Display the reason for a failed observation, which is retried."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a session ended.
+    """The result of a session.
 
     Args:
-        folder: of the captured views. views: how many are in it.
-        complete: whether nothing is missing; text: what is.
+        folder: of the captured views. views: their number.
+        complete: whether nothing is missing; text: what is missing.
     """
 
     folder: Path
@@ -67,13 +68,13 @@ class Outcome:
 
 
 def guide(
-    shooter: Shooter,
+    source: ImageCapture,
     board: Board,
     sequence: FrameSequence,
     folder: Path,
     *,
     find: Find,
-    watcher: Watcher,
+    display: SessionDisplay,
     clock: Clock,
     limits: Limits | None = None,
     probe: Probe | None = None,
@@ -81,103 +82,105 @@ def guide(
 ) -> Outcome:
     """Capture a sequence at pose after pose of the board.
 
-    Between the captures the brightest even image of the sequence is shown, on which the marks are found. Every view
-    is on the disk as soon as it is accepted, so whatever ends the session, nothing of it is lost.
+    Between the captures the brightest uniform frame of the sequence is projected for the detection of the marks. Every
+    accepted view is written at once, so no view is lost when the session ends early.
 
     Args:
-        folder: of this session, new. find: finds the marks.
-        probe: images that are taken before each capture, and what says what is wrong with them.
-        stopped: asked between looks.
+        folder: new folder of this session. find: detects the marks.
+        probe: a sequence captured before each capture, and the function that checks it.
+        stopped: called between observations.
 
     Raises:
-        DriverError, DaemonError: the devices failed too often in a row, or the folder cannot be used.
+        DriverError, DaemonError: too many consecutive failures of the devices, or an unusable folder.
     """
     bright = white_frame(sequence)
-    white = FrameSequence("look", (sequence.frames[bright],))
-    kept = SessionFolder(folder, sequence)
+    white = FrameSequence("white", (sequence.frames[bright],))
+    stored = SessionFolder(folder, sequence)
     session: Session | None = None
-    pending: Shots | None = None
+    pending: CapturedImages | None = None
     failures = stuck = 0
     since_s: float | None = None
     while not stopped() and (session is None or session.state is not State.DONE):
         try:
-            shots = shooter.shoot(white)
+            captured = source.capture(white)
         except CaptureCancelledError:
             break
         except (DriverError, DaemonError) as error:
             failures += 1
             if failures >= MOST_FAILURES:
                 raise
-            watcher.trouble(str(error))
+            display.failure(str(error))
             continue
         failures = 0
-        session = session or Session(board, shots.sizes, limits=limits, frames=len(sequence))
-        images, sight = sighted(shots, 0, board, find, clock)
-        told = session.look(sight)
-        watcher.seen(Scene(images, sight, told, session))
-        if told.capture:
-            problem = _problem(shooter, probe)
+        session = session or Session(board, captured.sizes, limits=limits, frames=len(sequence))
+        images, observation = observe(captured, 0, board, find, clock)
+        instruction = session.observe(observation)
+        display.show(SessionUpdate(images, observation, instruction, session))
+        if instruction.capture:
+            problem = _problem(source, probe)
             if problem:
-                told = session.failed(problem)
+                instruction = session.failed(problem)
             else:
-                pending, told = _capture(shooter, sequence, session, board, find, clock, watcher.capturing)
-            watcher.seen(Scene(images, sight, told, session))
-        if told.accepted is not None and pending is not None:
-            kept.add(pending)
+                pending, instruction = _capture(source, sequence, session, board, find, clock, display.capturing)
+            display.show(SessionUpdate(images, observation, instruction, session))
+        if instruction.accepted is not None and pending is not None:
+            stored.add(pending)
             pending = None
             stuck, since_s = 0, None
-            if session.state is not State.DONE and shooter.has_hand and not shooter.next_pose():
+            if session.state is not State.DONE and source.has_hand and not source.next_pose():
                 break
-        elif shooter.has_hand:
-            # Nobody is there to do as told: a pose that does not become a view is left.
+        elif source.has_hand:
+            # A simulated hand does not follow instructions: a pose that does not become a view is left.
             stuck += 1
-            since_s = sight.t_s if since_s is None else since_s
-            if stuck >= _MOST_LOOKS and sight.t_s - since_s > _MOST_STEADY * session.limits.steady_s:
+            since_s = observation.t_s if since_s is None else since_s
+            if stuck >= _MOST_OBSERVATIONS and observation.t_s - since_s > _MOST_STEADY * session.limits.steady_s:
                 stuck, since_s = 0, None
-                if not shooter.next_pose():
+                if not source.next_pose():
                     break
     if session is None:
-        return Outcome(folder, 0, False, "no image came")
-    complete = kept.views >= session.limits.wanted and not session.missing
-    return Outcome(folder, kept.views, complete, "; ".join(session.missing))
+        return Outcome(folder, 0, False, "no images arrived")
+    complete = stored.views >= session.limits.least and not session.missing
+    return Outcome(folder, stored.views, complete, "; ".join(session.missing))
 
 
-def _problem(shooter: Shooter, probe: Probe | None) -> str:
+def _problem(source: ImageCapture, probe: Probe | None) -> str:
     if probe is None:
         return ""
     try:
-        return probe[1](shooter.shoot(probe[0]))
+        return probe[1](source.capture(probe[0]))
     except (DriverError, DaemonError) as error:
         return str(error)
 
 
 def _capture(
-    shooter: Shooter,
+    source: ImageCapture,
     sequence: FrameSequence,
     session: Session,
     board: Board,
     find: Find,
     clock: Clock,
     progress: Progress,
-) -> tuple[Shots | None, Told]:
+) -> tuple[CapturedImages | None, Instruction]:
     try:
-        shots = shooter.shoot(sequence, progress=progress)
+        captured = source.capture(sequence, progress=progress)
     except (DriverError, DaemonError) as error:
         return None, session.failed(str(error))
-    return shots, session.captured(sighted(shots, white_frame(sequence), board, find, clock)[1])
+    return captured, session.captured(observe(captured, white_frame(sequence), board, find, clock)[1])
 
 
-def sighted(shots: Shots, frame: int, board: Board, find: Find, clock: Clock) -> tuple[dict[str, Image], Sight]:
-    """Both cameras' images of one frame, and the marks in them."""
+def observe(
+    captured: CapturedImages, frame: int, board: Board, find: Find, clock: Clock
+) -> tuple[dict[str, Image], Observation]:
+    """Both cameras' images of one frame, and their detections."""
     t_s = clock.monotonic_ns() / 1e9
     images: dict[str, Image] = {
-        side: unpacked(raw, shots.encoding) for side, raw in zip(SIDES, shots.pairs[frame], strict=True)
+        side: demosaic(raw, captured.encoding) for side, raw in zip(SIDES, captured.pairs[frame], strict=True)
     }
-    found: dict[str, Detection] = {}
+    detections: dict[str, Detection] = {}
     problems: dict[str, str] = {}
     for side, image in images.items():
         try:
-            found[side] = find(image, board)
+            detections[side] = find(image, board)
         except TargetError as error:
             problems[side] = str(error).rstrip(".")
-    return images, Sight(t_s, found, problems)
+    return images, Observation(t_s, detections, problems)

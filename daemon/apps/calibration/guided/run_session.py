@@ -1,4 +1,4 @@
-"""A guided session from a rig file to capture folders: finds out who can show images, and asks for what is needed."""
+"""A guided session from a rig file to capture folders, through the running daemon or with the rig's devices."""
 
 from __future__ import annotations
 
@@ -10,15 +10,20 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from daemon.apps.calibration.guided.capture import Shooter
-from daemon.apps.calibration.guided.capture_from_daemon import DaemonShooter
-from daemon.apps.calibration.guided.capture_from_devices import DeviceShooter
-from daemon.apps.calibration.guided.capture_loop import Find, Outcome, Probe, Watcher, guide
+from daemon.apps.calibration.guided.capture import ImageCapture
+from daemon.apps.calibration.guided.capture_from_daemon import CaptureFromDaemon
+from daemon.apps.calibration.guided.capture_from_devices import CaptureFromDevices
+from daemon.apps.calibration.guided.capture_loop import Find, Outcome, Probe, SessionDisplay, guide
 from daemon.apps.calibration.guided.exposure_check import exposure_problem, full_light
 from daemon.apps.calibration.guided.rerun_view import Kind as ViewKind
-from daemon.apps.calibration.guided.rerun_view import viewer
+from daemon.apps.calibration.guided.rerun_view import live_view
 from daemon.apps.calibration.guided.session_state import Limits
-from daemon.apps.calibration.guided.terminal_view import Bars, Lines, Several, terminal
+from daemon.apps.calibration.guided.terminal_view import (
+    CombinedDisplay,
+    PlainDisplay,
+    ProgressDisplay,
+    terminal_display,
+)
 from daemon.common.clock import SystemClock
 from daemon.common.errors import ControlError, DaemonError
 from daemon.config import load_rig
@@ -28,10 +33,10 @@ from daemon.rig.open_rig import OptionsError, open_devices
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.pattern.sequence import FrameSequence, camera_sequence, projector_sequence
 
-What = Literal["cameras", "projector", "color", "all"]
-_ASK_S = 1.0
+Step = Literal["cameras", "projector", "color", "all"]
+_HELLO_TIMEOUT_S = 1.0
 _STILL_PX = 0.3
-_HAND_S = 0.2
+_HAND_STEADY_S = 0.2
 """A simulated hand is still at once."""
 
 
@@ -40,12 +45,12 @@ def ignore(text: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Phase:
+class Stage:
     """One part of a session.
 
     Args:
-        name: ``board`` (poses of the board) or ``color`` (the board at one place); of its folder, too.
-        sequence: captured at every pose. probe: taken before it, see
+        name: ``board`` (poses of the board) or ``color`` (the board at rest); also the name of its folder.
+        sequence: captured at every pose. probe: captured before it, see
             :func:`daemon.apps.calibration.guided.capture_loop.guide`.
     """
 
@@ -55,30 +60,30 @@ class Phase:
     probe: Probe | None = None
 
 
-def phases(what: What, size: tuple[int, int], *, views: int) -> list[Phase]:
-    """What is to be captured.
+def stages(step: Step, size: tuple[int, int], *, views: int) -> list[Stage]:
+    """The stages of a session.
 
     Args:
-        size: (width, height) of the projector. views: poses of the board, at least.
+        size: (width, height) of the projector. views: least number of poses of the board.
     """
     if views < 3:
         raise DaemonError(f"--views is {views}, expected at least 3 poses of the board")
-    poses = Limits(wanted=views, most=2 * views)
-    still = Limits(steady_px=_STILL_PX, wanted=views, most=2 * views)
-    once = Limits(steady_px=_STILL_PX, wanted=1, most=1)
-    if what == "cameras":
-        return [Phase("board", camera_sequence(size), poses)]
-    if what == "projector":
-        return [Phase("board", projector_sequence(size), still)]
+    poses = Limits(least=views, most=2 * views)
+    still = Limits(steady_px=_STILL_PX, least=views, most=2 * views)
+    once = Limits(steady_px=_STILL_PX, least=1, most=1)
+    if step == "cameras":
+        return [Stage("board", camera_sequence(size), poses)]
+    if step == "projector":
+        return [Stage("board", projector_sequence(size), still)]
     from pipeline.calibrate.color import color_sequence
 
-    color = Phase("color", color_sequence(size), once, (full_light(size), exposure_problem))
-    # Colours first: at the beginning the board faces the rig, and fills the images best.
-    return [color] if what == "color" else [color, Phase("board", projector_sequence(size), still)]
+    color = Stage("color", color_sequence(size), once, (full_light(size), exposure_problem))
+    # Colours first: at the beginning the board faces the rig and fills the images.
+    return [color] if step == "color" else [color, Stage("board", projector_sequence(size), still)]
 
 
 def run_session(
-    what: What,
+    step: Step,
     rig: Path,
     board: Board,
     folder: Path | None = None,
@@ -86,80 +91,80 @@ def run_session(
     views: int = 12,
     view: ViewKind = "none",
     find: Find | None = None,
-    watcher: Watcher | None = None,
+    display: SessionDisplay | None = None,
     notify: Callable[[str], None] = ignore,
     progress: Callable[[int, int], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, Outcome]:
     """Guide a person (or the simulated hand) through a session.
 
-    A running daemon of this rig is asked; without one the rig's devices are opened.
+    The rig's running daemon captures the images; without one the rig's devices are opened.
 
     Args:
         rig: rig.yaml. folder: of the session; None = a new one under ``calibration-sessions`` beside rig.yaml.
-        view: a live view in Rerun. find: finds the marks; None =
+        view: a live view in Rerun. find: detects the marks; None =
             :func:`pipeline.calibrate.targets.find_marks.find_marks`.
-        watcher: shows how it goes; None = the terminal. notify: called with each message.
-        progress: told (done, of) while a simulated rig is rendered.
-        stopped: asked again and again whether to end; what was captured so far stays.
+        display: of the progress; None = the terminal. notify: called with each message.
+        progress: called with the rendered and the total number of images of a simulated rig.
+        stopped: polled; True ends the session, the captured views are kept.
 
     Returns:
-        Outcome of each phase, by its name; phases that were not begun are missing.
+        Outcome of each started stage, by name.
 
     Raises:
-        ConfigError, DriverError, DaemonError: nothing can be captured.
+        ConfigError, DriverError, DaemonError: a capture is not possible.
     """
     config, base_dir = load_rig(rig, complete=False), rig.resolve().parent
     if find is None:
         from pipeline.calibrate.targets.find_marks import find_marks
 
-        # Whoever solves looks again, and better.
+        # The solution detects the marks again with the full refinement.
         find = partial(find_marks, refine=False)
-    place = folder or new_folder(base_dir / "calibration-sessions", what)
+    parent = folder or new_folder(base_dir / "calibration-sessions", step)
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as stack:
-        shooter = open_shooter(config, rig, progress=progress, notify=notify, stopped=stopped)
-        stack.callback(shooter.close)
-        for note in shooter.notes:
+        source = open_capture(config, rig, progress=progress, notify=notify, stopped=stopped)
+        stack.callback(source.close)
+        for note in source.notes:
             notify(note)
-        shown = stack.enter_context(viewer(view, notify))
-        watching = watcher if watcher is not None else _entered(terminal(), stack)
-        if shown is not None:
-            watching = Several(watching, shown)
-        for phase in phases(what, shooter.size, views=views):
+        rerun_display = stack.enter_context(live_view(view, notify))
+        combined = display if display is not None else _entered(terminal_display(), stack)
+        if rerun_display is not None:
+            combined = CombinedDisplay(combined, rerun_display)
+        for stage in stages(step, source.size, views=views):
             if stopped():
                 break
-            outcomes[phase.name] = guide(
-                shooter,
+            outcomes[stage.name] = guide(
+                source,
                 board,
-                phase.sequence,
-                place / phase.name,
+                stage.sequence,
+                parent / stage.name,
                 find=find,
-                watcher=watching,
+                display=combined,
                 clock=SystemClock(),
-                limits=replace(phase.limits, steady_s=_HAND_S) if shooter.has_hand else phase.limits,
-                probe=phase.probe,
+                limits=replace(stage.limits, steady_s=_HAND_STEADY_S) if source.has_hand else stage.limits,
+                probe=stage.probe,
                 stopped=stopped,
             )
     return outcomes
 
 
-def _entered(bars: Lines | Bars, stack: ExitStack) -> Watcher:
+def _entered(bars: PlainDisplay | ProgressDisplay, stack: ExitStack) -> SessionDisplay:
     stack.enter_context(bars)
     return bars
 
 
-def open_shooter(
+def open_capture(
     config: RigConfig,
     rig: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
     notify: Callable[[str], None] = ignore,
     stopped: Callable[[], bool] = lambda: False,
-) -> Shooter:
-    """The running daemon of this rig, or else its devices."""
+) -> ImageCapture:
+    """Connect to the running daemon of this rig, or open the rig's devices."""
     try:
-        client = ControlClient(config.control.endpoint, timeout_s=_ASK_S)
+        client = ControlClient(config.control.endpoint, timeout_s=_HELLO_TIMEOUT_S)
         try:
             hello = client.call("hello")
         except ControlError:
@@ -171,18 +176,19 @@ def open_shooter(
             devices = open_devices(config, rig.resolve().parent, progress=progress)
         except OptionsError as error:
             raise error.located(rig) from error
-        return DeviceShooter(devices, config, cancelled=stopped)
+        return CaptureFromDevices(devices, config, cancelled=stopped)
     if "calibrate.capture" not in hello.get("methods", ()):
         client.close()
         raise DaemonError(
-            f"the daemon at {config.control.endpoint} (version {hello.get('version')}) cannot capture; stop it, or "
-            "start it anew with this version"
+            f"the daemon at {config.control.endpoint} (version {hello.get('version')}) has no method "
+            "calibrate.capture; stop it, or "
+            "restart it with this version"
         )
-    notify(f"the running daemon {hello.get('device')} is asked for the images")
+    notify(f"the images are captured by the running daemon {hello.get('device')}")
     client.close()
-    return DaemonShooter(ControlClient(config.control.endpoint, timeout_s=10.0), cancelled=stopped)
+    return CaptureFromDaemon(ControlClient(config.control.endpoint, timeout_s=10.0), cancelled=stopped)
 
 
-def new_folder(parent: Path, what: str) -> Path:
-    """A name that tells when the session was."""
-    return parent / f"{what}_{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+def new_folder(parent: Path, step: str) -> Path:
+    """A folder name with the time of the session."""
+    return parent / f"{step}_{datetime.now(UTC):%Y%m%dT%H%M%SZ}"

@@ -1,16 +1,16 @@
-"""How a session goes, on a terminal (one live line and a bar) or as plain lines."""
+"""Displays of a session: progress bars on a terminal, or plain lines."""
 
 from __future__ import annotations
 
 import sys
 from typing import Any, Self, TextIO
 
-from daemon.apps.calibration.guided.capture_loop import Scene, Watcher
+from daemon.apps.calibration.guided.capture_loop import SessionDisplay, SessionUpdate
 from daemon.apps.calibration.guided.session_state import State
 
 
-class Lines:
-    """A line whenever something else is to be done; for logs and for programs."""
+class PlainDisplay:
+    """Writes a line for every new instruction; for logs and programs."""
 
     def __init__(self, out: TextIO | None = None) -> None:
         self._out = out or sys.stderr
@@ -22,31 +22,31 @@ class Lines:
     def __exit__(self, *_: object) -> None:
         """Nothing to clean up."""
 
-    def seen(self, scene: Scene) -> None:
-        """Say what to do, once."""
-        text = scene.told.text
-        if scene.told.accepted is not None:
-            text = f"view {len(scene.session.views)} of {scene.session.limits.wanted} is {text}"
-        self._say(text)
+    def show(self, update: SessionUpdate) -> None:
+        """Write the instruction, once."""
+        text = update.instruction.text
+        if update.instruction.accepted is not None:
+            text = f"view {len(update.session.views)} of {update.session.limits.least} {text}"
+        self._write(text)
 
-    def capturing(self, done: int, of: int) -> None:
-        """Every fourth part of a long sequence."""
-        if of > 1 and (done * 4) // of > ((done - 1) * 4) // of:
-            self._say(f"image {done} of {of}")
+    def capturing(self, completed: int, total: int) -> None:
+        """Write the progress after every quarter of a sequence."""
+        if total > 1 and (completed * 4) // total > ((completed - 1) * 4) // total:
+            self._write(f"image {completed} of {total}")
 
-    def trouble(self, text: str) -> None:
-        """Say it."""
-        self._say(text)
+    def failure(self, text: str) -> None:
+        """Write the reason."""
+        self._write(text)
 
-    def _say(self, text: str) -> None:
+    def _write(self, text: str) -> None:
         if text != self._last:
             self._last = text
             self._out.write(text + "\n")
             self._out.flush()
 
 
-class Bars:
-    """A bar of the views, a bar of what goes on now, and the last instruction."""
+class ProgressDisplay:
+    """A bar of the views, a bar of the current activity, and the last instruction."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -64,47 +64,48 @@ class Bars:
     def __exit__(self, *_: object) -> None:
         self._bars.stop()
 
-    def seen(self, scene: Scene) -> None:
-        """Bars and words."""
-        session, told = scene.session, scene.told
-        count = f"{len(session.views)} of {session.limits.wanted} views, {session.refused} not taken"
-        self._bars.update(self._views, completed=len(session.views), total=session.limits.wanted, description=count)
-        if told.accepted is not None:
-            self._bars.console.bell()  # whoever holds the board may not see the screen
-        name = "hold" if session.state in (State.LOOKING, State.STEADYING) else str(session.state)
-        self._bars.update(self._now, completed=told.steady, total=1, description=told.text, name=name)
+    def show(self, update: SessionUpdate) -> None:
+        """Update both bars and the instruction."""
+        session, instruction = update.session, update.instruction
+        count = f"{len(session.views)} of {session.limits.least} views, {session.rejected} not accepted"
+        self._bars.update(self._views, completed=len(session.views), total=session.limits.least, description=count)
+        if instruction.accepted is not None:
+            self._bars.console.bell()  # the person with the board may not see the screen
+        name = "hold" if session.state in (State.SEARCHING, State.STEADYING) else str(session.state)
+        self._bars.update(self._now, completed=instruction.steady, total=1, description=instruction.text, name=name)
 
-    def capturing(self, done: int, of: int) -> None:
-        """The sequence's bar."""
-        self._bars.update(self._now, completed=done, total=of, name="images", description=f"{done} of {of}")
+    def capturing(self, completed: int, total: int) -> None:
+        """Update the bar of the sequence."""
+        text = f"{completed} of {total}"
+        self._bars.update(self._now, completed=completed, total=total, name="images", description=text)
 
-    def trouble(self, text: str) -> None:
-        """In the place of the instruction."""
+    def failure(self, text: str) -> None:
+        """Write the reason in place of the instruction."""
         self._bars.update(self._now, completed=0, description=text)
 
 
-class Several:
-    """Several watchers as one."""
+class CombinedDisplay:
+    """Several displays combined."""
 
-    def __init__(self, *watchers: Watcher) -> None:
-        self._watchers = watchers
+    def __init__(self, *displays: SessionDisplay) -> None:
+        self._displays = displays
 
-    def seen(self, scene: Scene) -> None:
-        """Tell all of them."""
-        for watcher in self._watchers:
-            watcher.seen(scene)
+    def show(self, update: SessionUpdate) -> None:
+        """Pass the call to all displays."""
+        for display in self._displays:
+            display.show(update)
 
-    def capturing(self, done: int, of: int) -> None:
-        """Tell all of them."""
-        for watcher in self._watchers:
-            watcher.capturing(done, of)
+    def capturing(self, completed: int, total: int) -> None:
+        """Pass the call to all displays."""
+        for display in self._displays:
+            display.capturing(completed, total)
 
-    def trouble(self, text: str) -> None:
-        """Tell all of them."""
-        for watcher in self._watchers:
-            watcher.trouble(text)
+    def failure(self, text: str) -> None:
+        """Pass the call to all displays."""
+        for display in self._displays:
+            display.failure(text)
 
 
-def terminal() -> Lines | Bars:
-    """What suits standard error."""
-    return Bars() if sys.stderr.isatty() else Lines()
+def terminal_display() -> PlainDisplay | ProgressDisplay:
+    """The display for standard error: bars on a terminal, plain lines otherwise."""
+    return ProgressDisplay() if sys.stderr.isatty() else PlainDisplay()

@@ -1,4 +1,4 @@
-"""Images from files: bounded, 8 or 16 bits, grey or red-green-blue."""
+"""Image files of 8 or 16 bits, grey or RGB, read within limits."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ MOST_IMAGES = 1000
 
 
 def read_image(path: Path) -> Image:
-    """The pixels of a PNG, JPEG, TIFF or BMP file, (H, W) or (H, W, 3) red, green, blue, uint8 or uint16.
+    """Read a PNG, JPEG, TIFF or BMP file: (H, W) or (H, W, 3) red, green, blue, uint8 or uint16.
 
     Raises:
-        SourceError: it names the file and what is wrong with it.
+        SourceError: the file's name and its problem.
     """
     data = read_at_most(path, FILE_LIMIT, SourceError)
     if not data:
         raise SourceError(f"{path}: the file is empty")
     size = image_size(data)
     if size is None:
-        raise SourceError(f"{path}: not an image that can be read; expected a PNG, JPEG, TIFF or BMP file")
+        raise SourceError(f"{path}: not a readable image; expected a PNG, JPEG, TIFF or BMP file")
     width, height = size
     if min(size) < LEAST_SIDE or max(size) > MOST_SIDE or width * height > MOST_PIXELS:
         raise SourceError(
             f"{path}: {width} x {height} pixels; expected {LEAST_SIDE} to {MOST_SIDE} on each side and at most "
-            f"{MOST_PIXELS >> 20} million in all"
+            f"{MOST_PIXELS >> 20} million in total"
         )
     return _pixels(path, data, size)
 
@@ -49,7 +49,7 @@ def _pixels(path: Path, data: bytes, size: tuple[int, int]) -> Image:
     except cv2.error:
         image = None
     if image is None or image.shape[1::-1] != size:
-        raise SourceError(f"{path}: the image is damaged or cut off; copy or take it again")
+        raise SourceError(f"{path}: the image is damaged or truncated; copy or capture it again")
     if image.dtype not in (np.uint8, np.uint16):
         raise SourceError(f"{path}: pixels of type {image.dtype}; expected 8 or 16 bits")
     if image.ndim == 2:
@@ -58,14 +58,14 @@ def _pixels(path: Path, data: bytes, size: tuple[int, int]) -> Image:
 
 
 def matching(pattern: str, what: str) -> list[Path]:
-    """The files of a pattern such as ``L/*.png``, sorted by name; SourceError if there are none or too many."""
-    found = sorted(Path(name) for name in glob.glob(str(Path(pattern).expanduser()), recursive=True))  # noqa: PTH207
-    found = [path for path in found if path.is_file()]
-    if not found:
-        raise SourceError(f"{what} {pattern}: no file has such a name")
-    if len(found) > MOST_IMAGES:
-        raise SourceError(f"{what} {pattern}: {len(found)} files, at most {MOST_IMAGES} are read; name fewer")
-    return found
+    """Files matching a pattern such as ``L/*.png``, sorted by name; SourceError if there are none or too many."""
+    paths = sorted(Path(name) for name in glob.glob(str(Path(pattern).expanduser()), recursive=True))  # noqa: PTH207
+    paths = [path for path in paths if path.is_file()]
+    if not paths:
+        raise SourceError(f"{what} {pattern}: no file matches")
+    if len(paths) > MOST_IMAGES:
+        raise SourceError(f"{what} {pattern}: {len(paths)} files, at most {MOST_IMAGES} are read; name fewer")
+    return paths
 
 
 _DEMOSAIC = {
@@ -76,21 +76,21 @@ _DEMOSAIC = {
 }
 
 
-def unpacked(raw: Image, encoding: str) -> Image:
-    """A sensor's image as grey or red-green-blue pixels; a mosaic is demosaiced, which is enough to find marks."""
+def demosaic(raw: Image, encoding: str) -> Image:
+    """Convert a sensor's image to grey or RGB pixels; the quality suffices for the detection of marks."""
     code = _DEMOSAIC.get(encoding)
     if code is None:
         return raw
-    if raw.dtype == np.float32:  # a mean of images; OpenCV demosaics integers only
+    if raw.dtype == np.float32:  # a mean of images; OpenCV demosaics only integers
         return np.asarray(cv2.cvtColor(np.clip(np.rint(raw * 256), 0, 65535).astype(np.uint16), code))
     return np.asarray(cv2.cvtColor(raw, code))
 
 
 def as_raw(image: Image, encoding: str, name: str) -> Image:
-    """The pixels of a file that holds a sensor's image; SourceError unless they are what ``encoding`` says."""
+    """Check that a file's pixels have the type of a raw image in ``encoding``; SourceError otherwise."""
     depth = np.uint16 if encoding == "mono16" else np.uint8
     dimensions = 3 if encoding == "rgb8" else 2
     if image.dtype != depth or image.ndim != dimensions:
         kind = "colour" if image.ndim == 3 else "grey"
-        raise SourceError(f"{name}: {kind} image of {image.dtype}, which is not {encoding} as capture.json says")
+        raise SourceError(f"{name}: {kind} image of {image.dtype}, but capture.json specifies {encoding}")
     return image

@@ -1,4 +1,4 @@
-"""Width and height in the head of an image file, so that nothing is unpacked before its size is known."""
+"""Width and height from an image file's header: the size is checked before the file is decoded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """(width, height) of a PNG, JPEG, TIFF or BMP; None if it is none of them or cut off in its head."""
+    """(width, height) of a PNG, JPEG, TIFF or BMP; None for other formats and truncated headers."""
     try:
         if data.startswith(b"\x89PNG\r\n\x1a\n"):
             width, height = struct.unpack_from(">II", data, 16)
@@ -22,7 +22,7 @@ def image_size(data: bytes) -> tuple[int, int] | None:
             return None
     except (struct.error, IndexError, KeyError):
         return None
-    return int(width), abs(int(height))  # the height of a BMP is negative where its rows go down
+    return int(width), abs(int(height))  # the height of a BMP is negative if its rows run downwards
 
 
 def _jpeg(data: bytes) -> tuple[int, int]:
@@ -36,7 +36,7 @@ def _jpeg(data: bytes) -> tuple[int, int]:
         if marker in _START_OF_FRAME:
             height, width = struct.unpack_from(">HH", data, at + 3)
             return width, height
-        if marker != 0x01 and not 0xD0 <= marker <= 0xD8:  # these stand alone
+        if marker != 0x01 and not 0xD0 <= marker <= 0xD8:  # these markers have no length field
             at += struct.unpack_from(">H", data, at)[0]
 
 

@@ -1,4 +1,4 @@
-"""The report's drawings as inline SVG; coordinates of images are pixels, (0, 0) the centre of the first one."""
+"""The report's charts as inline SVG; image coordinates are pixels, (0, 0) the centre of the first one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COLORS = {"left": BLUE, "right": "#b0541a", "projector": "#6a3fa0"}
 
 
 def vector_scale(misfits: Sequence[Array], width: int) -> float:
-    """A round factor by which residuals are drawn, so that most are some hundredths of the image's width."""
+    """A round magnification of the residuals, with which most are some hundredths of the image's width."""
     lengths = np.concatenate([np.linalg.norm(misfit, axis=1) for misfit in misfits] or [np.empty(0)])
     if not len(lengths) or not (long := float(np.quantile(lengths, 0.95))) > 0:
         return 1.0
@@ -30,7 +30,7 @@ def vector_scale(misfits: Sequence[Array], width: int) -> float:
 def view_image(
     size: tuple[int, int], jpeg: bytes, used: Array, misfit: Array, left_out: Array, *, scale: float, color: str
 ) -> str:
-    """A view with its marks, and from each a line to where the model would have it, drawn ``scale`` times as long.
+    """A view with its marks and their residuals, ``scale`` times enlarged.
 
     Args:
         size: (width, height) of the image, pixels; jpeg: the image, of any size.
@@ -59,7 +59,7 @@ def view_image(
 
 
 def coverage_map(size: tuple[int, int], pixels: Array, misfit: Array, *, scale: float, color: str) -> str:
-    """Where marks were seen, all views together, and the mean residual of each cell as an arrow."""
+    """Positions of the marks of all views, and the mean residual of each cell as an arrow."""
     width, height = size
     columns, rows = (2 * count for count in CELLS)
     cell = width / columns
@@ -78,12 +78,12 @@ def coverage_map(size: tuple[int, int], pixels: Array, misfit: Array, *, scale: 
     tall = height / rows
     for r in range(rows):
         for c in range(columns):
-            place = f'x="{c * cell:.1f}" y="{r * tall:.1f}" width="{cell:.1f}" height="{tall:.1f}"'
+            bounds = f'x="{c * cell:.1f}" y="{r * tall:.1f}" width="{cell:.1f}" height="{tall:.1f}"'
             if counts[r, c]:
                 opacity = 0.08 + 0.3 * min(1.0, counts[r, c] / most)
-                out.append(f'<rect {place} fill="{color}" opacity="{opacity:.2f}"/>')
+                out.append(f'<rect {bounds} fill="{color}" opacity="{opacity:.2f}"/>')
             else:
-                out.append(f'<rect {place} fill="#f1d9d6"/>')
+                out.append(f'<rect {bounds} fill="#f1d9d6"/>')
     out.append(
         f'<path d="{"".join(f"M{u:.0f} {v:.0f}h0" for u, v in pixels)}" stroke="{color}" '
         f'stroke-width="{2 * thin:.2f}" stroke-linecap="round" opacity="0.7"/>'
@@ -99,7 +99,7 @@ def coverage_map(size: tuple[int, int], pixels: Array, misfit: Array, *, scale: 
 
 
 def histogram(misfit: Array, sigma_px: float, *, color: str) -> str:
-    """Residuals in u (filled) and v (line) with the normal distribution of the noise they show."""
+    """Residuals in u (filled) and v (line) with the normal distribution of the same width."""
     width, height, foot = 420.0, 210.0, 26.0
     reach = max(3.5 * sigma_px, 1e-6)
     edges = np.linspace(-reach, reach, 36)
@@ -138,7 +138,7 @@ def histogram(misfit: Array, sigma_px: float, *, color: str) -> str:
 
 
 def view_bars(names: Sequence[str], series: Sequence[tuple[str, str, Sequence[float]]], unit: str) -> str:
-    """Bars side by side for every view: series of (label, colour, values); NaN where a view has no value."""
+    """Grouped bars for every view; series of (label, colour, values), NaN for a view without a value."""
     values = np.array([values for _, _, values in series], dtype=np.float64)
     top = 1.15 * (float(np.nanmax(values)) if np.isfinite(values).any() else 1.0)
     width, chart, foot, margin = 1080.0, 200.0, 74.0, 52.0

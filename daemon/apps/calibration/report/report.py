@@ -1,4 +1,4 @@
-"""What the report of a calibration says, section by section."""
+"""The report of a calibration, section by section."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from html import escape
 import numpy as np
 
 from daemon.apps.calibration.report.charts import COLORS, coverage_map, histogram, vector_scale, view_bars, view_image
-from daemon.apps.calibration.views.detect_marks import Seen
+from daemon.apps.calibration.views.detect_marks import ImageDetection
 from daemon.common.html_page import Card, figure, items, page, table
 from pipeline.calibrate.bundle import Solution
 from pipeline.calibrate.bundle.adjust.state import INTRINSICS, POSE
@@ -19,19 +19,19 @@ from pipeline.rig.calibration import Cameras
 
 _EMPTY = np.empty((0, 2))
 MOST_IMAGES = 60
-"""Images in a report; each takes some 50 kilobytes."""
+"""Most images in a report; each needs some 50 kilobytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What there is to report.
+    """The contents of a report.
 
     Args:
         title, created, board, sources: for the head of the page.
-        solution: with its residuals; seen: the images.
-        coverage: share of each device's image that saw marks.
-        cameras: as they are written to the file; before: those of the file that was there, ``before_name`` its date.
-        notes: sentences about what was done; advice: sentences about what would make it better.
+        solution: with its residuals; images: with their detections.
+        coverage: share of each device's image with marks.
+        cameras: as written to the file; before: those of the previous file, ``before_name`` its date.
+        notes, advice: sentences about the calibration and about improvements.
     """
 
     title: str
@@ -39,7 +39,7 @@ class Report:
     board: str
     sources: Sequence[str]
     solution: Solution
-    seen: Sequence[Seen]
+    images: Sequence[ImageDetection]
     cameras: Cameras
     coverage: Mapping[str, float]
     before: Cameras | None = None
@@ -50,16 +50,16 @@ class Report:
 
 
 def report_html(report: Report) -> bytes:
-    """The file's bytes, UTF-8."""
+    """The report as an HTML page, UTF-8."""
     solution = report.solution
     lines = [
         f"{report.created:%d %B %Y, %H:%M} UTC · board {report.board} · {', '.join(report.sources)}",
         f"Scale from {solution.scale}." if solution.scale else "",
     ]
     sections = [
-        ("What to do", items(report.advice)),
+        ("Advice", items(report.advice)),
         ("Notes", items(report.notes)),
-        ("Errors of every view", _views(solution)),
+        ("Errors by view", _views(solution)),
         ("Left out", _left_out(report)),
         ("Coverage", _coverage(solution)),
         ("Residuals", _residuals(solution)),
@@ -98,21 +98,24 @@ def _views(solution: Solution) -> str:
         series.append(("epipolar", "#2f8f6b", [view.epipolar_px for view in figures]))
     return figure(
         view_bars([view.name for view in figures], series, "px"),
-        "Root mean square of the distances between marks and their predicted places, and the mean distance of marks "
-        "from the epipolar lines of their partners. A view that stands out was moved, or is blurred.",
+        "Root mean square distance between marks and their predicted positions, and mean distance of the marks from "
+        "the "
+        "epipolar lines of the other camera. In a view with large errors the board moved, or the images are blurred.",
     )
 
 
 def _left_out(report: Report) -> str:
-    rows = [(seen.view, seen.device, "all marks", seen.problem) for seen in report.seen if seen.found is None]
+    rows = [
+        (image.view, image.device, "all marks", image.problem) for image in report.images if image.detection is None
+    ]
     for rejection in report.solution.rejected:
         marks = ", ".join(map(str, rejection.ids)) if rejection.ids else "all marks"
-        why = f"{rejection.reason} (repaired, used)" if rejection.repaired else rejection.reason
-        rows.append((rejection.view, rejection.device or "all", marks, why))
+        reason = f"{rejection.reason} (repaired, used)" if rejection.repaired else rejection.reason
+        rows.append((rejection.view, rejection.device or "all", marks, reason))
     rows += [("", "", "", problem) for problem in report.problems]
     if not rows:
-        return "<p>Nothing: every mark of every image was used.</p>"
-    return table(("view", "device", "marks", "why"), rows, text=range(4))
+        return "<p>None: every mark of every image was used.</p>"
+    return table(("view", "device", "marks", "reason"), rows, text=range(4))
 
 
 def _coverage(solution: Solution) -> str:
@@ -123,13 +126,13 @@ def _coverage(solution: Solution) -> str:
         out.append(
             figure(
                 coverage_map(model.size, pixels, misfit, scale=3 * scale, color=COLORS[device]),
-                f"{device}, {model.size[0]} x {model.size[1]} pixels: every mark of every view; red cells saw none. "
-                f"Arrows: mean residual of a cell, drawn {3 * scale:g} times as long.",
+                f"{device}, {model.size[0]} x {model.size[1]} pixels: every mark of every view; red cells have none. "
+                f"Arrows: mean residual of a cell, {3 * scale:g} times enlarged.",
             )
         )
     return (
-        "<p>The lens is known where marks were seen. Arrows that turn together mean that the lens model does not fit; "
-        f'without any order they are noise.</p><div class="pair">{"".join(out)}</div>'
+        "<p>The lens model is determined where marks were detected. Arrows with a common pattern show an unsuitable "
+        f'lens model; arrows without a pattern are noise.</p><div class="pair">{"".join(out)}</div>'
     )
 
 
@@ -142,7 +145,7 @@ def _residuals(solution: Solution) -> str:
             figure(
                 histogram(misfit, max(sigma, 1e-9), color=COLORS[device]),
                 f"{device}: residuals in px, {len(misfit)} marks, {sigma:.4f} px in each direction. Filled: u, "
-                "line: v, dashed: a normal distribution of that width.",
+                "line: v, dashed: normal distribution of this width.",
             )
         )
     return f'<div class="pair">{"".join(out)}</div>'
@@ -159,31 +162,32 @@ def _parameters(report: Report) -> str:
     groups.append(("rig", [(name, name) for name in ("baseline_mm", "angle_deg") if name in solution.values]))
     tables = [_table(report, before, heading, names) for heading, names in groups if names]
     text = (
-        "<p>One standard deviation, from the residuals and the geometry of all views together. fx, fy, skew, cx, cy in "
+        "<p>Standard deviations from the residuals and the geometry of all views together. fx, fy, skew, cx, cy in "
         "pixels; rotations as a rotation vector in radians; translations in mm.</p>"
     )
     if before:
         text += (
-            f"<p>Before: {escape(report.before_name)}. Red: changed by more than five standard deviations; something "
-            "was moved, refocused or replaced.</p>"
+            f"<p>Before: {escape(report.before_name)}. Red: changed by more than five standard deviations; a "
+            "device was moved, refocused or replaced.</p>"
         )
     wide = " wide" if before else ""
     return f'{text}<div class="tables{wide}">{"".join(tables)}</div>'
 
 
 def _table(report: Report, before: Mapping[str, float], heading: str, names: Sequence[tuple[str, str]]) -> str:
-    """Values and standard deviations of some parameters, (name, shown name), beside those before."""
+    """Values and standard deviations of some parameters, (name, label), beside the previous ones."""
     rows: list[list[str]] = []
     out: list[int] = []
-    for name, shown in names:
+    for name, label in names:
         value, sigma = report.solution.values.get(name), report.solution.sigma.get(name, 0.0)
         if value is None:
             continue
-        row = [shown, _rounded(value, sigma), f"{sigma:.2g}" if sigma > 0 else "held"]
-        was = before.get(name)
+        row = [label, _rounded(value, sigma), f"{sigma:.2g}" if sigma > 0 else "held"]
+        previous = before.get(name)
         if before:
-            row += [_rounded(was, sigma), _rounded(value - was, sigma, sign="+")] if was is not None else ["", ""]
-            ratio = abs(value - was) / sigma if was is not None and sigma > 0 else None
+            change = None if previous is None else value - previous
+            row += ["", ""] if change is None else [_rounded(value - change, sigma), _rounded(change, sigma, sign="+")]
+            ratio = abs(change) / sigma if change is not None and sigma > 0 else None
             row.append(f"{ratio:.1f}" if ratio is not None else "")
             if ratio is not None and ratio > 5:
                 out.append(len(rows))
@@ -196,40 +200,37 @@ def _images(report: Report) -> str:
     scale = _common_scale(report.solution)
     out = []
     shown, rest = _worst(report)
-    for seen in shown:
-        residuals = report.solution.residuals.get((seen.view, seen.device))
+    for image in shown:
+        residuals = report.solution.residuals.get((image.view, image.device))
         used, misfit = (residuals.pixels, residuals.misfit) if residuals is not None else (_EMPTY, _EMPTY)
         left_out = _EMPTY
-        if seen.found is not None:
-            marks = seen.found.marks
+        if image.detection is not None:
+            marks = image.detection.marks
             kept = np.isin(marks.ids, residuals.ids) if residuals is not None else np.zeros(len(marks), np.bool_)
             left_out = marks.pixels[~kept] if residuals is None or len(used) < len(marks) else _EMPTY
-        svg = view_image(seen.size, seen.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
-        out.append(figure(svg, _caption(seen, used, misfit)))
-    text = (
-        f"Green: marks used; red lines: from each to where the calibrated model puts it, drawn {scale:g} times as "
-        "long; amber crosses: marks left out."
-    )
-    text += f" The worst views are shown, {rest} images are not." if rest else ""
+        svg = view_image(image.size, image.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
+        out.append(figure(svg, _caption(image, used, misfit)))
+    text = f"Green: used marks; red lines: residuals, {scale:g} times enlarged; amber crosses: marks left out."
+    text += f" The worst views are shown, {rest} images are omitted." if rest else ""
     return f'<p>{text}</p><div class="grid">{"".join(out)}</div>'
 
 
-def _worst(report: Report) -> tuple[list[Seen], int]:
-    """The images to show, in order: all of them, or the ones of the worst views; and how many are not shown."""
-    if len(report.seen) <= MOST_IMAGES:
-        return list(report.seen), 0
+def _worst(report: Report) -> tuple[list[ImageDetection], int]:
+    """The images to show, in order: all of them, or those of the worst views; and the number of omitted images."""
+    if len(report.images) <= MOST_IMAGES:
+        return list(report.images), 0
     errors = {view.name: max(view.rms.values(), default=np.inf) for view in view_figures(report.solution)}
-    views = sorted({seen.view for seen in report.seen}, key=lambda name: -errors.get(name, np.inf))
+    views = sorted({image.view for image in report.images}, key=lambda name: -errors.get(name, np.inf))
     chosen = set(views[: MOST_IMAGES // 2])
-    shown = [seen for seen in report.seen if seen.view in chosen]
-    return shown, len(report.seen) - len(shown)
+    shown = [image for image in report.images if image.view in chosen]
+    return shown, len(report.images) - len(shown)
 
 
-def _caption(seen: Seen, used: np.ndarray, misfit: np.ndarray) -> str:
-    name = f"{seen.view}, {seen.device}"
-    if seen.found is None:
-        return f"{name}: {seen.problem}"
-    sharp = f"edges {seen.found.sharpness_px:.2f} px"
+def _caption(image: ImageDetection, used: np.ndarray, misfit: np.ndarray) -> str:
+    name = f"{image.view}, {image.device}"
+    if image.detection is None:
+        return f"{name}: {image.problem}"
+    sharp = f"edges {image.detection.sharpness_px:.2f} px"
     if not len(used):
         return f"{name}: not used, {sharp}"
     return f"{name}: {len(used)} marks, {np.sqrt((misfit**2).sum(axis=1).mean()):.3f} px rms, {sharp}"
@@ -248,7 +249,7 @@ def _common_scale(solution: Solution) -> float:
 
 
 def _rounded(value: float, sigma: float, sign: str = "") -> str:
-    """A value to a tenth of its standard deviation."""
+    """Round a value to a tenth of its standard deviation."""
     if not sigma > 0:
         return f"{value:{sign}.6g}"
     return f"{value:{sign}.{max(0, min(12, 1 - int(np.floor(np.log10(sigma)))))}f}"

@@ -1,4 +1,4 @@
-"""Puts a calibration in place: the old one stays beside it under its date, a better one is not replaced unasked."""
+"""Writing of calibration files: the old one is kept under its date, a better one is replaced only by ``force``."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pipeline.common.errors import CalibrationError
 from pipeline.rig.calibration import Calibration, Cameras
 
 WORSE_BY = 1.1
-"""An error that grew by less than a tenth is chance: another set of views gives as much."""
+"""Growth of an error by less than a tenth is chance: another set of views varies as much."""
 FLOOR_PX = 0.01
-"""Differences below this do not show in any measurement."""
+"""Smaller differences have no effect on measurements."""
 FLOOR_RAD = 0.002
 COVERAGE_BY = 0.1
 _ERRORS = {
@@ -30,13 +30,13 @@ _ERRORS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Stored:
-    """What was written.
+class StoredCalibration:
+    """A written calibration.
 
     Args:
-        path: the calibration; identity: of its bytes.
-        kept: where the one before it is now, None if there was none.
-        notes: whole sentences for the person who calibrates.
+        path: of the file; identity: hash of its bytes.
+        kept: the copy of the previous file, None if there was none.
+        notes: whole sentences for the user.
     """
 
     path: Path
@@ -45,25 +45,24 @@ class Stored:
     notes: list[str] = field(default_factory=list)
 
 
-def present(path: Path) -> CamerasFile | None:
-    """The calibration in that place; None if there is none. CalibrationError if something else is there."""
+def existing(path: Path) -> CamerasFile | None:
+    """The calibration at a path, None if there is no file; CalibrationError for a file that is no calibration."""
     return parse_cameras(read_at_most(path, SIZE_LIMIT, CalibrationError), str(path)) if path.exists() else None
 
 
 def better_reasons(new: Mapping[str, Any], old: CamerasFile, *, loses_projector: bool) -> list[str]:
-    """Why the old calibration is better than the new one, in words; empty if it is not.
+    """Reasons why the old calibration is better than the new one; empty if it is not.
 
-    Compared are the errors in pixels and the share of the images in which marks were seen: errors fall when the
-    marks keep to the middle of the image, so that neither says enough alone. What the old file does not tell is
-    not compared, but a calibration of known quality is better than one that tells none.
+    Errors in pixels and coverage are compared together, because errors decrease when the marks lie only in the middle
+    of the image. Missing figures of the old file are not compared, but known quality is better than unknown quality.
     """
     before = old.mapping.get("quality")
     before = before if isinstance(before, Mapping) else {}
     reasons = []
-    for key, words in _ERRORS.items():
+    for key, name in _ERRORS.items():
         was, now = _number(before, key), _number(new, key)
         if was is not None and now is not None and now > max(WORSE_BY * was, was + FLOOR_PX):
-            reasons.append(f"{words} would grow from {was:.3f} to {now:.3f} px")
+            reasons.append(f"{name} would grow from {was:.3f} to {now:.3f} px")
     for side in ("left", "right"):
         was, now = _number(before, f"coverage_{side}"), _number(new, f"coverage_{side}")
         if was is not None and now is not None and now < was - COVERAGE_BY:
@@ -75,7 +74,7 @@ def better_reasons(new: Mapping[str, Any], old: CamerasFile, *, loses_projector:
     if _number(before, "rms_stereo_px") is not None and _number(new, "rms_stereo_px") is None:
         reasons.append("its errors are known, those of the new one are not")
     if loses_projector:
-        reasons.append("it has a projector, and the new one does not: nothing could be measured with it")
+        reasons.append("it has a projector, the new one has none and cannot measure")
     return reasons
 
 
@@ -86,48 +85,48 @@ def store(
     quality: Mapping[str, Any],
     force: bool = False,
     created: datetime | None = None,
-) -> Stored:
-    """Write a calibration; the file that it replaces is kept beside it, under its own date.
+) -> StoredCalibration:
+    """Write a calibration; the replaced file is kept beside it under its date.
 
-    Keys of the old file that this program does not know are carried over.
+    Unknown keys of the old file are carried over.
 
     Raises:
-        KeptError: the old one is better, and ``force`` is not given; no file was touched.
-        CalibrationError: something that is no calibration stands there, and ``force`` is not given.
+        KeptError: the old one is better and ``force`` is not given; no file was changed.
+        CalibrationError: the existing file is no calibration and ``force`` is not given.
     """
     created = (created or datetime.now(UTC)).astimezone(UTC)
-    old, notes = refuse_worse(path, calibration, quality=quality, force=force)
+    old, notes = reject_worse(path, calibration, quality=quality, force=force)
     data = calibration_bytes(calibration, created=created, quality=quality, keep=old.mapping if old else None)
     file = parse_cameras(data, str(path))
     kept = keep_dated(path, old) if path.exists() else None
     write_atomically(path, data)
-    return Stored(path, file.identity, kept, notes)
+    return StoredCalibration(path, file.identity, kept, notes)
 
 
-def refuse_worse(
+def reject_worse(
     path: Path, calibration: Calibration | Cameras, *, quality: Mapping[str, Any], force: bool
 ) -> tuple[CamerasFile | None, list[str]]:
-    """The calibration that stands in that place, and notes; KeptError or CalibrationError as :func:`store` has it."""
+    """The existing calibration and notes; raise KeptError or CalibrationError as :func:`store` does."""
     try:
-        old = present(path)
+        old = existing(path)
     except CalibrationError as error:
         if not force:
-            raise CalibrationError(f"{error}; it is left as it is, --force moves it aside") from error
-        return None, [f"what stood in {path} was no calibration that can be read"]
+            raise CalibrationError(f"{error}; the file is unchanged, --force moves it aside") from error
+        return None, [f"{path} was no readable calibration"]
     if old is None:
         return None, []
     loses = old.cameras.projector is not None and calibration.projector is None
     reasons = better_reasons(quality, old, loses_projector=loses)
     if reasons and not force:
         raise KeptError(
-            f"{path} is better and was left as it is: {'; '.join(reasons)}. Write elsewhere with --out, or replace it "
+            f"{path} is better and was not replaced: {'; '.join(reasons)}. Write elsewhere with --out, or replace it "
             "with --force"
         )
     return old, [f"replaced by --force although {reason}" for reason in reasons]
 
 
 def keep_dated(path: Path, old: CamerasFile | None) -> Path:
-    """Copy a file to ``NAME.2026-11-21T120000Z.yaml`` beside it, the date being its own; the copy's name."""
+    """Copy a file to ``NAME.2026-11-21T120000Z.yaml`` beside it, with its own date; return the copy's path."""
     data = path.read_bytes()
     stamp = _stamp(old.mapping.get("created") if old else None, path)
     for number in range(1, 1000):
@@ -138,11 +137,11 @@ def keep_dated(path: Path, old: CamerasFile | None) -> Path:
             return name
         if name.read_bytes() == data:
             return name
-    raise KeptError(f"{path}: there are 999 calibrations of the same second; move some away")
+    raise KeptError(f"{path}: 999 copies with the date of the same second exist; move some of them away")
 
 
 def _stamp(created: Any, path: Path) -> datetime:
-    """When a calibration was made: as it says, else when its file was written."""
+    """The date in a calibration, else the time at which its file was written."""
     try:
         when = created if isinstance(created, datetime) else datetime.fromisoformat(str(created))
         return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
@@ -151,7 +150,7 @@ def _stamp(created: Any, path: Path) -> datetime:
 
 
 def _phase_error(quality: Mapping[str, Any], side: str) -> float | None:
-    """Phase error with the colours of that file, of one camera."""
+    """Phase error of one camera with the file's colours."""
     colors = quality.get("color")
     camera = colors.get(side) if isinstance(colors, Mapping) else None
     errors = camera.get("phase_error_rad") if isinstance(camera, Mapping) else None

@@ -1,9 +1,9 @@
-"""The last look at a calibrated projector: do all pixels of the board agree with it, not just the marks?
+"""A check of the calibrated projector against all pixels of the board, not only its marks.
 
-Every white pixel that both cameras see gives a point from the two cameras alone, and the projector coordinates that
-were observed there. What they differ by from the calibrated projector is the trinocular residual. How well the board
-was printed plays no part in it. Where it shows the projector wrong by more than the marks can have noticed, the
-projector is refined; the left and the right camera, which the metric comes from, stay.
+Every white pixel visible to both cameras gives a point from the two cameras alone, and observed projector coordinates.
+Their difference from the calibrated projector's prediction is the trinocular residual; it does not depend on the
+board's print. If it is larger than the marks can resolve, the projector is refined. The cameras define the metric and
+are not changed.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from pipeline.common.errors import CalibrationError
 from pipeline.rig.calibration import Calibration
 
 WORTH_PX = 0.02
-"""Systematic residual from which on the projector is refined."""
+"""Smallest systematic residual that leads to a refinement."""
 _GAIN = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Trinocular:
-    """What all pixels say.
+class ProjectorCheck:
+    """The residuals before and after, and the calibration to use.
 
     Args:
         calibration: with the projector refined, or as it was.
-        residual_px: systematic part of observed minus predicted projector pixels that is left.
-        before_px: the same as it was found.
-        refined: whether the projector was changed; note: a sentence for the report.
+        residual_px: systematic part of observed minus predicted projector pixels, after the check.
+        before_px: the same before a refinement.
+        refined: whether the projector changed; note: a sentence for the report.
     """
 
     calibration: Calibration
@@ -40,8 +40,8 @@ class Trinocular:
     note: str
 
 
-def last_look(calibration: Calibration, phases: Sequence[tuple[Phases, Phases]]) -> Trinocular | None:
-    """Judge the projector by all pixels of some views, and refine it if they say so; None where they say nothing."""
+def check_projector(calibration: Calibration, phases: Sequence[tuple[Phases, Phases]]) -> ProjectorCheck | None:
+    """Check the projector by all pixels of some views and refine it if necessary; None if the pixels do not suffice."""
     try:
         samples = joined(*(samples_of_phases(calibration, left, right) for left, right in phases))
         found = refine_projector(calibration, samples)
@@ -50,9 +50,9 @@ def last_look(calibration: Calibration, phases: Sequence[tuple[Phases, Phases]])
     before, after = found.before.systematic_px, found.after.systematic_px
     if before < WORTH_PX or after > _GAIN * before or not found.better:
         note = f"all pixels of {len(phases)} views agree with the projector to {before:.3f} px (trinocular residual)"
-        return Trinocular(calibration, before, before, False, note)
+        return ProjectorCheck(calibration, before, before, False, note)
     note = (
-        f"the projector was refined from all pixels of {len(phases)} views: trinocular residual {before:.3f} px, "
-        f"then {after:.3f} px"
+        f"the projector was refined from all pixels of {len(phases)} views: trinocular residual {before:.3f} px "
+        f"before, {after:.3f} px after"
     )
-    return Trinocular(found.calibration, after, before, True, note)
+    return ProjectorCheck(found.calibration, after, before, True, note)

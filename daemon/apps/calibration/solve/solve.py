@@ -1,4 +1,4 @@
-"""The steps of a calibration on views that were looked at, without any command line; live sessions call them too."""
+"""The geometric calibration from views of a board: detection, bundle adjustment, checks, report and file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from daemon.apps.calibration.report.report import Report, report_html
-from daemon.apps.calibration.solve.archive import Stored, better_reasons, keep_dated, refuse_worse, store
+from daemon.apps.calibration.solve.archive import StoredCalibration, keep_dated, reject_worse, store
 from daemon.apps.calibration.solve.keep_colors import with_old_colors
-from daemon.apps.calibration.solve.projector_check import last_look
-from daemon.apps.calibration.views.detect_marks import Looked, look, require
-from daemon.apps.calibration.views.detect_projector_marks import look_with_projector
+from daemon.apps.calibration.solve.projector_check import check_projector
+from daemon.apps.calibration.views.detect_marks import DetectedViews, detect_views, require_views
+from daemon.apps.calibration.views.detect_projector_marks import detect_views_with_projector
 from daemon.apps.calibration.views.view import Progress, Source
 from daemon.common.files import write_atomically
 from daemon.rig.calibration_file import CamerasFile
@@ -27,25 +27,23 @@ from pipeline.calibrate.targets.board.board import Board
 from pipeline.common.errors import CalibrationError, TargetError
 from pipeline.rig.calibration import Cameras
 
-__all__ = ["Calibrated", "Report", "Stored", "better_reasons", "calibrated", "finish", "solved"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibrated:
-    """A rig that was calibrated and is not written yet.
+class CalibrationResult:
+    """A calibrated rig that is not written yet.
 
     Args:
-        cameras: with the projector, if that was a part of it; solution: with residuals and standard deviations.
-        board, sources: what was looked at; looked: what was seen.
-        quality: for the file; notes: what was done; advice: what would make it better; sentences.
-        coverage: share of each device's image that saw marks; before: the file that it is compared with.
+        cameras: with the projector if it was calibrated; solution: with residuals and standard deviations.
+        board, sources: the input; detected: its detected marks.
+        quality: for the file; notes, advice: sentences about the calibration and about improvements.
+        coverage: share of each device's image with marks; before: the file for comparison.
     """
 
     cameras: Cameras
     solution: Solution
     board: Board
     sources: Sequence[str]
-    looked: Looked
+    detected: DetectedViews
     quality: dict[str, Any]
     notes: list[str] = field(default_factory=list)
     advice: list[str] = field(default_factory=list)
@@ -53,7 +51,7 @@ class Calibrated:
     before: CamerasFile | None = None
 
 
-def solved(
+def calibrate_sources(
     board: Board,
     sources: Sequence[Source],
     progress: Progress,
@@ -61,73 +59,77 @@ def solved(
     fringes: bool,
     options: Options | None = None,
     before: CamerasFile | None = None,
-) -> Calibrated:
-    """Both cameras from images of a board; with ``fringes`` the projector too, from the sequences among the sources.
+) -> CalibrationResult:
+    """Calibrate both cameras from images of a board; with ``fringes`` also the projector, from the sources' sequences.
 
     Raises:
-        SourceError, TargetError, CalibrationError: what is wrong with the images, and what to do.
+        SourceError, TargetError, CalibrationError: the problem of the images, and the remedy.
     """
-    looked = (look_with_projector if fringes else look)(sources, board, progress)
-    return calibrated(board, looked, [source.name for source in sources], options=options, before=before)
+    detected = (detect_views_with_projector if fringes else detect_views)(sources, board, progress)
+    return calibrate_views(board, detected, [source.name for source in sources], options=options, before=before)
 
 
-def calibrated(
+def calibrate_views(
     board: Board,
-    looked: Looked,
+    detected: DetectedViews,
     sources: Sequence[str],
     *,
     options: Options | None = None,
     before: CamerasFile | None = None,
-) -> Calibrated:
-    """The joint adjustment of the devices in ``looked.sizes``, with everything that the file and the report say."""
+) -> CalibrationResult:
+    """Adjust the devices in ``detected.sizes`` jointly, and collect what the file and the report state."""
     options = options or Options()
-    require(looked, options.least_views)
-    absent = {"left", "right"} - looked.sizes.keys()
+    require_views(detected, options.least_views)
+    absent = {"left", "right"} - detected.sizes.keys()
     if absent:
-        raise TargetError(f"no images of the {min(absent)} camera: a rig has two")
+        raise TargetError(f"no images of the {min(absent)} camera, a rig has two cameras")
     try:
-        solution = calibrate(board, looked.views, looked.sizes, options=options)
+        solution = calibrate(board, detected.views, detected.sizes, options=options)
     except CalibrationError as error:
-        raise CalibrationError(f"{', '.join(sources)}: {error}{_not_found(looked)}") from error
+        raise CalibrationError(f"{', '.join(sources)}: {error}{_undetected(detected)}") from error
     devices = solution.devices
-    found = Cameras(devices["left"], devices["right"], projector=devices.get("projector"))
-    found, notes = with_old_colors(found, before)
-    wanted = assess_views(board, looked.views, looked.sizes, solution=solution)
-    quality = quality_of(solution, board=str(board), coverage=wanted.coverage)
-    quality["pictures_without_marks"] = len(looked.problems)
-    if found.projector is not None and looked.phases:
-        found = _looked_at_again(found, looked, quality, notes)
-    layout, figures = layout_recommendations(found, solution)
+    cameras = Cameras(devices["left"], devices["right"], projector=devices.get("projector"))
+    cameras, notes = with_old_colors(cameras, before)
+    assessment = assess_views(board, detected.views, detected.sizes, solution=solution)
+    quality = quality_of(solution, board=str(board), coverage=assessment.coverage)
+    quality["pictures_without_marks"] = len(detected.problems)
+    if cameras.projector is not None and detected.phases:
+        cameras = _checked_by_all_pixels(cameras, detected, quality, notes)
+    layout, figures = layout_recommendations(cameras, solution)
     quality |= figures
-    advice = [f"add {wish}" for wish in wanted.missing]
+    advice = [f"add {lack}" for lack in assessment.missing]
     if advice:
-        advice.append(f"the pose that would help most: {wanted.next_pose.text}")
-    notes += _refined(solution, options)
-    return Calibrated(found, solution, board, sources, looked, quality, notes, advice + layout, wanted.coverage, before)
+        advice.append(f"the most useful additional pose: {assessment.next_pose.text}")
+    notes += _board_notes(solution, options)
+    return CalibrationResult(
+        cameras, solution, board, sources, detected, quality, notes, advice + layout, assessment.coverage, before
+    )
 
 
-def _looked_at_again(found: Cameras, looked: Looked, quality: dict[str, Any], notes: list[str]) -> Cameras:
-    """The projector judged by all pixels of some views; its residual goes into ``quality`` and ``notes``."""
-    last = last_look(found.complete(), looked.phases)
-    if last is None:
-        return found
-    quality["trinocular_px"] = round(last.residual_px, 4)
-    notes.append(last.note)
-    return replace(found, projector=last.calibration.projector)
+def _checked_by_all_pixels(
+    cameras: Cameras, detected: DetectedViews, quality: dict[str, Any], notes: list[str]
+) -> Cameras:
+    """Check the projector by all pixels of some views; the residual is added to ``quality`` and ``notes``."""
+    check = check_projector(cameras.complete(), detected.phases)
+    if check is None:
+        return cameras
+    quality["trinocular_px"] = round(check.residual_px, 4)
+    notes.append(check.note)
+    return replace(cameras, projector=check.calibration.projector)
 
 
 def finish(
-    result: Calibrated, out: Path, report: Path | None, *, force: bool = False, title: str = "Calibration"
-) -> Stored:
-    """Write the calibration and its report; the ones before stay beside them under their dates.
+    result: CalibrationResult, out: Path, report: Path | None, *, force: bool = False, title: str = "Calibration"
+) -> StoredCalibration:
+    """Write the calibration and its report; the previous files are kept under their dates.
 
     Raises:
-        KeptError: the calibration in that place is better; nothing was written.
+        KeptError: the existing calibration is better; no file was changed.
     """
     created = datetime.now(UTC)
     quality = result.quality | ({"report": report.name} if report is not None else {})
     data = None if report is None else html(result, title=title, created=created)
-    refuse_worse(out, result.cameras, quality=quality, force=force)
+    reject_worse(out, result.cameras, quality=quality, force=force)
     if report is not None and data is not None:
         if report.exists():
             keep_dated(report, result.before)
@@ -135,8 +137,8 @@ def finish(
     return store(out, result.cameras, quality=quality, force=force, created=created)
 
 
-def html(result: Calibrated, *, title: str, created: datetime) -> bytes:
-    """The report."""
+def html(result: CalibrationResult, *, title: str, created: datetime) -> bytes:
+    """The report as HTML."""
     before, when = result.before, ""
     if before is not None:
         when = str(before.mapping.get("created", "without a date"))
@@ -147,35 +149,35 @@ def html(result: Calibrated, *, title: str, created: datetime) -> bytes:
             board=str(result.board),
             sources=result.sources,
             solution=result.solution,
-            seen=result.looked.seen,
+            images=result.detected.images,
             cameras=result.cameras,
             coverage=result.coverage,
             before=None if before is None else before.cameras,
             before_name=when,
             notes=result.notes,
             advice=result.advice,
-            problems=result.looked.left_out,
+            problems=result.detected.left_out,
         )
     )
 
 
-def with_colors(result: Calibrated, colors: Cameras, quality: dict[str, Any], notes: list[str]) -> Calibrated:
-    """The same with colours that were calibrated together with it."""
-    return replace(result, cameras=colors, quality=result.quality | quality, notes=result.notes + notes)
-
-
-def _not_found(looked: Looked) -> str:
-    count = len(looked.problems)
+def _undetected(detected: DetectedViews) -> str:
+    count = len(detected.problems)
     if not count:
         return ""
-    first = looked.problems[0]
-    return f" (in {count} of {len(looked.seen)} images no marks were found, as in {first.file}: {first.problem})"
+    first = detected.problems[0]
+    return (
+        f" (no marks were detected in {count} of {len(detected.images)} images, such as {first.file}: {first.problem})"
+    )
 
 
-def _refined(solution: Solution, options: Options) -> list[str]:
+def _board_notes(solution: Solution, options: Options) -> list[str]:
     if not options.board_refined:
         return []
     points = solution.board_points
     plane = np.column_stack([points[:, :2], np.ones(len(points))])
     beside = points[:, 2] - plane @ np.linalg.lstsq(plane, points[:, 2], rcond=None)[0]
-    return [f"the marks' places on the board were found too; they lie within {np.abs(beside).max():.3f} mm of a plane"]
+    return [
+        f"the marks' positions on the board were estimated too; they lie within {np.abs(beside).max():.3f} mm of a "
+        "plane"
+    ]

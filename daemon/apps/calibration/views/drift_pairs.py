@@ -1,4 +1,4 @@
-"""Ordinary pairs for the refinement: of a take, or straight from a rig."""
+"""Ordinary pairs for the drift correction, read from a take or captured with a rig."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.volume import Volume
 
 _TIMEOUT_S = 180.0
-_EVERY = 3  # of a live rig's pairs: scenes that differ tell more
+_STRIDE = 3  # of a live rig's pairs: different scenes constrain the correction better
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """Pairs with what is needed to measure them."""
+class DriftPairs:
+    """Pairs with what their measurement requires."""
 
     pattern: ColorFringe
     volume: Volume
@@ -28,41 +28,41 @@ class Scene:
     pairs: list[Pair]
 
 
-def files_of_take(path: Path, progress: Callable[[int, int], None]) -> Scene:
-    """Pairs spread over a take.
+def from_take(path: Path, progress: Callable[[int, int], None]) -> DriftPairs:
+    """Read pairs spread over a take.
 
     Raises:
-        TakeError: no take, or nothing attached; SourceError: pairs of several encodings, or none.
+        TakeError: no take, or no attachments; SourceError: pairs of several encodings, or none.
     """
     from daemon.recording.read.take_reader import TakeReader
 
     with TakeReader(path) as take:
         pattern, volume = take.pattern(), take.volume()
-        every, pairs, encodings = 1, [], set()
+        stride, pairs, encodings = 1, [], set()
         for number, pair in enumerate(take.pairs(lambda done: progress(done, take.size))):
-            if number % every:
+            if number % stride:
                 continue
             pairs.append((pair.left, pair.right))
             encodings.add(pair.encoding)
             if len(pairs) > 2 * MOST_PAIRS:
-                # Half of them, twice as far apart: spread over the whole take in bounded memory.
-                pairs, every = pairs[::2], 2 * every
-    return Scene(pattern, volume, encoding_of(encodings, str(path)), pairs)  # type: ignore[arg-type]
+                # Half of the pairs at twice the stride: the whole take in bounded memory.
+                pairs, stride = pairs[::2], 2 * stride
+    return DriftPairs(pattern, volume, encoding_of(encodings, str(path)), pairs)  # type: ignore[arg-type]
 
 
-class _Keep:
-    """A sink that keeps some pairs."""
+class _PairSink:
+    """A sink that keeps every third pair."""
 
     def __init__(self) -> None:
         self.pairs: list[Pair] = []
         self.encodings: set[str] = set()
         self.full = threading.Event()
-        self._seen = 0
+        self._count = 0
 
     def offer(self, item: Item) -> bool:
         if isinstance(item, PairItem) and not self.full.is_set():
-            self._seen += 1
-            if self._seen % _EVERY == 0:
+            self._count += 1
+            if self._count % _STRIDE == 0:
                 self.pairs.append((item.left.image, item.right.image))  # type: ignore[arg-type]
                 self.encodings.add(item.left.encoding)
             if len(self.pairs) >= MOST_PAIRS:
@@ -76,11 +76,11 @@ class _Keep:
         return {}
 
 
-def of_rig(path: Path, progress: Callable[[int, int], None], *, timeout_s: float = _TIMEOUT_S) -> Scene:
-    """Pairs that a rig takes now; no daemon may be running on its devices.
+def from_rig(path: Path, progress: Callable[[int, int], None], *, timeout_s: float = _TIMEOUT_S) -> DriftPairs:
+    """Capture pairs with a rig whose devices no daemon uses.
 
     Raises:
-        ConfigError: a rig file with a mistake; SourceError: too few pairs within the time.
+        ConfigError: a rig file with a mistake; SourceError: too few pairs within ``timeout_s``.
     """
     from daemon.config import load_rig
     from daemon.live.service import Service
@@ -88,32 +88,35 @@ def of_rig(path: Path, progress: Callable[[int, int], None], *, timeout_s: float
 
     config = load_rig(path)
     rig = open_rig(config, path.resolve().parent)
-    keep = _Keep()
-    service = Service(config, rig, {"pairs": keep})
+    sink = _PairSink()
+    service = Service(config, rig, {"pairs": sink})
     failed: list[BaseException] = []
 
     def run() -> None:
         try:
             service.run()
-        except BaseException as error:  # told in the caller's thread
+        except BaseException as error:  # raised again in the caller's thread
             failed.append(error)
-            keep.full.set()
+            sink.full.set()
 
     thread = threading.Thread(target=run, name="refine-rig", daemon=True)
     thread.start()
     try:
         waited = 0.0
-        while waited < timeout_s and not keep.full.wait(0.25):
+        while waited < timeout_s and not sink.full.wait(0.25):
             waited += 0.25
-            progress(len(keep.pairs), MOST_PAIRS)
+            progress(len(sink.pairs), MOST_PAIRS)
     finally:
         service.ask_stop()
         thread.join(30.0)
     if failed:
         raise failed[0]
-    if len(keep.pairs) < 2:
-        raise SourceError(f"{path}: the rig gave {len(keep.pairs)} pairs of images within {timeout_s:.0f} s")
-    return Scene(rig.pattern, rig.volume, encoding_of(keep.encodings, str(path)), keep.pairs)
+    if len(sink.pairs) < 2:
+        raise SourceError(
+            f"{path}: the rig gave {len(sink.pairs)} pairs of images within {timeout_s:.0f} s, at least 2 are "
+            f"required; `fringed doctor {path}` examines it"
+        )
+    return DriftPairs(rig.pattern, rig.volume, encoding_of(sink.encodings, str(path)), sink.pairs)
 
 
 def encoding_of(encodings: set[str], name: str) -> str:

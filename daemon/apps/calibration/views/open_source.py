@@ -1,4 +1,4 @@
-"""Where views of a board come from: image files by pattern, a capture folder, a take."""
+"""Sources of views: image files named by a pattern, a capture folder, a take."""
 
 from __future__ import annotations
 
@@ -46,81 +46,83 @@ class ImagePairs:
             raise SourceError(f"{min(same)}: named by both --left and --right; each camera has its own images")
 
     def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
-        """Every pair of files; ``only`` changes nothing, a pair is one frame."""
+        """Yield every pair of files; ``only`` has no effect, a pair is one frame."""
         del only
         sizes = Sizes()
-        for done, (left, right) in enumerate(zip(self._left, self._right, strict=True)):
+        for count, (left, right) in enumerate(zip(self._left, self._right, strict=True)):
             images = read_image(left), read_image(right)
             sizes.check("left", str(left), images[0])
             sizes.check("right", str(right), images[1])
             kind = "rgb8" if images[0].ndim == 3 else f"mono{8 * images[0].itemsize}"
             yield View(left.stem, (str(left), str(right)), (images[0],), (images[1],), kind)
-            progress(done + 1, len(self._left))
+            progress(count + 1, len(self._left))
 
 
 class CaptureFolder:
     """A folder with ``capture.json`` and ``view_00/left_00.png`` ... for every frame of a sequence.
 
     Raises:
-        SourceError: what is missing or does not fit.
+        SourceError: a missing file, or contents that contradict each other.
     """
 
     def __init__(self, folder: Path) -> None:
         self.name = str(folder)
         self.left_out: list[str] = []
-        described = _object(folder / CAPTURE)
-        encoding = described.get("encoding")
+        description = _object(folder / CAPTURE)
+        encoding = description.get("encoding")
         if encoding not in ENCODINGS:
             raise SourceError(
                 f"{folder / CAPTURE}: encoding is {encoding!r:.80}, expected one of {', '.join(ENCODINGS)}"
             )
         self._encoding = str(encoding)
-        self.sequence = described_sequence(described.get("sequence"), str(folder / CAPTURE))
+        self.sequence = described_sequence(description.get("sequence"), str(folder / CAPTURE))
         self._folders = sorted(path for path in folder.glob("view_*") if path.is_dir())
         if not self._folders:
-            raise SourceError(f"{folder}: no folder view_00 or any other view in it")
+            raise SourceError(f"{folder}: it contains no folder view_00 or any other view_*")
         if len(self._folders) > MOST_IMAGES:
             raise SourceError(f"{folder}: {len(self._folders)} views, at most {MOST_IMAGES} are read")
 
     def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
-        """Every view; SourceError for a frame that is not there."""
+        """Yield every view; raise SourceError for a missing frame."""
         sizes = Sizes()
         count = len(self.sequence) if self.sequence is not None else 1
-        numbers = range(count) if only is None else (only,)
-        for done, folder in enumerate(self._folders):
+        frames = range(count) if only is None else (only,)
+        for number, folder in enumerate(self._folders):
             images: dict[str, tuple[Image, ...]] = {}
             for side in SIDES:
-                paths = [folder / f"{side}_{number:02d}.png" for number in numbers]
+                paths = [folder / f"{side}_{frame:02d}.png" for frame in frames]
                 images[side] = tuple(as_raw(read_image(path), self._encoding, str(path)) for path in paths)
                 for path, image in zip(paths, images[side], strict=True):
                     sizes.check(side, str(path), image)
-            files = tuple(str(folder / f"{side}_{numbers[0]:02d}.png") for side in SIDES)
+            files = tuple(str(folder / f"{side}_{frames[0]:02d}.png") for side in SIDES)
             yield View(folder.name, (files[0], files[1]), images["left"], images["right"], self._encoding)
-            progress(done + 1, len(self._folders))
+            progress(number + 1, len(self._folders))
 
 
 class Sizes:
-    """That all images of a camera have one size."""
+    """Check that all images of a camera have one size."""
 
     def __init__(self) -> None:
         self._first: dict[str, tuple[str, tuple[int, ...]]] = {}
 
     def check(self, side: str, name: str, image: Image) -> None:
-        """SourceError if an image is not as large as the first one of its camera."""
+        """Raise SourceError if an image differs in size from the first one of its camera."""
         first, shape = self._first.setdefault(side, (name, image.shape))
         if image.shape[:2] != shape[:2]:
             raise SourceError(
                 f"{name}: {image.shape[1]} x {image.shape[0]} pixels, but {first} has {shape[1]} x {shape[0]}; "
-                f"all images of the {side} camera must be of one size"
+                f"all images of the {side} camera must have one size"
             )
 
 
 def open_source(path: Path) -> Source:
-    """The capture folder or the take of that name."""
+    """Open the capture folder or the take at a path."""
     if path.is_dir() and (path / CAPTURE).exists():
         return CaptureFolder(path)
     if path.is_dir() and not any(path.glob("*.mcap*")):
-        raise SourceError(f"{path}: holds neither {CAPTURE} with views nor a take; plain images are named by --left")
+        raise SourceError(
+            f"{path}: it contains neither {CAPTURE} with views nor a take; name plain images with --left and --right"
+        )
     return TakeSource(path)
 
 

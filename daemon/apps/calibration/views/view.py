@@ -1,4 +1,4 @@
-"""A view of a board, and the protocol of what gives views."""
+"""A view of a calibration board, and the protocol of its sources."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One place of the board: an image of each camera, or one for every frame of a sequence.
+    """One pose of the board: an image of each camera, or one for every frame of a sequence.
 
     Args:
         name: short, for tables: ``view_03`` or ``left03.jpg``.
-        files: what errors call the images of the left and the right camera.
-        left, right: as the sensor gave them, in ``encoding``; one of them may be empty (only one camera was told).
+        files: names of the left and the right images in messages.
+        left, right: raw images in ``encoding``; one of them may be empty (one camera only).
         encoding: ``rgb8``, ``bayer_rggb8`` ..., ``mono8``, ``mono16``; ``rgb8`` also for 16-bit colour.
     """
 
@@ -46,12 +46,12 @@ class Source(Protocol):
     left_out: list[str]
 
     def views(self, progress: Progress, *, only: int | None = None) -> Iterator[View]:
-        """Every view; of a sequence all frames, or only the one of that number."""
+        """Yield every view; of a sequence all frames, or only frame ``only``."""
         ...
 
 
 def described_sequence(data: Any, name: str) -> FrameSequence | None:
-    """The sequence of a pattern description; None for a description of a single image, or for none."""
+    """The sequence of a pattern description; None for the description of a single pattern, or for none."""
     if not isinstance(data, Mapping) or data.get("kind") != "sequence":
         return None
     try:
@@ -61,10 +61,12 @@ def described_sequence(data: Any, name: str) -> FrameSequence | None:
 
 
 def white_frame(sequence: FrameSequence | None) -> int:
-    """Number of the brightest even frame, on which marks are found; 0 where there is no sequence."""
+    """Number of the brightest uniform frame, on which marks are detected; 0 without a sequence."""
     if sequence is None:
         return 0
-    even = [(sum(f.color), -n) for n, f in enumerate(sequence.frames) if isinstance(f, Uniform)]
-    if not even or max(even)[0] == 0:
-        raise SourceError(f"sequence {sequence.name}: it has no even image with light, marks cannot be found in it")
-    return -max(even)[1]
+    uniform = [(sum(f.color), -n) for n, f in enumerate(sequence.frames) if isinstance(f, Uniform)]
+    if not uniform or max(uniform)[0] == 0:
+        raise SourceError(
+            f"sequence {sequence.name}: it has no uniform frame with light, which the detection of marks requires"
+        )
+    return -max(uniform)[1]

@@ -40,7 +40,7 @@ def true_rig() -> Cameras:
 
 @pytest.fixture(scope="session")
 def session_folder(tmp_path_factory: pytest.TempPathFactory, board: Board, true_rig: Cameras) -> Path:
-    """``L/00.png`` ..., ``R/00.png`` ...: ten places of the board."""
+    """``L/00.png`` ..., ``R/00.png`` ...: ten poses of the board."""
     folder = tmp_path_factory.mktemp("session")
     drawn.write_pairs(folder, true_rig, board, drawn.poses(board, 10))
     return folder
@@ -48,7 +48,7 @@ def session_folder(tmp_path_factory: pytest.TempPathFactory, board: Board, true_
 
 @pytest.fixture
 def images(tmp_path: Path, session_folder: Path) -> Path:
-    """A copy of the session that may be spoiled."""
+    """A copy of the session that may be changed."""
     for side in ("L", "R"):
         shutil.copytree(session_folder / side, tmp_path / side)
     return tmp_path
@@ -56,7 +56,7 @@ def images(tmp_path: Path, session_folder: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def capture_folder(tmp_path_factory: pytest.TempPathFactory, board: Board, true_rig: Cameras) -> Path:
-    """A capture folder with fringes, five places of the board."""
+    """A capture folder with fringes, five poses of the board."""
     folder = tmp_path_factory.mktemp("capture") / "fringes"
     sequence = projector_sequence(drawn.PROJECTOR, steps=4)
     drawn.write_capture(folder, true_rig, board, drawn.poses(board, 5, seed=1), sequence, seed=1)
@@ -72,7 +72,7 @@ def truth_file(tmp_path_factory: pytest.TempPathFactory, true_rig: Cameras) -> P
 
 @pytest.fixture
 def spoil() -> Callable[[Path, Callable[[np.ndarray], np.ndarray]], None]:
-    """Changes the image in a file."""
+    """A function that changes the image in a file."""
 
     def change(path: Path, how: Callable[[np.ndarray], np.ndarray]) -> None:
         image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)

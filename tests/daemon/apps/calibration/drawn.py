@@ -1,4 +1,4 @@
-"""Images of printed boards as cameras and a projector of a known rig see them: exact geometry, quick, no renderer.
+"""Images of printed boards in cameras and a projector of a known rig: exact geometry, without the renderer.
 
 Every pixel is the mean of four rays to the board's plane, blurred a little more, with noise. Distances in mm.
 """
@@ -26,14 +26,14 @@ WHITE, DARK = 190.0, 12.0
 
 
 def rig(size: tuple[int, int] = SIZE) -> Cameras:
-    """Two cameras 400 mm apart that look at a point 1 m away, and a projector between them."""
+    """Two cameras 400 mm apart, aimed at a point 1 m away, and a projector between them."""
     f = 2.3 * size[0]
 
     def device(name: str, at: float, size: tuple[int, int], f: float, k: float) -> CameraModel:
         turn = np.asarray(cv2.Rodrigues(np.array([0.0, np.arctan2(at, 1000.0), 0.0]))[0])
         matrix = np.array([[f, 0, size[0] / 2 + 3], [0, 1.002 * f, size[1] / 2 - 4], [0, 0, 1]])
-        place = np.array([at, -8.0 * (at != 0), 5.0 * (at != 0)])
-        return CameraModel(size, matrix, np.array([k, 0.1, 5e-4, -3e-4, 0]), turn, -turn @ place, name)
+        centre = np.array([at, -8.0 * (at != 0), 5.0 * (at != 0)])
+        return CameraModel(size, matrix, np.array([k, 0.1, 5e-4, -3e-4, 0]), turn, -turn @ centre, name)
 
     return Cameras(
         device("left", 0.0, size, f, -0.12),
@@ -45,7 +45,7 @@ def rig(size: tuple[int, int] = SIZE) -> Cameras:
 def poses(
     board: Board, count: int = 12, seed: int = 0, *, tilt_deg: float = 35.0
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Places of a good session, board to world: tilted to all sides, moved towards the images' edges."""
+    """Poses of a good session, board to world: tilted to all sides, moved towards the images' edges."""
     rng = np.random.default_rng(seed)
     middle = (board.points.min(axis=0) + board.points.max(axis=0)) / 2
     out = []
@@ -54,12 +54,12 @@ def poses(
         tilt = np.radians(tilt_deg) * (0.35 + 0.65 * (k % 3) / 2)
         vector = np.array([np.cos(angle) * tilt, np.sin(angle) * tilt, rng.uniform(-0.15, 0.15)])
         turn = np.asarray(cv2.Rodrigues(vector)[0])
-        place = np.array([170.0, -4, 0]) * 0.12 + [
+        position = np.array([170.0, -4, 0]) * 0.12 + [
             45 * np.cos(2.4 * k),
             36 * np.sin(2.4 * k),
             1000 + 25 * (k % 4 - 1.5),
         ]
-        out.append((turn, place - turn @ middle))
+        out.append((turn, position - turn @ middle))
     return out
 
 
@@ -74,7 +74,7 @@ def draw(
     noise: float = 0.8,
     blur: float = 0.6,
 ) -> np.ndarray:
-    """One image, (H, W) uint8. With ``light`` (h, w), 0..1, the projector shows that image, else even white."""
+    """One image, (H, W) uint8. With ``light`` (h, w), 0..1, the projector shows that image, else uniform white."""
     albedo, at = _geometry(device, board, pose, projector if light is not None else None)
     shade = albedo
     if light is not None and at is not None:
@@ -86,18 +86,19 @@ def draw(
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-_SEEN: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray | None]] = {}
+_CACHE: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray | None]] = {}
 
 
 def _geometry(
     device: CameraModel, board: Board, pose: tuple[np.ndarray, np.ndarray], projector: CameraModel | None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Albedo and projector pixel of every ray, (SUB H, SUB W, ...); the last one is remembered."""
+    """Albedo and projector pixel of every ray, (SUB H, SUB W, ...); the last one is cached."""
     key = (id(device), id(projector), str(board), pose[0].tobytes() + pose[1].tobytes())
-    if key not in _SEEN:
-        _SEEN.clear()
+    if key not in _CACHE:
+        _CACHE.clear()
         width, height = device.size
-        # The lens is undone at the pixels' corners; inside a pixel a straight line differs by less than 1e-4 pixels.
+        # The distortion is removed at the pixels' corners; inside a pixel a straight line differs by less than 1e-4
+        # pixels.
         corners = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5)
         coarse = device.normalise(np.stack(corners, axis=-1))
         share = (np.arange(SUB) + 0.5) / SUB
@@ -106,28 +107,28 @@ def _geometry(
         ideal = rows[:, :-1, None] + share[:, None] * (rows[:, 1:, None] - rows[:, :-1, None])
         ideal = ideal.reshape(height * SUB, width * SUB, 2)
         rays = np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=-1) @ device.rotation
-        turn, place = pose
+        turn, position = pose
         normal = turn[:, 2]
-        depth = ((place - device.centre) @ normal) / (rays @ normal)
+        depth = ((position - device.centre) @ normal) / (rays @ normal)
         world = device.centre + depth[..., None] * rays
-        plane = (world - place) @ turn
+        plane = (world - position) @ turn
         sheet, origin = raster(board, STEP_MM)
         at = ((plane[..., :2] - origin) / STEP_MM).astype(np.float32)
         albedo = cv2.remap(sheet, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0.25)
         lit = None
         if projector is not None:
             lit = projector.project(world.reshape(-1, 3)).reshape(*world.shape[:2], 2).astype(np.float32)
-        _SEEN[key] = albedo, lit
-    return _SEEN[key]
+        _CACHE[key] = albedo, lit
+    return _CACHE[key]
 
 
 def write_pairs(
-    folder: Path, cameras: Cameras, board: Board, places: Sequence[tuple[np.ndarray, np.ndarray]], *, seed: int = 0
+    folder: Path, cameras: Cameras, board: Board, board_poses: Sequence[tuple[np.ndarray, np.ndarray]], *, seed: int = 0
 ) -> None:
     """``L/00.png`` ... and ``R/00.png`` ..."""
     for side, device in (("L", cameras.left), ("R", cameras.right)):
         (folder / side).mkdir(parents=True, exist_ok=True)
-        for k, pose in enumerate(places):
+        for k, pose in enumerate(board_poses):
             image = draw(device, board, pose, seed=1000 * seed + 2 * k + (side == "R"))
             write_png(folder / side / f"{k:02d}.png", image)
 
@@ -136,7 +137,7 @@ def write_capture(
     folder: Path,
     cameras: Cameras,
     board: Board,
-    places: Sequence[tuple[np.ndarray, np.ndarray]],
+    board_poses: Sequence[tuple[np.ndarray, np.ndarray]],
     sequence: FrameSequence,
     *,
     seed: int = 0,
@@ -144,9 +145,9 @@ def write_capture(
     """A capture folder, ``mono8``."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "capture.json").write_text(json.dumps({"encoding": "mono8", "sequence": sequence.as_mapping()}))
-    for k, pose in enumerate(places):
-        place = folder / f"view_{k:02d}"
-        place.mkdir(exist_ok=True)
+    for k, pose in enumerate(board_poses):
+        view = folder / f"view_{k:02d}"
+        view.mkdir(exist_ok=True)
         for side, device in (("left", cameras.left), ("right", cameras.right)):
             for n, frame in enumerate(sequence.frames):
                 light = frame.image()[..., 1] / 255.0 if isinstance(frame, Uniform) else frame.light()[..., 1] / 255.0
@@ -154,7 +155,7 @@ def write_capture(
                     device, board, pose, seed=100_000 * seed + 1000 * k + 2 * n + (side == "right"), light=light,
                     projector=cameras.projector,
                 )  # fmt: skip
-                write_png(place / f"{side}_{n:02d}.png", image)
+                write_png(view / f"{side}_{n:02d}.png", image)
 
 
 def write_png(path: Path, image: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""The little of PDF that the boards use, read back: an interpreter of one page's content stream."""
+"""An interpreter of one page's content stream, for the part of PDF that the boards use."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MM = 25.4 / 72
 
 @dataclass
 class Drawn:
-    """What a page shows, in mm from its upper left corner."""
+    """The contents of a page, in mm from its upper left corner."""
 
     size_mm: tuple[float, float]
     discs: list[np.ndarray] = field(default_factory=list)  # outlines, (n, 2), sampled along the Bezier curves
@@ -22,7 +22,7 @@ class Drawn:
 
 
 def read_pdf(data: bytes) -> Drawn:
-    """Everything on the only page; asserts that the table of objects points at the objects."""
+    """Read the only page; assert that the table of objects points at the objects."""
     start = int(re.search(rb"startxref\n(\d+)\n%%EOF\n$", data)[1])
     entries = re.findall(rb"(\d{10}) 00000 n", data[start:])
     for number, entry in enumerate(entries, 1):
@@ -45,29 +45,29 @@ def _interpret(content: str, drawn: Drawn, height_pt: float) -> None:
     matrix = np.eye(3)
     path: list[np.ndarray] = []
 
-    def place(x: float, y: float) -> np.ndarray:
+    def point(x: float, y: float) -> np.ndarray:
         u, v, _ = np.array([x, y, 1.0]) @ matrix
         return np.array([u * MM, (height_pt - v) * MM])
 
-    for word in texts.sub("", content).split():
-        if re.fullmatch(r"-?\d*\.?\d+", word):
-            stack.append(float(word))
+    for token in texts.sub("", content).split():
+        if re.fullmatch(r"-?\d*\.?\d+", token):
+            stack.append(float(token))
             continue
-        if word == "cm":
+        if token == "cm":
             a, b, c, d, e, f = stack
             matrix = np.array([[a, b, 0], [c, d, 0], [e, f, 1]]) @ matrix
-        elif word == "m":
-            path = [place(*stack)]
-        elif word == "c":
-            p0, p1, p2, p3 = path[-1], place(*stack[:2]), place(*stack[2:4]), place(*stack[4:])
+        elif token == "m":
+            path = [point(*stack)]
+        elif token == "c":
+            p0, p1, p2, p3 = path[-1], point(*stack[:2]), point(*stack[2:4]), point(*stack[4:])
             for t in np.linspace(0, 1, 17)[1:]:
                 s = 1 - t
                 path.append(s**3 * p0 + 3 * s * s * t * p1 + 3 * s * t * t * p2 + t**3 * p3)
-        elif word == "re":
+        elif token == "re":
             x, y, w, h = stack
-            (x0, y0), (x1, y1) = place(x, y), place(x + w, y + h)
+            (x0, y0), (x1, y1) = point(x, y), point(x + w, y + h)
             drawn.rectangles.append((x0, y0, x1, y1))
-        elif word == "f" and path:
+        elif token == "f" and path:
             drawn.discs.append(np.array(path))
             path = []
         stack = []

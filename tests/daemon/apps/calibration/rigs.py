@@ -1,4 +1,4 @@
-"""Calibrated rigs of every sort for the tests of files."""
+"""Calibrated rigs for the tests of files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The old calibration is never lost, and a better one is not replaced unasked."""
+"""The old calibration is never lost, and a better one is replaced only by force."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def files(folder: Path) -> dict[str, bytes]:
         ({"rms_stereo_px": None}, "its errors are known, those of the new one are not"),
     ],
 )
-def test_a_better_calibration_stays_unless_forced(tmp_path: Path, changes: dict[str, float], reason: str) -> None:
+def test_a_better_calibration_is_replaced_only_by_force(tmp_path: Path, changes: dict[str, float], reason: str) -> None:
     path = tmp_path / "calibration.yaml"
     store(path, cameras(0), quality=GOOD, created=NOON)
     before = files(tmp_path)
@@ -73,7 +73,7 @@ def test_two_of_the_same_second_are_both_kept(tmp_path: Path) -> None:
 def test_a_complete_calibration_is_not_replaced_by_cameras_alone_unless_forced(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     write_calibration(path, complete(), created=NOON)
-    with pytest.raises(KeptError, match="it has a projector, and the new one does not"):
+    with pytest.raises(KeptError, match="it has a projector, the new one has none"):
         store(path, cameras(0), quality=GOOD)
     store(path, cameras(0), quality=GOOD, force=True)
     assert read_cameras(path).cameras.projector is None
@@ -81,7 +81,7 @@ def test_a_complete_calibration_is_not_replaced_by_cameras_alone_unless_forced(t
         read_calibration(path)
 
 
-def test_keys_that_nobody_here_knows_are_carried_over(tmp_path: Path) -> None:
+def test_unknown_keys_are_carried_over(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     store(path, cameras(0), quality=GOOD, created=NOON)
     mapping = yaml.safe_load(path.read_text())
@@ -95,10 +95,10 @@ def test_keys_that_nobody_here_knows_are_carried_over(tmp_path: Path) -> None:
     assert after["created"] == "2026-11-22T08:30:00Z"
 
 
-def test_something_that_is_no_calibration_is_left_alone_unless_forced(tmp_path: Path) -> None:
+def test_a_file_that_is_no_calibration_is_replaced_only_by_force(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     path.write_text("shopping: [milk]\n")
-    with pytest.raises(CalibrationError, match="it is left as it is"):
+    with pytest.raises(CalibrationError, match="the file is unchanged"):
         store(path, cameras(0), quality=GOOD)
     assert path.read_text() == "shopping: [milk]\n"
     stored = store(path, cameras(0), quality=GOOD, force=True)
@@ -120,11 +120,11 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkey
     assert path.read_bytes() == before
 
 
-def test_colours_stay_with_new_cameras_and_the_projector_does_not(tmp_path: Path) -> None:
+def test_colours_are_kept_with_new_cameras_and_the_projector_is_not(tmp_path: Path) -> None:
     write_calibration(tmp_path / "old.yaml", complete())
     old = read_cameras(tmp_path / "old.yaml")
     merged, notes = with_old_colors(cameras(5), old)
     assert merged.left_color.crosstalk.tolist() == old.cameras.left_color.crosstalk.tolist()
     assert merged.projector is None
-    assert any("the colours of the old file stay" in note for note in notes)
+    assert any("the colours of the old file are kept" in note for note in notes)
     assert any("run fringed calibrate projector" in note for note in notes)

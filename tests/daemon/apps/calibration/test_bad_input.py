@@ -1,4 +1,4 @@
-"""Each kind of bad input gets a sentence of its own that names the images, and no file is touched."""
+"""Each kind of bad input is rejected with its own message that names the images, and no file is changed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def one(folder: Path, name: str, how: Change) -> None:
     drawn.write_png(folder / name, np.ascontiguousarray(how(image)))
 
 
-def alike(folder: Path) -> None:
+def identical(folder: Path) -> None:
     for side in "LR":
         first = (folder / side / "00.png").read_bytes()
         for path in (folder / side).iterdir():
@@ -38,7 +38,7 @@ def alike(folder: Path) -> None:
 
 
 def shifted(folder: Path) -> None:
-    """The right images belong to the views after."""
+    """Shift the right images by one view."""
     paths = sorted((folder / "R").iterdir())
     data = [path.read_bytes() for path in paths]
     for path, moved in zip(paths, data[1:] + data[:1], strict=True):
@@ -70,8 +70,8 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: every(f, lambda p: np.hstack([p, p])),
         r"L/00.png: the image shows two boards",
     ),
-    "views all alike": (alike, r"the 10 views are all alike"),
-    "views of other moments": (shifted, r"contradict each other: only .* views agree"),
+    "identical views": (identical, r"the 10 views are all alike"),
+    "shifted views": (shifted, r"contradict each other: only .* views agree"),
     "counts differ": (
         lambda f: (f / "R" / "03.png").unlink(),
         r"--left .*L/\*.png names 10 images and --right .*R/\*.png names 9",
@@ -80,14 +80,14 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: one(f, "R/04.png", lambda p: p[:-20]),
         r"R/04.png: 400 x 300 pixels, but .*R/00.png has 400 x 320",
     ),
-    "cut off": (
+    "truncated": (
         lambda f: (f / "L/02.png").write_bytes((f / "L/02.png").read_bytes()[:2000]),
-        r"L/02.png: the image is damaged or cut off",
+        r"L/02.png: the image is damaged or truncated",
     ),
     "empty file": (lambda f: (f / "L/02.png").write_bytes(b""), r"L/02.png: the file is empty"),
     "no image": (
-        lambda f: (f / "R/05.png").write_text("this is a text"),
-        r"R/05.png: not an image that can be read; expected a PNG, JPEG, TIFF or BMP",
+        lambda f: (f / "R/05.png").write_text("a text"),
+        r"R/05.png: not a readable image; expected a PNG, JPEG, TIFF or BMP",
     ),
     "too small": (
         lambda f: one(f, "L/00.png", lambda p: p[:40, :40]),
@@ -95,7 +95,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "too few views": (
         lambda f: [path.unlink() for path in f.glob("[LR]/0[2-9].png")],
-        r"2 views of the board, at least 3 are needed",
+        r"2 views of the board, at least 3 are required",
     ),
 }
 
@@ -104,8 +104,8 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Run a command that must fail without touching any file; what it says."""
+def rejected(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that must fail without changing any file; return its message."""
     (folder / "calibration.yaml").write_bytes(OLD)
     before = snapshot(folder)
     assert run(["calibrate", *arguments, "--out", str(folder / "new.yaml"), "--report", str(folder / "r.html")]) == 1
@@ -116,42 +116,42 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_images_are_refused(images: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
-    spoil, message = CASES[case]
+def test_bad_images_are_rejected(images: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+    spoil, expected = CASES[case]
     spoil(images)
     left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
-    told = refused(images, capsys, "cameras", "--left", left, "--right", right, "--board", BOARD)
-    assert re.search(message, told), told
+    message = rejected(images, capsys, "cameras", "--left", left, "--right", right, "--board", BOARD)
+    assert re.search(expected, message), message
 
 
-def test_swapped_cameras_are_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_swapped_cameras_are_rejected(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
-    told = refused(images, capsys, "cameras", "--left", right, "--right", left, "--board", BOARD)
-    assert "left and right are swapped" in told
+    message = rejected(images, capsys, "cameras", "--left", right, "--right", left, "--board", BOARD)
+    assert "left and right are swapped" in message
 
 
-def test_the_wrong_board_is_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_wrong_board_is_rejected(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
-    told = refused(images, capsys, "cameras", "--left", left, "--right", right, "--board", "circles:8x6:24")
-    assert "L/00.png: wrong board: the image shows a grid of 9x7 marks, but 8x6 is expected" in told
+    message = rejected(images, capsys, "cameras", "--left", left, "--right", right, "--board", "circles:8x6:24")
+    assert "L/00.png: wrong board: the image shows a grid of 9x7 marks, but 8x6 is expected" in message
 
 
-def test_images_of_one_camera_for_both_are_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_of_one_camera_for_both_are_rejected(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left = str(images / "L" / "*.png")
-    told = refused(images, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
-    assert "named by both --left and --right" in told
+    message = rejected(images, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
+    assert "named by both --left and --right" in message
 
 
-def test_a_pattern_without_files_is_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pattern_without_files_is_rejected(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left = str(images / "nothing" / "*.png")
-    told = refused(images, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
-    assert "no file has such a name" in told
+    message = rejected(images, capsys, "cameras", "--left", left, "--right", left, "--board", BOARD)
+    assert "no file matches" in message
 
 
-def test_a_projector_without_fringes_is_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_projector_without_fringes_is_rejected(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
-    told = refused(images, capsys, "projector", "--left", left, "--right", right, "--board", BOARD)
-    assert "no sequence with fringes in both directions" in told
+    message = rejected(images, capsys, "projector", "--left", left, "--right", right, "--board", BOARD)
+    assert "no sequence with fringes in both directions" in message
 
 
 def test_some_bad_images_are_left_out_and_named(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -160,8 +160,8 @@ def test_some_bad_images_are_left_out_and_named(images: Path, capsys: pytest.Cap
     left, right = str(images / "L" / "*.png"), str(images / "R" / "*.png")
     out = str(images / "new.yaml")
     assert run(["calibrate", "cameras", "--left", left, "--right", right, "--board", BOARD, "--out", out]) == 0
-    told = capsys.readouterr()
-    assert re.search(r"left out: .*L/01.png: image too blurred", told.err)
-    assert re.search(r"left out: .*R/06.png: no marks found", told.err)
+    output = capsys.readouterr()
+    assert re.search(r"left out: .*L/01.png: image too blurred", output.err)
+    assert re.search(r"left out: .*R/06.png: no marks found", output.err)
     page = (images / "new.report.html").read_text()
     assert "image too blurred" in page

@@ -1,4 +1,4 @@
-"""A printed board is true to scale, says what it is, and is refused where it does not fit."""
+"""A printed board is to scale, carries its description, and is rejected if it does not fit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_every_shape_of_the_drawing_is_on_the_page_in_its_true_size(text: str) -
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_nothing_reaches_over_the_margin_and_the_ruler_is_100_mm(text: str) -> None:
+def test_the_margin_is_empty_and_the_ruler_is_100_mm(text: str) -> None:
     board = parse_board(text)
     drawn = read_pdf(board_sheet(board).data)
     ends = [np.reshape(drawn.rectangles, (-1, 2)) if drawn.rectangles else np.empty((0, 2)), *drawn.discs]
@@ -52,7 +52,7 @@ def test_nothing_reaches_over_the_margin_and_the_ruler_is_100_mm(text: str) -> N
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_the_page_says_what_it_is_so_that_it_can_be_parsed(text: str) -> None:
+def test_the_page_contains_the_board_description_as_the_parser_reads_it(text: str) -> None:
     sheet = board_sheet(parse_board(text))
     drawn = read_pdf(sheet.data)
     assert str(sheet.board) in drawn.texts
@@ -61,11 +61,11 @@ def test_the_page_says_what_it_is_so_that_it_can_be_parsed(text: str) -> None:
     assert b"/PrintScaling /None" in sheet.data
 
 
-def test_the_default_board_fits_on_a3_and_a_board_too_large_names_the_paper_that_would_do() -> None:
+def test_the_default_board_fits_on_a3_and_a_paper_too_small_names_one_that_is_large_enough() -> None:
     assert board_sheet(parse_board(TEXTS[0])).paper == "a3"
-    with pytest.raises(SourceError, match=r"needs 350 x 295 mm, a4 has 297 x 210 mm; --paper a3 would do"):
+    with pytest.raises(SourceError, match=r"needs 350 x 295 mm, a4 has 297 x 210 mm; --paper a3 is large enough"):
         board_sheet(parse_board(TEXTS[0]), "a4")
-    with pytest.raises(SourceError, match=r"no paper up to a0 .* --paper 10\d\dx10\d\d|no paper up to a0"):
+    with pytest.raises(SourceError, match=r"it does not fit on a0; give --paper 1\d\d\dx1\d\d\d"):
         board_sheet(parse_board("chessboard:30x30:50"))
     with pytest.raises(SourceError, match="expected one of a4, a3"):
         board_sheet(parse_board(TEXTS[0]), "letterish")

@@ -1,4 +1,4 @@
-"""The colour step: what a drawn rig with crosstalk and gamma has is found and put into its calibration."""
+"""The colour step writes the crosstalk and gamma of a drawn rig into its calibration."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def lit(device: CameraModel, projector: CameraModel) -> np.ndarray:
 
 
 def write_session(folder: Path, rig: Cameras, sequence: FrameSequence) -> None:
-    place = folder / "view_00"
-    place.mkdir(parents=True)
+    view = folder / "view_00"
+    view.mkdir(parents=True)
     (folder / "capture.json").write_text(json.dumps({"encoding": "rgb8", "sequence": sequence.as_mapping()}))
     assert rig.projector is not None
     rng = np.random.default_rng(5)
@@ -46,9 +46,9 @@ def write_session(folder: Path, rig: Cameras, sequence: FrameSequence) -> None:
         at = lit(device, rig.projector)
         for n, frame in enumerate(sequence.frames):
             light = (np.ascontiguousarray(frame.image()) / 255.0) ** GAMMA
-            seen = cv2.remap(light.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-            counts = BLACK + 175 * seen @ MIX[side].T + rng.normal(0, 0.7, seen.shape)
-            drawn.write_png(place / f"{side}_{n:02d}.png", np.clip(np.rint(counts), 0, 255).astype(np.uint8))
+            received = cv2.remap(light.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+            counts = BLACK + 175 * received @ MIX[side].T + rng.normal(0, 0.7, received.shape)
+            drawn.write_png(view / f"{side}_{n:02d}.png", np.clip(np.rint(counts), 0, 255).astype(np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def color_folder(tmp_path_factory: pytest.TempPathFactory, true_rig: Cameras) ->
     return folder
 
 
-def test_colours_are_put_into_a_calibration(
+def test_colours_are_written_into_a_calibration(
     tmp_path: Path, color_folder: Path, truth_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "calibration.yaml"
@@ -101,7 +101,7 @@ def test_fringes_for_geometry_are_no_colours(
     path = tmp_path / "calibration.yaml"
     path.write_bytes(truth_file.read_bytes())
     assert run(["calibrate", "color", "--views", str(capture_folder), "--calibration", str(path)]) == 1
-    assert "no sequence of even colours" in capsys.readouterr().err
+    assert "no sequence of uniform colours" in capsys.readouterr().err
 
 
 def test_everything_at_once(tmp_path: Path, capture_folder: Path, color_folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What goes out to another program and comes back is the same rig, and what a format cannot hold is told."""
+"""Exported and imported rigs are equal, and terms that a format lacks are reported."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def same(device: CameraModel, other: CameraModel, *, atol: float = 1e-9) -> None
 @pytest.mark.parametrize("vertical", [False, True])
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("form", FORMATS)
-def test_a_rig_comes_back_as_it_went(tmp_path: Path, form: str, seed: int, vertical: bool) -> None:
+def test_an_exported_rig_is_imported_unchanged(tmp_path: Path, form: str, seed: int, vertical: bool) -> None:
     rig = cameras(seed, k3=form != "kalibr", vertical=vertical)
     back, notes = round_trip(tmp_path, rig, form)
     same(rig.left, back.left)
@@ -47,19 +47,19 @@ def test_a_rig_comes_back_as_it_went(tmp_path: Path, form: str, seed: int, verti
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_a_skew_is_fitted_away_and_the_loss_in_pixels_is_told_and_true(tmp_path: Path, form: str) -> None:
+def test_the_reported_error_of_an_omitted_skew_is_true(tmp_path: Path, form: str) -> None:
     rig = cameras(3, skew=True)
     back, notes = round_trip(tmp_path, rig, form)
     assert [note.split(":")[0] for note in notes] == ["left", "right"]
     for device, other, note in zip((rig.left, rig.right), (back.left, back.right), notes, strict=True):
-        told = float(note.split()[-2])
+        reported = float(note.split()[-2])
         points = np.concatenate([device.rays(), np.ones((*device.size[::-1], 1))], axis=-1)[::7, ::7]
         world = (1000 * points - device.translation) @ device.rotation
         away = np.linalg.norm(device.project(world) - other.project(world), axis=-1).max()
-        assert away == pytest.approx(told, abs=0.01 + 0.02 * told)
+        assert away == pytest.approx(reported, abs=0.01 + 0.02 * reported)
 
 
-def test_the_projector_travels_with_opencv(tmp_path: Path) -> None:
+def test_the_projector_is_exported_to_opencv(tmp_path: Path) -> None:
     rig = complete()
     full = Cameras(rig.left, rig.right, projector=rig.projector)
     back, _ = round_trip(tmp_path, full, "opencv")
@@ -101,7 +101,7 @@ def test_rectified_rows_agree_in_the_exported_ros_files() -> None:
     assert (columns[0] > columns[1]).all()
 
 
-def test_the_two_files_of_opencvs_own_sample_are_read_together_and_ask_for_the_size(tmp_path: Path) -> None:
+def test_the_two_files_of_opencvs_sample_are_read_together_and_require_the_size(tmp_path: Path) -> None:
     rig = cameras(4)
     numbers = {"M1": rig.left.matrix, "D1": rig.left.distortion, "M2": rig.right.matrix, "D2": rig.right.distortion}
     for name, keys in (("intrinsics.yml", numbers), ("extrinsics.yml", {"R": rig.right.rotation, "T": None})):
@@ -131,7 +131,7 @@ def test_the_two_files_of_opencvs_own_sample_are_read_together_and_ask_for_the_s
         ("opencv", "data:", "dat:", ""),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused_with_its_name_and_key(
+def test_an_unusable_file_is_rejected_with_its_name_and_key(
     tmp_path: Path, form: str, old: str, new: str, message: str
 ) -> None:
     files, _ = write_foreign(cameras(0, k3=False), form)
@@ -143,7 +143,7 @@ def test_a_file_that_cannot_be_used_is_refused_with_its_name_and_key(
     assert str(tmp_path) in str(error.value)
 
 
-def test_ros_files_in_the_wrong_order_are_told(tmp_path: Path) -> None:
+def test_ros_files_in_the_wrong_order_are_rejected(tmp_path: Path) -> None:
     files, _ = write_foreign(cameras(0), "ros")
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)

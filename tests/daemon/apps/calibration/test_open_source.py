@@ -1,4 +1,4 @@
-"""Images of every kind are read alike, from files, folders and takes; what cannot be read is named."""
+"""Images of every kind are read alike from files, folders and takes; unreadable ones are named."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.apps.calibration.images.image_files import read_image, unpacked
+from daemon.apps.calibration.images.image_files import demosaic, read_image
 from daemon.apps.calibration.images.image_size import image_size
 from daemon.apps.calibration.views.open_source import CaptureFolder, open_source
 from daemon.apps.calibration.views.take_source import TakeSource
@@ -27,8 +27,8 @@ from tests.daemon.apps.calibration import drawn
 RNG = np.random.default_rng(0)
 
 
-def quiet(done: int, of: int) -> None:
-    assert 0 <= done <= of
+def check_progress(completed: int, total: int) -> None:
+    assert 0 <= completed <= total
 
 
 @pytest.mark.parametrize("shape", [(90, 120), (90, 120, 3)])
@@ -56,7 +56,7 @@ def test_transparency_is_left_out(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "p.png"), image[..., 2::-1])
 
 
-def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_head(tmp_path: Path) -> None:
+def test_an_image_that_would_decode_to_gigabytes_is_rejected_by_its_header(tmp_path: Path) -> None:
     drawn.write_png(tmp_path / "p.png", np.zeros((70, 80), np.uint8))
     data = bytearray((tmp_path / "p.png").read_bytes())
     data[16:24] = (60_000).to_bytes(4, "big") * 2
@@ -67,32 +67,32 @@ def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_head(tmp_path
 
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from([b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"II*\0", b"MM\0*", b"BM", b""]), st.binary(max_size=200))
-def test_the_head_of_any_file_is_read_without_an_error(head: bytes, rest: bytes) -> None:
+def test_the_header_of_any_file_is_read_without_an_error(head: bytes, rest: bytes) -> None:
     size = image_size(head + rest)
     assert size is None or len(size) == 2
 
 
 @pytest.mark.parametrize("encoding", BAYER)
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])
-def test_a_mosaic_of_even_colour_becomes_that_colour(encoding: str, kind: type) -> None:
+def test_a_mosaic_of_uniform_colour_gets_that_colour(encoding: str, kind: type) -> None:
     color = np.array([200, 100, 50])
     raw = color[np.tile(np.array(BAYER[encoding]), (16, 16))].astype(kind)
-    image = unpacked(raw, encoding).astype(np.float64)
+    image = demosaic(raw, encoding).astype(np.float64)
     np.testing.assert_allclose(image[8, 8] / image[8, 8].sum(), color / color.sum(), atol=1e-3)
 
 
 def take_of(folder: Path, path: Path, *, first: int, lost: tuple[int, ...] = ()) -> None:
-    """The capture folder as a take whose first trigger is ``first``; some triggers are lost."""
-    described = json.loads((folder / "capture.json").read_text())
-    attached = {"pattern.json": json.dumps(described["sequence"]).encode()}
+    """Write the capture folder as a take whose first trigger is ``first``; some triggers are lost."""
+    description = json.loads((folder / "capture.json").read_text())
+    attachments = {"pattern.json": json.dumps(description["sequence"]).encode()}
     metadata = {"session": "s", "device": "d", "first_pattern_sequence": str(first)}
-    writer = PartWriter(path, attachments=attached, metadata=metadata, created_ns=1)
+    writer = PartWriter(path, attachments=attachments, metadata=metadata, created_ns=1)
     trigger = 0
-    for place in sorted(folder.glob("view_*")):
-        for n in range(len(described["sequence"]["frames"])):
+    for view in sorted(folder.glob("view_*")):
+        for n in range(len(description["sequence"]["frames"])):
             if trigger not in lost:
                 number = (first + trigger) % (1 << 32)
-                images = [read_image(place / f"{side}_{n:02d}.png") for side in SIDES]
+                images = [read_image(view / f"{side}_{n:02d}.png") for side in SIDES]
                 writer.write(
                     *(Frame(s, number, trigger, trigger, "mono8", p) for s, p in zip(SIDES, images, strict=True))
                 )
@@ -114,21 +114,21 @@ def test_a_take_gives_the_same_views_as_the_folder(tmp_path: Path, capture_folde
     assert folder.sequence is not None
     assert take.sequence.as_mapping() == folder.sequence.as_mapping()
     for only in (None, 2):
-        ours, theirs = list(take.views(quiet, only=only)), list(folder.views(quiet, only=only))
+        ours, theirs = list(take.views(check_progress, only=only)), list(folder.views(check_progress, only=only))
         assert len(ours) == len(theirs) == 5
         for one, other in zip(ours, theirs, strict=True):
             same(one, other)
 
 
-def test_a_view_with_a_lost_frame_is_left_out_and_told(tmp_path: Path, capture_folder: Path) -> None:
+def test_a_view_with_a_lost_frame_is_left_out_with_its_reason(tmp_path: Path, capture_folder: Path) -> None:
     count = len(json.loads((capture_folder / "capture.json").read_text())["sequence"]["frames"])
     take_of(capture_folder, tmp_path / "t.mcap", first=7, lost=(count + 3,))
     take = TakeSource(tmp_path / "t.mcap")
-    assert [view.name for view in take.views(quiet)] == ["view_00", "view_02", "view_03", "view_04"]
-    assert take.left_out == ["view_01: frame 3 of its sequence was lost (1 in all)"]
+    assert [view.name for view in take.views(check_progress)] == ["view_00", "view_02", "view_03", "view_04"]
+    assert take.left_out == ["view_01: frame 3 of its sequence was lost (1 in total)"]
 
 
-def test_marks_are_looked_for_in_the_brightest_even_frame() -> None:
+def test_marks_are_detected_in_the_brightest_uniform_frame() -> None:
     sequence = projector_sequence((480, 384))
     frame = sequence.frames[white_frame(sequence)]
     assert isinstance(frame, Uniform)
@@ -145,7 +145,7 @@ def test_marks_are_looked_for_in_the_brightest_even_frame() -> None:
         (lambda f: [shutil.rmtree(p) for p in f.glob("view_*")], r"no folder view_00"),
         (
             lambda f: drawn.write_png(f / "view_00" / "left_00.png", np.zeros((320, 400, 3), np.uint8)),
-            r"left_00.png: colour image of uint8, which is not mono8",
+            r"left_00.png: colour image of uint8, but capture.json specifies mono8",
         ),
         (
             lambda f: drawn.write_png(f / "view_02" / "left_01.png", np.zeros((300, 400), np.uint8)),
@@ -153,16 +153,16 @@ def test_marks_are_looked_for_in_the_brightest_even_frame() -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_a_capture_folder_is_named(
+def test_the_problem_of_a_capture_folder_is_named(
     tmp_path: Path, capture_folder: Path, change: object, message: str
 ) -> None:
     folder = tmp_path / "capture"
     shutil.copytree(capture_folder, folder)
     change(folder)  # type: ignore[operator]
     with pytest.raises(SourceError, match=message):
-        list(CaptureFolder(folder).views(quiet))
+        list(CaptureFolder(folder).views(check_progress))
 
 
-def test_a_folder_without_images_says_how_they_are_named(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"holds neither capture.json with views nor a take"):
+def test_a_folder_without_images_is_rejected_with_the_options_for_images(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"contains neither capture.json with views nor a take"):
         open_source(tmp_path)

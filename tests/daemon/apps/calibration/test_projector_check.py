@@ -1,4 +1,4 @@
-"""All pixels judge a calibrated projector: a right one is left alone, a wrong one is mended and told."""
+"""The check by all pixels keeps a correct projector, and refines and reports a wrong one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daemon.apps.calibration.solve.projector_check import WORTH_PX, last_look
+from daemon.apps.calibration.solve.projector_check import WORTH_PX, check_projector
 from daemon.apps.calibration.views.detect_marks import Phases
 from pipeline.calibrate.projector.absolute_phase import Coordinate
 from pipeline.calibrate.projector.trinocular_residual import moved
@@ -18,8 +18,8 @@ from sim.rig.layout import RigLayout
 NOISE_PX = 0.02
 
 
-def seen(rig: Calibration, camera: CameraModel, slope: tuple[float, float], seed: int) -> Phases:
-    """Who lights each pixel of a camera that looks at the plane ``z = 1400 + slope . (x, y)`` of the world."""
+def camera_phases(rig: Calibration, camera: CameraModel, slope: tuple[float, float], seed: int) -> Phases:
+    """Projector coordinates of each pixel of a camera, for the plane ``z = 1400 + slope . (x, y)``."""
     rays = np.concatenate([camera.rays(), np.ones((*camera.size[::-1], 1))], axis=-1) @ camera.rotation
     normal = np.array([-slope[0], -slope[1], 1.0])
     points = camera.centre + rays * ((1400.0 - normal @ camera.centre) / (rays @ normal))[..., None]
@@ -38,24 +38,27 @@ def rig() -> Calibration:
 @pytest.fixture(scope="module")
 def phases(rig: Calibration) -> list[tuple[Phases, Phases]]:
     slopes = ((0.0, 0.0), (0.4, 0.1), (-0.3, 0.3))
-    return [(seen(rig, rig.left, s, 2 * k), seen(rig, rig.right, s, 2 * k + 1)) for k, s in enumerate(slopes)]
+    return [
+        (camera_phases(rig, rig.left, s, 2 * k), camera_phases(rig, rig.right, s, 2 * k + 1))
+        for k, s in enumerate(slopes)
+    ]
 
 
-def test_a_true_projector_is_left_alone(rig: Calibration, phases: list[tuple[Phases, Phases]]) -> None:
-    found = last_look(rig, phases)
+def test_a_correct_projector_is_unchanged(rig: Calibration, phases: list[tuple[Phases, Phases]]) -> None:
+    found = check_projector(rig, phases)
     assert found is not None and not found.refined and found.calibration is rig
     assert found.residual_px < 0.25 * WORTH_PX and "agree" in found.note
 
 
-def test_a_projector_that_is_off_is_refined(rig: Calibration, phases: list[tuple[Phases, Phases]]) -> None:
+def test_a_wrong_projector_is_refined(rig: Calibration, phases: list[tuple[Phases, Phases]]) -> None:
     wrong = replace(rig, projector=moved(rig.projector, {"cx": 0.3, "rotation_x": 2e-4, "focal": 2e-4}))
-    found = last_look(wrong, phases)
+    found = check_projector(wrong, phases)
     assert found is not None and found.refined and found.before_px > 0.1
     assert found.residual_px < 0.25 * WORTH_PX and "refined" in found.note
     assert found.calibration.left is wrong.left and found.calibration.right is wrong.right
 
 
-def test_views_that_say_nothing_change_nothing(rig: Calibration) -> None:
+def test_views_without_usable_pixels_change_nothing(rig: Calibration) -> None:
     nothing = np.full(rig.left.size[::-1], np.nan)
     dark = Coordinate(nothing, nothing, np.zeros_like(nothing), np.zeros_like(nothing), np.zeros(nothing.shape, bool))
-    assert last_look(rig, [((dark, dark), (dark, dark))]) is None
+    assert check_projector(rig, [((dark, dark), (dark, dark))]) is None

@@ -1,4 +1,4 @@
-"""A bar of known length: its two ends are found, and its length comes out."""
+"""A bar of known length: its two ends are detected, and its length is measured."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def balls(device: CameraModel, seed: int, *, count: int = 2, light: bool = False
 
 
 @pytest.mark.parametrize("light", [False, True])
-def test_the_ends_are_found(true_rig: Cameras, light: bool) -> None:
+def test_the_ends_are_detected(true_rig: Cameras, light: bool) -> None:
     found = two_circles(balls(true_rig.left, 0, light=light), "p.png")
     truth = true_rig.left.project(ENDS)
     away = np.linalg.norm(found[:, None] - truth[None], axis=2).min(axis=1)
@@ -43,12 +43,12 @@ def test_the_ends_are_found(true_rig: Cameras, light: bool) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 4])
-def test_anything_but_two_circles_is_refused(true_rig: Cameras, count: int) -> None:
+def test_images_without_exactly_two_circles_are_rejected(true_rig: Cameras, count: int) -> None:
     with pytest.raises(TargetError, match=rf"p.png: {count} circles of one size stand out, the ends of a bar are two"):
         two_circles(balls(true_rig.left, 0, count=count), "p.png")
 
 
-def test_the_length_comes_out_and_a_wrong_one_is_told(
+def test_the_length_is_measured_and_a_wrong_one_is_reported(
     tmp_path: Path, true_rig: Cameras, truth_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drawn.write_png(tmp_path / "l.png", balls(true_rig.left, 1))

@@ -1,4 +1,4 @@
-"""The commands on images: what is written is the rig that took them, and the report can be read."""
+"""The commands on images write the calibration of the true rig and a well-formed report."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def cameras_command(folder: Path, *more: str) -> list[str]:
 
 
 def field_error_px(found: CameraModel, true: CameraModel, *, near: float = 900, far: float = 1100) -> float:
-    """Largest difference of where points inside the middle of the image are seen."""
+    """Largest difference of the projections of points in the middle of the image."""
     v, u = np.mgrid[0.15:0.85:9j, 0.15:0.85:9j]
     pixels = np.stack([u * true.size[0], v * true.size[1]], axis=-1)
     rays = np.concatenate([true.normalise(pixels), np.ones((9, 9, 1))], axis=-1)
@@ -38,25 +38,25 @@ def field_error_px(found: CameraModel, true: CameraModel, *, near: float = 900, 
     return float(max(errors))
 
 
-def report_is_whole(path: Path, *words: str) -> None:
+def check_report(path: Path, *expected: str) -> None:
     text = path.read_text(encoding="utf-8")
     root = ET.fromstring(text.removeprefix("<!DOCTYPE html>"))
-    said = " ".join(root.itertext())
-    for word in words:
-        assert word in said, word
+    content = " ".join(root.itertext())
+    for text_part in expected:
+        assert text_part in content, text_part
     assert "<script" not in text
     links = re.findall(r'(?:href|src)="([^"]*)"', text)
     assert links
     assert all(link.startswith("data:image/jpeg;base64,") for link in links)
 
 
-def test_cameras_are_calibrated_as_the_manual_writes_it(
+def test_cameras_are_calibrated_with_the_command_of_the_manual(
     images: Path, true_rig: Cameras, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, report = images / "calibration.yaml", images / "report.html"
     assert invoke(cameras_command(images, "--out", str(out), "--report", str(report))) == 0
-    told = capsys.readouterr()
-    assert "10 views used, 0 left out" in told.out
+    output = capsys.readouterr()
+    assert "10 views used, 0 left out" in output.out
     file = read_cameras(out)
     quality = file.mapping["quality"]
     assert all(name in quality for name in NAMES)
@@ -70,10 +70,10 @@ def test_cameras_are_calibrated_as_the_manual_writes_it(
     ):
         assert quality[f"rms_{side}_px"] < 0.05
         assert abs(found.matrix[0, 0] - true.matrix[0, 0]) < 5 * sigma[f"{side}.fx"] + 0.05
-    # Both cameras together, against the world of the left one: what a measurement feels.
+    # Both cameras together, relative to the left one: the error that affects a measurement.
     assert abs(file.cameras.baseline_mm - true_rig.baseline_mm) < 5 * sigma["baseline_mm"]
     assert quality["epipolar_px"] < 0.05
-    report_is_whole(report, "Coverage", "Residuals", "translation_x", "std. dev.", "Errors of every view", "00, left")
+    check_report(report, "Coverage", "Residuals", "translation_x", "std. dev.", "Errors by view", "00, left")
     assert sorted(path.name for path in images.iterdir()) == ["L", "R", "calibration.yaml", "report.html"]
 
 
@@ -85,7 +85,7 @@ def test_a_second_calibration_keeps_the_first_one_and_compares_with_it(images: P
     assert invoke(command) == 0
     kept = list(images.glob("calibration.2*.yaml"))
     assert [path.read_bytes() for path in kept] == [first]
-    report_is_whole(images / "calibration.report.html", "Before: 2", "in std. dev.")
+    check_report(images / "calibration.report.html", "Before: 2", "in std. dev.")
 
 
 def test_projector_and_cameras_are_solved_together(
@@ -103,11 +103,11 @@ def test_projector_and_cameras_are_solved_together(
     assert 0 <= quality["order_merit"] <= 1
     assert quality["trinocular_px"] < 0.05
     true = true_rig.complete()
-    # A common turn of everything against the left camera's axis changes nothing that is measured; pixels tell.
-    for device, wanted in ((rig.right, true.right), (rig.projector, true.projector)):
-        assert field_error_px(device, wanted) < 1.0
+    # A common rotation relative to the left camera has no effect on measurements; pixels show the difference.
+    for device, expected in ((rig.right, true.right), (rig.projector, true.projector)):
+        assert field_error_px(device, expected) < 1.0
     assert rig.baseline_mm == pytest.approx(true.baseline_mm, rel=5e-4)
-    report_is_whole(out.with_name("calibration.report.html"), "coverage, projector")
+    check_report(out.with_name("calibration.report.html"), "coverage, projector")
 
 
 def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
@@ -119,7 +119,7 @@ def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
     assert invoke(command) == 0
     page = (tmp_path / "calibration.report.html").read_text()
     assert page.count("<image") == 4
-    assert "The worst views are shown, 6 images are not." in page
+    assert "The worst views are shown, 6 images are omitted." in page
     file = read_cameras(out)
     assert file.cameras.projector is None
     assert file.cameras.baseline_mm == pytest.approx(true_rig.baseline_mm, rel=1e-3)
@@ -128,7 +128,7 @@ def test_cameras_are_calibrated_from_the_white_frames_of_a_capture(
 def test_a_distance_on_the_board_sets_the_scale(tmp_path: Path, capture_folder: Path, true_rig: Cameras) -> None:
     out = tmp_path / "calibration.yaml"
     command = ["calibrate", "cameras", "--views", str(capture_folder), "--board", BOARD, "--out", str(out)]
-    # The marks 0 and 62 are sqrt(8^2 + 6^2) = 10 pitches of 24 mm apart; the ruler says one per cent more.
+    # The marks 0 and 62 are sqrt(8^2 + 6^2) = 10 pitches of 24 mm apart; the given distance is one per cent more.
     assert invoke([*command, "--distance", "0-62:242.4"]) == 0
     assert read_cameras(out).cameras.baseline_mm == pytest.approx(1.01 * true_rig.baseline_mm, rel=1e-3)
     assert invoke([*command, "--distance", "0:62:242.4"]) == 2
@@ -144,7 +144,7 @@ def test_the_real_chessboard_pairs_are_calibrated(tmp_path: Path, shared_data: C
     assert quality["views_used"] + quality["views_rejected"] == 14
     assert quality["views_used"] >= 13
     assert quality["rms_stereo_px"] < 0.25
-    report_is_whole(tmp_path / "calibration.report.html", "left01", "baseline")
+    check_report(tmp_path / "calibration.report.html", "left01", "baseline")
 
 
 def test_the_calibration_measures_the_true_distances(
@@ -180,7 +180,7 @@ def test_the_calibration_measures_the_true_distances(
         ({"focal": 1.01}, "is wrong by|ppm too|epipolar"),
     ],
 )
-def test_a_rig_that_changed_is_found_out(
+def test_a_changed_rig_is_detected(
     tmp_path: Path, session_folder: Path, truth_file: Path, capsys: pytest.CaptureFixture[str],
     change: dict[str, float], complaint: str,
 ) -> None:  # fmt: skip
@@ -200,12 +200,12 @@ def test_a_rig_that_changed_is_found_out(
     path.write_text(yaml.safe_dump(mapping))
     view = ["--left", str(session_folder / "L" / "00.png"), "--right", str(session_folder / "R" / "00.png")]
     assert invoke(["calibrate", "check", "--calibration", str(path), *view, "--board", BOARD]) == 1
-    told = capsys.readouterr()
-    assert "OUT" in told.out
-    assert re.search(complaint, told.err)
+    output = capsys.readouterr()
+    assert "OUT" in output.out
+    assert re.search(complaint, output.err)
 
 
-def test_usage_errors_are_told(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_usage_errors_are_reported(images: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert invoke(["calibrate", "cameras", "--left", str(images / "L" / "*.png"), "--board", BOARD]) == 2
     assert "--left and --right belong together" in capsys.readouterr().err
     assert invoke(["calibrate", "cameras", "--board", BOARD]) == 2

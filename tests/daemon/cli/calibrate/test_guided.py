@@ -1,4 +1,4 @@
-"""The command a user types, on a simulated rig with a simulated hand: from nothing to a calibration, unattended."""
+"""The commands on a simulated rig with a simulated hand produce a calibration unattended."""
 
 from __future__ import annotations
 
@@ -41,26 +41,26 @@ def rig_file(tmp_path: Path) -> Path:
     return rig
 
 
-def calibrated(what: str, rig: Path) -> subprocess.CompletedProcess[str]:
+def calibrate(step: str, rig: Path) -> subprocess.CompletedProcess[str]:
     command = [
         sys.executable,
         "-c",
         PROGRAM,
         "calibrate",
-        what,
+        step,
         str(rig),
         "--out",
         str(rig.parent / "calibration.yaml"),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=350, check=False)
-    assert done.returncode == 0, done.stderr
-    return done
+    process = subprocess.run(command, capture_output=True, text=True, timeout=350, check=False)
+    assert process.returncode == 0, process.stderr
+    return process
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_everything_is_calibrated_from_start_to_file(tmp_path: Path) -> None:
-    done = calibrated("all", rig_file(tmp_path))
+    process = calibrate("all", rig_file(tmp_path))
     found, truth = read_calibration(tmp_path / "calibration.yaml").calibration, RigLayout().scaled(0.25).calibration()
     assert found.baseline_mm == pytest.approx(truth.baseline_mm, rel=5e-4)
     for device in ("left", "right", "projector"):
@@ -71,25 +71,25 @@ def test_everything_is_calibrated_from_start_to_file(tmp_path: Path) -> None:
     (session,) = (tmp_path / "calibration-sessions").iterdir()
     assert sorted(path.name for path in session.iterdir()) == ["board", "color"]
     assert len(list((session / "board").glob("view_*"))) == 5
-    assert "no daemon is running" in done.stderr and "view 5 of 12 is taken" in done.stderr
+    assert "no daemon is running" in process.stderr and "view 5 of 12 accepted" in process.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_a_running_daemon_is_calibrated_from_and_measures_on(tmp_path: Path) -> None:
+def test_a_running_daemon_captures_the_images_and_continues_measuring(tmp_path: Path) -> None:
     rig = rig_file(tmp_path)
     with subprocess.Popen([sys.executable, "-c", DAEMON, str(rig)]) as daemon:
         try:
             with ControlClient(f"ipc://{tmp_path}/c", timeout_s=60.0) as client:
                 wait_until(lambda: client.call("status")["state"] == "running", 60)
-                done = calibrated("cameras", rig)
+                process = calibrate("cameras", rig)
                 wait_until(lambda: client.call("status")["state"] == "running")
                 clouds = client.call("status")["clouds"]
                 wait_until(lambda: client.call("status")["clouds"] > clouds)
         finally:
             daemon.terminate()
     assert daemon.returncode == 0
-    assert "the running daemon calibrate-sim is asked" in done.stderr
+    assert "captured by the running daemon calibrate-sim" in process.stderr
     found = read_cameras(tmp_path / "calibration.yaml").cameras
     assert found.baseline_mm == pytest.approx(RigLayout().baseline_mm, rel=5e-4)
-    assert not list(tmp_path.glob("capture*.mcap")), "nothing of the captures is left behind"
+    assert not list(tmp_path.glob("capture*.mcap")), "temporary captures are removed"

@@ -1,4 +1,4 @@
-"""A drift is corrected from ordinary pairs, judged by others, and written only with consent."""
+"""A drift is corrected from ordinary pairs, validated by others, and written only after confirmation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from benchmarks.selfcheck import Rig
 from daemon.apps.calibration.views import drift_pairs
-from daemon.apps.calibration.views.drift_pairs import files_of_take
+from daemon.apps.calibration.views.drift_pairs import from_take
 from daemon.cli.calibrate import refine as calibrate_refine
 from daemon.rig.calibration_file import calibration_bytes, parse_calibration, read_calibration
 from pipeline.calibrate.drift_correction import Pair, refine, table
@@ -36,9 +36,9 @@ def pairs(rig: Rig, *disturbances: Disturbance) -> list[Pair]:
     return [scene.pair(index) for index in islice(range(100), 6)]  # type: ignore[misc]
 
 
-def test_a_turned_right_camera_is_found_and_turned_back(rig: Rig) -> None:
-    taken = pairs(rig, Disturbance("right", turn_deg=(0.02, 0.03, -0.02)))
-    found = refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
+def test_a_rotated_right_camera_is_identified_and_corrected(rig: Rig) -> None:
+    captured = pairs(rig, Disturbance("right", turn_deg=(0.02, 0.03, -0.02)))
+    found = refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured)
     assert found.device == "right" and found.better
     assert np.array(found.turn_deg) == pytest.approx([0.02, 0.03, -0.02], abs=0.006)
     for name in ("column_px", "column_x_px", "column_y_px"):
@@ -48,30 +48,30 @@ def test_a_turned_right_camera_is_found_and_turned_back(rig: Rig) -> None:
     assert "before" in text and "trinocular residual" in text and "right turned" in text
 
 
-def test_a_turned_projector_is_refined(rig: Rig) -> None:
-    taken = pairs(rig, Disturbance("projector", turn_deg=(0.0, 0.02, 0.0)))
-    found = refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken, device="projector")
+def test_a_rotated_projector_is_refined(rig: Rig) -> None:
+    captured = pairs(rig, Disturbance("projector", turn_deg=(0.0, 0.02, 0.0)))
+    found = refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured, device="projector")
     assert found.better and abs(found.after["column_px"].value) < 0.02 < abs(found.before["column_px"].value)
 
 
-def test_what_fits_is_left_alone_and_what_is_far_off_too(rig: Rig) -> None:
-    taken = pairs(rig)
+def test_a_fitting_calibration_and_unusable_images_are_rejected(rig: Rig) -> None:
+    captured = pairs(rig)
     with pytest.raises(CalibrationError, match="nothing to correct"):
-        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
+        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured)
     with pytest.raises(CalibrationError, match="at least 2"):
-        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken[:1])
-    empty = [tuple(np.full_like(image, 40) for image in pair) for pair in taken]
+        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured[:1])
+    empty = [tuple(np.full_like(image, 40) for image in pair) for pair in captured]
     with pytest.raises(CalibrationError, match="smooth pieces"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", empty)  # type: ignore[arg-type]
 
 
-def test_a_drift_that_several_devices_explain_needs_a_name(rig: Rig) -> None:
-    taken = pairs(rig, Disturbance("right", turn_deg=(0.03, 0.0, 0.0)))
+def test_a_drift_that_several_devices_explain_requires_the_device(rig: Rig) -> None:
+    captured = pairs(rig, Disturbance("right", turn_deg=(0.03, 0.0, 0.0)))
     with pytest.raises(CalibrationError, match="--device"):
-        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", taken)
+        refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured)
 
 
-def test_the_command_asks_before_it_writes(rig: Rig, tmp_path: Path) -> None:
+def test_the_command_confirms_before_it_writes(rig: Rig, tmp_path: Path) -> None:
     options = {"live": True, "scene": "moving", "frames": 2, "layout": {"scale": SCALE}, "rate_hz": 10.0}
     off = turned(rig.calibration, "right", (0.0, -0.03, 0.0))
     file = tmp_path / "calibration.yaml"
@@ -83,11 +83,11 @@ def test_the_command_asks_before_it_writes(rig: Rig, tmp_path: Path) -> None:
     command = typer.Typer(add_completion=False)
     command.command()(calibrate_refine.main)
     arguments = [str(tmp_path / "rig.yaml"), "--calibration", str(file), "--device", "right"]
-    refused = CliRunner().invoke(command, arguments, input="n\n")
-    assert refused.exit_code == 1 and "nothing was written" in refused.output, refused.output
+    rejected = CliRunner().invoke(command, arguments, input="n\n")
+    assert rejected.exit_code == 1 and "nothing was written" in rejected.output, rejected.output
     assert file.read_bytes() == before
-    done = CliRunner().invoke(command, [*arguments, "--yes"])
-    assert done.exit_code == 0, done.output
+    accepted = CliRunner().invoke(command, [*arguments, "--yes"])
+    assert accepted.exit_code == 0, accepted.output
     written = read_calibration(file)
     assert written.mapping["quality"]["refined"]["from"] == parse_calibration(before, "before").identity
     assert written.mapping["quality"]["rms_stereo_px"] == 0.05
@@ -96,9 +96,11 @@ def test_the_command_asks_before_it_writes(rig: Rig, tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("calibration.2*.yaml"))) == 1
 
 
-def test_pairs_of_a_take_are_spread_over_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[int, int]] = []
-    every = files_of_take(TAKE, lambda done, of: told.append((done, of)))
-    assert every.pairs and every.pairs[0][0].dtype == np.uint8 and every.encoding in ("rgb8", "bayer_rggb8") and told
+def test_pairs_are_spread_over_a_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    progress: list[tuple[int, int]] = []
+    drift = from_take(TAKE, lambda *position: progress.append(position))
+    assert (
+        drift.pairs and drift.pairs[0][0].dtype == np.uint8 and drift.encoding in ("rgb8", "bayer_rggb8") and progress
+    )
     monkeypatch.setattr(drift_pairs, "MOST_PAIRS", 1)
-    assert len(files_of_take(TAKE, lambda *_: None).pairs) <= 2
+    assert len(from_take(TAKE, lambda *_: None).pairs) <= 2

@@ -1,4 +1,4 @@
-"""A lit rig with a board in a simulated hand; its images carry numbers instead of marks."""
+"""A lit rig with a board in a simulated hand; its images contain numbers instead of marks."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, Board
+from pipeline.calibrate.targets.detect.detection import Detection
 from pipeline.common.errors import TargetError
 from sim.devices.open_rig import RigDevices
 from sim.devices.trigger_world import SimWorld
-from tests.daemon.apps.calibration.guided.test_session_state import Seen
+from tests.daemon.apps.calibration.guided.test_session_state import detection
 from tests.daemon.lit_rig import FreeProjector, devices
 from tests.pipeline.calibrate.bundle.sessions import session as made_session
 
 VIEWS, SIZES, _ = made_session(n=16, devices=("left", "right"), seed=3)
 BOARD = DEFAULT_BOARD
 DARK = 40
-"""Marks are not seen in less light."""
+"""Marks are not detected in less light."""
 
 
 class Hand:
-    """Moves the board on."""
+    """Moves the board to its next pose."""
 
     def __init__(self, world: SimWorld) -> None:
         self.pose, self.moves = 0, 0
@@ -75,16 +76,16 @@ def hand_devices(rate_hz: float = 200.0) -> HandDevices:
     return HandDevices(world.cameras, projector, hand, plain)
 
 
-def find(image: Any, board: Board) -> Seen:
-    """The marks that the numbers stand for."""
+def find(image: Any, board: Board) -> Detection:
+    """Return the marks that the numbers encode."""
     assert board == BOARD
     if image[1, 1].max() < DARK:
         raise TargetError("too dark")
     pose, side, check = (int(value) for value in image[0, 0])
     assert check == 77
-    return Seen(VIEWS[pose].marks[("left", "right")[side]])
+    return detection(VIEWS[pose].marks[("left", "right")[side]])
 
 
 def open_rig(options: dict[str, Any], base_dir: Any, *, progress: Any = None) -> HandDevices:  # noqa: ARG001
-    """For the registry of drivers."""
+    """Entry of the driver table."""
     return hand_devices()

@@ -1,4 +1,4 @@
-"""What a daemon may answer, and what becomes of it."""
+"""The daemon's answers to a capture, and their effects."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daemon.apps.calibration.guided.capture_from_daemon import DaemonShooter
+from daemon.apps.calibration.guided.capture_from_daemon import CaptureFromDaemon
 from daemon.common.errors import ControlError, DaemonError
 from daemon.live.items import PairItem
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
@@ -21,7 +21,7 @@ IDLE = {"state": "idle", "job": 0, "done": 0, "of": 0, "outcome": "", "file": No
 
 
 class Daemon:
-    """Answers ``calibrate.status`` from a list; the first answer is for the greeting."""
+    """Answers ``calibrate.status`` from a list; the first answer is for the constructor."""
 
     endpoint = "ipc://nowhere"
 
@@ -44,44 +44,44 @@ class Daemon:
         self.called.append("close")
 
 
-def shooter(*answers: dict[str, Any], **options: Any) -> tuple[DaemonShooter, Daemon]:
+def connect(*answers: dict[str, Any], **options: Any) -> tuple[CaptureFromDaemon, Daemon]:
     daemon = Daemon(*answers)
-    return DaemonShooter(daemon, **options), daemon  # type: ignore[arg-type]
+    return CaptureFromDaemon(daemon, **options), daemon  # type: ignore[arg-type]
 
 
-def test_a_daemon_that_is_still_starting_is_told() -> None:
+def test_a_daemon_that_is_still_starting_is_rejected() -> None:
     daemon = Daemon()
     daemon.answers = [IDLE | {"projector": None}]
     with pytest.raises(DaemonError, match="still starting"):
-        DaemonShooter(daemon)  # type: ignore[arg-type]
+        CaptureFromDaemon(daemon)  # type: ignore[arg-type]
 
 
-def test_a_failed_capture_gives_the_daemons_words() -> None:
-    made, _ = shooter({"job": 7, "of": 1}, {"job": 7, "of": 1, "outcome": "failed", "problem": "the cable is out"})
+def test_a_failed_capture_raises_the_daemons_message() -> None:
+    source, _ = connect({"job": 7, "of": 1}, {"job": 7, "of": 1, "outcome": "failed", "problem": "the cable is out"})
     with pytest.raises(DaemonError, match="the cable is out"):
-        made.shoot(SEQUENCE)
+        source.capture(SEQUENCE)
 
 
-def test_somebody_elses_capture_is_noticed() -> None:
-    made, _ = shooter({"job": 8, "of": 1})
-    with pytest.raises(DaemonError, match="somebody else captures"):
-        made.shoot(SEQUENCE)
+def test_another_clients_capture_is_detected() -> None:
+    source, _ = connect({"job": 8, "of": 1})
+    with pytest.raises(DaemonError, match="another client captures"):
+        source.capture(SEQUENCE)
 
 
 def test_stopping_cancels_the_capture_in_the_daemon() -> None:
-    made, daemon = shooter({"job": 7, "of": 9}, cancelled=lambda: True)
+    source, daemon = connect({"job": 7, "of": 9}, cancelled=lambda: True)
     with pytest.raises(CaptureCancelledError):
-        made.shoot(SEQUENCE)
+        source.capture(SEQUENCE)
     assert daemon.called[-1] == "calibrate.cancel"
 
 
-def test_a_capture_that_was_cancelled_in_the_daemon_is_no_failure_of_the_devices() -> None:
-    made, _ = shooter({"job": 7, "of": 1, "outcome": "cancelled"})
+def test_a_capture_cancelled_in_the_daemon_is_no_device_failure() -> None:
+    source, _ = connect({"job": 7, "of": 1, "outcome": "cancelled"})
     with pytest.raises(CaptureCancelledError):
-        made.shoot(SEQUENCE)
+        source.capture(SEQUENCE)
 
 
-def test_a_file_with_fewer_images_than_asked_for_is_refused(tmp_path: Path) -> None:
+def test_a_file_with_fewer_images_than_requested_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     writer = TakeWriter(
         path, session="s", device="d", calibration_data=b"", pattern=SEQUENCE.as_mapping(), volume={}, min_free_bytes=0
@@ -90,13 +90,13 @@ def test_a_file_with_fewer_images_than_asked_for_is_refused(tmp_path: Path) -> N
     frames = [Frame(side, 3, 5, 6, "mono8", np.zeros((4, 4), np.uint8)) for side in sides]
     writer.offer(PairItem(*frames))
     writer.close()
-    made, _ = shooter({"job": 7, "of": 1, "outcome": "done", "file": str(path)})
-    with pytest.raises(DaemonError, match="1 of 1 images are there, numbered from 3"):
-        made.shoot(SEQUENCE)
+    source, _ = connect({"job": 7, "of": 1, "outcome": "done", "file": str(path)})
+    with pytest.raises(DaemonError, match="it contains 1 of 1 images, numbered from 3"):
+        source.capture(SEQUENCE)
 
 
-def test_without_a_hand_nothing_is_moved_and_the_end_lets_the_daemon_measure() -> None:
-    made, daemon = shooter()
-    with made:
-        assert not made.has_hand and not made.next_pose()
+def test_without_a_simulated_hand_nothing_moves_and_closing_ends_the_capture() -> None:
+    source, daemon = connect()
+    with source:
+        assert not source.has_hand and not source.next_pose()
     assert daemon.called == ["calibrate.status", "calibrate.cancel", "close"]

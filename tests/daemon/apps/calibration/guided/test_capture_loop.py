@@ -1,4 +1,4 @@
-"""A whole guided session, with the rig's own devices and through a running daemon."""
+"""A complete guided session, with the rig's own devices and through a running daemon."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from daemon.apps.calibration.guided import capture_from_devices as devices_module
-from daemon.apps.calibration.guided.capture import Shooter, unheard
-from daemon.apps.calibration.guided.capture_from_daemon import DaemonShooter
-from daemon.apps.calibration.guided.capture_from_devices import DeviceShooter
-from daemon.apps.calibration.guided.capture_loop import Outcome, Scene, guide
+from daemon.apps.calibration.guided.capture import ImageCapture, no_progress
+from daemon.apps.calibration.guided.capture_from_daemon import CaptureFromDaemon
+from daemon.apps.calibration.guided.capture_from_devices import CaptureFromDevices
+from daemon.apps.calibration.guided.capture_loop import Outcome, SessionUpdate, guide
 from daemon.apps.calibration.guided.session_folder import SessionFolder, png
 from daemon.apps.calibration.guided.session_state import Limits, State
-from daemon.apps.calibration.guided.terminal_view import Bars, Lines
+from daemon.apps.calibration.guided.terminal_view import PlainDisplay, ProgressDisplay
 from daemon.apps.calibration.views.open_source import CaptureFolder
 from daemon.bootstrap.sinks import open_capture
 from daemon.common.clock import SystemClock
@@ -40,50 +40,50 @@ from tests.daemon.lit_rig import UnmeasuringService
 from tests.daemon.rigs import Collector, config, rig_of
 from tools.waiting import wait_until
 
-LIMITS = Limits(steady_s=0.05, wanted=3, most=3)
+LIMITS = Limits(steady_s=0.05, least=3, most=3)
 
 
-class Kept:
-    """A watcher that remembers."""
+class RecordingDisplay:
+    """A display that records its calls."""
 
     def __init__(self) -> None:
-        self.scenes: list[Scene] = []
+        self.updates: list[SessionUpdate] = []
         self.progress: list[tuple[int, int]] = []
         self.troubles: list[str] = []
 
-    def seen(self, scene: Scene) -> None:
-        self.scenes.append(scene)
+    def show(self, update: SessionUpdate) -> None:
+        self.updates.append(update)
 
     def capturing(self, done: int, of: int) -> None:
         self.progress.append((done, of))
 
-    def trouble(self, text: str) -> None:
+    def failure(self, text: str) -> None:
         self.troubles.append(text)
 
 
-class Mender(Kept):
-    """Puts the projector right at the first trouble."""
+class RepairingDisplay(RecordingDisplay):
+    """Repairs the projector after the first failure."""
 
-    def __init__(self, made: HandDevices) -> None:
+    def __init__(self, devices: HandDevices) -> None:
         super().__init__()
-        self._made = made
+        self._devices = devices
 
-    def trouble(self, text: str) -> None:
-        super().trouble(text)
-        self._made.projector.trouble = ""
-
-
-@contextmanager
-def with_devices(tmp_path: Path, made: HandDevices) -> Iterator[Shooter]:
-    with DeviceShooter(made, config(tmp_path)) as shooter:
-        yield shooter
+    def failure(self, text: str) -> None:
+        super().failure(text)
+        self._devices.projector.trouble = ""
 
 
 @contextmanager
-def with_daemon(tmp_path: Path, made: HandDevices) -> Iterator[Shooter]:
+def with_devices(tmp_path: Path, devices: HandDevices) -> Iterator[ImageCapture]:
+    with CaptureFromDevices(devices, config(tmp_path)) as source:
+        yield source
+
+
+@contextmanager
+def with_daemon(tmp_path: Path, devices: HandDevices) -> Iterator[ImageCapture]:
     settings = config(tmp_path, "recording: {min_free_mb: 10}\n")
-    plain = replace(made.plain, cameras=made.cameras, projector=made.projector)
-    rig = replace(rig_of(plain), next_pose=made.trigger.next_pose)
+    plain = replace(devices.plain, cameras=devices.cameras, projector=devices.projector)
+    rig = replace(rig_of(plain), next_pose=devices.trigger.next_pose)
     service: Service = UnmeasuringService(settings, rig, {"stream": Collector()})
     capture = Capture(
         service,
@@ -98,11 +98,11 @@ def with_daemon(tmp_path: Path, made: HandDevices) -> Iterator[Shooter]:
     thread.start()
     try:
         wait_until(lambda: service.ready)
-        with DaemonShooter(ControlClient(settings.control.endpoint)) as shooter:
-            yield shooter
+        with CaptureFromDaemon(ControlClient(settings.control.endpoint)) as source:
+            yield source
         wait_until(lambda: not capture.active)
         clouds = service.worker.clouds
-        # The simulated cameras' images have another size than the calibration, which does not keep pairs from coming.
+        # The simulated cameras' image size differs from the calibration; pairs arrive nevertheless.
         wait_until(lambda: service.worker.clouds > clouds)
     finally:
         service.ask_stop()
@@ -118,29 +118,29 @@ def short_sequence(size: tuple[int, int]) -> FrameSequence:
     )
 
 
-def guided(shooter: Shooter, folder: Path, sequence: FrameSequence, **options: Any) -> tuple[Outcome, Kept]:
-    kept = Kept()
+def guided(
+    source: ImageCapture, folder: Path, sequence: FrameSequence, **options: Any
+) -> tuple[Outcome, RecordingDisplay]:
+    display = RecordingDisplay()
     outcome = guide(
-        shooter, BOARD, sequence, folder, find=find, watcher=kept, clock=SystemClock(),
+        source, BOARD, sequence, folder, find=find, display=display, clock=SystemClock(),
         **({"limits": LIMITS} | options),
     )  # fmt: skip
-    return outcome, kept
+    return outcome, display
 
 
 @pytest.mark.parametrize("through", [with_devices, with_daemon], ids=["devices", "daemon"])
-def test_a_session_runs_by_itself_from_the_first_pose_to_a_folder_that_can_be_solved(
-    through: Any, tmp_path: Path
-) -> None:
-    made = hand_devices()
-    with through(tmp_path, made) as shooter:
-        sequence = short_sequence(shooter.size)
-        outcome, kept = guided(shooter, tmp_path / "session" / "board", sequence)
-    assert outcome.views == 3 and made.trigger.moves == 2
-    assert kept.scenes[-1].session.state is State.DONE and not kept.troubles
-    assert (4, 4) in kept.progress
-    source = CaptureFolder(tmp_path / "session" / "board")
-    assert source.sequence is not None and source.sequence.as_mapping() == sequence.as_mapping()
-    views = list(source.views(unheard))
+def test_a_session_runs_unattended_to_a_folder_that_can_be_solved(through: Any, tmp_path: Path) -> None:
+    devices = hand_devices()
+    with through(tmp_path, devices) as source:
+        sequence = short_sequence(source.size)
+        outcome, display = guided(source, tmp_path / "session" / "board", sequence)
+    assert outcome.views == 3 and devices.trigger.moves == 2
+    assert display.updates[-1].session.state is State.DONE and not display.troubles
+    assert (4, 4) in display.progress
+    kept_views = CaptureFolder(tmp_path / "session" / "board")
+    assert kept_views.sequence is not None and kept_views.sequence.as_mapping() == sequence.as_mapping()
+    views = list(kept_views.views(no_progress))
     assert [view.name for view in views] == ["view_00", "view_01", "view_02"]
     for pose, view in enumerate(views):
         light = []
@@ -152,38 +152,38 @@ def test_a_session_runs_by_itself_from_the_first_pose_to_a_folder_that_can_be_so
 
 
 def test_the_devices_are_dark_and_closed_afterwards(tmp_path: Path) -> None:
-    made = hand_devices()
-    with with_devices(tmp_path, made) as shooter:
-        shooter.shoot(camera_sequence(shooter.size))
-    assert made.projector.level == 0
-    assert {str(camera.state) for camera in made.cameras.values()} == {"closed"}
+    devices = hand_devices()
+    with with_devices(tmp_path, devices) as source:
+        source.capture(camera_sequence(source.size))
+    assert devices.projector.level == 0
+    assert {str(camera.state) for camera in devices.cameras.values()} == {"closed"}
 
 
-def test_what_was_captured_stays_when_somebody_stops_the_session(tmp_path: Path) -> None:
-    made = hand_devices()
-    with with_devices(tmp_path, made) as shooter:
+def test_captured_views_are_kept_when_the_user_stops_the_session(tmp_path: Path) -> None:
+    devices = hand_devices()
+    with with_devices(tmp_path, devices) as source:
         outcome, _ = guided(
-            shooter, tmp_path / "s", camera_sequence(shooter.size), stopped=lambda: made.trigger.moves >= 2
+            source, tmp_path / "s", camera_sequence(source.size), stopped=lambda: devices.trigger.moves >= 2
         )
     assert outcome.views == 2 and not outcome.complete
-    assert len(list(CaptureFolder(tmp_path / "s").views(unheard))) == 2
+    assert len(list(CaptureFolder(tmp_path / "s").views(no_progress))) == 2
 
 
-def test_a_projector_that_fails_for_a_while_is_waited_for_and_one_that_stays_so_ends_the_session(
+def test_a_temporary_projector_failure_is_retried_and_a_permanent_one_ends_the_session(
     tmp_path: Path,
 ) -> None:
-    made = hand_devices()
-    with with_devices(tmp_path, made) as shooter:
-        kept = Mender(made)
-        made.projector.trouble = "the cable is out"
+    devices = hand_devices()
+    with with_devices(tmp_path, devices) as source:
+        display = RepairingDisplay(devices)
+        devices.projector.trouble = "the cable is out"
         outcome = guide(
-            shooter, BOARD, camera_sequence(shooter.size), tmp_path / "s", find=find, watcher=kept,
+            source, BOARD, camera_sequence(source.size), tmp_path / "s", find=find, display=display,
             clock=SystemClock(), limits=LIMITS,
         )  # fmt: skip
         assert outcome.views == 3
-        made.projector.trouble = "the cable is out"
+        devices.projector.trouble = "the cable is out"
         with pytest.raises(DriverError, match="the cable is out"):
-            guided(shooter, tmp_path / "t", short_sequence(shooter.size))
+            guided(source, tmp_path / "t", short_sequence(source.size))
 
 
 def test_a_session_is_never_written_into_another_one(tmp_path: Path) -> None:
@@ -193,32 +193,35 @@ def test_a_session_is_never_written_into_another_one(tmp_path: Path) -> None:
         SessionFolder(tmp_path / "old", camera_sequence((8, 8)))
 
 
-def test_a_camera_that_does_not_come_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_camera_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices_module, "_START_S", 0.3)
-    made = hand_devices(rate_hz=0.0)
-    made.cameras["right"].set_present(False)
+    devices = hand_devices(rate_hz=0.0)
+    devices.cameras["right"].set_present(False)
     with pytest.raises(DaemonError, match=r"camera right: .* not there"):
-        DeviceShooter(made, config(tmp_path))
-    assert made.projector.level == 0
+        CaptureFromDevices(devices, config(tmp_path))
+    assert devices.projector.level == 0
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_raw_images_are_kept_bit_by_bit(dtype: type) -> None:
+def test_raw_images_are_stored_bit_by_bit(dtype: type) -> None:
     grey = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, (40, 50), dtype)
     assert (cv2.imdecode(np.frombuffer(png(grey), np.uint8), cv2.IMREAD_UNCHANGED) == grey).all()
 
 
-def test_a_terminal_and_a_log_tell_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    made = hand_devices()
-    with ExitStack() as stack, with_devices(tmp_path, made) as shooter:
-        for name, watcher in (("lines", stack.enter_context(Lines())), ("bars", stack.enter_context(Bars()))):
-            made.trigger.pose = 0
+def test_plain_lines_and_bars_show_the_same_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    devices = hand_devices()
+    with ExitStack() as stack, with_devices(tmp_path, devices) as source:
+        for name, display in (
+            ("lines", stack.enter_context(PlainDisplay())),
+            ("bars", stack.enter_context(ProgressDisplay())),
+        ):
+            devices.trigger.pose = 0
             guide(
-                shooter, BOARD, short_sequence(shooter.size), tmp_path / name, find=find, watcher=watcher,
+                source, BOARD, short_sequence(source.size), tmp_path / name, find=find, display=display,
                 clock=SystemClock(), limits=LIMITS,
             )  # fmt: skip
-    told = capsys.readouterr().err
-    assert "a new pose: hold the board still\nhold still\n" in told
-    assert "image 4 of 4\n" in told and "view 3 of 3 is taken; nothing is missing\n" in told
-    assert "3 of 3 views" in told
+    output = capsys.readouterr().err
+    assert "a new pose: hold the board still\nhold still\n" in output
+    assert "image 4 of 4\n" in output and "view 3 of 3 accepted; nothing is missing\n" in output
+    assert "3 of 3 views" in output
     assert json.loads((tmp_path / "bars" / "capture.json").read_text())["encoding"] == "rgb8"

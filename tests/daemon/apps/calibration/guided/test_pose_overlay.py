@@ -1,4 +1,4 @@
-"""The outline that is drawn is that of a board at the pose that is wished for."""
+"""The drawn outline is that of a board at the requested pose."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SIZE = (1024, 820)
 BOARD = DEFAULT_BOARD
 
 
-def seen(corners: np.ndarray) -> BoardView:
-    """A view of all marks whose outline it is."""
+def view_of(corners: np.ndarray) -> BoardView:
+    """The view of all marks with this outline."""
     low, high = BOARD.points.min(axis=0)[:2], BOARD.points.max(axis=0)[:2]
     rectangle = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
     h = cv2.getPerspectiveTransform(rectangle.astype(np.float32), corners[:4].astype(np.float32))
     at = np.column_stack([BOARD.points[:, :2], np.ones(len(BOARD.points))]) @ h.T
     n = len(at)
-    return BoardView("ghost", {"left": Marks(np.arange(n), at[:, :2] / at[:, 2:], np.full(n, 0.05))})
+    return BoardView("overlay", {"left": Marks(np.arange(n), at[:, :2] / at[:, 2:], np.full(n, 0.05))})
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -36,19 +36,19 @@ def seen(corners: np.ndarray) -> BoardView:
     v=st.floats(0.2, 0.8),
     distance=st.floats(0.9, 1.1),
 )
-def test_a_board_that_fills_its_ghost_is_at_the_wished_pose(
+def test_a_board_that_fills_its_outline_is_at_the_requested_pose(
     tilt_x: float, tilt_y: float, u: float, v: float, distance: float
 ) -> None:
     pose = Pose(tilt_x, tilt_y, (u, v), distance, "")
     corners = outline(BOARD, pose, SIZE, distance_mm=1500.0)
-    geometry = view_geometries(BOARD, [seen(corners)], "left", SIZE)[0]
-    assert geometry.tilt_x_deg == pytest.approx(tilt_x, abs=0.02)
-    assert geometry.tilt_y_deg == pytest.approx(tilt_y, abs=0.02)
-    assert geometry.position == pytest.approx((u, v), abs=2e-3)
-    assert geometry.distance_mm == pytest.approx(1500 * distance, rel=1e-3)
+    found = view_geometries(BOARD, [view_of(corners)], "left", SIZE)[0]
+    assert found.tilt_x_deg == pytest.approx(tilt_x, abs=0.02)
+    assert found.tilt_y_deg == pytest.approx(tilt_y, abs=0.02)
+    assert found.position == pytest.approx((u, v), abs=2e-3)
+    assert found.distance_mm == pytest.approx(1500 * distance, rel=1e-3)
 
 
-def test_the_first_ghost_is_in_the_middle_and_of_a_usual_size() -> None:
+def test_the_first_outline_is_in_the_middle_and_of_a_usual_size() -> None:
     corners = outline(BOARD, assess_views(BOARD, [], {"left": SIZE}).next_pose, SIZE)
     assert corners[0].tolist() == corners[4].tolist()
     assert np.ptp(corners[:, 0]) == pytest.approx(0.6 * SIZE[0], rel=0.1)
@@ -58,7 +58,7 @@ def test_the_first_ghost_is_in_the_middle_and_of_a_usual_size() -> None:
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(u=st.floats(-0.5, 1.5), v=st.floats(-0.5, 1.5), tilt=st.floats(-45, 45), distance_mm=st.floats(400.0, 3000.0))
-def test_an_outline_is_brought_into_the_image_and_one_that_is_in_it_stays(
+def test_an_outline_is_moved_into_the_image_and_one_inside_it_is_unchanged(
     u: float, v: float, tilt: float, distance_mm: float
 ) -> None:
     corners = outline(BOARD, Pose(tilt, 10.0, (u, v), 1.0, ""), SIZE, distance_mm=distance_mm)
