@@ -1,7 +1,7 @@
-"""``make bench``: speed, memory, scale and accuracy, and other people's programs on the same images, in one run.
+"""``make bench``: speed, memory, scale and accuracy, and other programs on the same images, in one run.
 
-Everything is timed one after the other, each of our jobs in a process of its own; medians, other programs on the
-machine show in the spread. Results go to ``out/bench/results.json``, figures beside them; ``--markdown`` writes tables
+All jobs are timed one after the other, each of ours in a process of its own; figures are medians, and the spread shows
+other load of the machine. Results go to ``out/bench/results.json``, figures beside them; ``--markdown`` writes tables
 and figures into the documents. The exit code is 1 if a promise is not kept.
 """
 
@@ -29,35 +29,35 @@ DOCUMENT = ROOT / "docs" / "performance.md"
 IMAGES = ROOT / "docs" / "images"
 QUICK_CASES = 3
 
-Found = tuple[list[Table], Any, list[tuple[str, bool]]]
+SectionResult = tuple[list[Table], Any, list[tuple[str, bool]]]
 
 
-def stages(options: argparse.Namespace) -> Found:
+def stages(options: argparse.Namespace) -> SectionResult:
     """Time by stage, and memory."""
     table, memory, timings = speed.by_stage(options.repeats)
     figures = {name: asdict(timing) for name, timing in timings.items()}
     return [table, memory], figures, speed.promises(timings[f"three-chip/{speed.THREADS[-1]}"])
 
 
-def live(options: argparse.Namespace) -> Found:
+def live(options: argparse.Namespace) -> SectionResult:
     """The moving scene."""
     table, ways, timings = speed.live(options.repeats, 4 if options.quick else speed.FRAMES)
     return [table, ways], {name: asdict(timing) for name, timing in timings.items()}, []
 
 
-def peers(options: argparse.Namespace) -> Found:
-    """Other people's programs."""
+def peers(options: argparse.Namespace) -> SectionResult:
+    """Other programs."""
     table, figures, promises = compare.compare(options.repeats, quick=options.quick)
     return [table], figures, promises
 
 
-def scaling(options: argparse.Namespace) -> Found:
+def scaling(options: argparse.Namespace) -> SectionResult:
     """More pixels, more fringes, a deeper volume."""
     table, figures = scale.by_series(options.repeats, quick=options.quick)
     return [table], figures, []
 
 
-def cases(options: argparse.Namespace) -> Found:
+def cases(options: argparse.Namespace) -> SectionResult:
     """Accuracy by case."""
     chosen = [case for case in CASES if options.case in case.name]
     # The first cases are those that carry promises or a table of their own in the README.
@@ -65,19 +65,19 @@ def cases(options: argparse.Namespace) -> Found:
     return [table], figures, promises
 
 
-def trusted(options: argparse.Namespace) -> Found:
+def trust_section(options: argparse.Namespace) -> SectionResult:
     """Wrong points, false surfaces and error against sigma in hard cases."""
     chosen = [case for case in HARD if options.case in case.name]
     return trust.by_case(chosen[: QUICK_CASES if options.quick else None], options.seeds)
 
 
-SECTIONS: dict[str, Callable[[argparse.Namespace], Found]] = {
+SECTIONS: dict[str, Callable[[argparse.Namespace], SectionResult]] = {
     "stages": stages,
     "live": live,
     "peers": peers,
     "scale": scaling,
     "accuracy": cases,
-    "trust": trusted,
+    "trust": trust_section,
 }
 
 
@@ -94,10 +94,10 @@ def main() -> int:
         if name not in options.only:
             continue
         console.print(f"[dim]{name} ({time.monotonic() - begin:.0f} s)[/dim]")
-        found, figures[name], promised = section(options)
-        tables += found
+        section_tables, figures[name], promised = section(options)
+        tables += section_tables
         promises += promised
-        for table in found:
+        for table in section_tables:
             table.print(console)
     for what, kept in promises:
         console.print(f"{'kept  ' if kept else 'MISSED'} {what}", highlight=False)
@@ -113,22 +113,22 @@ def main() -> int:
     return 0 if all(kept for _, kept in promises) else 1
 
 
-def arguments(words: list[str]) -> argparse.Namespace:
-    """What the command line asks for."""
+def arguments(given: list[str]) -> argparse.Namespace:
+    """Options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="fewer pairs, cases and peers: within three minutes")
     parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="these sections alone")
-    parser.add_argument("--no-peers", action="store_true", help="leave other people's programs out")
+    parser.add_argument("--no-peers", action="store_true", help="leave other programs out")
     parser.add_argument("--case", default="", help="of the accuracy cases those whose name contains this")
     parser.add_argument("--seeds", type=int, default=1, help="noise and texture seeds to average over")
     parser.add_argument("--repeats", type=int, help="pairs to time (15, with --quick 5)")
     parser.add_argument("--markdown", action="store_true", help="write docs/performance.md and its figures")
-    options = parser.parse_args(words)
+    options = parser.parse_args(given)
     options.repeats = options.repeats or (5 if options.quick else 15)
     if options.no_peers:
         options.only = [name for name in options.only if name != "peers"]
     if options.markdown and (options.quick or options.case or set(options.only) != set(SECTIONS)):
-        parser.error("--markdown wants the whole benchmark: a document does not mix measurements of different runs")
+        parser.error("--markdown requires the whole benchmark: a document does not mix measurements of different runs")
     return options
 
 

@@ -1,8 +1,8 @@
-"""How long it takes from the edge on the trigger lines to the cloud: ``python -m benchmarks.box_latency``.
+"""Latency from the edge on the trigger lines to the cloud: ``python -m benchmarks.box_latency``.
 
-A daemon measures a rig in a box at a steady rate: real drivers, real stream, and cameras whose frames leave them
-exposure and readout after the edge, as real ones do. Every time is taken where the thing happens, on one machine, with
-one clock; each frame is told by its bytes, so no number can be mistaken.
+A daemon measures a rig in a box at a steady rate: real drivers, real stream, and cameras whose frames are sent after
+exposure and readout, as real ones are. Every time is taken where the event happens, on one machine, with one clock;
+each frame is identified by its bytes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ STAGES = {
 _PERCENTILES = (50, 99, 99.9)
 _WARM_UP = 10
 _EXPOSURES = 24
-"""Exposures that are made beforehand and shown in turn, so that making light does not compete with measuring."""
+"""Exposures that are rendered beforehand and shown in turn, so that rendering does not compete with measuring."""
 
 
 class Times:
@@ -48,8 +48,8 @@ class Times:
         self._edges: dict[int, tuple[int, int]] = {}
         self._offset_ns = time.time_ns() - time.monotonic_ns()
 
-    def told(self, shown: Shown, item: Item, now_ns: int) -> None:
-        """The witness's: a pair or a cloud is there."""
+    def report(self, shown: Shown, item: Item, now_ns: int) -> None:
+        """Note the times of a pair or a cloud; called by the witness."""
         if isinstance(item, PairItem):
             host_ns = max(item.left.t_host_ns, item.right.t_host_ns) - self._offset_ns
             self._edges[item.left.trigger] = shown.index, shown.t_ns
@@ -59,7 +59,7 @@ class Times:
             self._note("cloud", shown, now_ns)
 
     def received(self, seq: int) -> None:
-        """A subscriber has the cloud of a trigger's number."""
+        """Note that a subscriber has received the cloud of a trigger."""
         index, t_ns = self._edges[seq]
         self.ms["received"][index] = (time.monotonic_ns() - t_ns) / 1e6
 
@@ -67,12 +67,12 @@ class Times:
         self.ms[stage][shown.index] = (at_ns - shown.t_ns) / 1e6
 
 
-class Prepared:
-    """A scene with some exposures made once: the same counts, noise of as many seeds in turn."""
+class RecordedScene:
+    """A scene with some exposures rendered once: the same counts, noise of as many seeds in turn."""
 
     def __init__(self, stage: Lit) -> None:
         self._stage = stage
-        self._made: dict[tuple[int, int], tuple[Image, Image]] = {}
+        self._exposures: dict[tuple[int, int], tuple[Image, Image]] = {}
 
     def counts(self, image: NDArray[np.uint8], instant: int = 0) -> Counts:
         """Both cameras' counts without noise."""
@@ -80,15 +80,15 @@ class Prepared:
 
     def images(self, counts: Counts, seed: int) -> tuple[Image, Image]:
         """Both cameras' images with the noise of one of the seeds."""
-        if not self._made.get((id(counts), 0)):
+        if not self._exposures.get((id(counts), 0)):
             for k in range(_EXPOSURES):
-                self._made[id(counts), k] = self._stage.images(counts, k)
-        return self._made[id(counts), seed % _EXPOSURES]
+                self._exposures[id(counts), k] = self._stage.images(counts, k)
+        return self._exposures[id(counts), seed % _EXPOSURES]
 
 
 def measure(options: argparse.Namespace) -> Table:
     """One run and its table."""
-    made = from_mapping(
+    box_options = from_mapping(
         {
             "tcp": 0,
             "exposure_us": options.exposure_us,
@@ -97,14 +97,14 @@ def measure(options: argparse.Namespace) -> Table:
         }
     )
     times = Times()
-    with Box(made) as box:
+    with Box(box_options) as box:
         os.environ[GENTL_DIR] = str(box.gentl_dir)
-        box.world.put_on_stage(Prepared(box.stage))
-        with Daemon(box, told=times.told, temporal_prior=True) as daemon:
+        box.world.put_on_stage(RecordedScene(box.stage))
+        with Daemon(box, report=times.report, temporal_prior=True) as daemon:
             daemon.step_until_pair()
             _run(box, daemon, times, options)
         late = box.world.late
-    width, height = made.layout.camera_size
+    width, height = box_options.layout.camera_size
     table = Table(
         "box_latency",
         f"From the edge on the trigger lines, ms ({width} x {height} pixels, {options.rate:g} triggers a second)",
@@ -117,8 +117,8 @@ def measure(options: argparse.Namespace) -> Table:
         )
     in_camera_ms = (options.exposure_us + options.readout_us) / 1e3
     table.notes.append(f"exposure and readout take {in_camera_ms:g} ms of it; triggers skipped by the emulator: {late}")
-    table.notes.append(f"wrong pairs: {daemon.witness.counts['wrong']}; X server, light and cameras run beside it")
-    table.notes.append("the witness reads all bytes of each pair before it is measured; that is in the clouds' times")
+    table.notes.append(f"wrong pairs: {daemon.witness.counts['wrong']}; X server and cameras run on the same machine")
+    table.notes.append("the witness reads all bytes of each pair before it is measured; the clouds' times include that")
     return table
 
 

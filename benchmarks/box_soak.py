@@ -1,4 +1,4 @@
-"""The whole loop for hours' worth of triggers: ``python -m benchmarks.box_soak --triggers 200000``.
+"""Soak test of the whole loop on emulated hardware: ``python -m benchmarks.box_soak --triggers 200000``.
 
 A daemon measures a rig in a box (X server, projector window, emulated GenICam cameras) in fast lock-step, under random
 faults of a seed: frames that are lost, broken, late or doubled, edges that one camera never sees, blackouts, and
@@ -35,12 +35,12 @@ RATES = {
 }
 HARMLESS = (FaultKind.NONE, FaultKind.LATE, FaultKind.DUPLICATE)
 _GROWTH_MIB = 16.0
-_SETTLED_AFTER = 0.2
+_WARM_UP_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What the daemon and all processes below it hold: own memory, open files, shared memory files, processes."""
+    """Resources of the daemon and its child processes: own memory, open files, shared memory files, processes."""
 
     own_mib: float
     files: int
@@ -50,7 +50,7 @@ class Usage:
 
 @dataclass(slots=True)
 class Result:
-    """What came of a soak; ``whole``: triggers without a fault on either side. ``usage``: by share of the run."""
+    """Result of a soak; ``whole``: triggers without a fault on either side. ``usage``: by share of the run."""
 
     triggers: int = 0
     whole: int = 0
@@ -61,28 +61,28 @@ class Result:
     seconds: float = 0.0
     losses: int = 0
     faults: dict[str, int] = field(default_factory=dict)
-    fates: dict[str, dict[str, int]] = field(default_factory=dict)
+    outcomes: dict[str, dict[str, int]] = field(default_factory=dict)
     drops: dict[str, int] = field(default_factory=dict)
     usage: list[tuple[int, Usage]] = field(default_factory=list)
 
     @property
     def growth_mib(self) -> float:
         """Own memory of all processes at the end, less that after a fifth of the run."""
-        settled = [usage.own_mib for at, usage in self.usage if at >= _SETTLED_AFTER * self.triggers]
-        return settled[-1] - settled[0] if settled else 0.0
+        steady = [usage.own_mib for at, usage in self.usage if at >= _WARM_UP_SHARE * self.triggers]
+        return steady[-1] - steady[0] if steady else 0.0
 
     def problems(self) -> list[str]:
-        """Why the soak has failed, each in a sentence."""
-        found = [f"{self.wrong} wrong pairs"] if self.wrong else []
-        found += [f"{self.unknown} pairs with a frame that was never shown"] if self.unknown else []
+        """Reasons why the soak has failed."""
+        problems_ = [f"{self.wrong} wrong pairs"] if self.wrong else []
+        problems_ += [f"{self.unknown} pairs with a frame that was never shown"] if self.unknown else []
         if self.growth_mib > _GROWTH_MIB:
-            found.append(f"memory grew by {self.growth_mib:.1f} MiB, limit {_GROWTH_MIB:g}")
-        settled = [usage for at, usage in self.usage if at >= _SETTLED_AFTER * self.triggers]
+            problems_.append(f"memory grew by {self.growth_mib:.1f} MiB, limit {_GROWTH_MIB:g}")
+        steady = [usage for at, usage in self.usage if at >= _WARM_UP_SHARE * self.triggers]
         for name in ("files", "shared", "processes"):
-            first, last = getattr(settled[0], name), getattr(settled[-1], name)
+            first, last = getattr(steady[0], name), getattr(steady[-1], name)
             if last > first + 2:
-                found.append(f"{name} grew from {first} to {last}")
-        return found
+                problems_.append(f"{name} grew from {first} to {last}")
+        return problems_
 
 
 def usage() -> Usage:
@@ -110,9 +110,9 @@ def _tree(pid: int) -> Iterator[int]:
 
 @contextmanager
 def box_of(options: argparse.Namespace) -> Iterator[Box]:
-    """A tiny rig in lock-step whose cameras this process and those it starts can open."""
+    """A tiny rig in lock-step whose cameras this process and its children can open."""
     faults = {"seed": options.seed, **RATES, "gone": options.gone}
-    made = from_mapping(
+    box_options = from_mapping(
         {
             "tcp": 0,
             "exposure_us": 100,
@@ -122,7 +122,7 @@ def box_of(options: argparse.Namespace) -> Iterator[Box]:
         }
     )
     before = os.environ.get(GENTL_DIR)
-    with Box(made, real_time=False) as box:
+    with Box(box_options, real_time=False) as box:
         os.environ[GENTL_DIR] = str(box.gentl_dir)
         try:
             yield box
@@ -162,7 +162,7 @@ def soak(options: argparse.Namespace) -> Result:
     result.triggers, result.pairs, result.clouds = world.triggers, counts["pairs"], counts["clouds"]
     result.wrong, result.unknown = counts["wrong"], counts["unknown"]
     result.losses = sum(camera.losses for camera in status.cameras.values())
-    result.fates = {side: dict(camera.fates) for side, camera in status.cameras.items()}
+    result.outcomes = {side: dict(camera.fates) for side, camera in status.cameras.items()}
     result.drops = dict(status.drops)
     for (_, kind), count in sorted(world.ledger.counts.items()):
         if kind is not FaultKind.NONE:
@@ -171,17 +171,17 @@ def soak(options: argparse.Namespace) -> Result:
 
 
 def _measure_some(daemon: Daemon, every: int) -> None:
-    """Give the pipeline only one pair in so many: it would take the processor from what is soaked here."""
-    offer, seen = daemon.service.worker.offer, itertools.count()
+    """Give the pipeline only one pair in so many, so that the processor is free for the acquisition."""
+    offer, counter = daemon.service.worker.offer, itertools.count()
 
     def offer_some(pair: Pair) -> None:
-        if next(seen) % every == 0:
+        if next(counter) % every == 0:
             offer(pair)
 
     daemon.service.worker.offer = offer_some  # type: ignore[method-assign]
 
 
-def told(result: Result) -> str:
+def describe(result: Result) -> str:
     """The result as text."""
     first, last = result.usage[0][1], result.usage[-1][1]
     lines = [
@@ -190,7 +190,7 @@ def told(result: Result) -> str:
         f"{result.clouds} clouds",
         f"pipeline and sinks dropped: {result.drops}",
         f"faults: {dict(result.faults)}; cameras lost and found again: {result.losses}",
-        *(f"fates {side}: {fates}" for side, fates in result.fates.items()),
+        *(f"outcomes {side}: {outcomes}" for side, outcomes in result.outcomes.items()),
         f"memory {first.own_mib:.0f} MiB -> {last.own_mib:.0f} MiB (settled growth {result.growth_mib:+.1f}), "
         f"files {first.files} -> {last.files}, shared memory {first.shared} -> {last.shared}, "
         f"processes {first.processes} -> {last.processes}",
@@ -206,14 +206,14 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--scale", type=float, default=0.0625, help="size of the images, 1 = 1024 x 820")
     parser.add_argument("--gone", type=float, default=5e-5, help="share of triggers at which a camera is unplugged")
     parser.add_argument("--measured", type=int, default=50, help="one pair in so many goes to the pipeline")
-    parser.add_argument("--verbose", action="store_true", help="tell how far it is")
+    parser.add_argument("--verbose", action="store_true", help="report progress")
     return parser.parse_args(given)
 
 
 def main(given: list[str]) -> int:
-    """Soak and tell."""
+    """Soak and report."""
     result = soak(arguments(given))
-    print(told(result))
+    print(describe(result))
     return 1 if result.problems() else 0
 
 

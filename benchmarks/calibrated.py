@@ -1,9 +1,9 @@
 """Measuring with a rig's own calibration: ``python -m benchmarks.calibrated``, from scratch to clouds, in simulation.
 
 Colours, cameras and projector of a rendered rig (12 % crosstalk, gamma 2.2, noise) are calibrated from its images
-alone; then scenes are measured with that calibration and with the true one. A calibration has its own left camera as
-its world, so clouds are laid onto the truth by the best rigid motion (no scale) before their error is told. The exit
-code is 1 when a promise is broken.
+alone; then scenes are measured with that calibration and with the true one. The world of a calibration is its
+left camera, so clouds are aligned with the truth by the best rigid motion (no scale) before their error is computed.
+The exit code is 1 when a promise is broken.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """The rendered rig; a person who calibrates it knows its images only."""
+    """The rendered rig; its calibration uses only its images."""
 
     layout: RigLayout
     optics: Optics
     seed: int = 0
 
     def pairs(self, stage: Stage, sequence: FrameSequence, calibration: ColorSolution | None, seed: int) -> list[Pair]:
-        """Both cameras' images of every frame, shown through the inverse of the response that is known."""
+        """Both cameras' images of every frame, shown through the inverse of the known response."""
         response = None if calibration is None else calibration.response
         return [
             stage.images(stage.counts(np.ascontiguousarray(frame.image(response))), 1_000 * (self.seed + seed) + k)
@@ -69,16 +69,16 @@ def colors(rig: Rig, geometry: Calibration | None = None) -> ColorSolution:
 def view_of(
     rig: Rig, board: Board, pose: object, sequence: FrameSequence, color: ColorSolution, number: int
 ) -> BoardView:
-    """One place of the board: marks in both cameras, and where the projector's image meets them."""
+    """One pose of the board: marks in both cameras and on the projector's image."""
     stage = Stage(rig.layout, board_scene(board, pose), fine(rig.optics))  # type: ignore[arg-type]
     pairs = rig.pairs(stage, sequence, color, 100 + number)
-    seen = {}
+    observations = {}
     for k, side in enumerate(SIDES):
         images = [pair[k] for pair in pairs]
         x, y = (coordinate(images, sequence, axis) for axis in ("x", "y"))  # type: ignore[arg-type]
-        seen[side] = CameraObservation(marks_of(images[0], board), x, y)
-    marks = {side: one.marks for side, one in seen.items()}
-    return BoardView(f"view {number}", marks | {"projector": projector_marks(board, seen).marks})
+        observations[side] = CameraObservation(marks_of(images[0], board), x, y)
+    marks = {side: one.marks for side, one in observations.items()}
+    return BoardView(f"view {number}", marks | {"projector": projector_marks(board, observations).marks})
 
 
 def geometry(rig: Rig, board: Board, views: int, color: ColorSolution) -> tuple[Calibration, dict[str, float]]:
@@ -92,12 +92,12 @@ def geometry(rig: Rig, board: Board, views: int, color: ColorSolution) -> tuple[
     print()
     sizes = dict.fromkeys(SIDES, layout.camera_size) | {"projector": layout.projector_size}
     solution = calibrate(board, found, sizes)
-    made = Calibration(**{name: solution.devices[name] for name in ("left", "right", "projector")})
-    return made, {name: float(value) for name, value in solution.quality().items()}
+    calibrated = Calibration(**{name: solution.devices[name] for name in ("left", "right", "projector")})
+    return calibrated, {name: float(value) for name, value in solution.quality().items()}
 
 
 def measured(rig: Rig, calibration: Calibration, pattern: ColorFringe, scene: str) -> AlignedScore:
-    """A scene under the pattern as this calibration has it sent, and how far its cloud is from the truth."""
+    """A scene under the pattern predistorted by this calibration, and the error of its cloud."""
     image = pattern.image(calibration.response)
     what = build(scene)
     left, right = render_images(rig.layout, what, image, rig.optics, 0.0, 77 + rig.seed)
@@ -128,21 +128,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--views", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
-    # What is sent is up to the calibration here: the renderer sends images as they are.
+    # The calibration predistorts the images; the renderer sends them unchanged.
     optics = Optics(crosstalk=0.12, gamma=2.2, precorrected=False)
     rig = Rig(RigLayout().scaled(chosen.scale), optics, chosen.seed)
-    began = time.monotonic()
+    started = time.monotonic()
     color = colors(rig)
-    made, quality = geometry(rig, DEFAULT_BOARD, chosen.views, color)
-    color = colors(rig, made)
-    made = color.applied(made)
-    print(f"calibrated in {time.monotonic() - began:.0f} s of rendering and solving: {quality}")
+    calibrated, quality = geometry(rig, DEFAULT_BOARD, chosen.views, color)
+    color = colors(rig, calibrated)
+    calibrated = color.applied(calibrated)
+    print(f"calibrated in {time.monotonic() - started:.0f} s of rendering and solving: {quality}")
     for line in color.recommendations:
         print(line)
     kept = _report_phases(phase_errors(rig, color))
     true = rig.layout.calibration_for(optics)
-    _report_devices(true, made)
-    return 0 if _report_scenes(rig, true, made) and kept else 1
+    _report_devices(true, calibrated)
+    return 0 if _report_scenes(rig, true, calibrated) and kept else 1
 
 
 def _report_phases(errors: dict[str, tuple[PhaseError, PhaseError]]) -> bool:
@@ -156,22 +156,22 @@ def _report_phases(errors: dict[str, tuple[PhaseError, PhaseError]]) -> bool:
     return kept
 
 
-def _report_devices(true: Calibration, made: Calibration) -> None:
+def _report_devices(true: Calibration, calibrated: Calibration) -> None:
     print("\n| device | focal length | principal point | distance to the left camera |\n| --- | --- | --- | --- |")
     for name in ("left", "right", "projector"):
         a: CameraModel = getattr(true, name)
-        b: CameraModel = getattr(made, name)
+        b: CameraModel = getattr(calibrated, name)
         centre = np.hypot(*(b.matrix[:2, 2] - a.matrix[:2, 2]))
         far = np.linalg.norm(b.centre) - np.linalg.norm(a.centre)
         print(f"| {name} | {100 * (b.matrix[0, 0] / a.matrix[0, 0] - 1):+.4f} % | {centre:.3f} px | {far:+.3f} mm |")
 
 
-def _report_scenes(rig: Rig, true: Calibration, made: Calibration) -> bool:
+def _report_scenes(rig: Rig, true: Calibration, calibrated: Calibration) -> bool:
     pattern = rig.layout.pattern()
     print("\n| scene | calibration | within 1 mm | wrong | rms mm | smooth rms mm | ratio |\n" + "| --- " * 7 + "|")
     kept = True
     for scene in SCENES:
-        best, own = (measured(rig, calibration, pattern, scene) for calibration in (true, made))
+        best, own = (measured(rig, calibration, pattern, scene) for calibration in (true, calibrated))
         ratio = own.score.rms_mm / best.score.rms_mm
         kept &= ratio <= ERROR_LIMIT
         for name, found, times in (("true", best, ""), ("own", own, f"{ratio:.3f} (promised {ERROR_LIMIT})")):

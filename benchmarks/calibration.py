@@ -1,8 +1,8 @@
-"""How true a calibration is: ``python -m benchmarks.calibration``, on sessions of the simulated rig.
+"""Accuracy of a calibration: ``python -m benchmarks.calibration``, on sessions of the simulated rig.
 
 A session of board views is rendered once and read out with another noise for every seed. Every seed is calibrated from
-its images alone; the errors are those against the rig that was rendered, and their scatter over the seeds is what the
-reported standard deviations must agree with. The exit code is 1 when a promise is broken.
+its images alone; the errors are those against the rig that was rendered, and their scatter over the seeds must
+agree with the reported standard deviations. The exit code is 1 when a promise is broken.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COMPARED = ("fx", "fy", "cx", "cy")
 
 @dataclass(slots=True)
 class Sessions:
-    """What many sessions gave."""
+    """Results of many sessions."""
 
     errors: dict[str, list[float]] = field(default_factory=dict)
     sigmas: dict[str, list[float]] = field(default_factory=dict)
@@ -48,7 +48,7 @@ class Sessions:
         self.worst[name] = max(self.worst.get(name, 0.0), abs(value))
 
     def floor_px(self) -> float:
-        """Noise of the marks as they scatter over the seeds, px, as ``Solution.rms`` counts (both coordinates)."""
+        """Scatter of the marks over the seeds, px, as in ``Solution.rms`` (both coordinates)."""
         variances = [np.stack(found).var(axis=0, ddof=1).sum(axis=-1).mean() for found in self.marks.values()]
         return float(np.sqrt(np.mean(variances)))
 
@@ -70,8 +70,8 @@ def marks_of(image: NDArray[np.uint8], board: Board) -> Marks:
 def lens_error_px(found: CameraModel, true: CameraModel) -> float:
     """Largest difference of the distortions within the image, px.
 
-    What a small turn of the device does to all rays is no error of its lens: the best turn and focal length are taken
-    off first, as the pose of the device takes them up.
+    A small rotation of the device is no error of its lens: the best rotation and focal length are removed first, as the
+    pose of the device compensates for them.
     """
     width, height = true.size
     u, v = np.meshgrid(np.linspace(0, width - 1, 15), np.linspace(0, height - 1, 13))
@@ -79,7 +79,7 @@ def lens_error_px(found: CameraModel, true: CameraModel) -> float:
     rays = true.normalise(pixels)
     x, y = rays.T
     moved = found.to_pixels(found.distort(rays)) - pixels
-    # Turns about x, y and z move an image by these amounts, first order, and a focal length by (x, y).
+    # Rotations about x, y and z move an image by these amounts, first order, and a focal length by (x, y).
     zero = np.zeros_like(x)
     columns = [
         np.stack([x * y, 1 + y * y], 1), np.stack([1 + x * x, x * y], 1), np.stack([-y, x], 1), np.stack([x, zero], 1),
@@ -91,7 +91,7 @@ def lens_error_px(found: CameraModel, true: CameraModel) -> float:
 
 
 def run(rendered: RenderedViews, seeds: range) -> Sessions:
-    """Find marks and calibrate, once a seed."""
+    """Detect marks and calibrate, once a seed."""
     layout, board = rendered.layout, rendered.board
     true = layout.calibration()
     out = Sessions()
@@ -163,7 +163,7 @@ def report(out: Sessions, seeds: int, views: int) -> bool:
     for name, value, limit, kept in rows:
         print(f"| {name} | {value} | {limit} | {'kept' if kept else 'MISSED'} |")
     if out.centroid_bias_px:
-        print("\nmean distance of a found mark from the image of the circle's centre "
+        print("\nmean distance of a detected mark from the image of the circle's centre "
               f"{np.mean(out.centre_bias_px):.4f} px, "
               f"from the centroid of the circle's image {np.mean(out.centroid_bias_px):.4f} px")  # fmt: skip
     return all(kept for *_, kept in rows)

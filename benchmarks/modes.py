@@ -1,7 +1,7 @@
 """The single shot against sets of images and against the truth: ``python -m benchmarks.modes``, in simulation.
 
 Scenes at rest are measured in every mode, by every kind of camera. Then a plane moves, towards the rig or sideways;
-every image of a set is taken at its own time. What a mode gives then must be right or unknown: the exit code is 1
+every image of a set is taken at its own time. Points of a mode must be right or unknown: the exit code is 1
 when more than a hundredth of a set's points err by more than a millimetre.
 """
 
@@ -40,12 +40,12 @@ SPEEDS_M_S = 0.0, 0.01, 0.1, 0.3, 1.0
 RATE_HZ = 100.0
 ERROR_LIMIT_MM, SHARE_LIMIT = 1.0, 0.01
 Images: TypeAlias = list[NDArray[Any]]
-Made: TypeAlias = Reconstructor | SetReconstructor
+AnyReconstructor: TypeAlias = Reconstructor | SetReconstructor
 
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """What is simulated: the rig, its optics, and what its cameras send."""
+    """The simulated rig, its optics, and the encoding of its cameras."""
 
     layout: RigLayout
     optics: Optics
@@ -62,8 +62,8 @@ class Rig:
         sequence = mode_sequence(mode, self.layout.projector_size, periods=self.layout.periods)
         return [np.ascontiguousarray(frame.image()) for frame in sequence.frames]
 
-    def made(self, mode: str) -> Made:
-        """What measures in a mode."""
+    def reconstructor(self, mode: str) -> AnyReconstructor:
+        """The reconstructor of a mode."""
         share = (self.layout.camera_size[0] / 1024) ** 2
         settings = Settings(min_component=max(20, round(120 * share)))
         calibration, volume = self.layout.calibration_for(self.optics), self.layout.volume()
@@ -73,25 +73,25 @@ class Rig:
         return SetReconstructor(calibration, sequence, volume, encoding=self.encoding, settings=settings)
 
 
-def measured(made: Made, pairs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Cloud:
+def measured(reconstructor: AnyReconstructor, pairs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Cloud:
     """The cloud of a set, or of the one pair of the single shot."""
-    if isinstance(made, Reconstructor):
-        return made.reconstruct(*pairs[0])
-    return made.reconstruct([left for left, _ in pairs], [right for _, right in pairs])
+    if isinstance(reconstructor, Reconstructor):
+        return reconstructor.reconstruct(*pairs[0])
+    return reconstructor.reconstruct([left for left, _ in pairs], [right for _, right in pairs])
 
 
 def at_rest(rig: Rig, scenes: Sequence[str]) -> Table:
     """Every mode on scenes that do not move."""
     headings = ["scene", "mode", "images", "within 1 mm %", "wrong %", "rms um", "5x5 rms um", "sigma um", "moved %"]
-    table = Table("at_rest", f"Scenes at rest, {rig.encoding}", headings, words=("mode",))
-    made = {mode: rig.made(mode) for mode in rig.modes()}
+    table = Table("at_rest", f"Scenes at rest, {rig.encoding}", headings, text_columns=("mode",))
+    reconstructors = {mode: rig.reconstructor(mode) for mode in rig.modes()}
     for name in scenes:
         scene = build(name)
         stage, truth = Stage(rig.layout, scene, rig.optics, encoding=rig.encoding), truths(rig.layout, scene)[0]
         for mode in rig.modes():
             shown = rig.shown(mode)
             pairs = [stage.images(stage.counts(image), 100 + k) for k, image in enumerate(shown)]
-            cloud = measured(made[mode], pairs)
+            cloud = measured(reconstructors[mode], pairs)
             found = score(cloud.xyz, truth)
             table.add(
                 name, mode, f"{len(shown)}", f"{100 * found.reconstructed:.2f}", f"{100 * found.wrong:.3f}",
@@ -105,15 +105,17 @@ def at_rest(rig: Rig, scenes: Sequence[str]) -> Table:
 def in_motion(rig: Rig, direction: str) -> tuple[Table, list[tuple[str, bool]]]:
     """A plane at several speeds; every image of a set at its own time."""
     headings = ["m/s", "mode", "points %", "moved %", "median um", "95 % um", f"over {ERROR_LIMIT_MM:g} mm %"]
-    table = Table("in_motion", f"A plane moves {direction}, {RATE_HZ:g} images a second", headings, words=("mode",))
-    made = {mode: rig.made(mode) for mode in rig.modes()}
+    table = Table(
+        "in_motion", f"A plane moves {direction}, {RATE_HZ:g} images a second", headings, text_columns=("mode",)
+    )
+    reconstructors = {mode: rig.reconstructor(mode) for mode in rig.modes()}
     promises = []
     for speed in SPEEDS_M_S:
         scene = moving_plane(direction, speed)
-        pairs = _taken(rig, scene)
+        pairs = _captured(rig, scene)
         for mode in rig.modes():
-            cloud = measured(made[mode], pairs[mode])
-            maker = made[mode]
+            cloud = measured(reconstructors[mode], pairs[mode])
+            maker = reconstructors[mode]
             centre = maker.plan.centre if isinstance(maker, SetReconstructor) else 0.0
             middle = centre / RATE_HZ + 0.5e-6 * rig.optics.exposure_us
             share, median, most, over = _errors(cloud, truths(rig.layout, scene, t_s=middle)[0])
@@ -138,7 +140,7 @@ def moving_plane(direction: str, speed: float) -> Scene:
     return Scene("moving plane", (shape,), period_s=2 * pi * 400.0 / (1e3 * speed) if speed else 1.0)
 
 
-def _taken(rig: Rig, scene: Scene) -> dict[str, list[tuple[NDArray[Any], NDArray[Any]]]]:
+def _captured(rig: Rig, scene: Scene) -> dict[str, list[tuple[NDArray[Any], NDArray[Any]]]]:
     """The pairs of every mode; image k of each is taken k periods of the triggers after the first."""
     shown = {mode: rig.shown(mode) for mode in rig.modes()}
     pairs: dict[str, Any] = {mode: [] for mode in shown}
@@ -193,9 +195,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for direction in ("away", "sideways") if chosen.only != "rest" else ():
         table, promises = in_motion(rig, direction)
         show(table)
-        broken += [word for word, kept in promises if not kept]
-    for word in broken:
-        sys.stdout.write(f"BROKEN: {word}\n")
+        broken += [promise for promise, kept in promises if not kept]
+    for promise in broken:
+        sys.stdout.write(f"BROKEN: {promise}\n")
     return 1 if broken else 0
 
 

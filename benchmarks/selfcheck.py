@@ -1,4 +1,4 @@
-"""How soon the self-check reports a disturbed rig, and how often it cries wolf: ``python -m benchmarks.selfcheck``.
+"""Delay of the self-check's reports and rate of its false alarms: ``python -m benchmarks.selfcheck``.
 
 A moving scene is rendered by the true rig and by rigs that were disturbed a little, and reconstructed with the
 calibration of the true one. Every checked pair has a noise of its own.
@@ -50,7 +50,7 @@ DISTURBANCES: dict[str, Disturbance] = {
 
 
 class Rig:
-    """Pairs of a scene, and what the self-check reads from them.
+    """Pairs of a scene, and the self-check's readings from them.
 
     Args:
         scale: of the standard rig; scene: name; encoding: of the cameras; instants: of a moving scene.
@@ -68,27 +68,27 @@ class Rig:
         self.ms: list[float] = []
 
     def scene(self, *disturbances: Disturbance) -> LiveScene:
-        """The scene as the rig sees it after these disturbances."""
+        """The scene of the rig after these disturbances."""
         shown = image_sent(self.pattern, self.options.optics, self.pattern.size)
-        made = LiveScene(self.options, LiveProjector(shown))
+        live_scene = LiveScene(self.options, LiveProjector(shown))
         for disturbance in disturbances:
-            made.disturb(disturbance)
-        return made
+            live_scene.disturb(disturbance)
+        return live_scene
 
-    def look(self, scene: LiveScene, first: int = 0) -> Iterator[Observation]:
+    def observations(self, scene: LiveScene, first: int = 0) -> Iterator[Observation]:
         """One pair after the other, the scene moving on, each with fresh noise."""
         for index in range(first, 1 << 30):
             images = scene.pair(index)
             cloud = self.reconstructor.reconstruct(*images)
-            began = time.perf_counter()
-            seen = self.observer.observe(*images, cloud)
-            self.ms.append(1e3 * (time.perf_counter() - began))
-            yield seen
+            started = time.perf_counter()
+            observation = self.observer.observe(*images, cloud)
+            self.ms.append(1e3 * (time.perf_counter() - started))
+            yield observation
 
 
-def feed(watch: Watch, number: int, seen: Observation) -> None:
-    """As the daemon does."""
-    watch.feed(number / RATE_HZ, seen.readings, surface=Reading(seen.known, 0.01))
+def feed(watch: Watch, number: int, observation: Observation) -> None:
+    """Feed the watch as the daemon does."""
+    watch.feed(number / RATE_HZ, observation.readings, surface=Reading(observation.known, 0.01))
 
 
 def undisturbed(
@@ -97,11 +97,11 @@ def undisturbed(
     """The watch after ``pairs`` pairs, how many reports there were, and every reading."""
     watch = Watch(limits_of(SelfCheckLimits()), {})
     alarms, kept = 0, []
-    for number, seen in enumerate(islice(rig.look(scene, first), pairs)):
+    for number, observation in enumerate(islice(rig.observations(scene, first), pairs)):
         before = set(watch.drifted)
-        feed(watch, number, seen)
+        feed(watch, number, observation)
         alarms += len(set(watch.drifted) - before)
-        kept.append(seen.readings)
+        kept.append(observation.readings)
         if (number + 1) % 500 == 0:
             print(f"{number + 1} undisturbed pairs, {alarms} reports", flush=True)
     names = sorted({name for readings in kept for name in readings})
@@ -112,12 +112,13 @@ def undisturbed(
 def disturbed(rig: Rig, scene: LiveScene, disturbance: Disturbance, watch: Watch) -> tuple[float | None, Watch]:
     """Seconds from the disturbance to the report (None: not within the time), and the watch then."""
     fresh = Watch(limits_of(SelfCheckLimits()), watch.references)
-    for number, seen in enumerate(islice(rig.look(scene, 1 << 20), BEFORE)):
-        feed(fresh, number, seen)
+    for number, observation in enumerate(islice(rig.observations(scene, 1 << 20), BEFORE)):
+        feed(fresh, number, observation)
     if fresh.drifted:
         raise RuntimeError(f"reported before anything happened: {fresh.drifted}")
-    for number, seen in enumerate(islice(rig.look(rig.scene(disturbance), BEFORE), round(RATE_HZ * WITHIN_S))):
-        feed(fresh, BEFORE + number, seen)
+    after = rig.observations(rig.scene(disturbance), BEFORE)
+    for number, observation in enumerate(islice(after, round(RATE_HZ * WITHIN_S))):
+        feed(fresh, BEFORE + number, observation)
         if fresh.drifted:
             return (number + 1) / RATE_HZ, fresh
     return None, fresh

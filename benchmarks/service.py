@@ -1,4 +1,4 @@
-"""How fast the installed service is there, and there again: ``make bench-service``, as root.
+"""Start and recovery times of the installed service: ``make bench-service``, as root.
 
 In a container with a real systemd, with a simulated rig at 10 pairs a second (256 x 204 pixels) whose images and
 kernels are on disk already, as they are on a rig that was started before:

@@ -85,13 +85,13 @@ def _mean(found: Sequence[PointErrors]) -> PointErrors:
     return PointErrors(false_surfaces=surfaces, false_points=points, rings=rings, **means)
 
 
-def main(words: list[str]) -> int:
+def main(given: list[str]) -> int:
     """Print the tables and the limits that are missed; exit code 1 if one is."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="", help="those whose name contains this")
-    options = parser.parse_args(words)
+    options = parser.parse_args(given)
     cases = [_scaled(case, options.scale) for case in HARD if options.case in case.name]
     tables, _, promises = by_case(cases, options.seeds)
     console = Console(width=None if sys.stdout.isatty() else 170)

@@ -1,1 +1,1 @@
-"""Hundreds of random faults against a whole rig: what survives, what is lost, how soon it is well again."""
+"""Hundreds of random faults against a whole rig: survival, losses and recovery times."""

@@ -1,4 +1,4 @@
-"""A small disk of the campaign's own, which can fill up, refuse writing, and be pulled."""
+"""A small disk of the campaign, which can be filled, made read-only and removed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Disk:
         return self.at / "takes"
 
     def fill(self) -> None:
-        """Leave no byte."""
+        """Fill the disk."""
         with self._filler.open("wb", buffering=0) as file:
             try:
                 while True:
@@ -44,7 +44,7 @@ class Disk:
         self._run("umount", "--lazy", str(self.at))
 
     def mend(self) -> None:
-        """Room to write again."""
+        """Make the disk writable again, with free space."""
         if not os.path.ismount(self.at):
             self._mount()
         self._run("mount", "-o", "remount,rw", str(self.at))

@@ -1,4 +1,4 @@
-"""What is done to the rig: each fault strikes, lasts, and is taken back; the rest is the daemon's affair."""
+"""The faults: each is applied to the rig, lasts, and is removed; the daemon must recover by itself."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from benchmarks.campaign import faulty_clients
-from benchmarks.campaign.rig import Place, pause
+from benchmarks.campaign.rig import CampaignRig, pause
 from daemon.common.errors import ControlError
 from drivers.protocols import SIDES, Side
 
-Strike = Callable[[Place, random.Random], None]
+Strike = Callable[[CampaignRig, random.Random], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One kind: ``strike`` does it and takes back what a daemon cannot; ``new_daemon``: it may cost the process."""
+    """One kind: ``strike`` applies it and removes what a daemon cannot; ``new_daemon``: the process may be replaced."""
 
     name: str
     strike: Strike
@@ -32,20 +32,20 @@ def _side(random_: random.Random) -> Side:
 
 
 def _end_daemon(number: signal.Signals) -> Strike:
-    """The fault ends when the guard has started another one: what the old one still sends is no recovery."""
+    """End the daemon; the fault ends when the guard has started another one."""
 
-    def strike(place: Place, random_: random.Random) -> None:  # noqa: ARG001
-        starts, end = place.daemon.starts, time.monotonic() + 60.0
-        place.daemon.signal(number)
-        while place.daemon.starts == starts and time.monotonic() < end:
+    def strike(rig: CampaignRig, random_: random.Random) -> None:  # noqa: ARG001
+        starts, end = rig.daemon.starts, time.monotonic() + 60.0
+        rig.daemon.signal(number)
+        while rig.daemon.starts == starts and time.monotonic() < end:
             pause(0.02)
 
     return strike
 
 
 def _signal_child(word: str, number: signal.Signals) -> Strike:
-    def strike(place: Place, random_: random.Random) -> None:
-        children = place.daemon.children(word)
+    def strike(rig: CampaignRig, random_: random.Random) -> None:
+        children = rig.daemon.children(word)
         if children:
             with suppress(ProcessLookupError):
                 os.kill(random_.choice(children), number)
@@ -54,8 +54,8 @@ def _signal_child(word: str, number: signal.Signals) -> Strike:
 
 
 def _freeze_child(word: str) -> Strike:
-    def strike(place: Place, random_: random.Random) -> None:
-        children = place.daemon.children(word)
+    def strike(rig: CampaignRig, random_: random.Random) -> None:
+        children = rig.daemon.children(word)
         if children:
             pid = random_.choice(children)
             with suppress(ProcessLookupError):
@@ -66,63 +66,63 @@ def _freeze_child(word: str) -> Strike:
     return strike
 
 
-def _freeze_daemon(place: Place, random_: random.Random) -> None:
-    place.daemon.signal(signal.SIGSTOP)
+def _freeze_daemon(rig: CampaignRig, random_: random.Random) -> None:
+    rig.daemon.signal(signal.SIGSTOP)
     pause(random_.uniform(0.3, 3.0))
-    place.daemon.signal(signal.SIGCONT)
+    rig.daemon.signal(signal.SIGCONT)
 
 
-def _kill_x(place: Place, random_: random.Random) -> None:
-    place.box.server.kill()
+def _kill_x(rig: CampaignRig, random_: random.Random) -> None:
+    rig.box.server.kill()
     pause(random_.uniform(0.2, 1.0))
-    place.box.server.restart()
+    rig.box.server.restart()
 
 
 def _unplug(count: int) -> Strike:
-    def strike(place: Place, random_: random.Random) -> None:
+    def strike(rig: CampaignRig, random_: random.Random) -> None:
         sides = random_.sample(SIDES, count)
         for side in sides:
-            place.cables[side].unplug()
+            rig.cables[side].unplug()
         pause(random_.uniform(0.2, 2.0))
         for side in sides:
-            place.cables[side].plug()
+            rig.cables[side].plug()
 
     return strike
 
 
-def _on_cable(action: Callable[[Place, Side, random.Random], object]) -> Strike:
-    def strike(place: Place, random_: random.Random) -> None:
-        action(place, _side(random_), random_)
+def _on_cable(action: Callable[[CampaignRig, Side, random.Random], object]) -> Strike:
+    def strike(rig: CampaignRig, random_: random.Random) -> None:
+        action(rig, _side(random_), random_)
         pause(0.3)
 
     return strike
 
 
-def _blackout(place: Place, random_: random.Random) -> None:
-    place.dark.set()
+def _blackout(rig: CampaignRig, random_: random.Random) -> None:
+    rig.dark.set()
     pause(random_.uniform(0.3, 2.0))
-    place.dark.clear()
+    rig.dark.clear()
 
 
-def _disk(action: Callable[[Place], None]) -> Strike:
-    def strike(place: Place, random_: random.Random) -> None:
-        action(place)
+def _disk(action: Callable[[CampaignRig], None]) -> Strike:
+    def strike(rig: CampaignRig, random_: random.Random) -> None:
+        action(rig)
         pause(random_.uniform(0.5, 2.0))
-        place.disk.mend()
+        rig.disk.mend()
 
     return strike
 
 
-def _no_directory(place: Place, random_: random.Random) -> None:
+def _no_directory(rig: CampaignRig, random_: random.Random) -> None:
     """The directory of the takes is a file for a while."""
     with suppress(ControlError):
-        place.daemon.ask("record.stop", timeout_s=20.0)
-    takes, away = place.disk.takes, place.disk.at / "kept"
+        rig.daemon.ask("record.stop", timeout_s=20.0)
+    takes, away = rig.disk.takes, rig.disk.at / "kept"
     if takes.exists():
         takes.rename(away)
     takes.write_text("no directory")
     with suppress(ControlError):
-        place.daemon.ask("record.start", name="campaign", timeout_s=20.0)
+        rig.daemon.ask("record.start", name="campaign", timeout_s=20.0)
     pause(random_.uniform(0.2, 0.5))
     takes.unlink()
     if away.exists():
@@ -130,49 +130,47 @@ def _no_directory(place: Place, random_: random.Random) -> None:
 
 
 def _step_clock(sign: int) -> Strike:
-    def strike(place: Place, random_: random.Random) -> None:
-        place.clock.set(place.clock.shift_ns + sign * round(random_.uniform(0.5, 120.0) * 1e9))
+    def strike(rig: CampaignRig, random_: random.Random) -> None:
+        rig.clock.set(rig.clock.shift_ns + sign * round(random_.uniform(0.5, 120.0) * 1e9))
         pause(0.3)
 
     return strike
 
 
 def _reload(text: str) -> Strike:
-    """The rig file is changed to something that cannot be, read, and changed back."""
+    """The rig file is replaced by an invalid one, reloaded, and restored."""
 
-    def strike(place: Place, random_: random.Random) -> None:  # noqa: ARG001
-        place.box.rig_file.write_text(text)
-        place.daemon.signal(signal.SIGHUP)
+    def strike(rig: CampaignRig, random_: random.Random) -> None:  # noqa: ARG001
+        rig.box.rig_file.write_text(text)
+        rig.daemon.signal(signal.SIGHUP)
         pause(0.5)
-        place.write_rig()
-        place.daemon.signal(signal.SIGHUP)
+        rig.write_rig()
+        rig.daemon.signal(signal.SIGHUP)
 
     return strike
 
 
-def _settings(place: Place, random_: random.Random) -> None:
+def _settings(rig: CampaignRig, random_: random.Random) -> None:
     for _ in range(5):
         with suppress(ControlError):
-            place.daemon.ask(
-                "set", path="pipeline.settings.min_modulation", value=random_.choice([0.05, 0.06, "x", -1])
-            )
+            rig.daemon.ask("set", path="pipeline.settings.min_modulation", value=random_.choice([0.05, 0.06, "x", -1]))
 
 
-def _pause(place: Place, random_: random.Random) -> None:
+def _pause(rig: CampaignRig, random_: random.Random) -> None:
     with suppress(ControlError):
-        place.daemon.ask("stop")
+        rig.daemon.ask("stop")
     pause(random_.uniform(0.1, 0.5))
     for _ in range(3):
         with suppress(ControlError):
-            place.daemon.ask("start")
+            rig.daemon.ask("start")
             return
 
 
-def _take_after_take(place: Place, random_: random.Random) -> None:  # noqa: ARG001
+def _take_after_take(rig: CampaignRig, random_: random.Random) -> None:  # noqa: ARG001
     for _ in range(5):
         with suppress(ControlError):
-            place.daemon.ask("record.stop", timeout_s=20.0)
-            place.daemon.ask("record.start", name="campaign", timeout_s=20.0)
+            rig.daemon.ask("record.stop", timeout_s=20.0)
+            rig.daemon.ask("record.start", name="campaign", timeout_s=20.0)
 
 
 CAMERA, WINDOW = "drivers.remote.child", "drivers.projector.child"
@@ -200,13 +198,13 @@ FAULTS = (
     ),
     Fault("clock of the day set forward", _step_clock(1)),
     Fault("clock of the day set back", _step_clock(-1)),
-    Fault("disk full", _disk(lambda place: place.disk.fill())),
-    Fault("disk read-only or directory gone", _disk(lambda place: place.disk.refuse())),
-    Fault("disk pulled", _disk(lambda place: place.disk.pull())),
+    Fault("disk full", _disk(lambda rig: rig.disk.fill())),
+    Fault("disk read-only or directory gone", _disk(lambda rig: rig.disk.refuse())),
+    Fault("disk pulled", _disk(lambda rig: rig.disk.pull())),
     Fault("a file where the takes should be", _no_directory),
     Fault("subscriber storm", faulty_clients.subscriber_storm),
     Fault("subscriber stopped", faulty_clients.stopped_subscriber),
-    Fault("subscriber that never reads", faulty_clients.deaf_subscriber),
+    Fault("subscriber that never reads", faulty_clients.silent_subscriber),
     Fault("invalid data to both sockets", faulty_clients.invalid_data),
     Fault("status storm", faulty_clients.status_storm),
     Fault("rig file broken, SIGHUP", _reload("cameras: [")),

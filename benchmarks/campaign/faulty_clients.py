@@ -14,7 +14,7 @@ from typing import Any
 
 import zmq
 
-from benchmarks.campaign.rig import Place, pause
+from benchmarks.campaign.rig import CampaignRig, pause
 from daemon.common.errors import ControlError
 
 _SUBSCRIBER = """
@@ -32,10 +32,10 @@ while True:
 """
 
 
-def subscriber_storm(place: Place, random_: random.Random) -> None:
+def subscriber_storm(rig: CampaignRig, random_: random.Random) -> None:
     """Sixty subscribers come and go, some in the middle of a message."""
     context: zmq.Context[Any] = zmq.Context()
-    endpoint = place.rig["stream"]["endpoints"][0]
+    endpoint = rig.config["stream"]["endpoints"][0]
     for _ in range(60):
         socket = context.socket(zmq.SUB)
         socket.setsockopt(zmq.LINGER, 0)
@@ -46,26 +46,26 @@ def subscriber_storm(place: Place, random_: random.Random) -> None:
     context.destroy(linger=0)
 
 
-def stopped_subscriber(place: Place, random_: random.Random) -> None:
+def stopped_subscriber(rig: CampaignRig, random_: random.Random) -> None:
     """One that reads whole clouds is stopped for a while, and killed."""
-    with _subscriber(place, "reads") as process:
+    with _subscriber(rig, "reads") as process:
         pause(0.3)
         process.send_signal(signal.SIGSTOP)
         pause(random_.uniform(0.5, 2.0))
         process.send_signal(signal.SIGCONT)
 
 
-def deaf_subscriber(place: Place, random_: random.Random) -> None:
-    """One subscribes to whole clouds and never takes one."""
-    with _subscriber(place, "never"):
+def silent_subscriber(rig: CampaignRig, random_: random.Random) -> None:
+    """One subscribes to whole clouds and never receives one."""
+    with _subscriber(rig, "never"):
         pause(random_.uniform(0.5, 2.0))
 
 
-def invalid_data(place: Place, random_: random.Random) -> None:
+def invalid_data(rig: CampaignRig, random_: random.Random) -> None:
     """Random bytes to both sockets, as raw connections and as messages."""
     import socket
 
-    for endpoint in (place.rig["control"]["endpoint"], place.rig["stream"]["endpoints"][0]):
+    for endpoint in (rig.config["control"]["endpoint"], rig.config["stream"]["endpoints"][0]):
         for _ in range(20):
             with socket.socket(socket.AF_UNIX) as raw, suppress(OSError):
                 raw.settimeout(1.0)
@@ -74,21 +74,21 @@ def invalid_data(place: Place, random_: random.Random) -> None:
     context: zmq.Context[Any] = zmq.Context()
     dealer = context.socket(zmq.DEALER)
     dealer.setsockopt(zmq.LINGER, 0)
-    dealer.connect(place.rig["control"]["endpoint"])
+    dealer.connect(rig.config["control"]["endpoint"])
     for _ in range(200):
         dealer.send(random_.randbytes(random_.randint(0, 2000)), zmq.NOBLOCK)
     dealer.poll(200)
     context.destroy(linger=0)
 
 
-def status_storm(place: Place, random_: random.Random) -> None:  # noqa: ARG001
+def status_storm(rig: CampaignRig, random_: random.Random) -> None:  # noqa: ARG001
     """Eight clients ask for the status as fast as they can for a second."""
     end = time.monotonic() + 1.0
 
     def ask() -> None:
         while time.monotonic() < end:
             with suppress(ControlError):
-                place.daemon.ask("status", timeout_s=2.0)
+                rig.daemon.ask("status", timeout_s=2.0)
 
     threads = [threading.Thread(target=ask) for _ in range(8)]
     for thread in threads:
@@ -100,8 +100,8 @@ def status_storm(place: Place, random_: random.Random) -> None:  # noqa: ARG001
 class _subscriber:  # noqa: N801 - reads as a noun with an article
     """A subscriber in a process of its own, killed at the end."""
 
-    def __init__(self, place: Place, how: str) -> None:
-        command = [sys.executable, "-c", _SUBSCRIBER, place.rig["stream"]["endpoints"][0], how]
+    def __init__(self, rig: CampaignRig, how: str) -> None:
+        command = [sys.executable, "-c", _SUBSCRIBER, rig.config["stream"]["endpoints"][0], how]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, env=dict(os.environ))
 
     def __enter__(self) -> subprocess.Popen[bytes]:

@@ -27,7 +27,7 @@ class Outcome:
 
 @dataclass(slots=True)
 class Campaign:
-    """Everything found; ``missing_s``: of each take cut by a kill, the time from its last pair to the kill."""
+    """All results; ``missing_s``: of each take cut by a kill, the time from its last pair to the kill."""
 
     outcomes: list[Outcome] = field(default_factory=list)
     takes: Takes = field(default_factory=Takes)
@@ -38,7 +38,7 @@ class Campaign:
     seconds: float = 0.0
 
     def problems(self) -> list[str]:
-        """Why it has failed, each in a sentence."""
+        """Reasons why it has failed."""
         found = [f"not survived: {outcome.name}" for outcome in self.outcomes if not outcome.survived]
         found += [f"{self.takes.wrong} wrong pairs in takes"] if self.takes.wrong else []
         found += [f"{self.takes.unreadable} takes cannot be read"] if self.takes.unreadable else []
@@ -52,7 +52,7 @@ class Campaign:
         return asdict(self) | {"problems": self.problems()}
 
     def markdown(self) -> str:
-        """The table and what stands below it."""
+        """The table and the text below it."""
         rows = [
             "| fault | tried | survived | triggers without a cloud, median / most | recovery s, median / longest |",
             "| --- | --- | --- | --- | --- |",

@@ -1,4 +1,4 @@
-"""Where the campaign happens: a rig in a box, a daemon under a guard, a disk, a clock, and a watching subscriber."""
+"""The rig of a campaign: a rig in a box, a daemon under a guard, a disk, a clock, and a watching subscriber."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import yaml
 from benchmarks.campaign.disk import Disk
 from benchmarks.campaign.shifted_clock import ShiftedClock
 from benchmarks.campaign.tampered_cable import TamperedCable
-from benchmarks.common.daemon_process import Running
+from benchmarks.common.daemon_process import DaemonProcess
 from daemon.common.errors import ControlError
 from drivers.protocols import SIDES
 from fringed import wire
@@ -29,7 +29,7 @@ _REMEMBERED = 200_000
 
 
 class Watcher:
-    """A subscriber: when the last clouds came and how many there were."""
+    """A subscriber that counts clouds and notes the time of the last one."""
 
     def __init__(self, endpoint: str) -> None:
         self.clouds, self.last_s = 0, 0.0
@@ -65,8 +65,8 @@ class Watcher:
                 self.clouds, self.last_s = self.clouds + 1, time.monotonic()
 
 
-class Place:
-    """Everything at hand for a fault; for ``with``.
+class CampaignRig:
+    """Box, daemon, disk, clock and subscriber; for ``with``.
 
     Args:
         directory: an empty one; scale: of the images, 1 = 1024 x 820; rate_hz: of the triggers.
@@ -96,12 +96,12 @@ class Place:
             self.box = stack.enter_context(Box(options, ledger=Ledger(keep=_REMEMBERED)))
             self.cables = {side: TamperedCable(self.box.cables[side]) for side in SIDES}
             self.box.world._cables = dict(self.cables)
-            self.rig = self._write_rig()
+            self.config = self._write_rig()
             environment = {GENTL_DIR: str(self.box.gentl_dir), **self.clock.environment}
             self.daemon = stack.enter_context(
-                Running(
+                DaemonProcess(
                     self.box.rig_file,
-                    self.rig["control"]["endpoint"],
+                    self.config["control"]["endpoint"],
                     self.directory / "daemon.log",
                     environment=environment,
                     restart=True,
@@ -112,7 +112,7 @@ class Place:
             world.start()
             stack.callback(world.join)
             stack.callback(over.set)
-            self.watcher = Watcher(self.rig["stream"]["endpoints"][0])
+            self.watcher = Watcher(self.config["stream"]["endpoints"][0])
             stack.callback(self.watcher.close)
             if self.watcher.after(time.monotonic(), 300.0) is None:
                 raise SystemExit(f"no cloud at all:\n{self.daemon.log.read_text()[-4000:]}")
@@ -130,7 +130,7 @@ class Place:
         return self.box.world.triggers
 
     def ensure_recording(self) -> str:
-        """Begin a take if none is being written; what kept it from beginning, or nothing."""
+        """Begin a take if none is being written; the error, or an empty text."""
         try:
             if not self.daemon.ask("status")["recorder"].get("recording"):
                 self.daemon.ask("record.start", name="campaign", timeout_s=20.0)
@@ -140,18 +140,18 @@ class Place:
 
     def write_rig(self, **changes: Any) -> None:
         """The rig file with some sections changed."""
-        self.box.rig_file.write_text(yaml.safe_dump(self.rig | changes))
+        self.box.rig_file.write_text(yaml.safe_dump(self.config | changes))
 
     def _write_rig(self) -> dict[str, Any]:
         rig: dict[str, Any] = yaml.safe_load(self.box.rig_file.read_text())
         rig["recording"] = {"dir": str(self.disk.takes), "max_part_mb": 16, "min_free_mb": 8}
         rig["pipeline"] = {"temporal_prior": False}
-        self.rig = rig
+        self.config = rig
         self.write_rig()
         return rig
 
     def _give(self, over: threading.Event) -> None:
-        """Triggers at a steady rate, none while it is dark."""
+        """Give triggers at a steady rate, none while it is dark."""
         due = time.monotonic()
         while not over.wait(max(0.0, due - time.monotonic())):
             if not self.dark.is_set():

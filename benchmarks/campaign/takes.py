@@ -1,4 +1,4 @@
-"""The takes of a campaign, each read to its end: are all pairs right, and how much is missing at a cut end."""
+"""The takes of a campaign, each read to its end: wrong pairs, and what is missing at a cut end."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ENDING = re.compile(r"(_part\d+)?\.mcap(\.partial)?$")
 
 @dataclass(slots=True)
 class Takes:
-    """What was found: takes, those cut off, unreadable ones; pairs by what they are.
+    """Counts: takes, those cut off, unreadable ones; pairs by class.
 
     ``unknown``: pairs with a frame whose trigger is not remembered any more, or never was.
     """
@@ -30,7 +30,7 @@ class Takes:
     problems: tuple[str, ...] = ()
 
     def read(self, directory: Path, ledger: Ledger, *, writing: str = "") -> None:
-        """Look through every take of a directory and delete it, but for the one that is being written."""
+        """Check every take of a directory and delete it, but for the one that is being written."""
         files = sorted(directory.glob("*.mcap*")) if directory.is_dir() else []
         for stem in sorted({stem_of(file) for file in files}):
             if stem != writing:
@@ -44,7 +44,7 @@ class Takes:
         try:
             with TakeReader(path) as reader:
                 for pair in reader.pairs():
-                    self._note(
+                    self._count(
                         path, pair.sequence, *(ledger.exposure_of(s, getattr(pair, s)) for s in ("left", "right"))
                     )
                 self.cut += bool(reader.problems)
@@ -55,7 +55,7 @@ class Takes:
                 self.unreadable += 1
                 self.problems += (f"{path.name}: {error}",)
 
-    def _note(self, path: Path, sequence: int, left: Shown | None, right: Shown | None) -> None:
+    def _count(self, path: Path, sequence: int, left: Shown | None, right: Shown | None) -> None:
         if left is None or right is None:
             self.unknown += 1
         elif left.index == right.index:

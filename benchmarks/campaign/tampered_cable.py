@@ -1,4 +1,4 @@
-"""A camera's cable that can be tampered with: edges that are swallowed or doubled from the next one on."""
+"""A camera's cable whose next edges can be dropped or doubled."""
 
 from __future__ import annotations
 

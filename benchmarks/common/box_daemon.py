@@ -1,4 +1,4 @@
-"""A daemon on a rig in a box: its real service on the real drivers, and a witness that knows what was shown."""
+"""A daemon on a rig in a box, with its real service and drivers, and a witness that identifies every pair."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from tools.waiting import wait_until
 
 
 class Witness:
-    """A sink that tells of every pair which exposures its frames are, by their bytes.
+    """A sink that identifies the exposures of every pair's frames by their bytes.
 
     ``counts``: ``pairs`` that are right (``lit`` or ``dark``), ``wrong`` ones of two exposures, ``unknown`` ones with a
     frame that was never shown, ``clouds``.
 
     Args:
-        ledger: of the world; told: of each right pair and of each cloud, with the exposure and the time
-            (CLOCK_MONOTONIC, ns) at which it was offered, before its bytes were looked at.
+        ledger: of the world; report: called for each right pair and each cloud, with the exposure and the time
+            (CLOCK_MONOTONIC, ns) at which it was offered, before its bytes were compared.
     """
 
-    def __init__(self, ledger: Ledger, told: Callable[[Shown, Item, int], None] | None = None) -> None:
+    def __init__(self, ledger: Ledger, report: Callable[[Shown, Item, int], None] | None = None) -> None:
         self._ledger = ledger
-        self._told = told
+        self._report = report
         self.counts: Counter[str] = Counter()
         self.last_pair = self.last_cloud = -1
 
     def offer(self, item: Item) -> bool:
-        """Look at a pair or a cloud."""
+        """Identify a pair or a cloud."""
         now_ns = time.monotonic_ns()
         if isinstance(item, PairItem):
             shown = {side: self._ledger.exposure_of(side, getattr(item, side).image) for side in SIDES}
@@ -53,26 +53,26 @@ class Witness:
             else:
                 self.counts["pairs"] += 1
                 self.counts["dark" if left.dark else "lit"] += 1
-                self._tell(left, item, now_ns)
+                self._report_exposure(left, item, now_ns)
                 self.last_pair = left.index
         elif isinstance(item, CloudItem):
             self.counts["clouds"] += 1
             shown_left = self._ledger.exposure_of("left", item.left.image)
             if shown_left is not None:
-                self._tell(shown_left, item, now_ns)
+                self._report_exposure(shown_left, item, now_ns)
                 self.last_cloud = shown_left.index
         return True
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing."""
 
     def status(self) -> dict[str, Any]:
         """The counts."""
         return dict(self.counts)
 
-    def _tell(self, shown: Shown, item: Item, now_ns: int) -> None:
-        if self._told is not None:
-            self._told(shown, item, now_ns)
+    def _report_exposure(self, shown: Shown, item: Item, now_ns: int) -> None:
+        if self._report is not None:
+            self._report(shown, item, now_ns)
 
 
 class Daemon:
@@ -81,11 +81,11 @@ class Daemon:
     The environment variable of :mod:`sim.box.box` must name the box's cameras.
 
     Args:
-        box: made; told: see :class:`Witness`; pipeline: changes to that section of rig.yaml.
+        box: open; report: see :class:`Witness`; pipeline: changes to that section of rig.yaml.
     """
 
-    def __init__(self, box: Box, *, told: Callable[[Shown, Item, int], None] | None = None, **pipeline: Any) -> None:
-        self._box, self._told = box, told
+    def __init__(self, box: Box, *, report: Callable[[Shown, Item, int], None] | None = None, **pipeline: Any) -> None:
+        self._box, self._report = box, report
         rig = yaml.safe_load(box.rig_file.read_text())
         box.rig_file.write_text(yaml.safe_dump(rig | {"pipeline": {"queue": 4, "temporal_prior": False} | pipeline}))
         self.stream = rig["stream"]["endpoints"][0]
@@ -97,7 +97,7 @@ class Daemon:
             self.rig = open_rig(config, self._box.folder)
             stack.callback(self.rig.release)
             publisher = open_publisher(config, self.rig, "box")
-            self.witness = Witness(self._box.world.ledger, self._told)
+            self.witness = Witness(self._box.world.ledger, self._report)
             sinks = {"stream": publisher, "witness": self.witness}
             self.service = Service(config, self.rig, sinks, on_status=publisher.publish_status, session="box")
             self._thread = threading.Thread(target=self._run, name="daemon")
@@ -117,10 +117,10 @@ class Daemon:
         self.service.ask_stop()
         self._thread.join(60)
         if self._thread.is_alive():
-            raise TimeoutError("the daemon does not come to its end")
+            raise TimeoutError("the daemon does not end within 60 s")
 
     def state(self) -> str:
-        """What the daemon says it is doing."""
+        """State of the daemon."""
         self._check()
         return str(self.service.state()[0])
 
@@ -136,8 +136,8 @@ class Daemon:
     def step_until_pair(self, tries: int = 40) -> int:
         """Triggers until the daemon has paired one, as it must within a few; the trigger's index.
 
-        A camera that was started anew while its numbers are still low repeats numbers that the pairing remembers: it
-        takes up to 16 triggers more until they are told apart.
+        A camera that was restarted while its numbers are still low repeats numbers that the pairing remembers: it
+        takes up to 16 triggers more until the pairing distinguishes them.
         """
         for _ in range(tries):
             index = self._box.world.step().index
@@ -150,7 +150,7 @@ class Daemon:
         raise TimeoutError(f"no pair within {tries} triggers; {self.service.status()}")
 
     def step_patiently(self, count: int = 1, *, patience_s: float = 0.1) -> None:
-        """Triggers, each followed by a moment for its pair, so that nothing is lost but by faults."""
+        """Triggers, each followed by a wait for its pair, so that only faults lose anything."""
         for _ in range(count):
             index = self._box.world.step().index
             end = time.monotonic() + patience_s
@@ -163,7 +163,7 @@ class Daemon:
 
     @property
     def _confirmed(self) -> bool:
-        """Whether the pairing believes its count, so that the next pair leaves at once."""
+        """Whether the pairing has confirmed its count, so that the next pair is delivered at once."""
         return bool(self.service.pairer._pairer._confirmed)
 
     def _run(self) -> None:

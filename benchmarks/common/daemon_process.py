@@ -20,17 +20,17 @@ from tools.waiting import wait_until
 
 FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 _END_S = 60.0
-_LOOK_S = 0.02
+_POLL_S = 0.02
 
 
-class Running:
+class DaemonProcess:
     """``fringed run RIG`` until the block ends.
 
     Args:
-        rig_file: of the rig; control: its control endpoint; log: where it writes what it says.
+        rig_file: of the rig; control: its control endpoint; log: file of its output.
         arguments: further ones; environment: further variables.
         restart: start it again whenever it ends, and kill it when its watchdog starves, as systemd would.
-        watchdog_s: patience of that watchdog; it begins with the first sign of life that the daemon gives.
+        watchdog_s: timeout of that watchdog; it begins with the daemon's first notification.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Running:
         self._over = threading.Event()
         self._notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._notify.bind(str(log.with_suffix(".notify")))
-        self._notify.settimeout(_LOOK_S)
+        self._notify.settimeout(_POLL_S)
         self._environment = os.environ | dict(environment or {})
         if restart:
             self._environment |= {
@@ -98,7 +98,7 @@ class Running:
             return client.call(method, **params)
 
     def until(self, good: Callable[[dict[str, Any]], object], timeout_s: float, what: str) -> dict[str, Any]:
-        """The first status that is good; TimeoutError, with what the daemon said last, when none is in time."""
+        """The first status that is good; TimeoutError, with the last status, when none is in time."""
         last: dict[str, Any] = {}
 
         def status() -> dict[str, Any] | None:
@@ -116,7 +116,7 @@ class Running:
             raise TimeoutError(f"{error}; status {last}\n{self.log.read_text()[-4000:]}") from None
 
     def children(self, word: str) -> list[int]:
-        """Processes below the daemon whose command line has this word."""
+        """Child processes of the daemon whose command line contains this word."""
         return [pid for pid in tree(self.pid) if pid != self.pid and word in _command_line(pid)]
 
     def _start(self) -> None:
@@ -126,7 +126,7 @@ class Running:
         self._alive_s: float | None = None
 
     def _watch(self) -> None:
-        """Start again what ended, kill what starves; both only if that was wanted."""
+        """Restart the daemon when it ended, kill it when its watchdog starves, if ``restart`` is set."""
         while not self._over.is_set():
             try:
                 if b"WATCHDOG=1" in self._notify.recv(4096):
@@ -143,7 +143,7 @@ class Running:
 
 
 def tree(pid: int) -> Iterator[int]:
-    """A process and all below it."""
+    """A process and its descendants."""
     yield pid
     try:
         tasks = list(Path(f"/proc/{pid}/task").iterdir())

@@ -1,4 +1,4 @@
-"""What the operating system says of a running process: memory, processor time by thread, open files."""
+"""Statistics of a running process: memory, processor time by thread, open files."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Sample:
     """A process at one moment.
 
     Args:
-        t_s: monotonic; rss_mib: everything resident, mapped files too; own_mib: what is the process's alone, the part
-            that a leak makes grow; cpu_s: processor time by name of thread, threads of one name together.
+        t_s: monotonic; rss_mib: everything resident, mapped files too; own_mib: private memory, the part that grows
+            by a leak; cpu_s: processor time by name of thread, threads of one name together.
     """
 
     t_s: float
@@ -30,7 +30,7 @@ def sample(pid: int, now_s: float) -> Sample:
     """The process now; OSError when it has ended."""
     root = Path("/proc") / str(pid)
     lines = (line.split() for line in (root / "status").read_text().splitlines())
-    fields = {words[0].rstrip(":"): words[1] for words in lines if len(words) > 1}
+    fields = {parts[0].rstrip(":"): parts[1] for parts in lines if len(parts) > 1}
     return Sample(
         t_s=now_s,
         rss_mib=int(fields["VmRSS"]) / 1024,

@@ -17,7 +17,7 @@ from rich.table import Table as RichTable
 
 @dataclass(slots=True)
 class Table:
-    """Rows of text under headings; the first column and those named in ``words`` are words, the others figures.
+    """Rows of text under headings; the first column and those in ``text_columns`` are text, the others figures.
 
     Args:
         name: key in the file of results; title: above the table; headings: one per column.
@@ -29,7 +29,7 @@ class Table:
     headings: Sequence[str]
     rows: list[Sequence[str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    words: Sequence[str] = ()
+    text_columns: Sequence[str] = ()
 
     def add(self, *cells: str) -> None:
         """One more row."""
@@ -37,15 +37,15 @@ class Table:
             raise ValueError(f"a row of table {self.name} has {len(cells)} cells, expected {len(self.headings)}")
         self.rows.append(cells)
 
-    def is_words(self, column: int) -> bool:
+    def is_text(self, column: int) -> bool:
         """Whether a column is aligned to the left."""
-        return column == 0 or self.headings[column] in self.words
+        return column == 0 or self.headings[column] in self.text_columns
 
     def print(self, console: Console) -> None:
         """Show the table and its notes on a terminal."""
         table = RichTable(title=self.title, title_justify="left")
         for i, heading in enumerate(self.headings):
-            table.add_column(heading, justify="left" if self.is_words(i) else "right")
+            table.add_column(heading, justify="left" if self.is_text(i) else "right")
         for row in self.rows:
             table.add_row(*row)
         console.print(table)
@@ -54,7 +54,7 @@ class Table:
 
     def markdown(self) -> str:
         """The same as Markdown."""
-        rules = ["---" if self.is_words(i) else "--:" for i in range(len(self.headings))]
+        rules = ["---" if self.is_text(i) else "--:" for i in range(len(self.headings))]
         lines = [f"### {self.title}", "", _row(self.headings), _row(rules), *map(_row, self.rows)]
         for note in self.notes:
             lines += ["", note]
@@ -76,7 +76,7 @@ def as_json(tables: Sequence[Table], machine: dict[str, str], figures: dict[str,
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file so that it is there whole or as it was before."""
+    """Write a file atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     data = content.encode() if isinstance(content, str) else content
     handle, fresh = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
@@ -93,7 +93,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def with_block(text: str, name: str, block: str) -> str:
-    """A document in which what stands between the two marks of a name is replaced."""
+    """A document in which the block between the two marks of a name is replaced."""
     begin, end = marks(name)
     if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
         raise ValueError(f"the document needs one line {begin!r} and after it one line {end!r}")
@@ -101,5 +101,5 @@ def with_block(text: str, name: str, block: str) -> str:
 
 
 def marks(name: str) -> tuple[str, str]:
-    """The lines between which a measured block stands."""
+    """The lines before and after a measured block."""
     return f"<!-- measured: {name} (make bench writes this block) -->", f"<!-- end of {name} -->"

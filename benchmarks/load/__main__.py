@@ -1,7 +1,7 @@
 """The measurement under load against the same without: ``make load``.
 
-A daemon measures a simulated rig whose images are played; rounds without anybody and rounds with all take turns, so
-that a machine that changes its mind touches both. All: 4 subscribers of whole clouds, 4 of light ones, 20 that ask for
+A daemon measures a simulated rig whose images are played; rounds without and with all clients alternate, so that a
+change of the machine's speed affects both. All: 4 subscribers of whole clouds, 4 of light ones, 20 that ask for
 the status once a second, one that is stopped (SIGSTOP), one that never reads. They run at idle priority on the same
 processors, as on a rig PC they would run elsewhere. The exit code is 1 when the rate or the P99 latency (start of
 exposure to cloud, as the daemon states it) differs by more than a tenth.
@@ -18,18 +18,18 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from benchmarks.common.daemon_process import Running
-from benchmarks.load.clients import Actors
+from benchmarks.common.daemon_process import DaemonProcess
+from benchmarks.load.clients import LoadClients
 from daemon.common.files import write_atomically
 from fringed import wire
 from fringed.receiver import Receiver
 
-ALL = {"full": 4, "light": 4, "poller": 20, "stopped": 1, "deaf": 1}
+ALL = {"full": 4, "light": 4, "poller": 20, "stopped": 1, "silent": 1}
 _TOLERANCE = 0.1
 
 
 class Round:
-    """Clouds of some seconds, seen from the light stream: one more reader, there in both kinds of round."""
+    """Clouds of some seconds in the light stream, read by one more client in both kinds of round."""
 
     def __init__(self, endpoint: str, seconds: float) -> None:
         self.latencies_ms: list[float] = []
@@ -37,11 +37,11 @@ class Round:
         try:
             receiver.poll(30.0)
             receiver.take()
-            began_s = time.monotonic()
-            while time.monotonic() - began_s < seconds:
+            started_s = time.monotonic()
+            while time.monotonic() - started_s < seconds:
                 if receiver.poll(0.1) and (frames := receiver.take()) is not None:
                     self.latencies_ms.append(wire.decode_header(frames)[1].stats["latency_ms"])
-            self.rate_hz = len(self.latencies_ms) / (time.monotonic() - began_s)
+            self.rate_hz = len(self.latencies_ms) / (time.monotonic() - started_s)
         finally:
             receiver.close()
 
@@ -69,11 +69,11 @@ def measure(options: argparse.Namespace, directory: Path) -> dict[str, Any]:
     stream, control = rig["stream"]["endpoints"][0], rig["control"]["endpoint"]
     alone: list[Round] = []
     loaded: list[Round] = []
-    with Running(path, control, directory / "log") as daemon:
+    with DaemonProcess(path, control, directory / "log") as daemon:
         daemon.until(lambda status: status["clouds"] > 20, 600.0, "clouds")
         for _ in range(options.rounds):
             alone.append(Round(stream, options.seconds))
-            with Actors(stream, control, ALL):
+            with LoadClients(stream, control, ALL):
                 before = _sent(daemon)
                 loaded.append(Round(stream, options.seconds))
                 after = _sent(daemon)
@@ -88,7 +88,7 @@ def measure(options: argparse.Namespace, directory: Path) -> dict[str, Any]:
     }
 
 
-def _sent(daemon: Running) -> dict[str, int]:
+def _sent(daemon: DaemonProcess) -> dict[str, int]:
     return dict(daemon.ask("status", timeout_s=30.0)["sinks"]["stream"]["sent"])
 
 
@@ -106,11 +106,11 @@ def _line(one: Round) -> str:
 
 
 def verdict(result: dict[str, Any]) -> list[str]:
-    """What differs by more than a tenth."""
+    """Figures that differ by more than a tenth."""
     ratios = {name: result["loaded"][name] / result["alone"][name] for name in ("rate_hz", "p50_ms", "p99_ms")}
     result["ratios"] = ratios
-    found = [] if ratios["rate_hz"] >= 1 - _TOLERANCE else [f"the rate falls to {ratios['rate_hz']:.2f} of it"]
-    return found + ([] if ratios["p99_ms"] <= 1 + _TOLERANCE else [f"the P99 latency is {ratios['p99_ms']:.2f} of it"])
+    faults = [] if ratios["rate_hz"] >= 1 - _TOLERANCE else [f"the rate falls to {ratios['rate_hz']:.2f} of it"]
+    return faults + ([] if ratios["p99_ms"] <= 1 + _TOLERANCE else [f"the P99 latency is {ratios['p99_ms']:.2f} of it"])
 
 
 def arguments(given: list[str]) -> argparse.Namespace:
@@ -125,7 +125,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
 
 
 def main(given: list[str]) -> int:
-    """Measure, tell, keep."""
+    """Measure, print, store."""
     options = arguments(given)
     with tempfile.TemporaryDirectory(prefix="load-") as directory:
         result = measure(options, Path(directory))

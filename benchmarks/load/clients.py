@@ -1,4 +1,4 @@
-"""What hangs on a daemon under load: readers of clouds, askers of the status, one that is stopped, one that is deaf.
+"""Clients of a daemon under load: readers of clouds, pollers of the status, one that is stopped, one that never reads.
 
 ``python -m benchmarks.load.clients KIND ENDPOINT``: one of them, at idle priority, until it is killed.
 """
@@ -22,39 +22,39 @@ _POLL_S = 1.0
 
 
 def full(endpoint: str) -> None:
-    """Reads whole clouds and counts their bytes."""
+    """Read whole clouds and touch their bytes."""
     _read(endpoint, "cloud/full")
 
 
 def light(endpoint: str) -> None:
-    """Reads the light clouds."""
+    """Read the light clouds."""
     _read(endpoint, "cloud/depth")
 
 
-def deaf(endpoint: str) -> None:
-    """Subscribes to whole clouds and never takes one."""
+def silent(endpoint: str) -> None:
+    """Subscribe to whole clouds and never receive one."""
     with _Subscribed(endpoint):
         while True:
             time.sleep(3600)
 
 
 def poller(endpoint: str) -> None:
-    """Asks for the status once a second."""
+    """Request the status once a second."""
     from daemon.common.errors import ControlError
     from daemon.control.rpc.client import ControlClient
 
     with ControlClient(endpoint, timeout_s=30.0) as client:
-        _tell()
+        _report_connected()
         while True:
             with suppress(ControlError):
                 client.call("status")
             time.sleep(_POLL_S)
 
 
-KINDS = {"full": full, "light": light, "deaf": deaf, "stopped": full, "poller": poller}
+KINDS = {"full": full, "light": light, "silent": silent, "stopped": full, "poller": poller}
 
 
-class Actors:
+class LoadClients:
     """Many of them, each a process; for ``with``.
 
     Args:
@@ -90,7 +90,7 @@ class Actors:
 
 
 class _Subscribed:
-    """A subscriber of whole clouds that has its first connection; its messages are nobody's."""
+    """A subscriber of whole clouds that has its first connection and never reads."""
 
     def __init__(self, endpoint: str) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -101,24 +101,24 @@ class _Subscribed:
 
     def __enter__(self) -> None:
         self._socket.poll(60_000)
-        _tell()
+        _report_connected()
 
     def __exit__(self, *_: object) -> None:
         self._context.destroy(linger=0)
 
 
 def _read(endpoint: str, topic: str) -> None:
-    receiver, told = Receiver(endpoint, [topic], queue=2), False
+    receiver, reported = Receiver(endpoint, [topic], queue=2), False
     while True:
         if receiver.poll(1.0) and (frames := receiver.take()) is not None:
-            if not told:
-                _tell()
-                told = True
+            if not reported:
+                _report_connected()
+                reported = True
             for frame in frames:
                 memoryview(frame)[::4096].tobytes()  # touched, as a reader that uses it would
 
 
-def _tell() -> None:
+def _report_connected() -> None:
     sys.stdout.write("connected\n")
     sys.stdout.flush()
 

@@ -1,4 +1,4 @@
-"""What is measured: scenes, rigs and faults, each with the promise it is held to."""
+"""The cases: scenes, rigs and faults, each with the limits that it must keep."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Case:
         return replace(plain, profile=modulated_profile(plain.length, plain.periods))
 
     def reconstructor(self, settings: Settings | None = None, clock: Callable[[], int] | None = None) -> Reconstructor:
-        """A reconstructor that knows of the rig what its calibration would."""
+        """A reconstructor with the rig's calibration."""
         calibration = self.layout.calibration_for(self.optics)
         return Reconstructor(
             calibration, self.pattern, self.layout.volume(), encoding=self.encoding, settings=settings, clock=clock

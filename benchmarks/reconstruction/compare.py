@@ -1,4 +1,4 @@
-"""The same pair of images through other people's programs: time beside time, error beside error."""
+"""Time and error of other programs on the same pair of images."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class PhaseError:
-    """How good a phase map is where the truth can be measured.
+    """Error of a phase map where the truth can be measured.
 
     Args:
         rms_rad: of the wrapped phase, a constant removed; order: share with the right period, one constant removed.
@@ -43,7 +43,7 @@ class PhaseError:
 
 
 def phase_error(absolute: Array, truth: Truth, case: Case) -> PhaseError:
-    """Judge an unwrapped phase (H, W), up to its sign and one constant; NaN = unknown."""
+    """Error of an unwrapped phase (H, W), up to its sign and one constant; NaN = unknown."""
     where = truth.scorable
     true = phases(truth.projector[where].astype(np.float64), case.pattern)
     best = PhaseError(float("inf"), 0.0)
@@ -61,7 +61,7 @@ def phase_error(absolute: Array, truth: Truth, case: Case) -> PhaseError:
 
 
 def written(pair: StoredPair, case: Case, file: Path) -> None:
-    """What the peers read: images, cameras and volume as plain arrays."""
+    """Write the peers' input: images, cameras and volume as plain arrays."""
     rig = case.layout.calibration_for(case.optics)
     volume = case.layout.volume()
     np.savez(
@@ -79,7 +79,7 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
     before = timed(case, [pair], threads, repeats)
     rows, found = peers(pair, case, threads, repeats, quick=quick)
     after, ours = measure(case, [pair], threads, repeats)
-    # Measured before and after the peers: a machine that slows down meanwhile does not favour us.
+    # Measured before and after the peers, so that a machine that slows down favours neither.
     own = statistics.median(before.total_ms + after.total_ms)
     table = Table(
         "peers",
@@ -88,7 +88,7 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
             "what", "called", "gives", "ms", "times ours", "within 1 mm %", "wrong %", "rms um", "phase rms rad",
             "period right %",
         ],
-        words=("called", "gives"),
+        text_columns=("called", "gives"),
     )  # fmt: skip
     e = phase_error(our_phase(case, pair), pair.truth_left, case)
     table.add(
@@ -100,11 +100,11 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
         ms = statistics.median(row["ms"])
         figures[row["name"]] = {"ms": ms, "runs_ms": row["ms"], "unwrapping_ms": row.get("unwrapping_ms")}
         if row["gives"] == "depth":
-            judged = (*cells(score(found[f"cloud_{row['key']}"], pair.truth_left)), "", "")
+            figures_of = (*cells(score(found[f"cloud_{row['key']}"], pair.truth_left)), "", "")
         else:
             e = phase_error(found[f"absolute_{row['key']}"], pair.truth_left, case)
-            judged = ("", "", "", f"{e.rms_rad:.3f}", f"{100 * e.order:.1f}")
-        table.add(row["name"], row["called"], row["gives"], f"{ms:.0f}", f"{ms / own:.1f}", *judged)
+            figures_of = ("", "", "", f"{e.rms_rad:.3f}", f"{100 * e.order:.1f}")
+        table.add(row["name"], row["called"], row["gives"], f"{ms:.0f}", f"{ms / own:.1f}", *figures_of)
     chain = next(row for row in rows if row["key"] == "fringes_ski")
     ratio = statistics.median(chain["ms"]) / own
     unwrapping = statistics.median(chain["unwrapping_ms"])
@@ -124,7 +124,7 @@ def compare(repeats: int, *, quick: bool) -> tuple[Table, dict[str, Any], list[t
 def peers(
     pair: StoredPair, case: Case, threads: int, repeats: int, *, quick: bool
 ) -> tuple[list[dict[str, Any]], dict[str, Array]]:
-    """What the peers say they did, and what they found."""
+    """Run the peers: a description and a result of each."""
     if not PYTHON.exists():
         raise SystemExit("the peers' environment .bench-venv is not there: run `make bench`, or give --no-peers")
     with tempfile.TemporaryDirectory() as folder:
@@ -138,9 +138,9 @@ def peers(
 
 
 def our_phase(case: Case, pair: StoredPair) -> Array:
-    """Absolute phase of the left image as our pipeline has it, NaN where unknown."""
+    """Absolute phase of the left image by this pipeline, NaN where unknown."""
     reconstructor = case.reconstructor()
     cloud = reconstructor.reconstruct(pair.left, pair.right)
-    # The decoded phase is no part of a cloud; a benchmark may look inside.
+    # The decoded phase is no part of a cloud; a benchmark may use internals.
     wrapped = reconstructor.decoders[0].decode(pair.left).phase
     return np.where(cloud.order >= 0, wrapped + 2 * np.pi * cloud.order, np.nan)

@@ -1,4 +1,4 @@
-"""What the figures were measured on, and how fast its memory is."""
+"""Description of the machine, and the speed of its memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COPIED_MIB = 128
 
 
 def describe() -> dict[str, str]:
-    """Names and versions, the load before anything was measured, and the time of the measurement."""
+    """Names and versions, the load before the benchmark, and the time of the measurement."""
     names = re.findall(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text())
     return {
         "measured": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -49,7 +49,7 @@ def copy_gb_per_s(repeats: int = 9) -> float:
 
 def table(machine: dict[str, str]) -> Table:
     """The same as a table."""
-    found = Table("machine", "Measured on", ["what", "value"], words=("value",))
+    found = Table("machine", "Measured on", ["what", "value"], text_columns=("value",))
     for name, value in machine.items():
         found.add(name, value)
     return found

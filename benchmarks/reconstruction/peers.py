@@ -49,7 +49,7 @@ def timed(call: Callable[[], Any], repeats: int, *, warm: bool = True) -> tuple[
 
 def fringes(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
     """Wavelength-division multiplexing: three shifts in one colour image; one frequency, so unwrapped spatially."""
-    logging.disable(logging.ERROR)  # it says at every call, rightly, that the phase is only relative
+    logging.disable(logging.ERROR)  # it warns at every call that the phase is only relative
     import fringes.fringes as module
 
     width, height = pair.projector
@@ -136,7 +136,7 @@ def opencv_phase(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any
 
 
 def stereo(pair: Pair, repeats: int, *, quick: bool) -> list[dict[str, Any]]:
-    """Semi-global block matching of the rectified colour images: what one would take without knowing of fringes."""
+    """Semi-global block matching of the rectified colour images: the usual method without fringes."""
     v = pair.values
     left, right = (v["left_matrix"], v["left_distortion"]), (v["right_matrix"], v["right_distortion"])
     # flags=0: the axes converge, so a common principal point would shift both images out of view.

@@ -24,7 +24,7 @@ _COLORS = ("#1b6ca8", "#d1495b", "#edae49", "#66a182", "#8d6a9f", "#4f5d75", "#a
 
 
 def stages(figures: dict[str, Any], folder: Path) -> None:
-    """Where the milliseconds of a pair go."""
+    """Milliseconds of a pair by stage."""
     figure, axes = plt.subplots(figsize=(7.5, 0.9 + 0.5 * len(figures)), layout="constrained")
     names = list(dict.fromkeys(stage for timing in figures.values() for stage in timing["stage_ms"]))
     labels = [f"{kind}, {n} thread{'s' * (n != '1')}" for kind, n in (key.split("/") for key in figures)]
@@ -45,7 +45,7 @@ def peers(figures: dict[str, Any], folder: Path) -> None:
     """Ours beside others, logarithmic."""
     figure, axes = plt.subplots(figsize=(7.5, 0.8 + 0.4 * len(figures)), layout="constrained")
     names, values = list(figures), [row["ms"] for row in figures.values()]
-    # Points: on a logarithmic axis the length of a bar says nothing.
+    # Points: on a logarithmic axis the length of a bar has no meaning.
     axes.scatter(values, names, color=[_COLORS[1 if name == "fringed" else 0] for name in names], zorder=3)
     for name, value in zip(names, values, strict=True):
         axes.annotate(f"  {value:,.0f}", (value, name), va="center", fontsize=8)

@@ -1,4 +1,4 @@
-"""What a pair costs when there are more pixels, more fringes, or a deeper volume; one thread and two."""
+"""Time of a pair with more pixels, more fringes or a deeper volume; one thread and two."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from sim.render.ground_truth import Truth
 ALONE_PER_S = 30.0
 """Promised pairs a second by themselves, two threads, three-chip images of 1024 x 820."""
 BUDGET_MS = {"decode": 10.0, "orders": 12.0, "propagation": 2.0, "refinement": 10.0}
-"""What each stage may take of the 33.3 ms of such a pair; upper limits that add up to a little more than the whole."""
+"""Limit of each stage for such a pair of 33.3 ms; together they are a little more than the whole."""
 THREADS = tuple(n for n in (1, 2) if n <= (os.cpu_count() or 1))
 FRAMES, RATE_HZ = 12, 30.0
 KINDS = {"three-chip": CASES[0], "Bayer": next(case for case in CASES if case.encoding != "rgb8")}
@@ -40,7 +40,7 @@ WAYS: dict[str, dict[str, Any]] = {
 def timed(
     case: Case, pairs: Sequence[StoredPair], threads: int, repeats: int, *, clouds: Path | None = None, **options: Any
 ) -> Timing:
-    """Time a case in a process of its own; ``clouds`` is a folder for the points of every shot."""
+    """Time a case in a process of its own; ``clouds`` is a folder for the points of every pair."""
     calibration, volume = case.layout.calibration_for(case.optics), case.layout.volume()
     files = tuple(pair.file for pair in pairs)
     return run(Job(calibration, case.pattern, volume, case.encoding, files, threads, repeats, clouds=clouds, **options))
@@ -49,7 +49,7 @@ def timed(
 def measure(
     case: Case, pairs: Sequence[StoredPair], threads: int, repeats: int, **options: Any
 ) -> tuple[Timing, Score]:
-    """Time a case and score its clouds: the mean of all shots."""
+    """Time a case and score its clouds: the mean of all pairs."""
     with tempfile.TemporaryDirectory() as folder:
         timing = timed(case, pairs, threads, repeats, clouds=Path(folder), **options)
         stride = options.get("stride", 1)
@@ -58,7 +58,7 @@ def measure(
 
 
 def scored(xyz: NDArray[np.float32], truth: Truth, stride: int) -> Score:
-    """Score a cloud that knows only every n-th pixel of both axes, by these pixels."""
+    """Score a cloud that holds only every n-th pixel of both axes, by these pixels."""
     if stride > 1 and xyz.shape == truth.xyz.shape:
         xyz = xyz[::stride, ::stride]
     return score(xyz, Truth(**{item.name: getattr(truth, item.name)[::stride, ::stride] for item in fields(Truth)}))

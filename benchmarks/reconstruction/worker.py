@@ -31,7 +31,7 @@ _LIMIT_S = 600
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What to reconstruct, and how often.
+    """A reconstruction to be timed.
 
     Args:
         calibration, pattern, volume, encoding: of the rig.
@@ -55,7 +55,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What a job took.
+    """Times and memory of a job.
 
     Args:
         total_ms: of each pair; stage_ms: by stage, of each pair.
@@ -84,7 +84,7 @@ def run(job: Job) -> Timing:
     return Timing(**json.loads(result.stdout))
 
 
-# What the daemon sets for itself (daemon.cli.allocator), said to the C library from outside; the peers get it as well.
+# The daemon's own tuning (daemon.cli.allocator), set from outside for the C library; the peers get it as well.
 _TUNING = {
     "OMP_WAIT_POLICY": "PASSIVE",
     "GOMP_SPINCOUNT": SPIN_COUNT,
@@ -113,7 +113,7 @@ def work(job: Job) -> Timing:
     reconstructor.warm_up()
     ready_s = time.perf_counter() - start
     options: dict[str, Any] = {"stride": job.stride, "use_prior": job.use_prior}
-    shown = there_and_back(len(pairs))
+    shown = forth_and_back(len(pairs))
     for _ in range(2):
         # The first pair sets the projector's correction, and the prior of those that follow.
         reconstructor.reconstruct(*pairs[next(shown)], **options)
@@ -143,11 +143,11 @@ def peak_memory_mib() -> float:
     """
     found = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
     if found is None:
-        raise OSError("/proc/self/status does not tell VmHWM")
+        raise OSError("/proc/self/status has no VmHWM")
     return int(found[1]) / 1024
 
 
-def there_and_back(count: int) -> Iterator[int]:
+def forth_and_back(count: int) -> Iterator[int]:
     """0, 1 .. count - 1 .. 1, 0, 1 ..: no jump from the last image to the first."""
     return itertools.cycle([*range(count), *range(count - 2, 0, -1)])
 

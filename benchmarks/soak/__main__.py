@@ -1,4 +1,4 @@
-"""A long run as a user would have it: ``make soak``.
+"""A long run under the conditions of a user: ``make soak``.
 
 The daemon measures a moving scene of simulated cameras, whose images are rendered before and only played; a take is
 recorded, one subscriber takes whole clouds and one the light ones. At the end: losses by reason, memory, latencies.
@@ -95,7 +95,7 @@ class Soak:
             readers.serve(1.0)
             self.samples.append(sample(process.pid, passed_s))
             self._prune()
-        # Asked after the readers' last look: no gap that they saw is missing among the drops.
+        # Read after the readers' last message, so that the drops include every gap that they counted.
         end = self._status(client)
         seconds = time.monotonic() - began_s
         return self._result(start, end, readers, seconds)
@@ -150,7 +150,7 @@ def _setting(text: str) -> tuple[str, Any]:
 
 
 def arguments(given: list[str] | None = None) -> argparse.Namespace:
-    """What the user asks for."""
+    """Options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=30.0, help="triggers a second")

@@ -1,4 +1,4 @@
-"""Subscribers of a soak run: they take every message at once, look at its header and forget it."""
+"""Subscribers of a soak run, which receive every message at once and decode only its header."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Reader:
         self.latencies_ms: list[float] = []
 
     def drain(self) -> None:
-        """Take what is there."""
+        """Receive all waiting messages."""
         while (frames := self.receiver.take()) is not None:
             _, header = wire.decode_header(frames)
             self.received += 1
@@ -41,7 +41,7 @@ class Reader:
 
 
 class Readers:
-    """Several readers, served by whoever calls :meth:`serve`."""
+    """Several readers, served by the caller of :meth:`serve`."""
 
     def __init__(self, endpoint: str, topics: tuple[str, ...]) -> None:
         self.all = [Reader(endpoint, topic) for topic in topics]

@@ -1,4 +1,4 @@
-"""What a soak run showed: losses by reason, growth of memory, percentiles; and whether that is good."""
+"""Result of a soak run: losses by reason, growth of memory, percentiles, and the verdict."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ _UNDER_WAY = 3
 
 
 def growth(samples: Sequence[Sample]) -> dict[str, float]:
-    """How the process's own memory went, MiB: the second fifth of the run against the last one, and the slope."""
+    """Growth of the process's own memory, MiB: the second fifth of the run against the last one, and the slope."""
     if len(samples) < 10:
         return {"early_mib": 0.0, "late_mib": 0.0, "slope_mib_per_hour": 0.0}
     own = np.array([s.own_mib for s in samples])
     hours = np.array([s.t_s for s in samples]) / 3600
     n = len(own)
-    settled = slice(n // 5, None)
+    steady = slice(n // 5, None)
     return {
         "early_mib": round(median(own[n // 5 : 2 * n // 5].tolist()), 2),
         "late_mib": round(median(own[4 * n // 5 :].tolist()), 2),
-        "slope_mib_per_hour": round(float(np.polyfit(hours[settled], own[settled], 1)[0]), 2),
+        "slope_mib_per_hour": round(float(np.polyfit(hours[steady], own[steady], 1)[0]), 2),
     }
 
 
@@ -43,13 +43,13 @@ def losses(first: Mapping[str, Any], last: Mapping[str, Any], gaps: Mapping[str,
     """Pairs and clouds that were lost between two statuses of the daemon, by reason.
 
     Args:
-        gaps: by topic the numbers that never came to its reader.
+        gaps: by topic the numbers that its reader never received.
     """
     found = _differences("", first["drops"], last["drops"])
     dropped = sum(count for name, count in found.items() if name in PIPELINE_DROPS)
     for side, camera in last["cameras"].items():
-        fates = {name: count for name, count in camera["fates"].items() if name not in ("paired", "waiting")}
-        found |= _differences(f"frames_{side}_", first["cameras"][side]["fates"], fates)
+        outcomes = {name: count for name, count in camera["fates"].items() if name not in ("paired", "waiting")}
+        found |= _differences(f"frames_{side}_", first["cameras"][side]["fates"], outcomes)
     found |= _differences("recorder_", first["recorder"].get("dropped", {}), last["recorder"].get("dropped", {}))
     found["stream_overtaken"] = last["sinks"]["stream"]["dropped"] - first["sinks"]["stream"]["dropped"]
     for topic, count in gaps.items():
@@ -81,19 +81,19 @@ def cpu_ms_per_pair(samples: Sequence[Sample], pairs: int) -> dict[str, float]:
 
 
 def verdict(result: Mapping[str, Any]) -> list[str]:
-    """What is not as it should be; empty = all good."""
+    """Violated limits; empty = all good."""
     return list(_faults(result))
 
 
 def _faults(result: Mapping[str, Any]) -> Iterator[str]:
     if result["losses"]:
-        told = ", ".join(f"{name} {count}" for name, count in result["losses"].items())
-        yield f"lost: {told}"
+        reasons = ", ".join(f"{name} {count}" for name, count in result["losses"].items())
+        yield f"lost: {reasons}"
     memory = result["memory"]
     if memory["late_mib"] - memory["early_mib"] > GROWTH_MIB:
         yield f"memory grew from {memory['early_mib']:.0f} to {memory['late_mib']:.0f} MiB"
     if result["pairs"] < TRIGGERS * result["rate_hz"] * result["seconds"]:
-        yield f"{result['pairs']} pairs came in {result['seconds']:.0f} s, wanted {result['rate_hz']:g} a second"
+        yield f"{result['pairs']} pairs came in {result['seconds']:.0f} s, expected {result['rate_hz']:g} a second"
     if result["problems"]:
         yield "; ".join(result["problems"])
     if result["exit_status"] != 0:
@@ -112,7 +112,7 @@ def show(result: Mapping[str, Any], console: Console) -> None:
         ("memory of its own, early and late", f"{memory['early_mib']:.0f} and {memory['late_mib']:.0f} MiB"),
         ("slope", f"{memory['slope_mib_per_hour']:+.1f} MiB an hour"),
         ("resident, largest", f"{memory['rss_max_mib']:.0f} MiB"),
-        ("collections of garbage", ", ".join(f"{k} {v:g}" for k, v in result["garbage"].items())),
+        ("garbage collections", ", ".join(f"{k} {v:g}" for k, v in result["garbage"].items())),
     ):
         table.add_row(name, value)
     console.print(table)

@@ -1,4 +1,4 @@
-"""A campaign's judgement: every kind of fault equally often, and nothing bad that it would not tell."""
+"""The campaign: every kind of fault equally often, and every problem reported."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ TAKE = Path(__file__).parents[1] / "golden" / "take.mcap"
 
 
 @pytest.mark.parametrize("count", [1, 40, 504])
-def test_every_kind_strikes_equally_often(count: int) -> None:
+def test_every_kind_occurs_equally_often(count: int) -> None:
     order = Counter(fault.name for fault in order_of(count, random.Random(7)))
     assert sum(order.values()) == count
     assert max(order.values()) - min(order.values() if len(order) == len(FAULTS) else [0]) <= 1
 
 
-def test_nothing_bad_goes_untold() -> None:
+def test_every_problem_is_reported() -> None:
     campaign = Campaign(outcomes=[Outcome("disk full", True, 0, 0.2), Outcome("daemon killed", False, 90, None)])
     campaign.takes.wrong, campaign.takes.unreadable = 1, 2
     campaign.missing_s = [0.1, 3.5]
-    told = "\n".join(campaign.problems())
-    assert all(word in told for word in ("daemon killed", "1 wrong", "2 takes", "3.5 s"))
+    text = "\n".join(campaign.problems())
+    assert all(word in text for word in ("daemon killed", "1 wrong", "2 takes", "3.5 s"))
     assert "| daemon killed | 1 | 0 | 90 / 90 | never |" in campaign.markdown()
     assert not Campaign(outcomes=[Outcome("disk full", True, 0, 0.2)]).problems()
 
@@ -63,7 +63,7 @@ def ledger_of(path: Path, *, swapped: bool) -> Ledger:
 
 
 @pytest.mark.parametrize("swapped", [False, True])
-def test_a_take_with_a_wrong_pair_is_found_and_each_is_read_once(tmp_path: Path, swapped: bool) -> None:
+def test_a_take_with_a_wrong_pair_is_reported_and_each_is_read_once(tmp_path: Path, swapped: bool) -> None:
     ledger = ledger_of(TAKE, swapped=swapped)
     for name in ("x.mcap", "writing.mcap.partial"):
         shutil.copy(TAKE, tmp_path / name)
@@ -76,7 +76,7 @@ def test_a_take_with_a_wrong_pair_is_found_and_each_is_read_once(tmp_path: Path,
     assert first_part(tmp_path, "writing").exists()
 
 
-def test_a_tenth_is_the_limit_of_what_load_may_cost() -> None:
+def test_a_tenth_is_the_limit_of_the_effect_of_load() -> None:
     alone = {"rate_hz": 10.0, "p50_ms": 30.0, "p99_ms": 40.0}
     assert verdict({"alone": alone, "loaded": {"rate_hz": 9.5, "p50_ms": 60.0, "p99_ms": 43.0}}) == []
     assert len(verdict({"alone": alone, "loaded": {"rate_hz": 8.5, "p50_ms": 30.0, "p99_ms": 45.0}})) == 2

@@ -1,4 +1,4 @@
-"""How the benchmark judges: phases, lattices, and a job in a process of its own."""
+"""Scores of the benchmark: phases, lattices, and a job in a process of its own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from benchmarks.reconstruction.cases import Case
 from benchmarks.reconstruction.compare import phase_error
 from benchmarks.reconstruction.rendered import StoredPair
 from benchmarks.reconstruction.speed import mean_score, scored, timed
-from benchmarks.reconstruction.worker import there_and_back
+from benchmarks.reconstruction.worker import forth_and_back
 from sim.evaluate.score import score
 from sim.render.ground_truth import phases
 from sim.rig.layout import RigLayout
@@ -56,7 +56,7 @@ def test_a_phase_without_a_single_known_pixel_is_no_phase(pair: StoredPair, true
     assert found.order == 0 and math.isinf(found.rms_rad)
 
 
-def test_a_cloud_on_a_lattice_is_judged_by_its_lattice(pair: StoredPair) -> None:
+def test_a_cloud_on_a_lattice_is_scored_on_its_lattice(pair: StoredPair) -> None:
     truth = pair.truth_left
     xyz = np.full_like(truth.xyz, np.nan)
     xyz[::2, ::2] = truth.xyz[::2, ::2]
@@ -72,8 +72,8 @@ def test_the_mean_of_equal_scores_is_each_of_them(pair: StoredPair) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_images_are_shown_without_a_jump(count: int) -> None:
-    shown = list(itertools.islice(there_and_back(count), 4 * count + 1))
+def test_images_are_played_forth_and_back(count: int) -> None:
+    shown = list(itertools.islice(forth_and_back(count), 4 * count + 1))
     assert set(shown) == set(range(count))
     assert all(abs(b - a) == min(1, count - 1) for a, b in itertools.pairwise(shown))
 
@@ -90,7 +90,7 @@ def test_images_are_rendered_once_and_depth_does_not_matter(tmp_path: Path) -> N
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_more_pixels_see_the_same_field() -> None:
+def test_more_pixels_have_the_same_field_of_view() -> None:
     for width, height in scale.SIZES:
         rig = scale.with_pixels(width, height).calibration().left
         standard = scale.STANDARD.calibration().left

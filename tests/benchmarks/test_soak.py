@@ -49,22 +49,22 @@ def samples(own_mib: list[float]) -> list[Sample]:
     return [Sample(float(t_s), mib + 100, mib, 10, 20, {}) for t_s, mib in enumerate(own_mib)]
 
 
-def test_what_was_lost_before_the_run_does_not_count_and_nothing_lost_is_nothing() -> None:
+def test_losses_before_the_run_do_not_count() -> None:
     assert report.losses(STATUS, later(), {"cloud/full": 0}) == {}
 
 
-def test_dropped_pairs_are_told_once_though_every_reader_misses_them() -> None:
+def test_dropped_pairs_are_counted_once_although_every_reader_misses_them() -> None:
     lost = report.losses(STATUS, later(pairs_pipeline_busy=4), {"cloud/full": 4, "cloud/depth": 6})
     assert lost == {"pairs_pipeline_busy": 4, "cloud/depth_not_received": 2}
 
 
-def test_pairs_that_vanish_without_a_reason_are_found() -> None:
+def test_pairs_missing_without_a_reason_are_counted() -> None:
     status = later()
     status["clouds"] -= 7
     assert report.losses(STATUS, status, {})["pairs_unaccounted"] > 0
 
 
-def test_frames_the_recorder_and_the_stream_lose_are_told() -> None:
+def test_losses_of_frames_recorder_and_stream_are_reported() -> None:
     status = later()
     status["cameras"]["right"]["fates"]["partner_missing"] = 3
     status["recorder"]["dropped"] = {"queue_full": 5}
@@ -73,7 +73,7 @@ def test_frames_the_recorder_and_the_stream_lose_are_told() -> None:
     assert lost == {"frames_right_partner_missing": 3, "recorder_queue_full": 5, "stream_overtaken": 2}
 
 
-def test_growth_compares_what_is_settled_with_the_end() -> None:
+def test_growth_compares_an_early_part_with_the_end() -> None:
     rising = report.growth(samples([100.0 + t_s for t_s in range(1000)]))
     assert rising["late_mib"] - rising["early_mib"] == pytest.approx(600, abs=2)
     assert rising["slope_mib_per_hour"] == pytest.approx(3600, rel=1e-3)
@@ -82,7 +82,7 @@ def test_growth_compares_what_is_settled_with_the_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"losses": {"pairs_pipeline_busy": 1}}, "pairs_pipeline_busy 1"),
         ({"memory": {"early_mib": 300.0, "late_mib": 400.0}}, "memory grew"),
@@ -91,10 +91,10 @@ def test_growth_compares_what_is_settled_with_the_end() -> None:
         ({"exit_status": -11}, "exit status -11"),
     ],
 )
-def test_every_fault_is_told(change: dict[str, Any], told: str) -> None:
+def test_every_fault_is_reported(change: dict[str, Any], message: str) -> None:
     assert report.verdict(GOOD) == []
     (fault,) = report.verdict(GOOD | change)
-    assert told in fault
+    assert message in fault
 
 
 def test_processor_time_is_that_of_the_run_by_thread() -> None:
@@ -103,7 +103,7 @@ def test_processor_time_is_that_of_the_run_by_thread() -> None:
     assert report.cpu_ms_per_pair([first, last], 100) == {"pipeline": 20.0, "recorder": 5.0}
 
 
-def test_a_sample_is_what_the_system_says() -> None:
+def test_a_sample_agrees_with_the_process() -> None:
     before = sample(os.getpid(), 0.0)
     kept = bytearray(os.urandom(1 << 20) * 64)
     stop = threading.Event()
@@ -125,10 +125,10 @@ def test_a_short_run_gives_every_figure_and_leaves_nothing_behind(tmp_path: Path
     command = [sys.executable, "-m", "benchmarks.soak", "--minutes", "0.05", "--rate", "4", "--settle", "0.5"]
     command += ["--scale", "0.125", "--frames", "2", "--scene", "plane", "--dir", str(takes), "--out", str(tmp_path)]
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=380, check=False, env=environment)
+    process = subprocess.run(command, capture_output=True, text=True, timeout=380, check=False, env=environment)
     result = json.loads((tmp_path / "soak.json").read_text())
-    # A slow machine may lose pairs: the exit code must say so, and nothing else may go wrong.
-    assert done.returncode == (1 if result["faults"] else 0), done.stdout + done.stderr
+    # A slow machine may lose pairs: the exit code must report that, and nothing else may fail.
+    assert process.returncode == (1 if result["faults"] else 0), process.stdout + process.stderr
     assert result["exit_status"] == 0 and result["pairs"] > 0 and result["received"]["cloud/full"] > 0
     assert result["recorded_pairs"] > 0 and result["problems"] == [] and "pipeline" in result["cpu_ms_per_pair"]
     assert {"p50", "p99", "p999", "max"} <= set(result["latency_ms"]["frames here .. cloud published"])

@@ -18,7 +18,7 @@ from benchmarks.reconstruction.worker import Timing
 
 @pytest.fixture
 def table() -> Table:
-    found = Table("sizes", "By size", ["what", "kind", "ms"], words=("kind",), notes=["Medians."])
+    found = Table("sizes", "By size", ["what", "kind", "ms"], text_columns=("kind",), notes=["Medians."])
     found.add("small", "fast", "1.5")
     found.add("large", "slow", "12.0")
     return found
@@ -99,15 +99,15 @@ def test_a_promised_rate_is_kept_or_missed_by_the_median() -> None:
     assert [kept for _, kept in speed.promises(timing(10.0))] == [False]
 
 
-@pytest.mark.parametrize("words", [["--quick"], ["--only", "stages"], ["--no-peers"], ["--case", "Bayer"]])
-def test_a_document_is_written_by_a_whole_run_only(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    arguments(words)
+@pytest.mark.parametrize("given", [["--quick"], ["--only", "stages"], ["--no-peers"], ["--case", "Bayer"]])
+def test_a_document_is_written_by_a_whole_run_only(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    arguments(given)
     with pytest.raises(SystemExit):
-        arguments([*words, "--markdown"])
+        arguments([*given, "--markdown"])
     assert "whole benchmark" in capsys.readouterr().err
 
 
-def test_everything_is_measured_unless_told_otherwise() -> None:
+def test_everything_is_measured_by_default() -> None:
     assert arguments([]).only == list(SECTIONS) and arguments([]).repeats == 15
     assert arguments(["--quick"]).repeats < 15
     assert arguments(["--no-peers"]).only == [name for name in SECTIONS if name != "peers"]

@@ -25,7 +25,7 @@ def rig(scene: str = "moving", encoding: str = "rgb8") -> Rig:
 
 def read(made: Rig, *disturbances: Disturbance) -> dict[str, Reading]:
     """Mean of two pairs."""
-    seen: list[Observation] = list(islice(made.look(made.scene(*disturbances)), 2))
+    seen: list[Observation] = list(islice(made.observations(made.scene(*disturbances)), 2))
     names = set.intersection(*(set(one.readings) for one in seen))
     return {
         name: Reading(
