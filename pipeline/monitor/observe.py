@@ -219,7 +219,7 @@ class Observer:
         if use.sum() >= _LEAST_PATCHES:
             x, y = sensitivity.in_image(self.calibration, found.shape[use, :3])
             told = texture.displacement(found.texture[use], x, y, across=1 - self._first)
-            known += [] if told is None else [Reading(*told)]
+            known += [] if told is None else [Reading(float(told[0][0]), float(told[1][0]))]
         if not known:
             return {}
         weights = np.array([1 / (reading.sigma**2 + _SURFACE_PX**2) for reading in known])

@@ -13,11 +13,12 @@ _PASSES = 4
 _TUNING = 3.0
 
 
-def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[float, float] | None:
-    """Mean displacement across the epipolar lines, pixels, and its standard deviation.
+def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[F64, F64] | None:
+    """Displacement across the epipolar lines, pixels, and its standard deviations, (3,) each.
 
-    Each patch gives two equations of instruments (left gradients) for its displacement; what changes over the image,
-    and the displacement along the lines, which the phase has fixed already, are nuisances.
+    The three are the displacement in the middle and its change to the image's edge along x and y. Each patch gives two
+    equations of instruments (left gradients); the displacement along the lines, which the phase has fixed already, is
+    a nuisance.
 
     Args:
         sums: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`; x, y: (n,) place in the image, -1 .. 1.
@@ -46,5 +47,5 @@ def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[float, 
     inverse = np.linalg.inv(np.einsum("n,nik,nij->kj", weights, basis, design))
     scores = np.einsum("n,nik,ni->nk", weights, basis, values - design @ solution)
     covariance = inverse @ (scores.T @ scores) @ inverse.T
-    which = 3 * across
-    return float(solution[which]), float(np.sqrt(max(covariance[which, which], 0.0)))
+    which = slice(3 * across, 3 * across + 3)
+    return solution[which], np.sqrt(np.maximum(np.diag(covariance)[which], 0.0))

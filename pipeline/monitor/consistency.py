@@ -1,0 +1,170 @@
+"""Consistency of one pair with the calibration, without a learned reference.
+
+A left pixel, its match in the right image and the projector column that lights the point determine two unknowns three
+times over (see :mod:`pipeline.monitor`). Patches of the surface give the residual of the projector column: its mean,
+its slopes along both axes of the image and its scatter. Fringe slopes and texture give the displacement across the
+epipolar lines and its change over the image. The order search gives its cost as a function of a column offset. For a
+rig that is as calibrated all of these are small against fixed limits that follow from the angles a device can turn
+before points become wrong; the limits are in projector and camera pixels of the standard rig and scale with the focal
+lengths.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.settings import Settings
+from pipeline.monitor import sensitivity, texture_disparity
+from pipeline.monitor.observe import Observer, Patches
+from pipeline.monitor.robust import fit, scale_of
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.consistency import ColumnScan, Consistency, Reading
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
+
+LIMITS: dict[str, tuple[tuple[float, float], str]] = {
+    "column_offset": ((0.012, 0.030), "degrees of the projector"),
+    "column_x": ((0.0020, 0.0034), "degrees of the projector, middle to edge"),
+    "column_y": ((0.0013, 0.0040), "degrees of the projector, middle to edge"),
+    "column_scatter": ((0.020, 0.035), "rad of the fringe's phase"),
+    "epipolar": ((0.005, 0.012), "degrees of the right camera"),
+    "epipolar_x": ((0.0021, 0.0042), "degrees of the right camera, middle to edge"),
+    "epipolar_y": ((0.0042, 0.0084), "degrees of the right camera, middle to edge"),
+    "order_cost": ((0.62, 0.68), "of the cost of unrelated phases"),
+    "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
+}
+"""Limit of ``doubtful``, limit of ``inconsistent``, unit."""
+SIGMAS = 4.0
+"""A reading is beyond a limit when it is so by this many of its standard deviations."""
+_LEAST_PATCHES = 16
+_CLEARLY_LESS = 0.85
+
+
+class ConsistencyCheck:
+    """Judges pairs by their images and clouds.
+
+    Args:
+        calibration, pattern, volume, encoding, settings: as of the reconstructor that made the clouds.
+        patches: largest number of surface patches of a pair; time grows with it.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        pattern: ColorFringe,
+        volume: Volume,
+        *,
+        encoding: str = "rgb8",
+        settings: Settings | None = None,
+        patches: int = 60,
+    ) -> None:
+        self._observer = Observer(
+            calibration, pattern, volume, encoding=encoding, settings=settings, patches=patches, seed=1
+        )
+        self.calibration, self._first = calibration, self._observer.first
+        focal = calibration.projector.matrix[self._first, self._first]
+        self._projector_deg = float(np.degrees(1 / focal))
+        self._camera_deg = float(np.degrees(1 / calibration.right.matrix[1 - self._first, 1 - self._first]))
+        self._phase = 2 * np.pi * pattern.periods / pattern.length
+
+    def check(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud, scan: ColumnScan | None) -> Consistency:
+        """Judge a pair of raw images by its cloud, and by the column scan of this pair or of an earlier one."""
+        readings = self.readings(self._observer.patches(left, right, cloud))
+        if scan is not None:
+            readings |= self._scanned(scan)
+        return judged(readings, self._cause(readings))
+
+    def readings(self, patches: Patches) -> dict[str, Reading]:
+        """All readings that these patches show, in the units of :data:`LIMITS`."""
+        if len(patches) < _LEAST_PATCHES:
+            return {}
+        residual = self._observer.residuals(patches)
+        design = sensitivity.design(self.calibration, patches.shape, self._first)
+        solution = fit(design, residual)
+        if solution is None:
+            return {}
+        value, sigma = solution
+        out = {
+            name: Reading(float(value[k]) * self._projector_deg, float(sigma[k]) * self._projector_deg)
+            for k, name in enumerate(("column_offset", "column_x", "column_y"))
+        }
+        scatter = scale_of(residual - design @ value) * self._phase
+        out["column_scatter"] = Reading(scatter, scatter / float(np.sqrt(2 * len(patches))))
+        across = [(value[3], sigma[3])]
+        use = patches.textured
+        if np.count_nonzero(use) >= _LEAST_PATCHES:
+            x, y = sensitivity.in_image(self.calibration, patches.shape[use, :3])
+            texture = texture_disparity.displacement(patches.texture[use], x, y, across=1 - self._first)
+            if texture is not None:
+                across.append((texture[0][0], texture[1][0]))
+                for k, name in ((1, "epipolar_x"), (2, "epipolar_y")):
+                    out[name] = Reading(
+                        float(texture[0][k]) * self._camera_deg, float(texture[1][k]) * self._camera_deg
+                    )
+        weights = np.array([1 / (s * s + _SURFACE_PX**2) for _, s in across])
+        mean = float(weights @ [v for v, _ in across] / weights.sum())
+        out["epipolar"] = Reading(mean * self._camera_deg, float(weights.sum() ** -0.5) * self._camera_deg)
+        return out
+
+    def _scanned(self, scan: ColumnScan) -> dict[str, Reading]:
+        out = {"order_cost": Reading(scan.allowed_cost / max(scan.typical_cost, 1e-9), 0.0)}
+        if scan.offset_px != scan.allowed_px and scan.cost < _CLEARLY_LESS * scan.allowed_cost:
+            out["scanned_offset"] = Reading(scan.offset_px * self._projector_deg, 0.0)
+        return out
+
+    def _cause(self, readings: dict[str, Reading]) -> str:
+        """Device, axis and angle that explain the largest reading; two devices where they cannot be separated."""
+        beyond = {name: abs(reading.value) for name, reading in readings.items() if _excess(name, reading) > 0}
+        for name in ("scanned_offset", "column_offset"):
+            if name in beyond:
+                return (
+                    f"the right camera is turned about its vertical axis by {beyond[name] / self._baseline_share():.2f} "
+                    f"degrees, or the projector by {beyond[name]:.2f} degrees: one pair does not separate them"
+                )
+        if "epipolar" in beyond:
+            return f"a camera is turned about its horizontal axis by {beyond['epipolar']:.2f} degrees"
+        right, left = self.calibration.right, self.calibration.left
+        if "epipolar_x" in beyond:
+            angle = beyond["epipolar_x"] / (0.5 * right.size[0] / right.matrix[0, 0])
+            return f"a camera is turned about its optical axis by {angle:.2f} degrees"
+        if "column_y" in beyond:
+            angle = beyond["column_y"] / (0.5 * left.size[1] / left.matrix[1, 1])
+            return f"the projector is turned about its optical axis by {angle:.2f} degrees"
+        if "column_x" in beyond:
+            return "a focal length differs from the calibrated one, or a device has moved along the baseline"
+        if "order_cost" in beyond:
+            return "the images do not belong to this calibration: cameras exchanged, or a device has moved far"
+        return "a device has moved" if beyond else ""
+
+    def _baseline_share(self) -> float:
+        """Distance left camera to projector over the distance of the cameras."""
+        left, right = self.calibration.left.centre, self.calibration.right.centre
+        share = (self.calibration.projector.centre - left) @ (right - left) / ((right - left) @ (right - left))
+        return max(abs(float(share)), 0.05)
+
+
+_SURFACE_PX = 0.02  # what slopes and textures alone make of the epipolar displacement
+
+
+def judged(readings: dict[str, Reading], cause: str = "") -> Consistency:
+    """The verdict of readings: the worst of all; unknown where the surface gives none."""
+    findings, worst = [], 0
+    for name, reading in readings.items():
+        level = 2 if _excess(name, reading) > 0 else 1 if _excess(name, reading, which=0) > 0 else 0
+        if level:
+            limits, unit = LIMITS[name]
+            findings.append(f"{name} {reading.value:+.4f} +- {reading.sigma:.4f}, limit {limits[level - 1]:g} {unit}")
+        worst = max(worst, level)
+    if "column_offset" not in readings and worst < 2:
+        return Consistency("unknown", readings, tuple(findings))
+    verdict = ("consistent", "doubtful", "inconsistent")[worst]
+    return Consistency(verdict, readings, tuple(findings), cause if worst == 2 else "")  # type: ignore[arg-type]
+
+
+def _excess(name: str, reading: Reading, which: int = 1) -> float:
+    """How far a reading is beyond a limit for certain."""
+    return abs(reading.value) - SIGMAS * reading.sigma - LIMITS[name][0][which]
