@@ -28,18 +28,15 @@ class OrderSearch:
         self._coarse, self._fine = _Lattice(view, view.table.every_second()), _Lattice(view, view.table)
         self._refresh, self._has_prior = 0, False
 
-    def mean_best_cost(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, stride: int) -> float:
-        """Mean least cost of the pixels with two candidates at least, on every n-th lattice row."""
+    def least_costs(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, stride: int) -> NDArray[np.float32]:
+        """(n,) least cost of each pixel with two candidates at least, on every n-th lattice row."""
         level = self._fine
         level.certain[:] = semi_global_aggregation.NONE
         level.search_rows(reference, other, correction, NO_PRIOR, stride)
         count = level.count[::stride]
-        several = count >= 2
-        if not several.any():
-            return 0.0
         costs = level.costs[::stride].reshape(*count.shape, self._view.labels)
         exists = np.arange(self._view.labels) < count[..., None]
-        return float(np.where(exists, costs, np.inf).min(axis=2)[several].mean(dtype=np.float64))
+        return np.asarray(np.where(exists, costs, np.inf).min(axis=2)[count >= 2], dtype=np.float32)
 
     def search(self, reference: PhaseMap, other: PhaseMap, correction: F64, *, use_prior: bool) -> NDArray[np.int16]:
         """Orders (h, w) of the lattice pixels, valid until the next call.

@@ -34,7 +34,7 @@ LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "epipolar": ((0.005, 0.012), "degrees of the right camera"),
     "epipolar_x": ((0.0021, 0.0042), "degrees of the right camera, middle to edge"),
     "epipolar_y": ((0.0042, 0.0084), "degrees of the right camera, middle to edge"),
-    "order_cost": ((0.62, 0.68), "of the cost of unrelated phases"),
+    "order_cost": ((0.50, 0.60), "of the cost of unrelated phases"),
     "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
 }
 """Limit of ``doubtful``, limit of ``inconsistent``, unit."""
@@ -111,7 +111,7 @@ class ConsistencyCheck:
         return out
 
     def _scanned(self, scan: ColumnScan) -> dict[str, Reading]:
-        out = {"order_cost": Reading(scan.allowed_cost / max(scan.typical_cost, 1e-9), 0.0)}
+        out = {"order_cost": Reading(scan.relative_cost, 0.0)}
         if scan.offset_px != scan.allowed_px and scan.cost < _CLEARLY_LESS * scan.allowed_cost:
             out["scanned_offset"] = Reading(scan.offset_px * self._projector_deg, 0.0)
         return out
@@ -121,9 +121,10 @@ class ConsistencyCheck:
         beyond = {name: abs(reading.value) for name, reading in readings.items() if _excess(name, reading) > 0}
         for name in ("scanned_offset", "column_offset"):
             if name in beyond:
+                camera = beyond[name] / self._baseline_share()
                 return (
-                    f"the right camera is turned about its vertical axis by {beyond[name] / self._baseline_share():.2f} "
-                    f"degrees, or the projector by {beyond[name]:.2f} degrees: one pair does not separate them"
+                    f"the right camera is turned about its vertical axis by {camera:.2f} degrees, or the projector by "
+                    f"{beyond[name]:.2f} degrees: one pair does not separate them"
                 )
         if "epipolar" in beyond:
             return f"a camera is turned about its horizontal axis by {beyond['epipolar']:.2f} degrees"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.reconstruct.consistency import Consistency
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +23,7 @@ class Cloud:
         saturated: share of saturated pixels, left and right.
         moved: lit pixels whose images contradict each other, so that something moved, of the camera with more of
             them; sets only.
+        consistency: of the pair with the calibration; None = not judged.
         ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
     """
 
@@ -31,9 +34,17 @@ class Cloud:
     order: NDArray[np.int16]
     saturated: tuple[float, float] = (0.0, 0.0)
     moved: int = 0
+    consistency: Consistency | None = None
     ms: dict[str, float] = field(default_factory=dict)
 
     @property
     def points(self) -> int:
         """Number of valid points."""
         return int(np.count_nonzero(np.isfinite(self.xyz[..., 2])))
+
+    def withheld(self) -> Cloud:
+        """The same cloud without a point."""
+        unknown = np.full_like(self.xyz, np.nan)
+        return replace(
+            self, xyz=unknown, sigma_mm=np.full_like(self.sigma_mm, np.nan), order=np.full_like(self.order, -1)
+        )

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
 Verdict = Literal["consistent", "doubtful", "inconsistent", "unknown"]
+
+_LEAST_PIXELS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,15 +50,30 @@ class ColumnScan:
     """Cost of the fringe order search against the offset of the projector columns, of one pair.
 
     Args:
-        offset_px: offset with the least cost within half a fringe period.
-        cost: mean least cost there.
+        offset_px: offset with the least mean cost within half a fringe period.
+        cost: mean least cost of the pixels there.
         allowed_px: offset with the least cost among those that a drift of the projector explains.
         allowed_cost: mean least cost there.
-        typical_cost: median over all offsets: the cost of unrelated phases in this scene.
+        relative_cost: lower quartile of the pixels' costs at ``allowed_px`` over the median of that quartile over all
+            offsets: 0 = every pixel agrees, 1 = no better than unrelated phases.
     """
 
     offset_px: float
     cost: float
     allowed_px: float
     allowed_cost: float
-    typical_cost: float
+    relative_cost: float
+
+    @classmethod
+    def of(cls, offsets: F64, costs: Sequence[NDArray[np.float32]], largest: float) -> ColumnScan | None:
+        """The scan of (n,) offsets with the costs of the pixels at each; None where no pixel has two candidates."""
+        if min(map(len, costs)) < _LEAST_PIXELS:
+            return None
+        means = np.array([cost.mean(dtype=np.float64) for cost in costs])
+        quartiles = np.array([np.quantile(cost, 0.25) for cost in costs])
+        best = int(means.argmin())
+        allowed = int(np.where(np.abs(offsets) <= largest, means, np.inf).argmin())
+        relative = quartiles[allowed] / max(float(np.median(quartiles)), 1e-6)
+        return cls(
+            float(offsets[best]), float(means[best]), float(offsets[allowed]), float(means[allowed]), float(relative)
+        )

@@ -23,6 +23,7 @@ from pipeline.geometry.view_tables import View
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.consistency import ColumnScan
 from pipeline.reconstruct.orders_to_cloud import SurfaceStage
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -68,6 +69,7 @@ class Reconstructor:
         self.settings = settings or Settings()
         self.correction = column_correction.NO_CORRECTION.copy()
         self.calibrated = not self.settings.self_calibrate
+        self.scan: ColumnScan | None = None
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
@@ -144,6 +146,7 @@ class Reconstructor:
         if not use_prior:
             self.clear_prior()
         maps = self.decoders[0].decode(left), self.decoders[1].decode(right)
+        self._maps = maps
         watch.lap("decode")
         if not self.calibrated:
             self.calibrate_columns(*maps)
@@ -157,9 +160,11 @@ class Reconstructor:
 
     def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> None:
         """Find the projector's column correction from a pair and keep it."""
+        self.scan = self.scan_columns(left, right)
         best, least = 0.0, np.inf
         for offset in column_correction.offsets_to_try(self.settings.self_calibration_range):
-            cost = self._searches[0].mean_best_cost(left, right, np.array([offset, 0.0, 0.0]), stride=8)
+            costs = self._searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=8)
+            cost = float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
             if cost < least - 1e-6:
                 best, least = float(offset), cost
         self.correction = np.array([best, 0.0, 0.0])
@@ -171,6 +176,21 @@ class Reconstructor:
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
+
+    def scan_columns(self, left: PhaseMap | None = None, right: PhaseMap | None = None) -> ColumnScan | None:
+        """Cost of the order search over column offsets of half a period to both sides; None without fringes.
+
+        Args:
+            left, right: phases of a pair; those of the last pair if they are not given.
+        """
+        left, right = left or self._maps[0], right or self._maps[1]
+        period = self.pattern.length / self.pattern.periods
+        offsets = column_correction.offsets_to_try(period / 2, step=0.5)
+        costs = [
+            self._searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=16) for offset in offsets
+        ]
+        self.clear_prior()
+        return ColumnScan.of(offsets, costs, self.settings.self_calibration_range)
 
     def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, use_prior: bool) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""

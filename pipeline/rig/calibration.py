@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.common.errors import CalibrationError
 from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.lateral_chromatic import LateralChromatic, Registration, lateral_chromatic_of, registration_of
+from pipeline.rig.plausibility import check_keys, check_rig
 
 Array = NDArray[np.float64]
 
@@ -189,10 +190,11 @@ def cameras_from_mapping(data: Mapping[str, Any]) -> Cameras:
     version = data.get("fringed_calibration")
     if version != VERSION:
         raise CalibrationError(f"fringed_calibration is {version!r}, this program reads version {VERSION}")
+    check_keys(data)
     cameras = _mapping(data, "cameras", "")
     left, right = _mapping(cameras, "left", "cameras."), _mapping(cameras, "right", "cameras.")
     projector = _mapping(data, "projector", "") if data.get("projector") is not None else None
-    return Cameras(
+    made = Cameras(
         left=_device(left, "cameras.left"),
         right=_device(right, "cameras.right"),
         left_color=_color(left, "cameras.left"),
@@ -205,6 +207,8 @@ def cameras_from_mapping(data: Mapping[str, Any]) -> Cameras:
             else registration_of(projector["registration"], "projector.registration")
         ),
     )
+    check_rig(made.left, made.right, made.projector)
+    return made
 
 
 def to_mapping(calibration: Calibration | Cameras) -> dict[str, Any]:

@@ -1,0 +1,53 @@
+"""A reconstructor whose clouds carry the verdict on the calibration, and hold no point where it is refuted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from pipeline.monitor.consistency import ConsistencyCheck
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.reconstructor import Reconstructor
+
+Policy = Literal["withhold", "warn", "off"]
+_RESCAN_PAIRS = 8
+
+
+class CheckedReconstructor:
+    """Reconstructs like :class:`Reconstructor` and judges every pair; not for use from two threads at once.
+
+    Args:
+        reconstructor: makes the clouds.
+        policy: ``withhold`` = a cloud of an inconsistent pair has no points; ``warn`` = it keeps them; ``off``.
+    """
+
+    def __init__(self, reconstructor: Reconstructor, policy: Policy = "withhold") -> None:
+        self.inner, self.policy = reconstructor, policy
+        self._check = ConsistencyCheck(
+            reconstructor.calibration, reconstructor.pattern, reconstructor.volume, encoding=reconstructor.encoding,
+            settings=reconstructor.settings,
+        )  # fmt: skip
+        self._since_scan = 0
+
+    def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
+        """As of the reconstructor."""
+        self.inner.warm_up(strides=strides, use_prior=use_prior)
+
+    def reconstruct(
+        self, left: NDArray[Any], right: NDArray[Any], *, stride: int = 1, use_prior: bool = False
+    ) -> Cloud:
+        """The cloud of a pair with its consistency; arguments and errors as of the reconstructor."""
+        cloud = self.inner.reconstruct(left, right, stride=stride, use_prior=use_prior)
+        if self.policy == "off":
+            return cloud
+        found = self._check.check(left, right, cloud, self.inner.scan)
+        self._since_scan += 1
+        if found.verdict in ("doubtful", "inconsistent") and self._since_scan >= _RESCAN_PAIRS:
+            # The scan is of an earlier pair: what has moved since then shows in a new one.
+            self._since_scan = 0
+            self.inner.scan = self.inner.scan_columns()
+            found = self._check.check(left, right, cloud, self.inner.scan)
+        cloud = replace(cloud, consistency=found)
+        return cloud.withheld() if self.policy == "withhold" and found.verdict == "inconsistent" else cloud
