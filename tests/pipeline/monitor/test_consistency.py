@@ -1,0 +1,162 @@
+"""A rig as calibrated is consistent; a device that has moved is reported and its clouds are withheld."""
+
+from __future__ import annotations
+
+import functools
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.monitor.checked_reconstructor import CheckedReconstructor
+from pipeline.monitor.consistency import LIMITS, judged
+from pipeline.reconstruct.consistency import ColumnScan, Reading
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.camera_model import CameraModel
+from sim.render.render_pair import RenderedPair, render_pair
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.named_scenes import build
+from sim.scene.shapes import rotation_about
+
+LAYOUT = RigLayout().scaled(0.5)
+STANDARD = Optics()
+YAW, PITCH, ROLL = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@functools.cache
+def pair(scene: str, optics: Optics = STANDARD, encoding: str = "rgb8") -> RenderedPair:
+    rendered = render_pair(LAYOUT, build(scene), LAYOUT.pattern(), optics, 0.0, 5, encoding)
+    for image in (rendered.left, rendered.right):
+        image.setflags(write=False)
+    return rendered
+
+
+def turned(calibration: Calibration, side: str, axis: tuple[float, float, float], degrees: float) -> Calibration:
+    """The calibration of a rig whose device has turned since: as if the device stood where the file says."""
+    device: CameraModel = getattr(calibration, side)
+    turn = rotation_about(tuple(np.sign(degrees) * np.array(axis)), np.radians(abs(degrees)))
+    rotation = turn @ device.rotation
+    return replace(calibration, **{side: replace(device, rotation=rotation, translation=-rotation @ device.centre)})
+
+
+def reconstructor(calibration: Calibration | None = None, policy: str = "withhold", **options) -> CheckedReconstructor:
+    calibration = calibration or LAYOUT.calibration_for(STANDARD)
+    return CheckedReconstructor(Reconstructor(calibration, LAYOUT.pattern(), LAYOUT.volume(), **options), policy)
+
+
+@pytest.mark.parametrize("scene", ["mixed", "face", "hand", "steep", "isolated", "gloss"])
+def test_a_rig_as_calibrated_is_consistent(scene: str):
+    images = pair(scene)
+    cloud = reconstructor().reconstruct(images.left, images.right)
+    assert cloud.consistency.verdict == "consistent", cloud.consistency.reason
+    assert cloud.points > 20_000
+
+
+@pytest.mark.parametrize(
+    ("optics", "encoding"),
+    [
+        (Optics.realistic(), "bayer_rggb8"),
+        (Optics(gamma=2.2, precorrected=False, crosstalk_error=0.1), "rgb8"),
+        (Optics(noise=3.0), "rgb8"),
+    ],
+)
+def test_ordinary_errors_of_colour_noise_and_projector_are_no_inconsistency(optics: Optics, encoding: str):
+    images = pair("mixed", optics, encoding)
+    cloud = reconstructor(LAYOUT.calibration_for(optics), encoding=encoding).reconstruct(images.left, images.right)
+    assert cloud.consistency.verdict in ("consistent", "doubtful"), cloud.consistency.reason
+    assert cloud.points > 20_000
+
+
+@pytest.mark.parametrize(
+    ("side", "axis", "degrees", "cause"),
+    [
+        ("right", YAW, 0.1, "right camera is turned about its vertical axis"),
+        ("right", YAW, -0.1, "right camera is turned about its vertical axis"),
+        ("right", YAW, 0.3, ""),
+        ("right", PITCH, 0.05, "camera is turned about its horizontal axis by 0.0[3-9]"),
+        ("right", PITCH, -0.1, "camera is turned about its horizontal axis"),
+        ("right", ROLL, 0.2, "optical axis"),
+        ("right", ROLL, 1.0, ""),
+        ("projector", YAW, 0.1, r"or the projector by 0\.(09|10)"),
+        ("projector", YAW, 1.0, ""),
+        ("projector", ROLL, 0.3, ""),
+    ],
+)
+def test_nothing_is_published_when_a_device_has_turned(side: str, axis: tuple, degrees: float, cause: str):
+    images = pair("mixed")
+    calibration = turned(LAYOUT.calibration_for(STANDARD), side, axis, degrees)
+    cloud = reconstructor(calibration).reconstruct(images.left, images.right)
+    found = cloud.consistency
+    assert found.verdict == "inconsistent", found
+    assert cloud.points == 0
+    assert np.isnan(cloud.sigma_mm).all()
+    assert (cloud.order == -1).all()
+    assert found.findings
+    assert re.search(cause, found.cause), found.cause
+
+
+def test_exchanged_cameras_give_no_cloud():
+    images = pair("mixed")
+    cloud = reconstructor().reconstruct(images.right, images.left)
+    assert cloud.consistency.verdict == "inconsistent"
+    assert cloud.points == 0
+
+
+def test_warn_keeps_the_points_and_off_judges_nothing():
+    images = pair("mixed")
+    calibration = turned(LAYOUT.calibration_for(STANDARD), "right", PITCH, 0.1)
+    warned = reconstructor(calibration, "warn").reconstruct(images.left, images.right)
+    plain = reconstructor(calibration, "off").reconstruct(images.left, images.right)
+    assert warned.consistency.verdict == "inconsistent"
+    assert plain.consistency is None
+    assert np.array_equal(warned.xyz, plain.xyz, equal_nan=True)
+
+
+def test_a_device_that_turns_between_two_pairs_is_reported_and_so_is_its_return():
+    images = pair("mixed")
+    checked = reconstructor()
+    assert checked.reconstruct(images.left, images.right).consistency.verdict == "consistent"
+    shifted = np.roll(images.right, 3, axis=0)  # a pitch of 0.1 degrees is three rows
+    shifted.setflags(write=False)
+    moved = [checked.reconstruct(images.left, shifted) for _ in range(3)]
+    assert [cloud.consistency.verdict for cloud in moved] == ["inconsistent"] * 3
+    back = [checked.reconstruct(images.left, images.right) for _ in range(10)]
+    assert back[-1].consistency.verdict == "consistent"
+
+
+def test_an_empty_scene_is_unknown():
+    black = np.zeros((410, 512, 3), np.uint8)
+    black.setflags(write=False)
+    cloud = reconstructor().reconstruct(black, black)
+    assert cloud.consistency.verdict == "unknown"
+
+
+@pytest.mark.parametrize("name", [name for name in LIMITS if np.isfinite(LIMITS[name][0][0])])
+def test_a_reading_is_judged_by_its_limits_and_only_when_it_is_certain(name: str):
+    doubtful, inconsistent = LIMITS[name][0]
+    clean = {"column_offset": Reading(0.0, 0.0)}
+    for value, verdict in (
+        (0.9 * doubtful, "consistent"),
+        (1.01 * doubtful, "doubtful"),
+        (1.01 * inconsistent, "inconsistent"),
+    ):
+        assert judged(clean | {name: Reading(value, 0.0)}).verdict == verdict
+        assert judged(clean | {name: Reading(-value, 0.0)}).verdict == verdict
+    assert judged(clean | {name: Reading(1.01 * inconsistent, inconsistent)}).verdict == "consistent"
+    [finding] = judged(clean | {name: Reading(2 * inconsistent, 0.0)}).findings
+    assert finding.startswith(name)
+    assert f"limit {inconsistent:g}" in finding
+
+
+def test_a_scan_finds_the_offset_with_the_least_cost_and_its_share_of_unrelated_phases():
+    offsets = np.arange(-6.0, 7.0)
+    costs = [np.full(500, 0.3, np.float32) for _ in offsets]
+    costs[9][:] = 0.06
+    scan = ColumnScan.of(offsets, costs, largest=2.0)
+    assert (scan.offset_px, scan.cost) == (3.0, pytest.approx(0.06))
+    assert abs(scan.allowed_px) <= 2
+    assert scan.relative_cost == pytest.approx(1.0)
+    assert ColumnScan.of(offsets, [cost[:10] for cost in costs], largest=2.0) is None
