@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.config.rig_config import SelfCheckLimits
-from daemon.monitoring.calibration_drift.explanation import told
-from daemon.monitoring.calibration_drift.verdicts import Watch, limits_of
+from daemon.monitoring.calibration_drift.explanation import describe
+from daemon.monitoring.calibration_drift.verdicts import Assessor, limits_of
 from pipeline.monitor.observe import Observation, Observer, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.devices.live_world import LiveScene
@@ -86,32 +86,34 @@ class Rig:
             yield observation
 
 
-def feed(watch: Watch, number: int, observation: Observation) -> None:
-    """Feed the watch as the daemon does."""
-    watch.feed(number / RATE_HZ, observation.readings, surface=Reading(observation.known, 0.01))
+def feed(assessor: Assessor, number: int, observation: Observation) -> None:
+    """Feed the assessor as the daemon does."""
+    assessor.feed(number / RATE_HZ, observation.readings, surface=Reading(observation.known, 0.01))
 
 
 def undisturbed(
     rig: Rig, scene: LiveScene, pairs: int, first: int = 0
-) -> tuple[Watch, int, dict[str, NDArray[np.float64]]]:
-    """The watch after ``pairs`` pairs, how many reports there were, and every reading."""
-    watch = Watch(limits_of(SelfCheckLimits()), {})
+) -> tuple[Assessor, int, dict[str, NDArray[np.float64]]]:
+    """The assessor after ``pairs`` pairs, how many reports there were, and every reading."""
+    assessor = Assessor(limits_of(SelfCheckLimits()), {})
     alarms, kept = 0, []
     for number, observation in enumerate(islice(rig.observations(scene, first), pairs)):
-        before = set(watch.drifted)
-        feed(watch, number, observation)
-        alarms += len(set(watch.drifted) - before)
+        before = set(assessor.drifted)
+        feed(assessor, number, observation)
+        alarms += len(set(assessor.drifted) - before)
         kept.append(observation.readings)
         if (number + 1) % 500 == 0:
             print(f"{number + 1} undisturbed pairs, {alarms} reports", flush=True)
     names = sorted({name for readings in kept for name in readings})
     none = Reading(np.nan, np.nan)
-    return watch, alarms, {name: np.array([r.get(name, none).value for r in kept]) for name in names}
+    return assessor, alarms, {name: np.array([r.get(name, none).value for r in kept]) for name in names}
 
 
-def disturbed(rig: Rig, scene: LiveScene, disturbance: Disturbance, watch: Watch) -> tuple[float | None, Watch]:
-    """Seconds from the disturbance to the report (None: not within the time), and the watch then."""
-    fresh = Watch(limits_of(SelfCheckLimits()), watch.references)
+def disturbed(
+    rig: Rig, scene: LiveScene, disturbance: Disturbance, assessor: Assessor
+) -> tuple[float | None, Assessor]:
+    """Seconds from the disturbance to the report (None: not within the time), and the assessor then."""
+    fresh = Assessor(limits_of(SelfCheckLimits()), assessor.references)
     for number, observation in enumerate(islice(rig.observations(scene, 1 << 20), BEFORE)):
         feed(fresh, number, observation)
     if fresh.drifted:
@@ -137,21 +139,21 @@ def main() -> None:
     options = parser.parse_args()
     rig = Rig(options.scale, scene=options.scene, encoding=options.encoding, instants=options.instants)
     still = rig.scene()
-    watch, alarms, readings = undisturbed(rig, still, options.pairs, options.first)
+    assessor, alarms, readings = undisturbed(rig, still, options.pairs, options.first)
     print(f"{options.scene}, scale {options.scale}, {options.encoding}")
     print(f"undisturbed: {options.pairs} pairs, {alarms} reports; {np.median(rig.ms):.1f} ms a check (median)")
     print(f"{'observable':22} {'median':>9} {'scatter':>9} {'limit':>9}")
     for name, values in readings.items():
-        limit = watch.found[name].limit
+        limit = assessor.assessments[name].limit
         print(f"{name:22} {np.nanmedian(values):+9.4f} {np.nanstd(values):9.4f} {limit:9.4f}")
     missed = 0
     for name, disturbance in DISTURBANCES.items():
         if options.only not in name:
             continue
-        after, found = disturbed(rig, still, disturbance, watch)
+        after, found = disturbed(rig, still, disturbance, assessor)
         missed += after is None
         when = "NOT REPORTED" if after is None else f"{after:4.1f} s"
-        print(f"{name:28} {when}  {told(found.drifted)}", flush=True)
+        print(f"{name:28} {when}  {describe(found.drifted)}", flush=True)
     print(f"{missed} missed, {alarms} false reports")
 
 

@@ -131,9 +131,9 @@ def open_capture(
 
 def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
     """The continuous check of the calibration, running."""
-    from daemon.monitoring.calibration_drift.sink import SelfCheck
+    from daemon.monitoring.calibration_drift.sink import DriftMonitor
 
-    return SelfCheck(
+    return DriftMonitor(
         config.selfcheck,
         config.path(config.selfcheck.dir, base_dir),
         calibration=rig.calibration,

@@ -9,7 +9,7 @@ from daemon.apps.health_report import layout
 from daemon.apps.health_report.canvas import Pixels, Svg
 from daemon.apps.health_report.panels import Courses
 from daemon.common.html_page import Card, figure, page, table
-from daemon.monitoring.health.quantities import BY_NAME, shown
+from daemon.monitoring.health.quantities import BY_NAME, format_value
 
 _LEVELS = {"healthy": "good", "warning": "warn", "ill": "bad"}
 _CARDS = (
@@ -54,7 +54,7 @@ def png(courses: Courses) -> bytes:
 
 
 def _value(report: Any, name: str) -> str:
-    return shown(name, report["values"][name])
+    return format_value(name, report["values"][name])
 
 
 def _stamp(t_ns: int) -> str:
@@ -74,8 +74,8 @@ def _limits(report: Any) -> str:
     rows = [
         (
             BY_NAME[rule["quantity"]].text,
-            "unknown" if rule["value"] is None else shown(rule["quantity"], rule["value"]),
-            f"{'least' if rule['below'] else 'most'} {shown(rule['quantity'], rule['limit'])}",
+            "unknown" if rule["value"] is None else format_value(rule["quantity"], rule["value"]),
+            f"{'least' if rule['below'] else 'most'} {format_value(rule['quantity'], rule['limit'])}",
             rule["verdict"],
         )
         for rule in report["rules"]

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from daemon.monitoring.health.quantities import shown
+from daemon.monitoring.health.quantities import format_value
 
 WIDTH = 80
 _EVENTS = 8
@@ -46,8 +46,8 @@ def _rule(rule: Mapping[str, Any]) -> str:
         told = {"ok": "yes" if rule["name"] != "degraded" else "no", "unknown": "unknown"}
         now = told.get(rule["verdict"], "no" if rule["name"] != "degraded" else "yes")
         return f"{rule['name']:<24}{now:>14}{'':>16}   {rule['verdict']}"
-    now = "unknown" if rule["value"] is None else shown(rule["quantity"], rule["value"])
-    limit = f"{'>=' if rule['below'] else '<='} {shown(rule['quantity'], rule['limit'])}"
+    now = "unknown" if rule["value"] is None else format_value(rule["quantity"], rule["value"])
+    limit = f"{'>=' if rule['below'] else '<='} {format_value(rule['quantity'], rule['limit'])}"
     return f"{rule['name']:<24}{now:>14}{limit:>16}   {rule['verdict']}"
 
 

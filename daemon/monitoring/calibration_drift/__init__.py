@@ -1,1 +1,1 @@
-"""The continuous self-check: does the calibration still fit the rig? Told from the pairs that are measured anyway."""
+"""Calibration drift monitor: whether the calibration still fits the rig, from the ordinary pairs."""

@@ -1,10 +1,10 @@
-"""Verdicts in words."""
+"""Explanations of drift, as sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from daemon.monitoring.calibration_drift.verdicts import SURFACE, Found
+from daemon.monitoring.calibration_drift.verdicts import SURFACE, Assessment
 from pipeline.monitor import OBSERVABLES
 from pipeline.monitor.explain import Turn
 
@@ -17,53 +17,50 @@ _NAMES = {
 }
 
 
-def told(drifted: Mapping[str, Found], guess: str = "") -> str:
-    """One sentence about everything that has drifted, with the next step; empty when nothing has.
+def describe(drifted: Mapping[str, Assessment], cause: str = "") -> str:
+    """Describe everything that has drifted, with the next step; empty when nothing has.
 
     Args:
-        guess: which device explains the geometry best, if any does.
+        cause: the device that explains the geometry best, if any does, from :func:`describe_cause`.
     """
     parts = []
     geometry = [name for name in drifted if OBSERVABLES.get(name) in _GEOMETRY]
     if geometry:
-        who = guess or "a camera, a lens or the projector has moved"
-        what = ", ".join(_measured(_NAMES[name], drifted[name], "px") for name in geometry)
-        parts.append(f"{who}: {what}; run fringed calibrate check, then refine or calibrate again")
+        cause = cause or "a camera, a lens or the projector has moved"
+        values = ", ".join(_value(_NAMES[name], drifted[name], "px") for name in geometry)
+        parts.append(f"{cause}: {values}; run fringed calibrate check, then refine or calibrate again")
     for side in ("left", "right"):
         colors = {n: f for n, f in drifted.items() if OBSERVABLES.get(n) == "color" and n.startswith(side)}
         if colors:
             name = max(colors, key=lambda n: abs(colors[n].change) + abs(colors[n].value))
-            what = _measured(f"phase of its {name.split('_')[1]} channel", colors[name], "rad")
-            parts.append(f"the crosstalk of the {side} camera has changed: {what}; run fringed calibrate color")
+            value = _value(f"phase of its {name.split('_')[1]} channel", colors[name], "rad")
+            parts.append(f"the crosstalk of the {side} camera has changed: {value}; run fringed calibrate color")
         name = f"{side}_modulation"
         if name in drifted:
-            found = drifted[name]
+            now = drifted[name]
             parts.append(
-                f"fringes of the {side} image: modulation {found.value:.2f} of the mean, was "
-                f"{found.value - found.change:.2f}; look at focus, ambient light and exposure"
+                f"fringes of the {side} image: modulation {now.value:.2f} of the mean, was "
+                f"{now.value - now.change:.2f}; check focus, ambient light and exposure"
             )
     if SURFACE in drifted:
         parts.append(
-            f"fringes are seen, but only {100 * drifted[SURFACE].value:.0f} % of them give points: everything stands "
-            "outside of the measuring volume, or a camera or the projector was moved far; run fringed calibrate check"
+            f"only {100 * drifted[SURFACE].value:.0f} % of the pixels with fringes give points: everything is outside "
+            "the measuring volume, or a camera or the projector was moved far; run fringed calibrate check"
         )
     return "; ".join(parts)
 
 
-def guess(turn: Turn | None) -> str:
-    """Who has moved, as a clause."""
+def describe_cause(turn: Turn | None) -> str:
+    """Describe the device that has moved, as a clause; empty when there is none."""
     if turn is None:
         return ""
-    who = "projector" if turn.device == "projector" else f"{turn.device} camera"
-    about = "xyz"[max(range(3), key=lambda k: abs(turn.turn_deg[k]))]
+    device = "projector" if turn.device == "projector" else f"{turn.device} camera"
+    axis = "xyz"[max(range(3), key=lambda k: abs(turn.turn_deg[k]))]
     size = max(abs(value) for value in turn.turn_deg)
-    return f"the {who} or its lens has moved, as much as a turn of {size:.3f} degrees about its {about} axis"
+    return f"the {device} or its lens has moved, as much as a turn of {size:.3f} degrees about its {axis} axis"
 
 
-def _measured(name: str, found: Found, unit: str) -> str:
-    if abs(found.change) > found.limit:
-        value, change, limit = (
-            f"{number:{sign}.3f}" for number, sign in ((found.value, "+"), (found.change, "+"), (found.limit, ""))
-        )
-        return f"{name} {value} {unit}, changed by {change}, limit {limit}"
-    return f"{name} {found.value:+.2f} {unit}, which this calibration does not explain"
+def _value(name: str, now: Assessment, unit: str) -> str:
+    if abs(now.change) > now.limit:
+        return f"{name} {now.value:+.3f} {unit}, changed by {now.change:+.3f}, limit {now.limit:.3f}"
+    return f"{name} {now.value:+.2f} {unit}, which this calibration does not explain"

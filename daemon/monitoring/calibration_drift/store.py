@@ -1,8 +1,9 @@
-"""What the self-check keeps on disk: references by calibration, and a history of bounded size.
+"""The drift monitor's files: references by calibration, and a history of bounded size.
 
-``references.json`` holds what each calibration was like when it was new, so that a knock while the daemon was off is
-told at the next start; removing the file (or a calibration's entry) makes the daemon learn anew. ``history.jsonl`` has
-one JSON object a line: the observables once a minute, and every event; at 1 MB it becomes ``history.1.jsonl``.
+``references.json`` holds the observables of each calibration when it was new, so that a disturbance while the daemon
+was off is reported at the next start; without the file (or a calibration's entry) the daemon learns them again.
+``history.jsonl`` has one JSON object a line: the observables once a minute, and every event; at 1 MB it becomes
+``history.1.jsonl``.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,10 @@ _MAX_CALIBRATIONS = 64
 
 
 class Store:
-    """Files in a directory, which is made when something is to be written. A disk that refuses is told once.
+    """Files in a directory, which is created at the first write. A disk error is logged once.
 
     Args:
-        directory: of the files; key: what the references belong to (calibration, pattern, encoding).
+        directory: of the files; key: of the references (calibration, pattern, encoding).
     """
 
     def __init__(self, directory: Path, key: str) -> None:
@@ -39,16 +40,16 @@ class Store:
 
     @property
     def references_file(self) -> Path:
-        """Where the references are."""
+        """File of the references."""
         return self.directory / "references.json"
 
     @property
     def history_file(self) -> Path:
-        """Where the history goes on."""
+        """File that the history is appended to."""
         return self.directory / "history.jsonl"
 
     def references(self) -> dict[str, Reference]:
-        """What was learned of this calibration; empty when there is nothing, or nothing that can be read."""
+        """Return the references of this calibration; empty when there are none, or none that can be read."""
         entry = self._all().get(self._key)
         values = entry.get("observables") if isinstance(entry, dict) else None
         out = {}
@@ -61,20 +62,20 @@ class Store:
                 out[str(name)] = Reference(value, scatter)
         return out
 
-    def keep(self, references: Mapping[str, Reference], t_ns: int) -> None:
-        """Write what was learned; the calibrations used longest ago go when there are too many."""
-        known = self._all()
-        known.pop(self._key, None)
-        while len(known) >= _MAX_CALIBRATIONS:
-            del known[next(iter(known))]
+    def save(self, references: Mapping[str, Reference], t_ns: int) -> None:
+        """Write the references; beyond the limit, those of the calibrations used longest ago are removed."""
+        calibrations = self._all()
+        calibrations.pop(self._key, None)
+        while len(calibrations) >= _MAX_CALIBRATIONS:
+            del calibrations[next(iter(calibrations))]
         rows = {name: {"value": one.value, "scatter": one.scatter} for name, one in sorted(references.items())}
-        known[self._key] = {"learned_ns": t_ns, "observables": rows}
-        data = json.dumps({"version": 1, "calibrations": known}, indent=1).encode()
-        self._guarded(lambda: write_atomically(self.references_file, data))
+        calibrations[self._key] = {"learned_ns": t_ns, "observables": rows}
+        data = json.dumps({"version": 1, "calibrations": calibrations}, indent=1).encode()
+        self._write(lambda: write_atomically(self.references_file, data))
 
-    def note(self, row: Mapping[str, Any]) -> None:
-        """Add a line to the history."""
-        self._guarded(lambda: self._append(json.dumps(row, separators=(",", ":")).encode() + b"\n"))
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Append a line to the history."""
+        self._write(lambda: self._append(json.dumps(row, separators=(",", ":")).encode() + b"\n"))
 
     def _append(self, line: bytes) -> None:
         path = self.history_file
@@ -87,13 +88,15 @@ class Store:
         if not self.references_file.exists():
             return {}
         try:
-            known = json.loads(read_at_most(self.references_file, _MAX_REFERENCES_BYTES, DaemonError))["calibrations"]
-            return dict(known)
+            data = json.loads(read_at_most(self.references_file, _MAX_REFERENCES_BYTES, DaemonError))
+            return dict(data["calibrations"])
         except (DaemonError, ValueError, KeyError, TypeError) as error:
-            log.warning("self-check: %s cannot be read, the reference is learned anew: %s", self.references_file, error)
+            log.warning(
+                "self-check: %s cannot be read, the reference is learned again: %s", self.references_file, error
+            )
             return {}
 
-    def _guarded(self, write: Any) -> None:
+    def _write(self, write: Callable[[], object]) -> None:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
             write()
@@ -101,4 +104,4 @@ class Store:
         except OSError as error:
             if not self._refused:
                 self._refused = True
-                log.warning("self-check: nothing is kept in %s: %s; see selfcheck.dir", self.directory, error)
+                log.warning("self-check: cannot write to %s: %s; see selfcheck.dir", self.directory, error)

@@ -1,17 +1,17 @@
 """From readings of single pairs to verdicts: robust, with hysteresis, against a reference that was learned once.
 
 Every observable is a sequential test of its own. Its value is the median of the last ten checked pairs (two seconds at
-five checks a second): a knock must last for more than half of them, and a single bad pair changes nothing. It has
-drifted when it differs from the reference by more than the limit, twice running; it is well again when it has come back
-to 70 % of the limit.
+five checks a second): a disturbance must last for more than half of them, and a single bad pair changes nothing. It
+has drifted when it differs from the reference by more than the limit in two successive checks; it has recovered when
+it is back within 70 % of the limit.
 
-The limit is a length or an angle that matters; or three times the scatter that the scene caused while the reference was
-learned; or five standard deviations, if that is more. These are the one that a single pair tells of itself, because
-what the pieces of a surface disagree by is mostly the surface's own doing and does not average out while it stands
-still, and the one of the median, from the scatter of its pairs. An observable whose standard deviation is beyond the
-limit itself is not observable in this scene.
+The limit is the configured length or angle, three times the scatter that the scene caused while the reference was
+learned, or five standard deviations, whichever is largest. The standard deviations are that of a single pair, because
+the differences between parts of a surface are mostly caused by the surface and do not average out while it is at rest,
+and that of the median, from the scatter of its pairs. An observable whose standard deviation exceeds the limit itself
+is not observable in this scene.
 
-The reference is learned from the first pairs under a calibration and stays: what drifts slowly is told, too.
+The reference is learned from the first pairs under a calibration and stays, so that slow drift is reported, too.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _LOST_SHARE, _SOME_SHARE = 0.1, 0.3
 
 
 class Verdict(StrEnum):
-    """What is known of an observable."""
+    """Verdict on an observable."""
 
     LEARNING = "learning"
     OK = "ok"
@@ -56,7 +56,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """How an observable was when the calibration was new: its median and the scatter of single pairs."""
+    """An observable when the calibration was new: its median and the scatter of single pairs."""
 
     value: float
     scatter: float
@@ -64,15 +64,15 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Largest change against the reference, and largest absolute value (infinite where none makes sense)."""
+    """Largest change against the reference, and largest absolute value (infinite where there is none)."""
 
     change: float
     absolute: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """An observable now; value and sigma are NaN where it is not observable."""
+class Assessment:
+    """Present state of an observable; value and sigma are NaN where it is not observable."""
 
     verdict: Verdict
     value: float = math.nan
@@ -82,7 +82,7 @@ class Found:
 
 
 def limits_of(config: SelfCheckLimits) -> dict[str, Limit]:
-    """The limit of every observable."""
+    """Return the limit of every observable."""
     kinds = {
         "column": Limit(config.column_px, config.off_px),
         "slope": Limit(config.column_slope_px, config.off_px),
@@ -98,7 +98,7 @@ class _Series:
 
     def __init__(self, limit: Limit, reference: Reference | None) -> None:
         self.limit, self.reference = limit, reference
-        self.found = Found(Verdict.LEARNING if reference is None else Verdict.UNOBSERVABLE)
+        self.assessment = Assessment(Verdict.LEARNING if reference is None else Verdict.UNOBSERVABLE)
         self._last: deque[tuple[float, float, float]] = deque(maxlen=WINDOW)
         self._learned: list[tuple[float, float]] = []
         self._over = 0
@@ -110,7 +110,7 @@ class _Series:
                 self._learn(t_s, reading.value)
         while self._last and self._last[0][0] < t_s - OLDEST_S:
             self._last.popleft()
-        self.found = self._judged()
+        self.assessment = self._assess()
 
     def _learn(self, t_s: float, value: float) -> None:
         self._learned.append((t_s, value))
@@ -122,20 +122,20 @@ class _Series:
             self.reference = Reference(middle, 1.4826 * float(np.median(np.abs(values - middle))))
         self._learned.clear()
 
-    def _judged(self) -> Found:
-        drifted = self.found.verdict is Verdict.DRIFTED
+    def _assess(self) -> Assessment:
+        drifted = self.assessment.verdict is Verdict.DRIFTED
         limit = self.limit.change
         if self.reference is not None:
             limit = max(limit, _SCATTERS * self.reference.scatter)
         if len(self._last) < _LEAST:
-            return self._blind(drifted, limit)
+            return self._unobservable(drifted, limit)
         values = np.array([value for _, value, _ in self._last])
         value = float(np.median(values))
         sigma = float(np.median([s for _, _, s in self._last]))
         spread = max(sigma, 1.4826 * float(np.median(np.abs(values - value))))
         of_median = _MEDIAN * spread / math.sqrt(len(values))
         if max(sigma, of_median) > max(self.limit.change, limit / _SCATTERS):
-            return self._blind(drifted, limit)
+            return self._unobservable(drifted, limit)
         limit = max(limit, _SIGMAS * sigma, _SIGMAS * of_median)
         change = 0.0 if self.reference is None else value - self.reference.value
         size = abs(change)
@@ -147,50 +147,50 @@ class _Series:
             verdict = Verdict.DRIFTED if self._over >= _RUNNING else Verdict.OK
         if self.reference is None and verdict is Verdict.OK:
             verdict = Verdict.LEARNING
-        return Found(verdict, value, sigma, change, limit)
+        return Assessment(verdict, value, sigma, change, limit)
 
-    def _blind(self, drifted: bool, limit: float) -> Found:
-        """Not observable now; what has drifted stays so until it is seen to be well."""
+    def _unobservable(self, drifted: bool, limit: float) -> Assessment:
+        """Return the assessment while there is no value; what has drifted stays so until it is observed again."""
         self._over = 0
         if drifted:
-            return self.found
+            return self.assessment
         learning = self.reference is None and bool(self._last)
-        return Found(Verdict.LEARNING if learning else Verdict.UNOBSERVABLE, limit=limit)
+        return Assessment(Verdict.LEARNING if learning else Verdict.UNOBSERVABLE, limit=limit)
 
 
-class Watch:
-    """All observables of a rig.
+class Assessor:
+    """Assesses all observables of a rig.
 
     Args:
         limits: by name of the observable, see :func:`limits_of`.
-        references: what was learned before under the same calibration.
+        references: learned before under the same calibration.
     """
 
     def __init__(self, limits: Mapping[str, Limit], references: Mapping[str, Reference]) -> None:
         self._series = {name: _Series(limit, references.get(name)) for name, limit in limits.items()}
 
-    def limit(self, limits: Mapping[str, Limit]) -> None:
-        """Judge by other limits from the next pair on."""
+    def set_limits(self, limits: Mapping[str, Limit]) -> None:
+        """Use other limits from the next pair on."""
         for name, limit in limits.items():
             self._series[name].limit = limit
 
     @property
     def references(self) -> dict[str, Reference]:
-        """What has been learned."""
+        """The references that have been learned."""
         return {name: one.reference for name, one in self._series.items() if one.reference is not None}
 
     @property
-    def found(self) -> dict[str, Found]:
-        """Every observable as it stands."""
-        return {name: one.found for name, one in self._series.items()}
+    def assessments(self) -> dict[str, Assessment]:
+        """The present state of every observable."""
+        return {name: one.assessment for name, one in self._series.items()}
 
     @property
-    def drifted(self) -> dict[str, Found]:
-        """Those that have drifted."""
-        return {name: found for name, found in self.found.items() if found.verdict is Verdict.DRIFTED}
+    def drifted(self) -> dict[str, Assessment]:
+        """The observables that have drifted."""
+        return {name: now for name, now in self.assessments.items() if now.verdict is Verdict.DRIFTED}
 
     def feed(self, t_s: float, readings: Mapping[str, Reading], *, surface: Reading | None = None) -> None:
-        """Take the readings of a checked pair.
+        """Add the readings of a checked pair.
 
         Args:
             t_s: time of the pair, seconds, rising.
@@ -202,13 +202,13 @@ class Watch:
         self._feed_surface(t_s, surface)
 
     def _feed_surface(self, t_s: float, reading: Reading | None) -> None:
-        """The share of pixels with a point changes with every scene; only its near end means anything."""
+        """Assess the share of pixels with a point: it varies with the scene, so that only its collapse counts."""
         series = self._series[SURFACE]
         series.feed(t_s, reading)
-        found, reference = series.found, series.reference
-        if reference is None or math.isnan(found.value):
+        now, reference = series.assessment, series.reference
+        if reference is None or math.isnan(now.value):
             return
-        lost = reference.value > _SOME_SHARE and found.value < _LOST_SHARE * reference.value
+        lost = reference.value > _SOME_SHARE and now.value < _LOST_SHARE * reference.value
         verdict = Verdict.DRIFTED if lost else Verdict.OK
         limit = _LOST_SHARE * reference.value
-        series.found = Found(verdict, found.value, found.sigma, found.value - reference.value, limit)
+        series.assessment = Assessment(verdict, now.value, now.sigma, now.value - reference.value, limit)

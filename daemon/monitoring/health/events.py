@@ -1,4 +1,4 @@
-"""Events: what went beyond its limit, when, how far, and when it was well again. Bounded; pure logic."""
+"""Events: which quantity exceeded its limit, when, how far, and when it recovered. Bounded; pure logic."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Event:
     """One event.
 
     Args:
-        rule: name of the limit; quantity: that went beyond; t_ns, ended_ns: CLOCK_REALTIME, 0 while it lasts.
-        worst: the value farthest beyond; end: ``cleared``, ``unknown``, ``not judged`` (the limit was taken away).
+        rule: name of the limit; quantity: that exceeded it; t_ns, ended_ns: CLOCK_REALTIME, 0 while it lasts.
+        worst: the value farthest beyond; end: ``cleared``, ``unknown``, ``not judged`` (the limit was removed).
     """
 
     number: int
@@ -39,15 +39,15 @@ class Event:
     end: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
-class Judge:
-    """Feeds every rule once a second and keeps the events.
+class RuleEvaluator:
+    """Evaluates every rule once a second and keeps the events.
 
     Args:
-        config: limits and times; may be exchanged at any time.
+        config: limits and times; may be replaced at any time.
     """
 
     def __init__(self, config: Config) -> None:
@@ -59,36 +59,36 @@ class Judge:
 
     @property
     def open(self) -> list[Event]:
-        """What lasts, the gravest first."""
+        """The events that last, the most severe first."""
         return sorted(self._open.values(), key=lambda event: (event.level is not Level.ILL, event.number))
 
     def events(self, most: int = KEPT) -> list[Event]:
-        """The newest, in the order of their beginning, those that last among them."""
+        """Return the newest events in the order of their beginning, including those that last."""
         return sorted([*self._past, *self._open.values()], key=lambda event: event.number)[-most:]
 
     @property
     def count(self) -> int:
-        """Events since the start."""
+        """Number of events since the start."""
         return self._count
 
     def feed(self, now_s: float, t_ns: int, values: Mapping[str, float], reasons: tuple[str, ...] = ()) -> None:
-        """Judge the values of this second.
+        """Evaluate the values of this second.
 
         Args:
             now_s: monotonic; t_ns: CLOCK_REALTIME; reasons: why the daemon is degraded.
         """
         for rule in RULES:
-            self._judge(rule, now_s, t_ns, values, reasons)
+            self._evaluate(rule, now_s, t_ns, values, reasons)
 
     def verdict(self, rule: Rule, values: Mapping[str, float]) -> str:
-        """``ok``, ``warning``, ``ill``, ``unknown``, or ``not judged``, of one rule."""
+        """Return the verdict of one rule: ``ok``, ``warning``, ``ill``, ``unknown`` or ``not judged``."""
         if rule.limit(self.config.limits) is None:
             return "not judged"
         if rule.name in self._open:
             return str(rule.level)
         return "unknown" if math.isnan(rule.worst(values)[1]) else "ok"
 
-    def _judge(
+    def _evaluate(
         self, rule: Rule, now_s: float, t_ns: int, values: Mapping[str, float], reasons: tuple[str, ...]
     ) -> None:
         limit, (quantity, value) = rule.limit(self.config.limits), rule.worst(values)
@@ -113,4 +113,4 @@ class Judge:
         if event is not None:
             event.ended_ns, event.end = t_ns, end
             self._past.append(event)
-            log.info("%s: %s", "well again" if end == "cleared" else f"over, {end}", event.text)
+            log.info("%s: %s", "recovered" if end == "cleared" else f"over, {end}", event.text)

@@ -1,4 +1,4 @@
-"""One limit without flicker: told after a while beyond it, taken back after a while well within. Pure logic."""
+"""Hysteresis of one limit: raised after a time beyond it, cleared after a time well within. Pure logic."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from daemon.config.health import Health as Config
 
 Change = Literal["raised", "cleared", "unknown"]
 
-FORGET_S = 60.0
-"""An event whose quantity has been unknown so long is over: it is neither ill nor well."""
+UNKNOWN_S = 60.0
+"""An event ends when its quantity has been unknown for this long."""
 
 
 @dataclass(slots=True)
@@ -23,17 +23,17 @@ class Hysteresis:
     _known_s: float = field(default=-math.inf)
 
     def feed(self, now_s: float, value: float, limit: float, config: Config, *, below: bool = False) -> Change | None:
-        """Take the value of this second; what has changed by it.
+        """Add the value of this second; return the change of state, if any.
 
         Args:
-            now_s: never goes back; value: not negative, NaN = unknown; below: whether less than ``limit`` is bad.
+            now_s: monotonic; value: not negative, NaN = unknown; below: whether less than ``limit`` is bad.
         """
         if math.isnan(value):
             return self._unknown(now_s)
         self._known_s = now_s
         sign = -1.0 if below else 1.0
-        room = config.margin * abs(limit) if self.is_open else 0.0
-        beyond = sign * value > sign * limit - room
+        margin = config.margin * abs(limit) if self.is_open else 0.0
+        beyond = sign * value > sign * limit - margin
         if beyond is self.is_open:
             self._since_s = None
             return None
@@ -45,7 +45,7 @@ class Hysteresis:
 
     def _unknown(self, now_s: float) -> Change | None:
         self._since_s = None
-        if not self.is_open or now_s - self._known_s < FORGET_S:
+        if not self.is_open or now_s - self._known_s < UNKNOWN_S:
             return None
         self.is_open = False
         return "unknown"

@@ -1,4 +1,4 @@
-"""The table of everything that is watched: names with their units, in the order of the history's columns."""
+"""The table of monitored quantities, in the order of the history's columns."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ CHANNELS = ("red", "green", "blue")
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One number that is known once a second, or unknown (NaN).
+    """A number that is evaluated once a second, NaN where unknown.
 
     Args:
-        name: with the unit at its end where it has one; unit: as it is shown; text: what it is.
+        name: with its unit as suffix where it has one; unit: as displayed; text: description.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Quantity:
 def _light() -> tuple[Quantity, ...]:
     out: list[Quantity] = []
     for side in SIDES:
-        out += [Quantity(f"saturated_{side}_{c}", "", f"clipped samples of the {side} camera, {c}") for c in CHANNELS]
+        out += [Quantity(f"saturated_{side}_{c}", "", f"saturated samples of the {side} camera, {c}") for c in CHANNELS]
         out.append(Quantity(f"saturated_{side}", "", f"the same of its worst channel, {side}"))
     for side in SIDES:
         out += [Quantity(f"modulation_{side}_{c}", "counts", f"fringe amplitude, {side}, {c}") for c in CHANNELS]
@@ -41,8 +41,8 @@ TABLE: tuple[Quantity, ...] = (
     Quantity("latency_p99_ms", "ms", "start of exposure to finished cloud, 99 % of the clouds"),
     Quantity("arrival_p99_ms", "ms", "arrival of both frames to finished cloud, 99 % of the clouds"),
     Quantity("dropped_share", "", "pairs dropped unmeasured"),
-    Quantity("lone_share", "", "frames that are in no pair"),
-    Quantity("refused_hz", "Hz", "items that recorder, stream or self-check could not take"),
+    Quantity("lone_share", "", "unpaired frames"),
+    Quantity("refused_hz", "Hz", "items refused by recorder, stream or self-check"),
     Quantity("pairing_residual_us", "µs", "right minus left start of exposure, median"),
     Quantity("pairing_spread_us", "µs", "largest deviation from that median"),
     Quantity("trigger_interval_ms", "ms", "interval of the triggers, median"),
@@ -51,9 +51,9 @@ TABLE: tuple[Quantity, ...] = (
     Quantity("coverage", "", "pixels with a point, newest cloud"),
     Quantity("coverage_lit", "", "pixels with a point where there are fringes"),
     *(Quantity(f"temperature_{side}_c", "°C", f"temperature of the {side} camera") for side in SIDES),
-    Quantity("disk_free_gb", "GB", "room where takes are written"),
+    Quantity("disk_free_gb", "GB", "free space where takes are written"),
     Quantity("clock_offset_ms", "ms", "the clock against its time servers"),
-    Quantity("clock_unsynchronised", "", "1 while nobody sets the clock right"),
+    Quantity("clock_unsynchronised", "", "1 while the clock is not synchronised"),
     Quantity("calibration_age_d", "days", "age of the calibration"),
     Quantity("memory_mb", "MB", "memory of the daemon"),
 )
@@ -62,8 +62,8 @@ BY_NAME = {quantity.name: quantity for quantity in TABLE}
 NAMES = tuple(BY_NAME)
 
 
-def shown(name: str, value: float) -> str:
-    """A value with its unit, for people."""
+def format_value(name: str, value: float) -> str:
+    """Format a value with its unit."""
     unit = BY_NAME[name].unit
     if not unit and ("share" in name or name.startswith(("saturated", "coverage"))):
         return f"{100 * value:.3g} %"

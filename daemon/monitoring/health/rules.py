@@ -1,4 +1,4 @@
-"""The table of what is judged: which quantities, against which limit of rig.yaml, and how grave it is."""
+"""The table of rules: which quantities are compared with which limit of rig.yaml, and the level of an event."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from daemon.config.health import HealthLimits
-from daemon.monitoring.health.quantities import shown
+from daemon.monitoring.health.quantities import format_value
 
 
 class Level(StrEnum):
-    """How grave an event is: ``warning``, it measures, but not as it should; ``ill``, it does not do its work."""
+    """Level of an event: ``warning``, measuring is impaired; ``ill``, the daemon does not fulfil its task."""
 
     WARNING = "warning"
     ILL = "ill"
@@ -20,22 +20,22 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One judgement.
+    """One rule.
 
     Args:
         name: of the limit in ``health.limits``; quantities: of which the worst counts, by size.
-        below: told when the value falls below the limit, else when it goes beyond.
-        words: what is wrong; ``{value}`` and ``{limit}`` are filled in.
+        below: raised when the value falls below the limit, else when it exceeds it.
+        template: message of the event, with ``{value}`` and ``{limit}``.
     """
 
     name: str
     quantities: tuple[str, ...]
     level: Level
-    words: str
+    template: str
     below: bool = False
 
     def limit(self, limits: HealthLimits) -> float | None:
-        """The limit that holds, None when it is not judged."""
+        """Return the limit, None where the rule is disabled."""
         if self.name == "degraded":
             return 0.5
         value = getattr(limits, self.name)
@@ -44,7 +44,7 @@ class Rule:
         return None if value is None else float(value)
 
     def worst(self, values: Mapping[str, float]) -> tuple[str, float]:
-        """The quantity that is nearest to trouble and its size; NaN when none is known."""
+        """Return the quantity nearest to its limit and its size; NaN when none is known."""
         known = [(abs(values[name]), name) for name in self.quantities if not math.isnan(values.get(name, math.nan))]
         if not known:
             return self.quantities[0], math.nan
@@ -52,10 +52,10 @@ class Rule:
         return name, size
 
     def text(self, quantity: str, value: float, limit: float) -> str:
-        """The event in one sentence."""
-        words = self.words.format(value=shown(quantity, value), limit=shown(quantity, limit))
-        where = [side for side in ("left", "right") if len(self.quantities) > 1 and side in quantity]
-        return f"{words} ({where[0]} camera)" if where else words
+        """Return the event's message."""
+        text = self.template.format(value=format_value(quantity, value), limit=format_value(quantity, limit))
+        camera = [side for side in ("left", "right") if len(self.quantities) > 1 and side in quantity]
+        return f"{text} ({camera[0]} camera)" if camera else text
 
 
 def _sides(name: str) -> tuple[str, ...]:
@@ -70,7 +70,7 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule("latency_p99_ms", ("latency_p99_ms",), Level.ILL, "latency {value}, more than {limit}"),
     Rule("dropped_share", ("dropped_share",), Level.ILL, "{value} of the pairs are dropped, more than {limit}"),
-    Rule("lone_share", ("lone_share",), Level.ILL, "{value} of the frames have no partner, more than {limit}"),
+    Rule("lone_share", ("lone_share",), Level.ILL, "{value} of the frames are unpaired, more than {limit}"),
     Rule("refused_hz", ("refused_hz",), Level.ILL, "{value} items are refused by a full recorder or stream"),
     Rule(
         "pairing_residual_us",
@@ -85,7 +85,7 @@ RULES: tuple[Rule, ...] = (
         "the trigger interval scatters by {value}, more than {limit}",
     ),
     Rule(
-        "saturated_share", _sides("saturated_{}"), Level.WARNING, "{value} of a channel is clipped, more than {limit}"
+        "saturated_share", _sides("saturated_{}"), Level.WARNING, "{value} of a channel is saturated, more than {limit}"
     ),
     Rule(
         "least_modulation",

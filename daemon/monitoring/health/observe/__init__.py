@@ -1,1 +1,1 @@
-"""The quantities that health judges: frames, rates, light, clocks, the host."""
+"""The monitored quantities: frames, counter rates, illumination, clocks, the host."""

@@ -1,6 +1,6 @@
-"""Whether somebody sets this machine's clock right, and how far it is off: chrony, else the kernel, else systemd.
+"""Whether this machine's clock is synchronised, and its offset: from chrony, else the kernel, else systemd.
 
-What nobody can tell is unknown, which is neither well nor ill.
+Without a source it is unknown, which raises no event.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from pathlib import Path
 from daemon.common.run_program import ask, there
 
 _TIMESYNCD = Path("/run/systemd/timesync/synchronized")
-_ANSWER_S = 5.0
+_TIMEOUT_S = 5.0
 _UNSYNC, _NANO, _ERROR = 0x40, 0x2000, 5  # STA_UNSYNC, STA_NANO, TIME_ERROR of adjtimex(2)
 
 
 @dataclass(frozen=True, slots=True)
 class ClockSync:
-    """What is known of the clock.
+    """Synchronisation of the clock.
 
     Args:
-        source: who tells: ``chrony``, ``kernel``, ``systemd``, empty where nobody does.
-        synchronised: None = unknown; offset_ms: against the time servers, None = unknown.
+        source: ``chrony``, ``kernel``, ``systemd``, empty where there is none.
+        synchronised: None if unknown; offset_ms: against the time servers, None if unknown.
     """
 
     source: str = ""
@@ -31,10 +31,10 @@ class ClockSync:
 
 
 def clock_sync() -> ClockSync:
-    """Ask everyone who may know; takes milliseconds, at worst five seconds."""
+    """Query the sources in order; takes milliseconds, at worst five seconds."""
     if there("chronyc"):
         try:
-            answer = ask(["chronyc", "-c", "tracking"], _ANSWER_S)
+            answer = ask(["chronyc", "-c", "tracking"], _TIMEOUT_S)
             found = chrony(answer.out) if answer.status == 0 else None
         except OSError:
             found = None
@@ -44,7 +44,7 @@ def clock_sync() -> ClockSync:
 
 
 def chrony(text: str) -> ClockSync | None:
-    """From the line of comma-separated values of ``chronyc -c tracking``; None when it is something else."""
+    """Parse the comma-separated values of ``chronyc -c tracking``; None for another text."""
     fields = text.strip().split(",")
     try:
         offset_ms, leap = 1e3 * float(fields[4]), fields[13]
@@ -55,7 +55,7 @@ def chrony(text: str) -> ClockSync | None:
 
 
 class _Timex(ctypes.Structure):
-    """The beginning of struct timex; the rest is left to the kernel."""
+    """The beginning of struct timex; the other fields are not used."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -69,7 +69,7 @@ class _Timex(ctypes.Structure):
 
 
 def kernel() -> ClockSync | None:
-    """What the kernel's clock says of itself (adjtimex); None where it may not be asked, in a container for example."""
+    """Read the state of the kernel's clock (adjtimex); None where that is not permitted, as in a container."""
     try:
         adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
     except (OSError, AttributeError):
@@ -80,7 +80,7 @@ def kernel() -> ClockSync | None:
 
 
 def from_timex(state: int, status: int, offset: int) -> ClockSync:
-    """From the answer of adjtimex: its result, status and offset (microseconds, or nanoseconds with STA_NANO)."""
+    """Interpret adjtimex: its result, status and offset (microseconds, or nanoseconds with STA_NANO)."""
     synchronised = state != _ERROR and not status & _UNSYNC
     per_ms = 1e6 if status & _NANO else 1e3
     return ClockSync("kernel", synchronised, offset / per_ms if synchronised else None)

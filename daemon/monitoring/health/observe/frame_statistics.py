@@ -1,4 +1,4 @@
-"""What each pair and each cloud says of itself, kept for a minute; noting is cheap, counting is done once a second."""
+"""Statistics of pairs and clouds over the last minute; adding one is cheap, evaluation is done once a second."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daemon.live.items import CloudItem, PairItem
 from drivers.protocols import TRIGGER_MODULUS
 
 KEPT = 8192
-_MOST_SKIPPED = 1000  # triggers between two pairs that still tell the interval
+_MOST_SKIPPED = 1000  # triggers between two pairs that still define the interval
 _ENOUGH = 4
 
 T = TypeVar("T")
@@ -32,30 +32,30 @@ class _Cloud(NamedTuple):
     stages: dict[str, float]
 
 
-class Frames:
-    """The pairs and clouds of the last minute. No lock: who notes must never wait for who counts."""
+class FrameStatistics:
+    """The pairs and clouds of the last minute. No lock: the adding threads never wait for the evaluation."""
 
     def __init__(self) -> None:
         self._pairs: deque[_Pair] = deque(maxlen=KEPT)
         self._clouds: deque[_Cloud] = deque(maxlen=KEPT)
 
     def pair(self, item: PairItem, now_ns: int) -> None:
-        """Note a pair."""
+        """Add a pair."""
         t_ns = item.left.t_exposure_ns
         self._pairs.append(_Pair(now_ns, item.left.trigger, t_ns, item.right.t_exposure_ns - t_ns))
 
     def cloud(self, item: CloudItem, now_ns: int) -> None:
-        """Note a cloud."""
+        """Add a cloud."""
         arrival_ms = item.latency_ms - (item.t_arrived_ns - item.t_ns) / 1e6
         self._clouds.append(_Cloud(now_ns, item.latency_ms, arrival_ms, item.cloud.ms))
 
-    def forget(self) -> None:
-        """Begin anew."""
+    def clear(self) -> None:
+        """Remove all pairs and clouds."""
         self._pairs.clear()
         self._clouds.clear()
 
     def values(self, now_ns: int, window_s: float) -> dict[str, float]:
-        """Latency, residual and jitter over a window; what cannot be told is left out."""
+        """Return latency, residual and jitter over a window; unknown values are left out."""
         pairs, clouds = self._recent(now_ns, window_s)
         out = _timing(pairs)
         if clouds:
@@ -66,7 +66,7 @@ class Frames:
         return out
 
     def window(self, now_ns: int, window_s: float) -> dict[str, Any]:
-        """Counts, and the percentiles of latency and of every stage."""
+        """Return counts and the percentiles of latency and of every stage."""
         pairs, clouds = self._recent(now_ns, window_s)
         stages = sorted({name for cloud in clouds for name in cloud.stages})
         return {
@@ -83,31 +83,31 @@ class Frames:
 
     def _recent(self, now_ns: int, window_s: float) -> tuple[list[_Pair], list[_Cloud]]:
         since_ns = now_ns - round(1e9 * window_s)
-        pairs, clouds = copied(self._pairs), copied(self._clouds)
+        pairs, clouds = snapshot(self._pairs), snapshot(self._clouds)
         return [p for p in pairs if p.now_ns > since_ns], [c for c in clouds if c.now_ns > since_ns]
 
 
-def copied(rows: deque[T]) -> list[T]:
-    """The rows of a queue that others fill meanwhile."""
+def snapshot(rows: deque[T]) -> list[T]:
+    """Return the rows of a queue that other threads fill."""
     while True:
         try:
             return list(rows)
-        except RuntimeError:  # it was filled in this very moment
+        except RuntimeError:  # a row was added during the copy
             continue
 
 
 def percentiles(values: NDArray[np.float64], shares: tuple[float, ...]) -> list[float]:
-    """Values that these shares of them do not exceed."""
+    """Return the values that these shares of them do not exceed."""
     ordered = np.sort(values)
     return [float(ordered[min(len(ordered) - 1, int(share * len(ordered)))]) for share in shares]
 
 
 def spread(values: list[float]) -> dict[str, float]:
-    """p50, p95, p99 and max; empty without values."""
+    """Return p50, p95, p99 and max; empty without values."""
     if not values:
         return {}
-    found = percentiles(np.array(values), (0.5, 0.95, 0.99, 1.0))
-    return {name: round(value, 3) for name, value in zip(("p50", "p95", "p99", "max"), found, strict=True)}
+    points = percentiles(np.array(values), (0.5, 0.95, 0.99, 1.0))
+    return {name: round(value, 3) for name, value in zip(("p50", "p95", "p99", "max"), points, strict=True)}
 
 
 def _timing(pairs: list[_Pair]) -> dict[str, float]:
@@ -120,7 +120,7 @@ def _timing(pairs: list[_Pair]) -> dict[str, float]:
 
 
 def _interval(pairs: list[_Pair]) -> dict[str, float]:
-    """Median and scatter of the interval between triggers, lost ones counted by their numbers."""
+    """Return median and scatter of the interval between triggers; lost ones are counted by their numbers."""
     seq = np.array([pair.seq for pair in pairs], dtype=np.int64)
     t_ns = np.array([pair.t_ns for pair in pairs], dtype=np.int64)
     steps, times = np.diff(seq) % TRIGGER_MODULUS, np.diff(t_ns)

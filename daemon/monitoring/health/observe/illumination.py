@@ -1,4 +1,4 @@
-"""The light of some of the pairs: clipped samples, fringe amplitude and coverage, as quantities."""
+"""Illumination of some of the pairs: saturated samples, fringe amplitude and coverage, as quantities."""
 
 from __future__ import annotations
 
@@ -16,42 +16,42 @@ from pipeline.rig.calibration import Calibration
 _LIT = 5
 
 
-class Light:
-    """Looks at pairs of one rig.
+class Illumination:
+    """Evaluates the illumination of pairs of one rig.
 
     Args:
-        calibration, pattern: tell how wide the fringes are in the images.
+        calibration, pattern: give the fringe period in the images.
     """
 
     def __init__(self, calibration: Calibration, pattern: ColorFringe) -> None:
         self._period_px, self._axis = fringe_period_px(calibration, pattern), pattern.axis
 
     def values(self, item: CloudItem) -> dict[str, float]:
-        """Everything that one pair tells; takes about a millisecond."""
+        """Return the quantities of one pair; takes about a millisecond."""
         out = {"coverage_lit": _coverage(item)}
         for side, frame, modulation in zip(SIDES, (item.left, item.right), item.cloud.modulation, strict=True):
-            seen = lighting(
+            result = lighting(
                 frame.image, frame.encoding, modulation, period_px=self._period_px, stride=item.stride, axis=self._axis
             )
-            out |= _named(side, seen)
+            out |= _quantities(side, result)
         return out
 
 
-def _named(side: str, seen: Lighting) -> dict[str, float]:
-    out = {f"saturated_{side}": max(seen.saturated)}
-    known = [value for value in seen.amplitude if not math.isnan(value)]
+def _quantities(side: str, result: Lighting) -> dict[str, float]:
+    out = {f"saturated_{side}": max(result.saturated)}
+    known = [value for value in result.amplitude if not math.isnan(value)]
     out[f"modulation_{side}"] = min(known) if known else math.nan
-    if len(seen.saturated) == len(CHANNELS):
-        out |= {f"saturated_{side}_{c}": value for c, value in zip(CHANNELS, seen.saturated, strict=True)}
-        out |= {f"modulation_{side}_{c}": value for c, value in zip(CHANNELS, seen.amplitude, strict=True)}
+    if len(result.saturated) == len(CHANNELS):
+        out |= {f"saturated_{side}_{c}": value for c, value in zip(CHANNELS, result.saturated, strict=True)}
+        out |= {f"modulation_{side}_{c}": value for c, value in zip(CHANNELS, result.amplitude, strict=True)}
     return out
 
 
 def _coverage(item: CloudItem) -> float:
-    """Share of the pixels with fringes that have a point, on some lines."""
+    """Return the share of the pixels with fringes that have a point, on some lines."""
     height = item.cloud.gray.shape[0]
     rows = np.linspace(0, height - 1, min(LINES, height) + 2)[1:-1].astype(int)
     lit = item.cloud.modulation[0][rows] >= _LIT
-    known = np.isfinite(item.cloud.xyz[rows, :, 2])
-    there = int(np.count_nonzero(lit))
-    return float(np.count_nonzero(known & lit)) / there if there else math.nan
+    valid = np.isfinite(item.cloud.xyz[rows, :, 2])
+    count = int(np.count_nonzero(lit))
+    return float(np.count_nonzero(valid & lit)) / count if count else math.nan

@@ -1,1 +1,1 @@
-"""Health for Prometheus: the text, and the HTTP server that gives it."""
+"""Health for Prometheus: the metrics and the HTTP server that exposes them."""

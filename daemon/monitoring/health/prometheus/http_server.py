@@ -1,4 +1,4 @@
-"""``GET /metrics`` on 127.0.0.1: one thread, few connections, short requests; who is slow is cut."""
+"""``GET /metrics`` on 127.0.0.1: one thread, few connections, short requests; slow clients are disconnected."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from daemon.common.errors import DaemonError
 
 log = logging.getLogger("fringed.health")
 
-MOST_CONNECTIONS, MAX_REQUEST, PATIENCE_S = 8, 4096, 2.0
+MOST_CONNECTIONS, MAX_REQUEST, TIMEOUT_S = 8, 4096, 2.0
 _TICK_S = 0.25
 _KIND = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -29,10 +29,10 @@ class _Connection:
 
 
 class MetricsServer:
-    """Answers from the moment it is made.
+    """Serves requests from construction on.
 
     Args:
-        port: at 127.0.0.1, 0 = a free one; text: makes the page.
+        port: at 127.0.0.1, 0 = a free one; text: returns the page.
 
     Raises:
         DaemonError: the port is taken.
@@ -47,7 +47,7 @@ class MetricsServer:
             self._listener.listen(MOST_CONNECTIONS)
         except OSError as error:
             self._listener.close()
-            message = f"health.metrics_port {port} cannot be had: {error.strerror or error}; choose another, or null"
+            message = f"health.metrics_port {port} is not available: {error.strerror or error}; choose another, or null"
             raise DaemonError(message) from error
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
@@ -60,7 +60,7 @@ class MetricsServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop serving."""
         self._stop.set()
         self._thread.join(5.0)
 
@@ -69,9 +69,9 @@ class MetricsServer:
             while not self._stop.is_set():
                 for key, _ in self._selector.select(_TICK_S):
                     self._serve(key.fileobj)
-                self._cut_slow()
+                self._drop_slow()
         except Exception:
-            log.exception("the metrics end")
+            log.exception("the metrics server failed")
         finally:
             for connection in list(self._connections.values()):
                 self._drop(connection)
@@ -92,13 +92,13 @@ class MetricsServer:
 
     def _accept(self) -> None:
         with suppress(OSError):
-            made, _ = self._listener.accept()
+            accepted, _ = self._listener.accept()
             if len(self._connections) >= MOST_CONNECTIONS:
-                made.close()
+                accepted.close()
                 return
-            made.setblocking(False)
-            self._connections[made] = _Connection(made, time.monotonic() + PATIENCE_S)
-            self._selector.register(made, selectors.EVENT_READ)
+            accepted.setblocking(False)
+            self._connections[accepted] = _Connection(accepted, time.monotonic() + TIMEOUT_S)
+            self._selector.register(accepted, selectors.EVENT_READ)
 
     def _receive(self, connection: _Connection) -> None:
         part = connection.socket.recv(MAX_REQUEST)
@@ -113,26 +113,26 @@ class MetricsServer:
             self._selector.modify(connection.socket, selectors.EVENT_WRITE)
 
     def _answer(self, request: bytes) -> bytes:
-        words = request.split(b"\n", 1)[0].split()
-        if len(words) != 3 or not words[2].startswith(b"HTTP/1."):
+        parts = request.split(b"\n", 1)[0].split()
+        if len(parts) != 3 or not parts[2].startswith(b"HTTP/1."):
             return _response("400 Bad Request", b"not HTTP\n")
-        if words[0] not in (b"GET", b"HEAD"):
+        if parts[0] not in (b"GET", b"HEAD"):
             return _response("405 Method Not Allowed", b"only GET\n")
-        if words[1].partition(b"?")[0] != b"/metrics":
+        if parts[1].partition(b"?")[0] != b"/metrics":
             return _response("404 Not Found", b"there is only /metrics\n")
         try:
             page = self._text().encode()
         except Exception:
-            log.exception("the metrics cannot be told")
+            log.exception("the metrics cannot be generated")
             return _response("500 Internal Server Error", b"see the log\n")
-        return _response("200 OK", page, head=words[0] == b"HEAD")
+        return _response("200 OK", page, head=parts[0] == b"HEAD")
 
     def _send(self, connection: _Connection) -> None:
         connection.rest = connection.rest[connection.socket.send(connection.rest) :]
         if not connection.rest:
             self._drop(connection)
 
-    def _cut_slow(self) -> None:
+    def _drop_slow(self) -> None:
         now_s = time.monotonic()
         for connection in [one for one in self._connections.values() if one.until_s < now_s]:
             self._drop(connection)

@@ -1,4 +1,4 @@
-"""A running simulated daemon tells a knocked camera within seconds, and that it is well again."""
+"""A running simulated daemon reports a disturbed camera within seconds, and its recovery."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daemon.bootstrap.sinks import open_selfcheck
 from daemon.config.rig_config import SelfCheck as Config
 from daemon.live.items import CloudItem
 from daemon.live.service import Service
-from daemon.monitoring.calibration_drift.sink import SelfCheck
+from daemon.monitoring.calibration_drift.sink import DriftMonitor
 from drivers.protocols import Frame
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.volume import Volume
@@ -32,12 +32,12 @@ LIVE = {"live": True, "scene": "face", "rate_hz": 0.0, "layout": {"scale": 0.5}}
 
 @contextmanager
 def running(tmp_path: Path, options: dict[str, Any]) -> Iterator[tuple[Any, Service, Callable[[], None]]]:
-    """A daemon of a live simulated rig, and what gives it a trigger and waits until it has been looked at."""
+    """A daemon of a live simulated rig, and a function that triggers it and waits until the pair was examined."""
     made = open_rig(options, tmp_path, clock=SteppedClock())
     rig = rig_of(made)
     checked = config(tmp_path)
     clock: Any = made.trigger._clock
-    check = SelfCheck(
+    check = DriftMonitor(
         checked.selfcheck, tmp_path / "selfcheck", calibration=rig.calibration, pattern=rig.pattern,
         volume=rig.volume, identity=rig.identity, clock=clock,
     )  # fmt: skip
@@ -73,8 +73,8 @@ def running(tmp_path: Path, options: dict[str, Any]) -> Iterator[tuple[Any, Serv
         assert not thread.is_alive()
 
 
-def _told(words: str) -> Callable[[dict[str, Any]], bool]:
-    return lambda status: str(status["state"]) == "degraded" and any(words in reason for reason in status["reasons"])
+def _reports(text: str) -> Callable[[dict[str, Any]], bool]:
+    return lambda status: str(status["state"]) == "degraded" and any(text in reason for reason in status["reasons"])
 
 
 def trigger_until(service: Service, trigger: Callable[[], None], condition: Callable[[dict[str, Any]], bool]) -> int:
@@ -88,7 +88,7 @@ def trigger_until(service: Service, trigger: Callable[[], None], condition: Call
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_a_knock_is_reported_within_five_seconds_and_so_is_its_end(
+def test_a_disturbance_is_reported_within_five_seconds_and_so_is_its_end(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO", logger="fringed.selfcheck")
@@ -102,9 +102,9 @@ def test_a_knock_is_reported_within_five_seconds_and_so_is_its_end(
             ("left", {"shift_px": (0.0, 0.2)}, "epipolar residual"),
             ("right", {"crosstalk": 0.03}, "crosstalk of the right camera"),
         ]
-        for side, change, words in disturbances:
+        for side, change, text in disturbances:
             made.trigger.disturb(side, **change)
-            trigger_until(service, trigger, _told(words))
+            trigger_until(service, trigger, _reports(text))
             back = {k: tuple(-x for x in v) if isinstance(v, tuple) else -v for k, v in change.items()}
             made.trigger.disturb(side, **back)
             trigger_until(service, trigger, lambda s: str(s["state"]) == "running")
@@ -128,16 +128,16 @@ def item(clock: SteppedClock, *, encoding: str = "rgb8") -> CloudItem:
     return CloudItem(1, clock.now_ns, cloud, *frames, latency_ms=1.0)
 
 
-def sink(tmp_path: Path, clock: SteppedClock, **options: Any) -> SelfCheck:
+def sink(tmp_path: Path, clock: SteppedClock, **options: Any) -> DriftMonitor:
     layout = RigLayout().scaled(0.125)
     volume: Volume = layout.volume()
-    return SelfCheck(
+    return DriftMonitor(
         Config(**options), tmp_path / "check", calibration=layout.calibration(), pattern=layout.pattern(),
         volume=volume, identity="sha256:0", clock=clock,
     )  # fmt: skip
 
 
-def test_only_pairs_that_are_due_are_looked_at(tmp_path: Path) -> None:
+def test_only_pairs_that_are_due_are_examined(tmp_path: Path) -> None:
     clock = SteppedClock()
     check = sink(tmp_path, clock, rate_hz=5.0)
     try:
@@ -184,4 +184,4 @@ def test_it_is_made_from_rig_yaml(tmp_path: Path) -> None:
 
 class _Nothing:
     def pair(self, index: int) -> tuple[Any, Any]:
-        raise AssertionError(f"nobody asked for trigger {index}")
+        raise AssertionError(f"trigger {index} was not requested")

@@ -1,4 +1,4 @@
-"""Verdicts: what lasts and is large is told soon, what is noise never, what cannot be seen is said to be so."""
+"""Verdicts: lasting changes are reported soon, noise never, and what cannot be observed is named so."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from daemon.config.rig_config import SelfCheckLimits
-from daemon.monitoring.calibration_drift.explanation import told
+from daemon.monitoring.calibration_drift.explanation import describe
 from daemon.monitoring.calibration_drift.verdicts import (
     LEARN,
     SURFACE,
     WINDOW,
+    Assessor,
     Limit,
     Reference,
     Verdict,
-    Watch,
     limits_of,
 )
 from pipeline.monitor import OBSERVABLES
@@ -28,12 +28,12 @@ KNOWN = {"column_px": Reference(0.01, 0.001)}
 SIGMA = 0.002
 
 
-def run(watch: Watch, values: Iterable[float], *, start_s: float = 0.0, sigma: float = SIGMA) -> list[Verdict]:
+def run(assessor: Assessor, values: Iterable[float], *, start_s: float = 0.0, sigma: float = SIGMA) -> list[Verdict]:
     """Verdicts on the trinocular residual after each of these readings, five a second."""
     out = []
     for number, value in enumerate(values):
-        watch.feed(start_s + number / 5, {"column_px": Reading(float(value), sigma)})
-        out.append(watch.found["column_px"].verdict)
+        assessor.feed(start_s + number / 5, {"column_px": Reading(float(value), sigma)})
+        out.append(assessor.assessments["column_px"].verdict)
     return out
 
 
@@ -45,17 +45,17 @@ def test_every_observable_has_a_limit() -> None:
     assert set(limits_of(SelfCheckLimits())) == {*OBSERVABLES, SURFACE}
 
 
-def test_noise_is_never_told_in_ten_thousand_readings() -> None:
-    watch = Watch(LIMITS, {})
-    verdicts = run(watch, noise(10_000))
+def test_noise_is_never_reported_in_ten_thousand_readings() -> None:
+    assessor = Assessor(LIMITS, {})
+    verdicts = run(assessor, noise(10_000))
     assert set(verdicts[: LEARN - 1]) <= {Verdict.LEARNING} and set(verdicts[LEARN:]) == {Verdict.OK}
 
 
-def test_a_step_is_told_within_two_seconds_and_its_end_as_well() -> None:
-    watch = Watch(LIMITS, KNOWN)
-    before = run(watch, noise(50))
-    after = run(watch, noise(50, middle=0.07, seed=1), start_s=10)
-    again = run(watch, noise(50, seed=2), start_s=20)
+def test_a_step_is_reported_within_two_seconds_and_its_end_as_well() -> None:
+    assessor = Assessor(LIMITS, KNOWN)
+    before = run(assessor, noise(50))
+    after = run(assessor, noise(50, middle=0.07, seed=1), start_s=10)
+    again = run(assessor, noise(50, seed=2), start_s=20)
     assert Verdict.DRIFTED not in before
     assert after.index(Verdict.DRIFTED) < 10 and set(after[10:]) == {Verdict.DRIFTED}
     assert again.index(Verdict.OK) < 10 and set(again[10:]) == {Verdict.OK}
@@ -64,81 +64,81 @@ def test_a_step_is_told_within_two_seconds_and_its_end_as_well() -> None:
 def test_single_pairs_that_are_wrong_change_nothing() -> None:
     values = noise(400)
     values[::5] += 3.0
-    assert Verdict.DRIFTED not in run(Watch(LIMITS, KNOWN), values)
+    assert Verdict.DRIFTED not in run(Assessor(LIMITS, KNOWN), values)
 
 
-def test_a_slow_drift_is_told_when_it_has_come_to_the_limit() -> None:
+def test_a_slow_drift_is_reported_at_the_limit() -> None:
     values = noise(2000) + np.linspace(0, 0.08, 2000)
-    first = run(Watch(LIMITS, KNOWN), values).index(Verdict.DRIFTED)
+    first = run(Assessor(LIMITS, KNOWN), values).index(Verdict.DRIFTED)
     assert 0.035 < values[first] - 0.01 < 0.055
 
 
 def test_what_trembles_at_the_limit_does_not_flicker() -> None:
-    verdicts = run(Watch(LIMITS, KNOWN), 0.0505 + np.tile([0.001, -0.001], 200) * np.linspace(0, 3, 400))
+    verdicts = run(Assessor(LIMITS, KNOWN), 0.0505 + np.tile([0.001, -0.001], 200) * np.linspace(0, 3, 400))
     changes = sum(a != b for a, b in pairwise(verdicts))
     assert changes <= 2
 
 
-def test_a_knock_while_the_daemon_was_off_is_told_at_the_next_start() -> None:
-    first = Watch(LIMITS, {})
+def test_a_disturbance_while_the_daemon_was_off_is_reported_at_the_next_start() -> None:
+    first = Assessor(LIMITS, {})
     run(first, noise(100))
     assert set(first.references) == {"column_px"}
-    assert Verdict.DRIFTED in run(Watch(LIMITS, first.references), noise(20, middle=0.11))
+    assert Verdict.DRIFTED in run(Assessor(LIMITS, first.references), noise(20, middle=0.11))
 
 
-def test_a_rig_that_never_fitted_is_told_and_teaches_no_reference() -> None:
-    watch = Watch(LIMITS, {})
-    assert run(watch, noise(100, middle=0.9))[-1] is Verdict.DRIFTED
-    assert not watch.references
+def test_a_rig_that_never_fitted_is_reported_and_no_reference_is_learned() -> None:
+    assessor = Assessor(LIMITS, {})
+    assert run(assessor, noise(100, middle=0.9))[-1] is Verdict.DRIFTED
+    assert not assessor.references
 
 
 def test_the_scatter_of_the_scene_widens_the_limit() -> None:
-    watch = Watch(LIMITS, {"column_px": Reference(0.0, 0.05)})
-    assert Verdict.DRIFTED not in run(watch, noise(100, middle=0.1))
-    assert watch.found["column_px"].limit == pytest.approx(0.15)
+    assessor = Assessor(LIMITS, {"column_px": Reference(0.0, 0.05)})
+    assert Verdict.DRIFTED not in run(assessor, noise(100, middle=0.1))
+    assert assessor.assessments["column_px"].limit == pytest.approx(0.15)
 
 
 def test_what_the_scene_does_not_show_is_not_observable() -> None:
-    watch = Watch(LIMITS, KNOWN)
-    assert run(watch, noise(30), sigma=1.0)[-1] is Verdict.UNOBSERVABLE
-    watch = Watch(LIMITS, KNOWN)
-    run(watch, noise(30))
-    watch.feed(100.0, {})
-    assert watch.found["column_px"].verdict is Verdict.UNOBSERVABLE
+    assessor = Assessor(LIMITS, KNOWN)
+    assert run(assessor, noise(30), sigma=1.0)[-1] is Verdict.UNOBSERVABLE
+    assessor = Assessor(LIMITS, KNOWN)
+    run(assessor, noise(30))
+    assessor.feed(100.0, {})
+    assert assessor.assessments["column_px"].verdict is Verdict.UNOBSERVABLE
 
 
-def test_a_drift_stays_told_while_nothing_can_be_seen() -> None:
-    watch = Watch(LIMITS, KNOWN)
-    run(watch, noise(30, middle=0.2))
-    watch.feed(100.0, {})
-    assert watch.found["column_px"].verdict is Verdict.DRIFTED
-    assert run(watch, noise(30), start_s=101)[-1] is Verdict.OK
+def test_a_drift_stays_reported_while_nothing_is_observable() -> None:
+    assessor = Assessor(LIMITS, KNOWN)
+    run(assessor, noise(30, middle=0.2))
+    assessor.feed(100.0, {})
+    assert assessor.assessments["column_px"].verdict is Verdict.DRIFTED
+    assert run(assessor, noise(30), start_s=101)[-1] is Verdict.OK
 
 
 def test_numbers_that_are_not_finite_are_not_taken() -> None:
-    watch = Watch(LIMITS, KNOWN)
-    run(watch, [np.nan, np.inf] * 10)
-    assert watch.found["column_px"].verdict is Verdict.UNOBSERVABLE
+    assessor = Assessor(LIMITS, KNOWN)
+    run(assessor, [np.nan, np.inf] * 10)
+    assert assessor.assessments["column_px"].verdict is Verdict.UNOBSERVABLE
 
 
 @pytest.mark.parametrize(("share", "drifted"), [(0.5, False), (0.2, False), (0.02, True)])
-def test_fringes_without_points_are_told(share: float, drifted: bool) -> None:
-    watch = Watch(LIMITS, {SURFACE: Reference(0.8, 0.01)})
+def test_fringes_without_points_are_reported(share: float, drifted: bool) -> None:
+    assessor = Assessor(LIMITS, {SURFACE: Reference(0.8, 0.01)})
     for number in range(2 * WINDOW):
-        watch.feed(number / 5, {}, surface=Reading(share, 0.01))
-    assert (SURFACE in watch.drifted) is drifted
-    assert ("moved far" in told(watch.drifted)) is drifted
+        assessor.feed(number / 5, {}, surface=Reading(share, 0.01))
+    assert (SURFACE in assessor.drifted) is drifted
+    assert ("moved far" in describe(assessor.drifted)) is drifted
 
 
 def changed(values: Mapping[str, float]) -> str:
-    """What is said when these observables have changed by so much."""
-    watch = Watch(limits_of(SelfCheckLimits()), {name: Reference(0.0, 0.0) for name in values})
+    """The explanation of these changes of observables."""
+    assessor = Assessor(limits_of(SelfCheckLimits()), {name: Reference(0.0, 0.0) for name in values})
     for number in range(2 * WINDOW):
-        watch.feed(number / 5, {name: Reading(value, 0.0005) for name, value in values.items()})
-    return told(watch.drifted)
+        assessor.feed(number / 5, {name: Reading(value, 0.0005) for name, value in values.items()})
+    return describe(assessor.drifted)
 
 
-def test_the_words_name_the_thing_the_value_the_limit_and_the_next_step() -> None:
+def test_the_explanation_names_the_thing_the_value_the_limit_and_the_next_step() -> None:
     text = changed({"column_px": 0.31})
     assert "trinocular residual +0.310 px" in text and "limit 0.040" in text and "fringed calibrate check" in text
     text = changed({"right_green_rad": 0.02, "right_red_rad": -0.01})
@@ -148,7 +148,7 @@ def test_the_words_name_the_thing_the_value_the_limit_and_the_next_step() -> Non
 
 
 def changed_modulation() -> str:
-    watch = Watch(limits_of(SelfCheckLimits()), {"left_modulation": Reference(0.8, 0.01)})
+    assessor = Assessor(limits_of(SelfCheckLimits()), {"left_modulation": Reference(0.8, 0.01)})
     for number in range(2 * WINDOW):
-        watch.feed(number / 5, {"left_modulation": Reading(0.3, 0.001)})
-    return told(watch.drifted)
+        assessor.feed(number / 5, {"left_modulation": Reading(0.3, 0.001)})
+    return describe(assessor.drifted)

@@ -1,4 +1,4 @@
-"""Statuses, pairs and clouds that nobody measured, and a clock that the test moves on."""
+"""Statuses, pairs and clouds that were not measured, and a clock that the test advances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SIZE = (64, 48)
 
 
 class Clock:
-    """Stands still until it is moved."""
+    """Stands still until it is advanced."""
 
     def __init__(self) -> None:
         self.now_ns = 5_000_000_000
@@ -59,7 +59,7 @@ def camera(**values: Any) -> dict[str, Any]:
 
 
 def status(**values: Any) -> dict[str, Any]:
-    """What the service says of itself, as far as it is judged."""
+    """A service's status, as far as it is evaluated."""
     plain: dict[str, Any] = {
         "state": "running", "reasons": (), "device": "rig-t", "t_ns": REAL_NS, "uptime_s": 1.0, "pairs": 0, "clouds": 0,
         "pair_rate_hz": 10.0, "cloud_rate_hz": 10.0, "valid": 0.8, "drops": {},

@@ -1,4 +1,4 @@
-"""What chrony, the kernel and systemd say of the clock, and that nobody's silence is taken for an answer."""
+"""Clock synchronisation from chrony, the kernel and systemd; without a source it is unknown."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TRACKING = "A29FC87B,time.example,3,1700000000.1,{0},-0.00001,0.00002,1,0,0,0.01
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         (TRACKING.format("-0.0125", "Normal"), ClockSync("chrony", True, -12.5)),
         (TRACKING.format("0.0", "Not synchronised"), ClockSync("chrony", False, None)),
@@ -20,12 +20,12 @@ TRACKING = "A29FC87B,time.example,3,1700000000.1,{0},-0.00001,0.00002,1,0,0,0.01
         ("a,b,c,d,e,f,g,h,i,j,k,l,m,n", None),
     ],
 )
-def test_chrony(text: str, told: ClockSync | None) -> None:
-    assert clock_sync.chrony(text) == told
+def test_chrony(text: str, expected: ClockSync | None) -> None:
+    assert clock_sync.chrony(text) == expected
 
 
 @pytest.mark.parametrize(
-    ("state", "status", "offset", "told"),
+    ("state", "status", "offset", "expected"),
     [
         (0, 0x2001, 1_500_000, ClockSync("kernel", True, 1.5)),
         (0, 0x0001, -1500, ClockSync("kernel", True, -1.5)),
@@ -33,24 +33,24 @@ def test_chrony(text: str, told: ClockSync | None) -> None:
         (0, 0x0040, 0, ClockSync("kernel", False, None)),
     ],
 )
-def test_the_kernel(state: int, status: int, offset: int, told: ClockSync) -> None:
-    assert clock_sync.from_timex(state, status, offset) == told
+def test_the_kernel(state: int, status: int, offset: int, expected: ClockSync) -> None:
+    assert clock_sync.from_timex(state, status, offset) == expected
 
 
-def test_this_machine_answers_or_is_unknown() -> None:
-    told = clock_sync.clock_sync()
-    assert told.source in ("", "chrony", "kernel", "systemd")
-    assert (told.synchronised is None) == (told.source == "")
+def test_this_machine_has_a_source_or_is_unknown() -> None:
+    sync = clock_sync.clock_sync()
+    assert sync.source in ("", "chrony", "kernel", "systemd")
+    assert (sync.synchronised is None) == (sync.source == "")
 
 
-def test_where_nobody_tells_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_source_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_sync, "there", lambda _: False)
     monkeypatch.setattr(clock_sync, "kernel", lambda: None)
     monkeypatch.setattr(clock_sync, "_TIMESYNCD", clock_sync.Path("/nowhere/at/all"))
     assert clock_sync.clock_sync() == ClockSync()
 
 
-def test_a_chrony_that_cannot_answer_leaves_it_to_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_answer_of_chrony_the_kernel_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise OSError("no")
 

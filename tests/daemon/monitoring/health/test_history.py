@@ -1,4 +1,4 @@
-"""The history tells back what it was told, in pieces, and its memory is bounded."""
+"""The history returns what was added, in intervals, and its memory is bounded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.monitoring.health.history import SECONDS, History, summed
+from daemon.monitoring.health.history import SECONDS, History, summarised
 
 
 def filled(values: list[float], *, hours: float = 2.0) -> History:
@@ -22,7 +22,7 @@ def filled(values: list[float], *, hours: float = 2.0) -> History:
     st.lists(st.one_of(st.floats(-100, 100, width=32), st.just(float("nan"))), min_size=20, max_size=300),
     st.integers(2, 50),
 )
-def test_every_piece_lies_between_its_least_and_its_most(values: list[float], most: int) -> None:
+def test_every_interval_lies_between_its_extremes(values: list[float], most: int) -> None:
     read = filled(values).read(float(len(values)), float(len(values)), [0, 1], most)
     assert len(read.times_s) <= most and read.mean.shape == (len(read.times_s), 2)
     known = np.isfinite(read.mean)
@@ -41,7 +41,7 @@ def test_without_gaps_there_are_no_gaps() -> None:
         assert np.isfinite(read.mean).all() and (read.mean == 1.0).all(), (count, span, most)
 
 
-def test_a_long_span_is_told_by_minutes_with_their_extremes() -> None:
+def test_a_long_span_is_read_from_minutes_with_their_extremes() -> None:
     values = [0.0] * 7200
     values[1000] = 50.0  # older than the seconds that are kept
     read = filled(values).read(7200.0, 7200.0, [0], 60)
@@ -58,8 +58,8 @@ def test_memory_does_not_grow() -> None:
     assert History(50, 72).nbytes < 5_000_000
 
 
-def test_a_sum_over_nothing_known_is_unknown() -> None:
+def test_a_summary_of_unknown_values_is_unknown() -> None:
     rows = np.full((3, 2), np.nan, np.float32)
     rows[1, 1] = 4.0
-    mean, low, high = summed(rows)
+    mean, low, high = summarised(rows)
     assert np.isnan([mean[0], low[0], high[0]]).all() and mean[1] == low[1] == high[1] == 4.0

@@ -1,4 +1,4 @@
-"""The metrics on loopback: right answers to right requests, patience with nobody, memory for few."""
+"""The metrics on loopback: responses to valid requests, time limits, bounded memory."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def raw(server: MetricsServer, data: bytes) -> bytes:
         return got
 
 
-def test_it_answers_and_says_no(server: MetricsServer) -> None:
+def test_it_serves_the_metrics_and_refuses_other_requests(server: MetricsServer) -> None:
     assert ask(server) == (200, PAGE)
     assert ask(server, "HEAD") == (200, "")
     assert ask(server, path="/metrics?x=1")[0] == 200
@@ -58,13 +58,13 @@ def test_what_is_not_http_is_refused(server: MetricsServer, data: bytes) -> None
     assert raw(server, data).startswith(b"HTTP/1.1 400")
 
 
-def test_an_endless_request_is_cut(server: MetricsServer) -> None:
+def test_an_endless_request_is_refused(server: MetricsServer) -> None:
     got = raw(server, b"GET /metrics HTTP/1.1\r\n" + b"X: y\r\n" * MAX_REQUEST)
     assert got == b"" or got.startswith(b"HTTP/1.1 431")
     assert ask(server)[0] == 200
 
 
-def test_who_says_nothing_is_cut_and_does_not_keep_others_out(server: MetricsServer) -> None:
+def test_silent_clients_are_disconnected_and_do_not_block_others(server: MetricsServer) -> None:
     idle = [socket.create_connection(("127.0.0.1", server.port), timeout=30) for _ in range(3 * MOST_CONNECTIONS)]
     try:
         for one in idle:
@@ -80,12 +80,12 @@ def test_it_is_bound_to_loopback_alone(server: MetricsServer) -> None:
     assert server._listener.getsockname()[0] == "127.0.0.1" and server.address.startswith("http://127.0.0.1:")
 
 
-def test_a_port_that_is_taken_is_told(server: MetricsServer) -> None:
-    with pytest.raises(DaemonError, match=rf"health\.metrics_port {server.port} cannot be had"):
+def test_a_port_in_use_is_reported(server: MetricsServer) -> None:
+    with pytest.raises(DaemonError, match=rf"health\.metrics_port {server.port} is not available"):
         MetricsServer(server.port, lambda: "")
 
 
-def test_a_page_that_cannot_be_made_is_told_and_the_next_one_tried() -> None:
+def test_a_failing_page_is_reported_and_the_next_one_tried() -> None:
     def fails() -> str:
         raise ValueError("no")
 

@@ -1,4 +1,4 @@
-"""The judgement once a second: events come and go, the idle is not ill, and reports are plain JSON."""
+"""The evaluation once a second: events, idle states, and reports in plain JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daemon.monitoring.health.events import KEPT
 from daemon.monitoring.health.monitor import Monitor
 from daemon.monitoring.health.observe.clock_sync import ClockSync
 from daemon.monitoring.health.prometheus.exposition import exposition
-from daemon.monitoring.health.quantities import NAMES, TABLE, shown
+from daemon.monitoring.health.quantities import NAMES, TABLE, format_value
 from daemon.monitoring.health.rules import RULES
 from tests.daemon.monitoring.health.samples import camera, cloud, config, pair, status
 
@@ -41,7 +41,7 @@ class Course:
 
     @property
     def ends(self) -> list[tuple[str, str]]:
-        return [(event.rule, event.end) for event in self.monitor.judge.events()]
+        return [(event.rule, event.end) for event in self.monitor.rules.events()]
 
 
 def test_a_rig_that_measures_is_healthy_and_one_that_has_not_begun_is_unknown() -> None:
@@ -55,7 +55,7 @@ def test_a_rig_that_measures_is_healthy_and_one_that_has_not_begun_is_unknown() 
     assert course.monitor.verdict == "unknown" and course.ends == []
 
 
-def test_high_latency_is_told_and_taken_back() -> None:
+def test_high_latency_is_raised_and_cleared() -> None:
     course = Course(limits={"latency_p99_ms": 100.0})
     course.run(10)
     course.run(10, latency_ms=250.0)
@@ -63,11 +63,11 @@ def test_high_latency_is_told_and_taken_back() -> None:
     assert course.monitor.short()["open"] == {"latency_p99_ms": "latency 250 ms, more than 100 ms"}
     course.run(30)
     assert course.monitor.verdict == "healthy" and course.ends == [("latency_p99_ms", "cleared")]
-    (event,) = course.monitor.judge.events()
+    (event,) = course.monitor.rules.events()
     assert event.worst == 250.0 and event.limit == 100.0
 
 
-def test_one_slow_cloud_is_not_told() -> None:
+def test_one_slow_cloud_is_not_raised() -> None:
     course = Course(limits={"latency_p99_ms": 100.0}, window_s=2)
     for _ in range(5):
         course.run(1, latency_ms=400.0)
@@ -75,21 +75,21 @@ def test_one_slow_cloud_is_not_told() -> None:
     assert course.ends == []
 
 
-def test_a_camera_that_is_gone_makes_it_ill_in_its_own_words() -> None:
+def test_a_lost_camera_makes_it_ill_with_its_own_message() -> None:
     course = Course()
     course.run(10, state="degraded", reasons=("camera left is gone: no answer",))
-    assert course.monitor.judge.open[0].text == "camera left is gone: no answer"
+    assert course.monitor.rules.open[0].text == "camera left is gone: no answer"
     course.run(20)
     assert course.monitor.verdict == "healthy"
 
 
-def test_warnings_and_grave_events_the_grave_ones_first() -> None:
+def test_ill_events_come_before_warnings() -> None:
     course = Course(limits={"latency_p99_ms": 10.0})
     warm = {"left": camera(temperature_c=40.0), "right": camera(temperature_c=81.0)}
     course.run(10, latency_ms=5.0, cameras=warm, machine={"disk_free_gb": 1.0})
     assert course.monitor.verdict == "warning"
     course.run(10, latency_ms=50.0, cameras=warm, machine={"disk_free_gb": 1.0})
-    opened = course.monitor.judge.open
+    opened = course.monitor.rules.open
     assert [event.rule for event in opened] == ["latency_p99_ms", "temperature_c", "least_disk_free_gb"]
     assert opened[1].text == "81 °C, more than 70 °C (right camera)"
 
@@ -103,10 +103,10 @@ def test_warnings_and_grave_events_the_grave_ones_first() -> None:
         (ClockSync("kernel", False), ["clock_synchronised"]),
     ],
 )
-def test_the_clock_unknown_is_neither_well_nor_ill(clock: ClockSync | None, ill: list[str]) -> None:
+def test_an_unknown_clock_raises_no_event(clock: ClockSync | None, ill: list[str]) -> None:
     course = Course(limits={"clock_synchronised": True})
     course.run(10, clock=clock)
-    assert [event.rule for event in course.monitor.judge.open] == ill
+    assert [event.rule for event in course.monitor.rules.open] == ill
 
 
 def test_other_limits_hold_from_the_next_second_on() -> None:
@@ -126,8 +126,8 @@ def test_the_reports_are_plain_and_bounded() -> None:
     report = json.loads(json.dumps(course.monitor.report(course.now_ns)))
     assert set(report["values"]) == set(NAMES) and report["windows"]["10s"]["stages_ms"]["decode"]["p50"] == 4.0
     assert len(json.dumps(course.monitor.short())) < 900
-    told = report_text(report, [event.as_dict() for event in course.monitor.judge.events()])
-    assert "ILL" in told and max(len(line) for line in told.splitlines()) <= 80
+    text = report_text(report, [event.as_dict() for event in course.monitor.rules.events()])
+    assert "ILL" in text and max(len(line) for line in text.splitlines()) <= 80
     page = exposition(report)
     assert 'fringed_health{verdict="ill"} 1\n' in page and 'fringed_drops_total{reason="pairs_not_ready"} 3\n' in page
     assert " nan" not in page.lower()
@@ -136,12 +136,12 @@ def test_the_reports_are_plain_and_bounded() -> None:
 def test_events_are_bounded() -> None:
     course = Course()
     course.monitor.configure(config(raise_s=0.0, clear_s=0.0, limits={"latency_p99_ms": 100.0}))
-    judge = course.monitor.judge
+    rules = course.monitor.rules
     values = dict.fromkeys(NAMES, float("nan"))
     for n in range(2 * KEPT + 20):
-        judge.feed(float(n), n, values | {"latency_p99_ms": 500.0 if n % 2 else 10.0})
-    assert judge.count == KEPT + 10 and len(judge.events(5 * KEPT)) == KEPT + 1  # one of them lasts
-    assert judge.events(3)[-1].number == judge.count
+        rules.feed(float(n), n, values | {"latency_p99_ms": 500.0 if n % 2 else 10.0})
+    assert rules.count == KEPT + 10 and len(rules.events(5 * KEPT)) == KEPT + 1  # one of them lasts
+    assert rules.events(3)[-1].number == rules.count
 
 
 def test_every_rule_has_its_limit_and_its_quantities() -> None:
@@ -151,4 +151,4 @@ def test_every_rule_has_its_limit_and_its_quantities() -> None:
         assert set(rule.quantities) <= set(NAMES), rule.name
         assert rule.text(rule.quantities[0], 1.0, 2.0)
     assert {rule.name for rule in RULES} == set(type(limits).model_fields) | {"degraded"}
-    assert len(NAMES) == len(TABLE) and shown("dropped_share", 0.25) == "25 %"
+    assert len(NAMES) == len(TABLE) and format_value("dropped_share", 0.25) == "25 %"

@@ -1,4 +1,4 @@
-"""A running simulated daemon tells how it fares: by control, on the stream, by the command, and as metrics."""
+"""Health of a running simulated daemon: by control, on the stream, by the command, and as metrics."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ Start = Callable[[float], Path]
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Starts the daemon that wants so much room on its disk; gives its directory."""
+    """Starts a daemon with this limit of free disk space; returns its directory."""
     started: list[subprocess.Popen[str]] = []
 
     def run(room_gb: float) -> Path:
@@ -67,8 +67,8 @@ def start(tmp_path: Path) -> Iterator[Start]:
         assert process.wait(60) == 0
 
 
-def told(client: ControlClient, method: str, **params: Any) -> Any:
-    """The answer, None while there is no daemon yet."""
+def answer(client: ControlClient, method: str, **params: Any) -> Any:
+    """The result of a method, None while there is no daemon yet."""
     try:
         return client.call(method, **params)
     except ControlError:
@@ -76,12 +76,12 @@ def told(client: ControlClient, method: str, **params: Any) -> Any:
 
 
 def verdict(client: ControlClient) -> str:
-    return str(((told(client, "status") or {}).get("health") or {}).get("verdict", ""))
+    return str(((answer(client, "status") or {}).get("health") or {}).get("verdict", ""))
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_a_daemon_tells_how_it_fares(start: Start, fringed: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+def test_a_daemon_reports_its_health(start: Start, fringed: Callable[..., subprocess.CompletedProcess[str]]) -> None:
     directory = start(1e8)  # no disk has so much room
     with ControlClient(f"ipc://{directory}/c", timeout_s=30.0) as client:
         wait_until(lambda: verdict(client) == "warning", 90)
@@ -89,7 +89,7 @@ def test_a_daemon_tells_how_it_fares(start: Start, fringed: Callable[..., subpro
         assert "free for takes" in status["health"]["open"]["least_disk_free_gb"]
         assert not any("free for takes" in reason for reason in status["reasons"])
         wait_until(
-            lambda: (told(client, "health") or {"values": {}})["values"].get("modulation_left_red") is not None, 60
+            lambda: (answer(client, "health") or {"values": {}})["values"].get("modulation_left_red") is not None, 60
         )
         with urllib.request.urlopen(status["health"]["metrics"], timeout=30) as answer:
             assert 'fringed_rule_open{rule="least_disk_free_gb"} 1' in answer.read().decode()

@@ -1,4 +1,4 @@
-"""The sink in its own thread: it takes what comes, judges statuses, answers, and cannot be brought down."""
+"""The sink in its own thread: it takes every item, evaluates statuses, responds, and survives errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def rig_yaml(more: str = "margin: 0.1", limit_ms: float = 100.0) -> RigConfig:
 
 
 def rig(**changes: Any) -> Rig:
-    """Nothing but what is known of a rig."""
+    """The parts of a rig that health uses."""
     known = calibration()
     pattern = ColorFringe(size=known.projector.size, periods=60)
     made = Rig({}, None, known, pattern, Volume(1200, 1500), b"created: 2026-01-01\n", "sha256:0", lambda: None)  # type: ignore[arg-type]
@@ -54,7 +54,7 @@ def watch(tmp_path: Path, clock: Clock) -> Iterator[Health]:
 
 
 def seconds(watch: Health, clock: Clock, count: int, *, latency_ms: float = 30.0, **values: Any) -> None:
-    """So many seconds, each of them judged before the next begins."""
+    """Feed seconds, each evaluated before the next begins."""
     for _ in range(count):
         clock.move(1.0)
         seq = clock.now_ns // 1_000_000_000
@@ -65,17 +65,17 @@ def seconds(watch: Health, clock: Clock, count: int, *, latency_ms: float = 30.0
         wait_until(lambda before=before: watch.monitor.history.rows[0] == before + 1)
 
 
-def test_it_judges_what_it_is_offered_and_tells_in_short(watch: Health, clock: Clock) -> None:
+def test_it_evaluates_what_it_is_offered_and_summarises(watch: Health, clock: Clock) -> None:
     seconds(watch, clock, 5)
     wait_until(lambda: watch.status()["verdict"] == "healthy")
     seconds(watch, clock, 10, latency_ms=400.0)
     wait_until(lambda: watch.status()["verdict"] == "ill")
-    told = watch.status()
-    assert told["open"] == {"latency_p99_ms": "latency 400 ms, more than 100 ms"} and "problem" not in told
-    json.dumps(told)
+    summary = watch.status()
+    assert summary["open"] == {"latency_p99_ms": "latency 400 ms, more than 100 ms"} and "problem" not in summary
+    json.dumps(summary)
 
 
-def test_the_light_of_a_pair_is_looked_at(watch: Health, clock: Clock) -> None:
+def test_the_illumination_of_a_pair_is_examined(watch: Health, clock: Clock) -> None:
     bright = np.full((48, 64, 3), 255, np.uint8)
     item = cloud(1, clock.realtime_ns())
     item = replace(item, left=frame("left", 1, clock.realtime_ns(), bright))
@@ -88,7 +88,7 @@ def test_the_light_of_a_pair_is_looked_at(watch: Health, clock: Clock) -> None:
     assert watch.monitor.values["saturated_right"] == 0.0 and watch.monitor.values["coverage_lit"] == 1.0
 
 
-def test_images_that_cannot_be_looked_at_are_told_and_the_seconds_go_on(watch: Health, clock: Clock) -> None:
+def test_images_that_cannot_be_examined_are_reported_and_the_seconds_go_on(watch: Health, clock: Clock) -> None:
     item = cloud(1, clock.realtime_ns())
     clock.move(1.0)
     watch.offer(replace(item, left=replace(item.left, image=np.zeros(3, np.uint8))))
@@ -97,12 +97,12 @@ def test_images_that_cannot_be_looked_at_are_told_and_the_seconds_go_on(watch: H
     assert watch.monitor.history.rows[0] == 3
 
 
-def test_the_methods_answer_and_refuse(watch: Health, clock: Clock) -> None:
+def test_the_methods_respond_and_refuse(watch: Health, clock: Clock) -> None:
     seconds(watch, clock, 20)
     table = HealthMethods(watch).table()
     report = json.loads(json.dumps(table["health"]({})))
     assert report["verdict"] == "healthy" and report["values"]["cloud_rate_hz"] == 10.0
-    wait_until(lambda: watch._disk.answer() is not None)
+    wait_until(lambda: watch._disk.value() is not None)
     course = table["health.history"]({"quantities": ["latency_p99_ms", "disk_free_gb"], "seconds": 20, "points": 10})
     assert len(course["t_s"]) == 10 and course["series"]["latency_p99_ms"]["mean"][-1] == 30.0
     assert course["t_s"][-1] == pytest.approx(clock.realtime_ns() / 1e9, abs=2.0)
@@ -114,7 +114,7 @@ def test_the_methods_answer_and_refuse(watch: Health, clock: Clock) -> None:
     for params in wrong:
         with pytest.raises(RpcError):
             table["health.history"](params)
-    with pytest.raises(RpcError, match="most must be a number"):
+    with pytest.raises(RpcError, match="expected a number from 1 to 1000"):
         table["health.events"]({"most": "x"})
 
 
@@ -127,7 +127,7 @@ def test_the_metrics_are_served(watch: Health, clock: Clock) -> None:
         assert line.startswith("# ") or float(line.rsplit(" ", 1)[1]) is not None
 
 
-def test_the_images_are_made_from_what_the_methods_tell(watch: Health, clock: Clock) -> None:
+def test_the_images_are_drawn_from_the_methods_results(watch: Health, clock: Clock) -> None:
     import xml.etree.ElementTree as ET
 
     import cv2
@@ -163,7 +163,7 @@ def test_images_of_a_daemon_that_has_just_begun(watch: Health) -> None:
     assert not shown.panels() and b"nothing is known" in page.html(shown) and page.png(shown)
 
 
-def test_other_limits_and_another_calibration_are_taken_over_at_once(watch: Health, clock: Clock) -> None:
+def test_other_limits_and_another_calibration_are_applied_at_once(watch: Health, clock: Clock) -> None:
     seconds(watch, clock, 5)
     now = watch.change(rig_yaml(limit_ms=10.0), rig())
     seconds(watch, clock, 5)
