@@ -23,7 +23,7 @@ from benchmarks.common.tables import Table
 from daemon.live.items import Item, PairItem
 from fringed import SilenceError, subscribe
 from sim.box.box import GENTL_DIR, Box
-from sim.box.exposure_ledger import Shown
+from sim.box.exposure_ledger import Trigger
 from sim.box.options import from_mapping
 from sim.box.world import Counts, Image, Lit
 from tools.waiting import wait_until
@@ -48,7 +48,7 @@ class Times:
         self._edges: dict[int, tuple[int, int]] = {}
         self._offset_ns = time.time_ns() - time.monotonic_ns()
 
-    def report(self, shown: Shown, item: Item, now_ns: int) -> None:
+    def report(self, shown: Trigger, item: Item, now_ns: int) -> None:
         """Note the times of a pair or a cloud; called by the witness."""
         if isinstance(item, PairItem):
             host_ns = max(item.left.t_host_ns, item.right.t_host_ns) - self._offset_ns
@@ -63,7 +63,7 @@ class Times:
         index, t_ns = self._edges[seq]
         self.ms["received"][index] = (time.monotonic_ns() - t_ns) / 1e6
 
-    def _note(self, stage: str, shown: Shown, at_ns: int) -> None:
+    def _note(self, stage: str, shown: Trigger, at_ns: int) -> None:
         self.ms[stage][shown.index] = (at_ns - shown.t_ns) / 1e6
 
 

@@ -88,7 +88,7 @@ class Rig:
 
 def feed(assessor: Assessor, number: int, observation: Observation) -> None:
     """Feed the assessor as the daemon does."""
-    assessor.feed(number / RATE_HZ, observation.readings, surface=Reading(observation.known, 0.01))
+    assessor.feed(number / RATE_HZ, observation.readings, surface=Reading(observation.valid, 0.01))
 
 
 def undisturbed(

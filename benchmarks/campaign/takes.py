@@ -9,7 +9,7 @@ from pathlib import Path
 from daemon.recording.format.errors import TakeError
 from daemon.recording.format.part_names import PARTIAL
 from daemon.recording.read.take_reader import TakeReader
-from sim.box.exposure_ledger import Ledger, Shown
+from sim.box.exposure_ledger import Ledger, Trigger
 
 _ENDING = re.compile(r"(_part\d+)?\.mcap(\.partial)?$")
 
@@ -55,7 +55,7 @@ class Takes:
                 self.unreadable += 1
                 self.problems += (f"{path.name}: {error}",)
 
-    def _count(self, path: Path, sequence: int, left: Shown | None, right: Shown | None) -> None:
+    def _count(self, path: Path, sequence: int, left: Trigger | None, right: Trigger | None) -> None:
         if left is None or right is None:
             self.unknown += 1
         elif left.index == right.index:
@@ -76,9 +76,9 @@ def first_part(directory: Path, stem: str) -> Path:
     return path if path.exists() else path.with_name(path.name + PARTIAL)
 
 
-def last_shown(path: Path, ledger: Ledger) -> Shown | None:
+def last_shown(path: Path, ledger: Ledger) -> Trigger | None:
     """The newest trigger of which a take holds the left frame."""
-    newest: Shown | None = None
+    newest: Trigger | None = None
     with TakeReader(path) as reader:
         for pair in reader.pairs():
             shown = ledger.exposure_of("left", pair.left)

@@ -19,7 +19,7 @@ from daemon.live.service import Service
 from daemon.rig.open_rig import open_rig
 from drivers.protocols import SIDES
 from sim.box.box import Box
-from sim.box.exposure_ledger import Ledger, Shown
+from sim.box.exposure_ledger import Ledger, Trigger
 from tools.waiting import wait_until
 
 
@@ -34,7 +34,7 @@ class Witness:
             (CLOCK_MONOTONIC, ns) at which it was offered, before its bytes were compared.
     """
 
-    def __init__(self, ledger: Ledger, report: Callable[[Shown, Item, int], None] | None = None) -> None:
+    def __init__(self, ledger: Ledger, report: Callable[[Trigger, Item, int], None] | None = None) -> None:
         self._ledger = ledger
         self._report = report
         self.counts: Counter[str] = Counter()
@@ -70,7 +70,7 @@ class Witness:
         """The counts."""
         return dict(self.counts)
 
-    def _report_exposure(self, shown: Shown, item: Item, now_ns: int) -> None:
+    def _report_exposure(self, shown: Trigger, item: Item, now_ns: int) -> None:
         if self._report is not None:
             self._report(shown, item, now_ns)
 
@@ -84,7 +84,9 @@ class Daemon:
         box: open; report: see :class:`Witness`; pipeline: changes to that section of rig.yaml.
     """
 
-    def __init__(self, box: Box, *, report: Callable[[Shown, Item, int], None] | None = None, **pipeline: Any) -> None:
+    def __init__(
+        self, box: Box, *, report: Callable[[Trigger, Item, int], None] | None = None, **pipeline: Any
+    ) -> None:
         self._box, self._report = box, report
         rig = yaml.safe_load(box.rig_file.read_text())
         box.rig_file.write_text(yaml.safe_dump(rig | {"pipeline": {"queue": 4, "temporal_prior": False} | pipeline}))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.calibrate.projector.trinocular_residual import Samples, refine_projector
 from pipeline.common.errors import CalibrationError
-from pipeline.monitor.explain import DEVICES, GEOMETRY, Turn, clear, explain, turned
+from pipeline.monitor.explain import DEVICES, GEOMETRY, Rotation, explain, rotated, unambiguous
 from pipeline.monitor.observe import Observer, Patches, Reading
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct.reconstructor import Reconstructor
@@ -56,7 +56,7 @@ class Refinement:
     before: dict[str, Reading]
     after: dict[str, Reading]
     points: tuple[int, int]
-    explanations: list[Turn]
+    explanations: list[Rotation]
     pairs: tuple[int, int]
 
     @property
@@ -130,8 +130,8 @@ def refine(
     before, _, points = _Evaluation(calibration, pattern, volume, encoding).at(held_out)
     report_progress(1)
     now, sum_deg = calibration, np.zeros(3)
-    explanations: list[Turn] = []
-    turn: Turn | None = None
+    explanations: list[Rotation] = []
+    rotation: Rotation | None = None
     for number in range(_ROUNDS):
         evaluation = _Evaluation(now, pattern, volume, encoding)
         readings, patches, _ = evaluation.at(train)
@@ -140,31 +140,31 @@ def refine(
             explanations = found
             _require_drift(readings)
             device = device or _only_explanation(found)
-        turn = next(one for one in found if one.device == device)
+        rotation = next(one for one in found if one.device == device)
         now = (
-            _projector(now, turn, evaluation.samples(patches))
+            _projector(now, rotation, evaluation.samples(patches))
             if device == "projector"
-            else turned(now, turn.device, turn.turn_deg)
+            else rotated(now, rotation.device, rotation.angle_deg)
         )
-        sum_deg += turn.turn_deg
-        _require_small(sum_deg, turn.device)
+        sum_deg += rotation.angle_deg
+        _require_small(sum_deg, rotation.device)
         report_progress(number + 2)
-    assert turn is not None  # noqa: S101 - there was at least one round
+    assert rotation is not None  # noqa: S101 - there was at least one round
     after, _, points_after = _Evaluation(now, pattern, volume, encoding).at(held_out)
     report_progress(steps)
     total = float(sum_deg[0]), float(sum_deg[1]), float(sum_deg[2])
     return Refinement(
-        now, turn.device, total, turn.sigma_deg, before, after, (points, points_after), explanations,
+        now, rotation.device, total, rotation.sigma_deg, before, after, (points, points_after), explanations,
         (len(train), len(held_out)),
     )  # fmt: skip
 
 
-def _projector(now: Calibration, turn: Turn, samples: Samples) -> Calibration:
+def _projector(now: Calibration, rotation: Rotation, samples: Samples) -> Calibration:
     """The projector refined in full, or only rotated where the surfaces fill too little of its image."""
     try:
         return refine_projector(now, samples).calibration
     except CalibrationError:
-        return turned(now, turn.device, turn.turn_deg)
+        return rotated(now, rotation.device, rotation.angle_deg)
 
 
 def _require_drift(readings: dict[str, Reading]) -> None:
@@ -186,12 +186,12 @@ def _require_small(turn_deg: NDArray[np.float64], device: str) -> None:
         )
 
 
-def _only_explanation(explanations: list[Turn]) -> str:
-    best = clear(explanations)
+def _only_explanation(explanations: list[Rotation]) -> str:
+    best = unambiguous(explanations)
     if best is not None:
         return best.device
     texts = ", ".join(
-        f"{one.device} {np.linalg.norm(one.turn_deg):.3f} degrees (misfit {one.misfit:.1f})" for one in explanations
+        f"{one.device} {np.linalg.norm(one.angle_deg):.3f} degrees (misfit {one.misfit:.1f})" for one in explanations
     )
     raise CalibrationError(
         f"more than one device explains the residuals, or none does: {texts}. Name the one that was touched "
@@ -211,11 +211,11 @@ def table(found: Refinement) -> list[str]:
         "column_y_px": "  its change to the top and bottom edge",
         "epipolar_px": "epipolar residual, px",
     }
-    turn = "  ".join(
+    rotation = "  ".join(
         f"{axis} {value:+.4f} +- {sigma:.4f}"
         for axis, value, sigma in zip("xyz", found.turn_deg, found.sigma_deg, strict=True)
     )
-    out = [f"{found.device} turned about its own axes, degrees: {turn}"]
+    out = [f"{found.device} turned about its own axes, degrees: {rotation}"]
     out.append(f"evaluated on {found.pairs[1]} held-out pairs (corrected on {found.pairs[0]}):")
     out.append(f"{'':40} {'before':>18} {'after':>18}")
     for name, text in names.items():

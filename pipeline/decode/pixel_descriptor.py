@@ -50,7 +50,7 @@ def units(phase: Any) -> Any:
 
 @inline
 def bias_of(x: Any, phase: Any) -> Any:
-    """Equalised phase of a pixel's descriptor minus its pointwise phase, -pi .. pi radians."""
+    """Normalised phase of a pixel's descriptor minus its pointwise phase, -pi .. pi radians."""
     d = np.float32(normalised_units(x)) * RADIANS - phase
     return d - _TURN * whole_turns(d)
 
@@ -86,5 +86,5 @@ def descriptors_without_color(phase: Any, valid: Any, mean: Any, out: Any) -> No
 
 
 def normalised_phase(descriptors: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Equalised phases of descriptors, radians."""
+    """Normalised phases of descriptors, radians."""
     return np.asarray(((descriptors << 12) & _NORMALISED) * RADIANS, dtype=np.float32)

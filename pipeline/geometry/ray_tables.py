@@ -5,8 +5,8 @@ in a pinhole device is then exactly ``u(s) = (c0 + c1 s) / (1 + c2 s)``, with th
 parameter s drops out: from a projector coordinate p follows the coordinate along the fringes' growth in the other
 camera, ``m = (m0 + m1 p) / (1 + m2 p)``, from that the one across it, ``q0 + q1 m`` (the epipolar line), and the
 projector's other coordinate, ``r0 + r1 p`` likewise: seven numbers and one division instead of three projections. Lens
-distortion bends this by far less than a pixel; samples at s = 0, 1/2 and 1 fix the numbers, and only the choice of the
-fringe order uses them: the final point is computed with the full models.
+distortion changes this by far less than a pixel; samples at s = 0, 1/2 and 1 determine the numbers, and only the choice
+of the fringe order uses them: the final point is computed with the full models.
 """
 
 from __future__ import annotations
@@ -38,13 +38,12 @@ def packed(device: CameraModel) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayTable:
-    """What one camera's lattice pixels see in the other devices.
+    """Geometry of one camera's lattice pixels in the other devices.
 
     Args:
         top, down: lattice row a is image row ``top + down a``; left, step: column b is column ``left + step b``.
-        along: (3, h, w) float32, c0, c1, c2 of the module's text for the projector coordinate along which the phase
-            grows.
-        lines: (7, h, w) float32, m0, m1, m2, q0, q1, r0, r1 of that text.
+        along: (3, h, w) float32, c0, c1, c2 (see the module) of the projector coordinate along which the phase grows.
+        lines: (7, h, w) float32, m0, m1, m2, q0, q1, r0, r1 (see the module).
         limits: (2, h, w) float32, the least and the largest s of the ray inside the measuring volume.
     """
 
@@ -74,7 +73,7 @@ class RayTable:
         )
 
     def sampled(self, plane: NDArray[Any]) -> NDArray[Any]:
-        """An image's values at the lattice pixels, a view (h, w)."""
+        """A plane's values at the lattice pixels, a view (h, w)."""
         return plane[self.top :: self.down, self.left :: self.step][: self.shape[0], : self.shape[1]]
 
 
@@ -153,7 +152,7 @@ def _limits(direction: F64, depth: DepthScale, inside: tuple[CameraModel, Volume
 def _homography(values: list[F64], name: str, denominator: F64 | None = None) -> F64:
     """c0, c1, c2, (3, h, w), through the values at s = 0, 1/2, 1, or at 0 and 1 with a given c2.
 
-    A coordinate that hardly changes along the ray does not tell its denominator; it then takes none.
+    A coordinate that hardly changes along the ray does not determine its denominator, which is then 0.
     """
     u0, uh, u1 = values
     if not np.isfinite(u0 + uh + u1).all():

@@ -1,9 +1,9 @@
-"""The surface's own brightness in both cameras, and how far it is displaced in the right one (compiled).
+"""Surface texture in both cameras, and sums for its displacement in the right one (compiled).
 
 Counts divided by the fitted fringe leave m = sum(I F) / sum(F F) over a 3 x 3 binomial window, in both cameras alike.
-The right one is looked up where the geometry says that each left pixel's point is; what differs, minus a plane over the
-patch (gain and shading), is explained by a displacement (du, dv). The right gradients hold the same noise as the right
-brightness, which would bias least squares towards 0: the left gradients, whose noise is another, are used as
+The right one is interpolated at the pixel of each left pixel's point; the difference, minus a plane over the patch
+(gain and shading), is explained by a displacement (du, dv). The noise of the right gradients correlates with that of
+the right brightness, which would bias least squares towards 0: the left gradients, with independent noise, are used as
 instruments.
 """
 
@@ -19,7 +19,7 @@ from pipeline.monitor.polynomial import quadratic, waves
 TEXTURE = 8
 """Sums of a patch: L_u e, L_v e, L_u R_u, L_u R_v, L_v R_u, L_v R_v, e e, L_v L_v."""
 EDGE = 2
-"""Pixels around a patch that smoothing and gradients need."""
+"""Pixels around a patch for smoothing and gradients."""
 
 
 @serial
@@ -67,7 +67,7 @@ def brightness(image: Any, mosaic: Any, black: Any, top: int, left: int, rows: i
 @serial
 def compare(left: Any, right: Any, rows: int, columns: int, q: Any, half_u: float, half_v: float, origin_u: float,
              origin_v: float, right_rows: int, right_columns: int, out: Any) -> bool:  # fmt: skip
-    """The sums :data:`TEXTURE` of a patch; False when the right rectangle does not hold it.
+    """The sums :data:`TEXTURE` of a patch; False when the right rectangle does not contain it.
 
     Args:
         left, right: brightness, with :data:`EDGE` pixels around the patch; q: (6, 3), columns 1 and 2 the right pixel.

@@ -1,7 +1,7 @@
-"""How well two images are lit: saturated samples and fringe amplitude of each colour, from a few lines of pixels.
+"""Illumination of an image: saturated samples and fringe amplitude of each colour, from a few lines of pixels.
 
-Two samples of a fringe of amplitude B and period P that lie s apart differ by ``2 B sin(pi s / P) sin(...)``; where the
-phase takes every value alike, the median of the square of the difference is ``2 (B sin(pi s / P))^2``. Half a period
+Two samples of a fringe of amplitude B and period P that lie s apart differ by ``2 B sin(pi s / P) sin(...)``; with a
+uniformly distributed phase, the median of the square of the difference is ``2 (B sin(pi s / P))^2``. Half a period
 apart the surface's own colour hardly differs, so that it does not count as fringe.
 """
 
@@ -22,15 +22,15 @@ Plane = NDArray[np.float32]
 LINES = 8
 _WHITE = 254.0
 _LEAST = 5.0  # counts of modulation from which there is light
-_ENOUGH = 64  # samples that tell an amplitude
+_ENOUGH = 64  # samples needed for an amplitude
 
 
 @dataclass(frozen=True, slots=True)
-class Lighting:
-    """Of one image: by channel, red, green, blue (one of a monochrome image).
+class ImageIllumination:
+    """Illumination of one image by channel: red, green, blue, or the only one of a monochrome image.
 
     Args:
-        saturated: share of saturated samples; amplitude: of the fringes, counts, NaN where there is no light.
+        saturated: fraction of saturated samples; amplitude: of the fringes, counts, NaN where there is no light.
     """
 
     saturated: tuple[float, ...]
@@ -44,7 +44,7 @@ def fringe_period_px(calibration: Calibration, pattern: ColorFringe) -> float:
     return ratio * pattern.length / pattern.periods
 
 
-def lighting(
+def measure_illumination(
     image: NDArray[Any],
     encoding: str,
     modulation: NDArray[np.uint8],
@@ -52,8 +52,8 @@ def lighting(
     period_px: float,
     stride: int = 1,
     axis: str = "x",
-) -> Lighting:
-    """Look at some lines of a raw image.
+) -> ImageIllumination:
+    """Measure some lines of a raw image.
 
     Args:
         image: (H, W) or (H, W, 3), uint8, or uint16 of full scale 65535; modulation: of every ``stride``-th pixel.
@@ -62,13 +62,13 @@ def lighting(
     if axis == "y":
         image, modulation = image.swapaxes(0, 1), modulation.swapaxes(0, 1)
     parts = [_channel(*plane, period_px) for plane in _planes(image, encoding, modulation, stride, axis)]
-    return Lighting(tuple(p[0] for p in parts), tuple(p[1] for p in parts))
+    return ImageIllumination(tuple(p[0] for p in parts), tuple(p[1] for p in parts))
 
 
 def _planes(
     image: NDArray[Any], encoding: str, modulation: NDArray[np.uint8], stride: int, axis: str
 ) -> list[tuple[Plane, NDArray[np.bool_], int]]:
-    """For each channel its samples of the chosen lines, where they are lit, and their spacing in pixels."""
+    """For each channel its samples on the chosen lines, their lit ones, and their spacing in pixels."""
     mosaic = BAYER.get(encoding)
     rows = np.linspace(0, image.shape[0] - 2, min(LINES, image.shape[0] // 2) + 2)[1:-1].astype(int) // 2 * 2
     lit = modulation[np.minimum(rows // stride, modulation.shape[0] - 1)] >= _LEAST

@@ -2,7 +2,7 @@
 
 Every channel is fitted, by least squares over the raw pixels of its own colour, with
 ``a + a_x x + a_y y + p cos(Phi) + q sin(Phi)``, Phi from the polynomial. No demosaicing, no interpolation; slopes of
-the albedo do not leak into p and q. ``p - i q = B exp(i (r + shift))`` tells the phase r by which the light runs ahead.
+the albedo do not leak into p and q. ``p - i q = B exp(i (r + shift))`` yields the phase r by which the light is ahead.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ LIGHT = 3
 @serial
 def _row_sums(values: Any, cosine: Any, sine: Any, first: int, step: int, n: int, x0: float, d: float, y: float,
               normal: Any, sums: Any) -> None:  # fmt: skip
-    """Add a row's (or every other of its pixels') part to the equations of one channel.
+    """Add a row, or every other pixel of it, to the normal equations of one channel.
 
     Args:
-        values, cosine, sine: (n,) float32; x0 + d j: place of pixel j.
+        values, cosine, sine: (n,) float32; x0 + d j: position of pixel j.
         normal: (15,) lower triangle of the normal matrix of 1, x, y, cos, sin, by rows; sums: (5,) right sides.
     """
     zero, one, start, grow = np.float32(0.0), np.float32(1.0), np.float32(x0), np.float32(d)
@@ -73,7 +73,7 @@ def lock_in(image: Any, mosaic: Any, top: int, left: int, rows: int, columns: in
              out: Any) -> bool:  # fmt: skip
     """Fit a, p, q of every channel over a rectangle of raw pixels; False when a sample is saturated or a fit singular.
 
-    Every other pair of rows serves (a mosaic repeats after two).
+    Every other pair of rows is used (a mosaic repeats after two).
 
     Args:
         scratch: (5, columns) float32; out: (3, 3) a, p, q by channel, raw counts.

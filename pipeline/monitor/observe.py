@@ -1,4 +1,4 @@
-"""What one ordinary pair tells about the rig: a handful of numbers, each with its standard deviation."""
+"""Observation of a rig from one ordinary pair: a few numbers, each with its standard deviation."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pipeline.common.settings import Settings
 from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.geometry.ray_tables import DepthScale, packed, period_in_image
-from pipeline.monitor import sensitivity
-from pipeline.monitor import texture_disparity as texture
+from pipeline.monitor import sensitivity, texture_disparity
 from pipeline.monitor.brightness import TEXTURE
 from pipeline.monitor.lock_in import LIGHT
 from pipeline.monitor.patches import SHAPE, measure_patches
@@ -28,12 +27,12 @@ SIDES = ("left", "right")
 COLORS = ("red", "green", "blue")
 _ROWS = 16
 _LEAST_PATCHES = 24
-_SURFACE_PX = 0.02  # what slopes and textures alone make of the epipolar residual from scene to scene
+_SURFACE_PX = 0.02  # variation of the epipolar residual from scene to scene by slopes and textures alone
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A number and its standard deviation from this pair alone."""
+    """A number and its standard deviation, from one pair."""
 
     value: float
     sigma: float
@@ -41,20 +40,20 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """One pair, looked at.
+    """Observation of one pair.
 
     Args:
-        readings: by name, only those that this scene shows; see :data:`pipeline.monitor.OBSERVABLES`.
-        patches: how many pieces of the surface were used.
-        shape: (n, 14) the patches' places and slopes, see :func:`pipeline.monitor.patches.measure_patches`.
-        lit: share of the left image where fringes are seen; valid: share of those pixels that have a point.
+        readings: by name, only those that the scene allows; see :data:`pipeline.monitor.OBSERVABLES`.
+        patches: number of surface patches used.
+        shape: (n, 14) the patches' positions and slopes, see :func:`pipeline.monitor.patches.measure_patches`.
+        lit: fraction of the left image with fringes; valid: fraction of those pixels that have a point.
     """
 
     readings: dict[str, Reading]
     patches: int
     shape: F64
     lit: float
-    known: float
+    valid: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,12 +70,12 @@ class Patches:
 
 
 class Observer:
-    """Looks at pairs and their clouds.
+    """Measures the observables of pairs and their clouds.
 
     Args:
         calibration, pattern, volume, encoding: as of the reconstructor that made the clouds.
-        patches: how many pieces of the surface to use of each pair, at most; more cost more and tell more.
-        seed: of the choice among them, another one for every pair.
+        patches: largest number of surface patches of each pair; more take longer and reduce the standard deviations.
+        seed: of the random choice of patches.
     """
 
     def __init__(
@@ -92,7 +91,7 @@ class Observer:
     ) -> None:
         self.calibration, self.pattern, self.encoding = calibration, pattern, encoding
         self._settings = settings or Settings()
-        self._wanted = patches
+        self._limit = patches
         self._rng = np.random.default_rng(seed)
         mosaic = mosaic_of(encoding)
         self._mosaic = np.zeros((2, 2), np.int64) if mosaic is None else mosaic
@@ -109,7 +108,7 @@ class Observer:
         self._places = self._grid()
 
     def _grid(self) -> NDArray[np.int64]:
-        """(n, 2) column and row of every place for a patch, even numbers."""
+        """(n, 2) column and row of every possible patch, even numbers."""
         width, height = self.calibration.left.size
         step = [2 * (side // 2) for side in self._size]
         u, v = (
@@ -118,7 +117,7 @@ class Observer:
         return np.stack([axis.ravel() for axis in np.meshgrid(u, v)], axis=1).astype(np.int64)
 
     def patches(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud) -> Patches:
-        """The pieces of surface of one pair, chosen at random among those that the cloud knows.
+        """The surface patches of one pair, chosen at random among those with points.
 
         Raises:
             ImageError: an image of another size or type.
@@ -141,10 +140,10 @@ class Observer:
         return Patches(shape[use], light[use], sums[use], good[use] > 1)
 
     def _chosen(self, cloud: Cloud) -> NDArray[np.int64]:
-        """Places whose middle and corners have points, a random part of them."""
+        """Patches whose middle and corners have points, a random part of them."""
         columns, rows = self._size
         z = cloud.xyz[..., 2]
-        known = np.ones(len(self._places), bool)
+        valid = np.ones(len(self._places), bool)
         for du, dv in (
             (columns // 4 * 2, rows // 4 * 2),
             (2, 2),
@@ -153,24 +152,24 @@ class Observer:
             (columns - 2, rows - 2),
         ):
             u, v = self._places[:, 0] + du - du % 2, self._places[:, 1] + dv - dv % 2
-            known &= np.isfinite(z[v, u])
-        there = np.flatnonzero(known)
-        if len(there) > self._wanted:
-            there = self._rng.choice(there, self._wanted, replace=False)
-        return self._places[np.sort(there)]
+            valid &= np.isfinite(z[v, u])
+        usable = np.flatnonzero(valid)
+        if len(usable) > self._limit:
+            usable = self._rng.choice(usable, self._limit, replace=False)
+        return self._places[np.sort(usable)]
 
     def observe(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud) -> Observation:
-        """Everything that a pair and its cloud tell."""
+        """The observation of a pair and its cloud."""
         some = cloud.modulation[0][::8, ::8] >= self._settings.min_modulation
         lit = float(some.mean())
-        known = float((np.isfinite(cloud.xyz[::8, ::8, 2]) & some).sum() / max(1, int(some.sum())))
+        valid = float((np.isfinite(cloud.xyz[::8, ::8, 2]) & some).sum() / max(1, int(some.sum())))
         found = self.patches(left, right, cloud)
         if len(found) < _LEAST_PATCHES:
-            return Observation({}, len(found), found.shape, lit, known)
-        return Observation(self.readings(found), len(found), found.shape, lit, known)
+            return Observation({}, len(found), found.shape, lit, valid)
+        return Observation(self.readings(found), len(found), found.shape, lit, valid)
 
     def readings(self, found: Patches) -> dict[str, Reading]:
-        """All numbers of these patches."""
+        """All readings of these patches."""
         waves = self._waves(found)
         ahead = self._ahead(waves)
         out = self._columns(found, ahead)
@@ -186,25 +185,25 @@ class Observer:
     def _ahead(self, waves: NDArray[np.complex128]) -> F64:
         """(n, 2) phase by which each image is ahead of the geometry: the mean of the channels' directions.
 
-        Not of the channels: where the projector's colours do not register, a red surface would be ahead of a blue one.
+        Not of the channels themselves: with misregistered projector colours a red surface would be ahead of a blue one.
         """
-        turned = waves * self._turn_back
-        return np.asarray(np.angle((turned / np.maximum(np.abs(turned), 1e-6)).sum(axis=2)))
+        rotated = waves * self._turn_back
+        return np.asarray(np.angle((rotated / np.maximum(np.abs(rotated), 1e-6)).sum(axis=2)))
 
     def _residuals(self, found: Patches, ahead: F64) -> F64:
         return np.asarray(ahead.mean(axis=1) / found.shape[:, 10])
 
     def _waves(self, found: Patches) -> NDArray[np.complex128]:
-        """(n, 2, 3) B exp(i (r + shift)) of every camera and channel, crosstalk taken out."""
+        """(n, 2, 3) B exp(i (r + shift)) of every camera and channel, crosstalk removed."""
         raw = found.light[..., 1] - 1j * found.light[..., 2]
         return np.asarray(np.einsum("kcp,nkp->nkc", self._unmix, raw))
 
     def _means(self, found: Patches) -> F64:
-        """(n, 2, 3) A of every camera and channel, crosstalk taken out."""
+        """(n, 2, 3) A of every camera and channel, crosstalk removed."""
         return np.asarray(np.einsum("kcp,nkp->nkc", self._unmix, found.light[..., 0] - self._black))
 
     def _columns(self, found: Patches, ahead: F64) -> dict[str, Reading]:
-        """Trinocular residual: observed minus predicted projector coordinate, and how it changes over the image."""
+        """Trinocular residual: observed minus predicted projector coordinate, and its change over the image."""
         residual = self._residuals(found, ahead)
         solution = fit(sensitivity.design(self.calibration, found.shape, self._first), residual)
         if solution is None:
@@ -213,31 +212,31 @@ class Observer:
         return {name: Reading(float(v), float(s)) for name, v, s in zip(names, *solution, strict=True)}
 
     def _epipolar(self, found: Patches, slope: Reading | None) -> dict[str, Reading]:
-        """Displacement across the epipolar lines: from the slopes of the fringes and from the texture, combined."""
-        known = [] if slope is None else [slope]
+        """Displacement across the epipolar lines: from fringe slopes and texture, combined."""
+        readings = [] if slope is None else [slope]
         use = found.textured
         if use.sum() >= _LEAST_PATCHES:
             x, y = sensitivity.in_image(self.calibration, found.shape[use, :3])
-            told = texture.displacement(found.texture[use], x, y, across=1 - self._first)
-            known += [] if told is None else [Reading(float(told[0][0]), float(told[1][0]))]
-        if not known:
+            displaced = texture_disparity.displacement(found.texture[use], x, y, across=1 - self._first)
+            readings += [] if displaced is None else [Reading(float(displaced[0][0]), float(displaced[1][0]))]
+        if not readings:
             return {}
-        weights = np.array([1 / (reading.sigma**2 + _SURFACE_PX**2) for reading in known])
-        value = float(weights @ [reading.value for reading in known] / weights.sum())
+        weights = np.array([1 / (reading.sigma**2 + _SURFACE_PX**2) for reading in readings])
+        value = float(weights @ [reading.value for reading in readings] / weights.sum())
         return {"epipolar_px": Reading(value, float(weights.sum() ** -0.5))}
 
     def _colors(self, found: Patches, waves: NDArray[np.complex128], ahead: F64) -> dict[str, Reading]:
         """Phase of each channel against the mean of the three, in the middle of the image.
 
-        Lateral colour of the lenses turns channels too, the other way on the other side; slopes take it up.
+        Lateral chromatic aberration shifts channels too, in opposite directions left and right; the slopes absorb it.
         """
         x, y = sensitivity.in_image(self.calibration, found.shape[:, :3])
         design = np.stack([np.ones_like(x), x, y], axis=1)
-        turned = np.angle(waves * self._turn_back * np.exp(-1j * ahead)[:, :, None])
+        rotated = np.angle(waves * self._turn_back * np.exp(-1j * ahead)[:, :, None])
         out = {}
         for k, side in enumerate(SIDES):
             for c, color in enumerate(COLORS):
-                solution = fit(design, turned[:, k, c])
+                solution = fit(design, rotated[:, k, c])
                 if solution is not None:
                     out[f"{side}_{color}_rad"] = Reading(float(solution[0][0]), float(solution[1][0]))
         return out

@@ -1,8 +1,8 @@
-"""Small smooth pieces of the surface, and what the raw images say of each of them: the compiled part of the check.
+"""Smooth surface patches and their measurement in the raw images (compiled).
 
 A patch is a rectangle of left pixels about two fringe periods wide. Its points (the cloud's) are projected into the
 projector and into the right camera; the projector's phase there, and the right pixels, are fitted by quadratic
-polynomials. These are smooth: the noise of single points and whatever ripples within a period are averaged out. Then
+polynomials, which average out the noise of single points and ripple within a period. Then
 the light (:mod:`pipeline.monitor.lock_in`) and the texture (:mod:`pipeline.monitor.brightness`) are measured on it.
 """
 
@@ -19,7 +19,7 @@ from pipeline.monitor.polynomial import QUADRATIC, fit_quadratic, quadratic
 
 SHAPE = 14
 """Numbers of a patch's shape; see :func:`measure_patches`."""
-_LEAST_KNOWN = 0.85
+_LEAST_VALID = 0.85
 _LARGEST_ROUGHNESS = 0.2  # rad rms about the polynomial
 
 
@@ -28,19 +28,19 @@ def measure_patches(
     left: Any, right: Any, mosaic: Any, black: Any, xyz: Any, origins: Any, columns: int, rows: int, projector: Any,
     other: Any, phases: Any, first: int, clip: int, good: Any, shape: Any, light: Any, texture: Any,
 ) -> None:  # fmt: skip
-    """Everything that single patches tell.
+    """Measure all patches.
 
     Args:
         left, right: (H, W, 3) or, for a mosaic, (H, W, 1) uint8; mosaic: (2, 2) channel numbers.
-        black: (2, 3) counts, left and right; xyz: (H, W, 3) float32, known at least at pixels with even coordinates.
+        black: (2, 3) counts, left and right; xyz: (H, W, 3) float32, valid at least at pixels with even coordinates.
         origins: (n, 2) even column and row of each patch's first pixel; columns, rows: its size.
         projector, other: packed models; phases: (m,) phase at every projector coordinate.
         first: 0 when it grows along u, else 1.
         clip: counts from which a sample is saturated.
-        good: (n,) uint8, bit 1: shape and light are known, bit 2: texture too.
+        good: (n,) uint8, bit 1: shape and light are valid, bit 2: texture too.
         shape: (n, 14): point x, y, z of the middle; roughness, rad; right pixel u, v; phase slopes of the left image
             along u and v, of the right one along u and v, rad per pixel; phase per projector coordinate, rad per pixel;
-            projector coordinate; share of valid points; rms of the texture's difference.
+            projector coordinate; fraction of valid points; rms of the texture's difference.
         light: (n, 2, 3, 3) camera, channel, (a, p, q), raw counts.
         texture: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`.
     """
@@ -70,15 +70,15 @@ def measure_patches(
                     continue
                 x, y = float(xyz[v, u, 0]), float(xyz[v, u, 1])
                 sent = project(projector, x, y, z)
-                seen = project(other, x, y, z)
+                shift = project(other, x, y, z)
                 column = sent[0] if first == 0 else sent[1]
                 c = min(max(int(np.floor(column)), 0), phases.shape[0] - 2)
                 points[n, 0], points[n, 1] = u, v
                 points[n, 2] = phases[c] + (column - c) * (phases[c + 1] - phases[c])
-                points[n, 3], points[n, 4] = seen
+                points[n, 3], points[n, 4] = shift
                 n, px, py, pz, pc = n + 1, px + x, py + y, pz + z, pc + column
         shape[k, 12] = n / most
-        if n < _LEAST_KNOWN * most:
+        if n < _LEAST_VALID * most:
             continue
         if not fit_quadratic(points, n, 0, 1, centre_u, centre_v, half_u, half_v, targets, matrix, q):
             continue

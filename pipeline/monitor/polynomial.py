@@ -1,4 +1,4 @@
-"""Quadratic polynomials over a patch, and the waves of a phase that is one (compiled)."""
+"""Quadratic polynomials over a patch, and cosine and sine of a quadratic phase (compiled)."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def quadratic(q: Any, c: int, x: float, y: float) -> Any:
 
 @serial
 def waves(q: Any, half_u: float, x0: float, y: float, n: int, cosine: Any, sine: Any) -> None:
-    """Cosine and sine of the quadratic phase along a row, by recurrence: its second difference is a constant."""
+    """Cosine and sine of the quadratic phase along a row, by recurrence: its second difference is constant."""
     d = 1.0 / half_u
     start = quadratic(q, 0, x0, y)
     step = quadratic(q, 0, x0 + d, y) - start

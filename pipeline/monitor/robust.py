@@ -1,4 +1,4 @@
-"""Robust averages and fits with standard deviations that come from the scatter itself."""
+"""Robust averages and fits with standard deviations estimated from the scatter."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 
 _PASSES = 4
-_TUNING = 2.5  # scales beyond which a residual weighs less (Huber)
+_TUNING = 2.5  # scales from which the weight of a residual decreases (Huber)
 
 
 def scale_of(residuals: F64) -> float:
@@ -20,9 +20,9 @@ def means(values: F64) -> tuple[F64, F64]:
     """Huber mean of every column of (n, k) and its standard deviation, (k,) each."""
     centre = np.median(values, axis=0)
     for _ in range(_PASSES):
-        away = np.abs(values - centre)
-        scale = 1.4826 * np.median(away, axis=0) + 1e-12
-        weights = np.minimum(1.0, _TUNING * scale / np.maximum(away, 1e-12))
+        deviation = np.abs(values - centre)
+        scale = 1.4826 * np.median(deviation, axis=0) + 1e-12
+        weights = np.minimum(1.0, _TUNING * scale / np.maximum(deviation, 1e-12))
         centre = (weights * values).sum(axis=0) / weights.sum(axis=0)
     spread = ((weights * (values - centre)) ** 2).sum(axis=0)
     return centre, np.sqrt(spread) / weights.sum(axis=0)
@@ -32,7 +32,7 @@ def fit(design: F64, values: F64) -> tuple[F64, F64] | None:
     """Huber regression of (n,) on (n, k): coefficients and standard deviations, or None where it is singular.
 
     The covariance is the sandwich ``(X'WX)^-1 X'W diag(e^2) W X (X'WX)^-1`` (White, Econometrica 48, 817, 1980): it
-    holds when the residuals' spread differs from place to place.
+    holds for heteroscedastic residuals.
     """
     weights = np.ones(len(values))
     solution: F64 = np.zeros(design.shape[1])
@@ -46,6 +46,6 @@ def fit(design: F64, values: F64) -> tuple[F64, F64] | None:
         weights = np.minimum(1.0, _TUNING * scale_of(residuals) / np.maximum(np.abs(residuals), 1e-12))
     weighted = design * weights[:, None]
     inverse = np.linalg.inv(weighted.T @ design)
-    meat = (weighted * residuals[:, None] ** 2).T @ weighted
-    covariance = inverse @ meat @ inverse
+    middle = (weighted * residuals[:, None] ** 2).T @ weighted
+    covariance = inverse @ middle @ inverse
     return solution, np.sqrt(np.maximum(np.diag(covariance), 0.0))

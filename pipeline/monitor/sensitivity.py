@@ -1,4 +1,4 @@
-"""How a small displacement of a camera's image shows in the projector's column, patch by patch."""
+"""Response of the observed projector coordinate to a displacement of a camera's image, by patch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _STEP_MM = 1.0
 
 
 def in_image(calibration: Calibration, points: F64) -> tuple[F64, F64]:
-    """Place of world points in the left image, -1 .. 1 from edge to edge, x and y."""
+    """Position of world points in the left image, -1 .. 1 from edge to edge, x and y."""
     width, height = calibration.left.size
     pixels = calibration.left.project(points)
     return 2 * pixels[:, 0] / (width - 1) - 1, 2 * pixels[:, 1] / (height - 1) - 1
@@ -26,8 +26,8 @@ def along_ray(calibration: Calibration, points: F64, first: int) -> tuple[F64, F
     return projector[:, first], calibration.right.project(further) - calibration.right.project(points)
 
 
-def answers(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]:
-    """Change of observed minus predicted projector coordinate per pixel that the right image is displaced, u and v.
+def displacement_response(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]:
+    """Change of observed minus predicted projector coordinate per pixel of displacement of the right image, u and v.
 
     The match slides along the epipolar curve (u_s, v_s) until the phase agrees: a displacement (du, dv) moves it by
     ``ds = (F_u du + F_v dv) / (F_u u_s + F_v v_s)``, F the phase in the right image, and the predicted projector
@@ -36,14 +36,14 @@ def answers(calibration: Calibration, shape: F64, first: int) -> tuple[F64, F64]
     Args:
         shape: (n, 14), as of :func:`pipeline.monitor.patches.measure_patches`.
     """
-    p, seen = along_ray(calibration, shape[:, :3], first)
+    p, shift = along_ray(calibration, shape[:, :3], first)
     slope_u, slope_v = shape[:, 8], shape[:, 9]
-    along = slope_u * seen[:, 0] + slope_v * seen[:, 1]
+    along = slope_u * shift[:, 0] + slope_v * shift[:, 1]
     return -p * slope_u / along, -p * slope_v / along
 
 
 def design(calibration: Calibration, shape: F64, first: int) -> F64:
-    """(n, 4) regressors of the residual: 1, place x, place y, answer to a displacement across the epipolar lines."""
+    """(n, 4) regressors of the residual: 1, position x and y, response to a displacement across the epipolar lines."""
     x, y = in_image(calibration, shape[:, :3])
-    across = answers(calibration, shape, first)[1 - first]
+    across = displacement_response(calibration, shape, first)[1 - first]
     return np.stack([np.ones_like(x), x, y, across], axis=1)

@@ -1,4 +1,4 @@
-"""Displacement of the right image across the epipolar lines, from the surface's own brightness."""
+"""Displacement of the right image across the epipolar lines, from the surface texture."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[F64, F6
     """Displacement across the epipolar lines, pixels, and its standard deviations, (3,) each.
 
     The three are the displacement in the middle and its change to the image's edge along x and y. Each patch gives two
-    equations of instruments (left gradients); the displacement along the lines, which the phase has fixed already, is
-    a nuisance.
+    equations of instruments (left gradients); the displacement along the lines, which the phase has determined, is a
+    nuisance parameter.
 
     Args:
-        sums: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`; x, y: (n,) place in the image, -1 .. 1.
+        sums: (n, 8), see :data:`pipeline.monitor.brightness.TEXTURE`; x, y: (n,) position in the image, -1 .. 1.
         across: 1 when the epipolar lines run along u, else 0.
     """
     one = np.stack([np.ones_like(x), x, y], axis=1)
@@ -31,10 +31,10 @@ def displacement(sums: F64, x: F64, y: F64, *, across: int = 1) -> tuple[F64, F6
     values = sums[:, :2]
     basis = np.concatenate([np.repeat(one[:, None], 2, axis=1)] * 2, axis=2)
     basis[:, 0, 3:], basis[:, 1, :3] = 0.0, 0.0
-    # A patch whose brightness does not fit (an occlusion, a highlight) has much left over and so weighs little.
-    left_over = np.maximum(sums[:, 6], 0.1 * np.median(sums[:, 6]) + 1e-12)
-    weights = steady = np.median(left_over) / left_over
-    spread = np.sqrt(np.maximum(left_over * sums[:, 7], 1e-18))
+    # A patch whose brightness does not fit (an occlusion, a highlight) has a large residual and a small weight.
+    residual = np.maximum(sums[:, 6], 0.1 * np.median(sums[:, 6]) + 1e-12)
+    weights = steady = np.median(residual) / residual
+    spread = np.sqrt(np.maximum(residual * sums[:, 7], 1e-18))
     solution = np.zeros(6)
     for _ in range(_PASSES):
         normal = np.einsum("n,nik,nij->kj", weights, basis, design)

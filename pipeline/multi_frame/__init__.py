@@ -1,1 +1,1 @@
-"""Measuring modes of several images, for scenes at rest or slow ones, on the rig of the single shot."""
+"""Measuring modes of several images, for scenes at rest or slow ones."""

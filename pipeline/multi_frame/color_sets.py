@@ -1,7 +1,7 @@
-"""Sets of two colour fringes to clouds: the single shot of the first, with orders that the second agrees with.
+"""From sets of two colour fringes to clouds: the single shot of the first, with orders that the second confirms.
 
-Left and right are matched in images of one instant. Motion between the two sets the orders at variance, never the
-points: what it costs is coverage.
+Left and right are matched in images of one instant: motion between the two fringes makes orders disagree, which costs
+coverage, but does not displace points.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.multi_frame import temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
-from pipeline.multi_frame.order_agreement import agreed
+from pipeline.multi_frame.order_agreement import agreed_orders
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
 WORST_DEVIATION = np.float32(0.6)
-"""Largest deviation of the second phase from what the first lets expect, radians; a period off gives 1.26."""
+"""Largest deviation of the second phase from the one predicted by the first, radians; a wrong period gives 1.26."""
 
 
 class ColorSets:
@@ -40,19 +40,19 @@ class ColorSets:
         self._ratio = np.float32(plan.colors[1].periods / plan.colors[0].periods)
         shape = calibration.left.size[::-1]
         self._order, self._unused = np.empty(shape, np.int16), np.empty(shape, np.int32)
-        self._away, self._lit, self._absolute_phase = (np.empty(shape, np.float32) for _ in range(3))
+        self._deviation, self._lit, self._absolute_phase = (np.empty(shape, np.float32) for _ in range(3))
 
     @property
     def correction(self) -> NDArray[np.float64]:
         """Of the projector's columns."""
         return self._reconstructors[0].correction
 
-    def keep(self) -> Any:
-        """What sets have changed, for :meth:`restore`."""
+    def state(self) -> Any:
+        """State that sets change, for :meth:`restore`."""
         return [(one.correction, one.calibrated) for one in self._reconstructors]
 
     def restore(self, kept: Any) -> None:
-        """As it was at :meth:`keep`."""
+        """Restore the state."""
         for one, (correction, calibrated) in zip(self._reconstructors, kept, strict=True):
             one.correction, one.calibrated = correction, calibrated
             one.clear_prior()
@@ -67,15 +67,15 @@ class ColorSets:
                     f"{len(images)} {side} images of a set of {len(self._reconstructors)}; expected one each"
                 )
         first, second = self._reconstructors
-        found = first.decide(lefts[0], rights[0], watch)
+        decided = first.decide(lefts[0], rights[0], watch)
         other, _, other_order = second.decide(lefts[1], rights[1], watch)
-        left, right, order = found
-        agreed(
+        left, right, order = decided
+        agreed_orders(
             order, left.phase, left.descriptors, left.valid, other_order, other.phase, other.descriptors, other.valid,
-            self._ratio, WORST_DEVIATION, self._order, self._away, self._lit,
+            self._ratio, WORST_DEVIATION, self._order, self._deviation, self._lit,
         )  # fmt: skip
-        moved = temporal_unwrapping.settle(
-            self._order, self._unused, self._lit, self._away, left.variance, np.float32(0.5), WORST_DEVIATION,
+        moved = temporal_unwrapping.reject_moved(
+            self._order, self._unused, self._lit, self._deviation, left.variance, np.float32(0.5), WORST_DEVIATION,
             self._absolute_phase,
         )  # fmt: skip
         watch.lap("agreement")

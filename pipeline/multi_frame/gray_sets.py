@@ -15,7 +15,7 @@ from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import TURN_STEPS, MatchResult
 from pipeline.multi_frame import temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
-from pipeline.multi_frame.phase_limits import SetTables
+from pipeline.multi_frame.phase_limits import PhaseLimits
 from pipeline.multi_frame.phase_smoothing import CORRELATION
 from pipeline.multi_frame.set_decoder import SetDecoder, SetPhase, windowed
 from pipeline.pattern.color_fringe import ColorFringe
@@ -32,10 +32,10 @@ _FEWEST = 1000
 WORST_DEVIATION = 0.6
 """Largest mean deviation of the fringes of a set from each other with which an order is taken, radians."""
 WORST_MISFIT = 0.05
-"""Contradiction of a set's images from which a pixel has moved, radians of the finest fringe."""
+"""Contradiction of a set's images that is taken as motion, radians of the finest fringe."""
 
 
-class GreySets:
+class GraySets:
     """For one calibration, plan and volume; arguments as of ``SetReconstructor``."""
 
     def __init__(
@@ -52,8 +52,8 @@ class GreySets:
             "margin_px": settings.self_calibration_range if settings.self_calibrate else 0.5,
         }  # fmt: skip
         tables = (
-            SetTables.of(calibration, volume, **options),
-            SetTables.of(swapped, rights, **options, inside=(swapped.right, volume)),
+            PhaseLimits.of(calibration, volume, **options),
+            PhaseLimits.of(swapped, rights, **options, inside=(swapped.right, volume)),
         )
         colors = calibration.left_color, calibration.right_color
         self._decoders = [
@@ -63,12 +63,12 @@ class GreySets:
         self._correlation = CORRELATION if windowed(settings, encoding) else 0.0
         self._stages: dict[int, SurfaceStage] = {}
 
-    def keep(self) -> Any:
-        """What sets have changed, for :meth:`restore`."""
+    def state(self) -> Any:
+        """State that sets change, for :meth:`restore`."""
         return self.correction, self.calibrated
 
     def restore(self, kept: Any) -> None:
-        """As it was at :meth:`keep`."""
+        """Restore the state."""
         self.correction, self.calibrated = kept
 
     def cloud(
@@ -93,16 +93,16 @@ class GreySets:
         )  # fmt: skip
 
     def _calibrate_columns(self, left: SetPhase, right: SetPhase) -> None:
-        """Find the projector's column correction from a set and keep it, if the set has points enough.
+        """Find the projector's column correction from a set and keep it, if the set has enough points.
 
-        The pixels that both cameras agree about tell how far off the projector is: among some offsets the one with
-        the most of them, then an affine fit.
+        Among some offsets of the projector the one with the most matches that both cameras confirm is chosen, then an
+        affine fit.
         """
         best, most = 0.0, -1
         for offset in column_correction.offsets_to_try(self._settings.self_calibration_range, step=1.0):
-            agreed = int(np.count_nonzero(self._match(left, right, np.array([offset, 0.0, 0.0])).valid))
-            if agreed > 1.02 * most:
-                best, most = float(offset), agreed
+            agreed_orders = int(np.count_nonzero(self._match(left, right, np.array([offset, 0.0, 0.0])).valid))
+            if agreed_orders > 1.02 * most:
+                best, most = float(offset), agreed_orders
         correction = np.array([best, 0.0, 0.0])
         match = self._match(left, right, correction)
         difference, along, across = column_correction.column_differences(self._left, match, correction)

@@ -1,4 +1,4 @@
-"""What the images of a set are for."""
+"""Roles of the images of a set."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pipeline.common.errors import PatternError
 from pipeline.multi_frame.n_step import solution_of
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Axis, FrameSequence, Fringe, GrayBit
+from pipeline.pattern.projected_frames import Axis, Fringe, GrayBit
+from pipeline.pattern.sequence import FrameSequence
 
 F32 = NDArray[np.float32]
 Kind = Literal["two_color", "heterodyne", "gray"]
@@ -21,20 +22,20 @@ _HARMONIC_FROM = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shifted:
-    """The images of one fringe, and how samples become its phase.
+    """The images of one fringe, and the linear maps from samples to its phase.
 
     Args:
         periods: over the projector; frames: numbers of its images in the set.
         solve: (3, n), samples -> mean, C, S.
-        rest: (m, n), orthonormal: what a sinusoid cannot explain; for n > 5 a second harmonic neither.
-        bend: what the one row of ``rest`` of four steps makes of a second harmonic, complex; 0 for others.
+        rest: (m, n), orthonormal complement of a sinusoid, for n > 5 of its second harmonic too.
+        harmonic: second harmonic in the one row of ``rest`` of four steps, complex; 0 for others.
     """
 
     periods: float
     frames: tuple[int, ...]
     solve: NDArray[np.float64]
     rest: NDArray[np.float64]
-    bend: complex
+    harmonic: complex
 
     @staticmethod
     def of(periods: float, frames: tuple[int, ...], shifts: NDArray[np.float64]) -> Shifted:
@@ -45,16 +46,16 @@ class Shifted:
             columns += [np.cos(2 * shifts), np.sin(2 * shifts)]
         basis, _, _ = np.linalg.svd(np.stack(columns, axis=1))
         rest = basis[:, len(columns) :].T
-        bend = complex(rest[0] @ np.exp(2j * shifts)) if len(shifts) < _HARMONIC_FROM and len(rest) == 1 else 0j
-        return Shifted(periods, frames, solve, rest if len(shifts) != 5 else rest[:0], bend)
+        harmonic = complex(rest[0] @ np.exp(2j * shifts)) if len(shifts) < _HARMONIC_FROM and len(rest) == 1 else 0j
+        return Shifted(periods, frames, solve, rest if len(shifts) != 5 else rest[:0], harmonic)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A set, read.
+    """Roles of the images of a set, read from its sequence.
 
     Args:
-        kind: how the orders are told; size: (width, height) of the projector; axis: along which the phase grows.
+        kind: source of the orders; size: (width, height) of the projector; axis: along which the phase grows.
         fringes: finest first; empty for colour fringes. bits: (frame, bit); colors: the colour fringes.
     """
 
@@ -78,19 +79,19 @@ class Plan:
 
     @property
     def shares(self) -> NDArray[np.float64]:
-        """Weights of the fringes in the phase that is measured, their sum is 1: by what noise each leaves."""
+        """Weights of the fringes in the measured phase, by their noise; their sum is 1."""
         weight = np.array([f.periods**2 * len(f.frames) for f in self.fringes])
         return np.asarray(weight / weight.sum())
 
     @property
     def centre(self) -> float:
-        """Number of the image, as a rule between two, that a slowly moving surface is measured at."""
+        """Time at which a slowly moving surface is measured, as a (fractional) number of an image."""
         means = [float(np.mean(f.frames)) for f in self.fringes]
         return float(self.shares @ means) if means else 0.0
 
 
 def plan_of(sequence: FrameSequence) -> Plan:
-    """Read a sequence; PatternError says what is missing for a measurement."""
+    """Read a sequence; PatternError names what is missing for a measurement."""
     colors = tuple(frame for frame in sequence.frames if isinstance(frame, ColorFringe))
     if len(colors) == len(sequence) == 2:
         return _two_color(sequence, colors)

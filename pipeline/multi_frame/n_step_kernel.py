@@ -1,8 +1,8 @@
 """Phases of a set of shifted fringes, pixel by pixel, from the raw images of one camera.
 
-The fringes are grey: what crosstalk takes from one channel it gives to another, so a three-chip image's channels are
-added up, and a mosaic's pixels each speak for themselves. A channel that is saturated in one of the images is left
-out of all of them.
+The fringes are grey, so crosstalk only moves light between channels: the channels of a three-chip image are summed,
+the pixels of a mosaic evaluated one by one. A channel that is saturated in one of the images is excluded from all of
+them.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ _MOST = np.float32(127)
 
 
 @serial
-def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share: Any, clip: float, row: Any) -> int:
+def load_row(
+    stack: Any, i: int, channels: int, scale: float, black: Any, share: Any, saturation: float, row: Any
+) -> int:
     """Samples of a row of all images, (F, W), in counts of light above black; 0 where everything is saturated.
 
     Args:
         stack: (F, H, W * channels) raw, counts once multiplied by ``scale``.
-        black, share: (2, 2, channels), by parity of row and column: black level, and answer to white light.
+        black, share: (2, 2, channels), by parity of row and column: black level, and response to white light.
         row: (F + 2, W) float32, written; the last two rows get the factors of a sample's noise for floor and gain.
 
     Returns:
@@ -50,7 +52,7 @@ def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share:
                 value = np.float32(line[channels * j + c])
                 top[j] = value if value > top[j] else top[j]
         for j in range(width):
-            fine = top[j] * scale < clip
+            fine = top[j] * scale < saturation
             top[j] = _ONE if fine else _ZERO
             saturated[j] |= np.uint8(0) if fine else np.uint8(1)
             weight[j] += top[j] * share[i & 1, j & 1, c]
@@ -74,24 +76,24 @@ def load_row(stack: Any, i: int, channels: int, scale: float, black: Any, share:
 
 @parallel
 def phases(
-    stack: Any, channels: int, scale: float, black: Any, share: Any, clip: float, floor: float, gain: float,
-    index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, bend: Any, bit_index: Any, bit_sign: Any,
+    stack: Any, channels: int, scale: float, black: Any, share: Any, saturation: float, floor: float, gain: float,
+    index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, harmonic: Any, bit_index: Any, bit_sign: Any,
     phase: Any, amplitude: Any, variance: Any, mean: Any, misfit: Any, bits: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Phase, amplitude and fit of every fringe of a set.
 
     Args:
         stack ... clip: see :func:`load_row`; floor, gain: noise of a raw sample, counts^2 and counts^2 per count.
-        index: (n,) images of all fringes, fringe after fringe; first: (J + 1,) where each fringe's begin.
-        solve: (3, n), samples -> A, C, S; rest: (n, most) rows of what is left over, fringe ``q`` has
+        index: (n,) images of all fringes, fringe after fringe; first: (J + 1,) start of each fringe in it.
+        solve: (3, n), samples -> A, C, S; rest: (n, most) rows of the residual, fringe ``q`` has
             ``rest_first[q + 1] - rest_first[q]`` of them, each with as many numbers as the fringe has images.
-        bend: (J, 2), second harmonic that the images are known to have, as the first of those rows sees it.
+        harmonic: (J, 2), second harmonic of the images in the first of those rows.
         bit_index, bit_sign: (n,) images of a Gray code, and -1 where one is inverted.
         phase, amplitude, variance: (J, H, W) float32, written: radians, counts, radians^2.
         mean: (H, W) float32, counts, written.
-        misfit: (H, W) float32, written: mean square, in radians^2 of a phase, of what noise does not explain of the
-            left over parts and of the differences between the fringes' means.
-        bits: (n, H, W) int8, written: how far above the mean each bit is, in :data:`BIT_STEPS` per amplitude.
+        misfit: (H, W) float32, written: mean square, in radians^2 of a phase, of the residuals and of the differences
+            between the fringes' means, less their noise.
+        bits: (n, H, W) int8, written: each bit's contrast to the mean, in :data:`BIT_STEPS` per amplitude.
         saturated: (H,) int32, pixels with a saturated sample.
     """
     height, width = mean.shape
@@ -99,11 +101,11 @@ def phases(
     for i in prange(height):
         row = np.empty((frames + 2, width), np.float32)
         work = np.empty((6, width), np.float32)
-        saturated[i] = load_row(stack, i, channels, scale, black, share, clip, row)
-        total, square, left = work[3], work[4], work[5]
+        saturated[i] = load_row(stack, i, channels, scale, black, share, saturation, row)
+        total, square, residual = work[3], work[4], work[5]
         for j in range(width):
-            total[j], square[j], left[j] = _ZERO, _ZERO, _ZERO
-        pieces = 0
+            total[j], square[j], residual[j] = _ZERO, _ZERO, _ZERO
+        n_residuals = 0
         for q in range(fringes):
             a, re, im = work[0], work[1], work[2]
             for j in range(width):
@@ -122,7 +124,7 @@ def phases(
             for j in range(width):
                 size = re[j] * re[j] + im[j] * im[j] + _TINY
                 light = a[j] if a[j] > _ZERO else _ZERO
-                # Of a sample: (floor + gain * counts) of each channel, over the sum of their shares.
+                # Of a sample: (floor + gain * counts) of each channel, over the sum of their responses.
                 noise = floor * row[frames + 1, j] + gain * light * row[frames, j]
                 amplitude[q, i, j] = root(size)
                 variance[q, i, j] = spread * noise / size
@@ -137,19 +139,20 @@ def phases(
                     for k in range(first[q + 1] - first[q]):
                         over += rest[m, k] * row[index[first[q] + k], j]
                     over -= (
-                        bend[q, 0] * (re[j] * re[j] - im[j] * im[j]) - bend[q, 1] * np.float32(2) * re[j] * im[j]
+                        harmonic[q, 0] * (re[j] * re[j] - im[j] * im[j])
+                        - harmonic[q, 1] * np.float32(2) * re[j] * im[j]
                     ) / root(size)
-                    left[j] += (over * over - noise) / size
-                pieces += 1
+                    residual[j] += (over * over - noise) / size
+                n_residuals += 1
         n = np.float32(fringes)
         for j in range(width):
             middle = total[j] / n
             mean[i, j] = middle if middle > _ZERO else _ZERO
-            away = square[j] - n * middle * middle
+            difference = square[j] - n * middle * middle
             size = amplitude[0, i, j] * amplitude[0, i, j] + _TINY
             # The means' own noise: that of a phase times the amplitude, less a half.
-            misfit[i, j] = (left[j] + away / size - (n - _ONE) * np.float32(0.5) * variance[0, i, j]) / (
-                np.float32(pieces) + n - _ONE + _TINY
+            misfit[i, j] = (residual[j] + difference / size - (n - _ONE) * np.float32(0.5) * variance[0, i, j]) / (
+                np.float32(n_residuals) + n - _ONE + _TINY
             )
         for b in range(bit_index.shape[0]):
             line, sign = row[bit_index[b]], bit_sign[b] * BIT_STEPS

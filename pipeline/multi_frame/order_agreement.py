@@ -1,4 +1,4 @@
-"""Orders of one fringe that a second fringe agrees with."""
+"""Orders of one fringe that a second fringe confirms."""
 
 from __future__ import annotations
 
@@ -26,39 +26,40 @@ def _lesser(a: Any, b: Any) -> Any:
 
 
 @parallel
-def agreed(
+def agreed_orders(
     order: Any, phase: Any, descriptors: Any, valid: Any, other_order: Any, other: Any, other_descriptors: Any,
     other_valid: Any,
-    ratio: Any, limit: Any, out: Any, away: Any, lit: Any,
+    ratio: Any, limit: Any, out: Any, deviation: Any, lit: Any,
 ) -> None:  # fmt: skip
-    """The first fringe's order, or what the second's makes it, where the other phase fits and the two agree.
+    """The order of the first fringe, or the one that the second implies, where phases fit and orders agree.
 
     Args:
         order, phase, descriptors, valid: (H, W) of the first fringe; other ...: of the second.
         ratio: periods of the second per period of the first; limit: largest deviation of the second phase, radians.
         out: (H, W) int16, written, NONE where unknown.
-        away: (H, W) float32, written: deviation of the phases squared, radians^2; lit: 1 where both are valid, else 0.
+        deviation: (H, W) float32, written: squared deviation of the phases, radians^2; lit: 1 where both are
+            valid, else 0.
     """
     for i in prange(order.shape[0]):
         for j in range(order.shape[1]):
-            out[i, j], away[i, j], lit[i, j] = NONE, _ZERO, _ZERO
+            out[i, j], deviation[i, j], lit[i, j] = NONE, _ZERO, _ZERO
             if not valid[i, j] or not other_valid[i, j]:
                 continue
             lit[i, j] = _ONE
-            here, there = phase[i, j], other[i, j]
-            bias, bias_there = bias_of(descriptors[i, j], here), bias_of(other_descriptors[i, j], there)
+            reference, other_phase = phase[i, j], other[i, j]
+            bias, other_bias = bias_of(descriptors[i, j], reference), bias_of(other_descriptors[i, j], other_phase)
             first, second = order[i, j], NONE
             least, least_second = np.float32(np.pi), np.float32(np.pi)
             if first != NONE:
-                plain = here + _TURN * np.float32(first)
-                even = _wrapped(there + bias_there - ratio * (plain + bias))
-                least = _lesser(_wrapped(there - ratio * plain), even)
+                plain = reference + _TURN * np.float32(first)
+                even = _wrapped(other_phase + other_bias - ratio * (plain + bias))
+                least = _lesser(_wrapped(other_phase - ratio * plain), even)
             if other_order[i, j] != NONE:
-                plain = there + bias_there + _TURN * np.float32(other_order[i, j])
-                second = np.int16(whole_turns(plain / ratio - here - bias))
-                expected = here + _TURN * np.float32(second)
+                plain = other_phase + other_bias + _TURN * np.float32(other_order[i, j])
+                second = np.int16(whole_turns(plain / ratio - reference - bias))
+                expected = reference + _TURN * np.float32(second)
                 even = plain - ratio * (expected + bias)
-                least_second = _lesser(plain - bias_there - ratio * expected, even)
+                least_second = _lesser(plain - other_bias - ratio * expected, even)
             good, good_second = least < limit, least_second < limit
             if good and good_second and first != second:
                 continue
@@ -66,4 +67,4 @@ def agreed(
                 out[i, j] = first if good else second
             elif first != NONE or second != NONE:
                 least = least if least < least_second else least_second
-                away[i, j] = least * least
+                deviation[i, j] = least * least

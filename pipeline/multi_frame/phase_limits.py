@@ -1,4 +1,4 @@
-"""Between which absolute phases a pixel's ray meets the projector's light inside the measuring volume."""
+"""Limits of the absolute phase on each pixel's ray inside the measuring volume."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STEP = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SetTables:
+class PhaseLimits:
     """Limits of the absolute phase of every pixel of one camera, (H, W) float32, radians; size: (W, H)."""
 
     size: tuple[int, int]
@@ -29,12 +29,12 @@ class SetTables:
     def of(
         calibration: Calibration, volume: Volume, *, axis: str, per_px: float, margin_px: float,
         inside: tuple[CameraModel, Volume] | None = None,
-    ) -> SetTables:  # fmt: skip
+    ) -> PhaseLimits:  # fmt: skip
         """For the calibration's left camera.
 
         Args:
-            per_px: radians per projector pixel; margin_px: projector pixels by which the projector may be wrong.
-            inside: the camera that the volume is given along, see :func:`pipeline.geometry.ray_tables.ray_table`.
+            per_px: radians per projector pixel; margin_px: uncertainty of the projector, projector pixels.
+            inside: the camera along whose axis the volume is given, see :func:`pipeline.geometry.ray_tables.ray_table`.
         """
         depth = DepthScale.of(volume)
         table = ray_table(calibration, depth, axis=axis, step=(_STEP, _STEP), margin=0, inside=inside)
@@ -46,17 +46,17 @@ class SetTables:
         low, high = (_everywhere(end, height, width) for end in (ends[0] - margin_px, ends[1] + margin_px))
         length = calibration.projector.size[0 if axis == "x" else 1]
         low, high = np.maximum(low, -0.5), np.minimum(high, length - 0.5)
-        return SetTables((width, height), *(((end + 0.5) * per_px).astype(np.float32) for end in (low, high)))
+        return PhaseLimits((width, height), *(((end + 0.5) * per_px).astype(np.float32) for end in (low, high)))
 
 
 def _everywhere(lattice: F64, height: int, width: int) -> F64:
-    """A lattice's values at all pixels, straight lines between them."""
+    """A lattice's values, interpolated linearly at all pixels."""
     rows, columns = (_weights(n, m) for n, m in zip((height, width), lattice.shape, strict=True))
     return np.asarray(rows @ lattice @ columns.T)
 
 
 def _weights(pixels: int, nodes: int) -> F64:
-    """(pixels, nodes): share of each node in each pixel; straight on beyond the last one."""
+    """(pixels, nodes): weight of each node in each pixel; linear extrapolation beyond the last one."""
     place = np.arange(pixels) / _STEP
     cell = np.clip(place.astype(int), 0, max(nodes - 2, 0))
     part = place - cell

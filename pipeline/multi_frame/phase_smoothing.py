@@ -1,9 +1,9 @@
 """Absolute phases averaged over 3 x 3 pixels with binomial weights (1 2 1).
 
-On a Bayer mosaic every such window holds red, green and blue as 1 : 2 : 1, wherever it stands: what colours see
-differently (lenses, a projector whose colours do not coincide) is then the same in all pixels and in both cameras. A
-neighbour counts only together with the one opposite, and only where both lie on the pixel's own surface: the average
-of opposite neighbours has no slope.
+On a Bayer mosaic every such window holds red, green and blue as 1 : 2 : 1: chromatic differences (lenses,
+misregistered projector colours) are then the same in all pixels and in both cameras. A neighbour is used only together
+with the opposite one, and only where both lie on the pixel's surface: the average of opposite neighbours has no slope
+error.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pipeline.multi_frame.temporal_unwrapping import NONE, UNIT
 
 CORRELATION = 2 / 3
 """Of neighbouring pixels' noise afterwards."""
-_BEND = np.float32(0.8)
+_MAX_CURVATURE = np.float32(0.8)
 _ZERO, _TWO, _FOUR, _TURN = np.float32(0), np.float32(2), np.float32(4), np.float32(2 * np.pi)
 
 
@@ -26,9 +26,9 @@ _ZERO, _TWO, _FOUR, _TURN = np.float32(0), np.float32(2), np.float32(4), np.floa
 def smooth(
     absolute_phase: Any, variance: Any, order: Any, phase: Any, phasor: Any, out: Any, out_variance: Any
 ) -> None:
-    """Average ``absolute_phase`` (H, W), NaN where unknown, into ``out``, and the variance that it has then.
+    """Average ``absolute_phase`` (H, W), NaN where unknown, into ``out``, with its variance in ``out_variance``.
 
-    ``phase`` becomes what is left of the average beside the order's whole_turns, ``phasor`` (H, W) int32 goes with it.
+    ``phase`` becomes the average minus the order's whole turns, ``phasor`` (H, W) int32 its packed phasor.
     """
     height, width = absolute_phase.shape
     for i in prange(height):
@@ -40,12 +40,12 @@ def smooth(
             total, weight, noise = _FOUR * middle, _FOUR, _FOUR * _FOUR * variance[i, j]
             if 0 < i < height - 1 and 0 < j < width - 1:
                 for pair in range(4):
-                    # Right, below, and the two diagonals; the other end lies opposite.
+                    # Right, below, and the two diagonals, each with its opposite.
                     y, x = (0 if pair == 0 else 1), (0 if pair == 1 else (1 if pair != 3 else -1))
                     share = _TWO if pair < 2 else np.float32(1)
                     a, b = absolute_phase[i + y, j + x], absolute_phase[i - y, j - x]
                     # False where one of them is unknown.
-                    if abs(a + b - _TWO * middle) < _BEND and abs(a - b) < _FOUR:
+                    if abs(a + b - _TWO * middle) < _MAX_CURVATURE and abs(a - b) < _FOUR:
                         total += share * (a + b)
                         weight += _TWO * share
                         noise += share * share * (variance[i + y, j + x] + variance[i - y, j - x])
@@ -58,7 +58,7 @@ def smooth(
 
 @parallel
 def blend(plane: Any, out: Any) -> None:
-    """The same average of a plane (H, W) float32 that is known everywhere; borders as they are."""
+    """The same average of a plane (H, W) float32 that is valid everywhere; borders unchanged."""
     height, width = plane.shape
     for i in prange(height):
         for j in range(width):

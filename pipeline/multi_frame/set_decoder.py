@@ -1,4 +1,4 @@
-"""One camera's images of a set to a phase map with known orders."""
+"""From one camera's images of a set to a phase map with orders."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pipeline.decode.pixel_descriptor import descriptors_without_color
 from pipeline.decode.raw_image import BAYER
 from pipeline.multi_frame import n_step_kernel, temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
-from pipeline.multi_frame.phase_limits import SetTables
+from pipeline.multi_frame.phase_limits import PhaseLimits
 from pipeline.multi_frame.phase_smoothing import blend, smooth
-from pipeline.multi_frame.second_harmonic import bends
+from pipeline.multi_frame.second_harmonic import second_harmonics
 from pipeline.rig.calibration import ColorModel
 
 F32 = NDArray[np.float32]
@@ -33,12 +33,12 @@ ENCODINGS = tuple(_SHAPES)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetPhase:
-    """What one camera's set of images says; the next set overwrites the planes but ``map.modulation``.
+    """Phases and orders of one camera's set of images; the next set overwrites all planes but ``map.modulation``.
 
     Args:
-        map: phases of the finest fringe, as the single shot has them.
+        map: phases of the finest fringe, as of the single shot.
         order: (H, W) int16, orders, -32768 where unknown; absolute_phase: (H, W) float32, radians, NaN likewise.
-        moved: lit pixels whose images contradict each other.
+        moved: number of lit pixels whose images contradict each other.
     """
 
     map: PhaseMap
@@ -48,19 +48,19 @@ class SetPhase:
 
 
 class SetDecoder:
-    """Everything of a camera that can be computed once, and the decoding of its sets of grey images.
+    """Decoding of a camera's sets of grey images, with what can be computed once for all of them.
 
     Args:
-        plan: what the images are for; color: black level and crosstalk; tables: limits of the absolute phase.
+        plan: roles of the images; color: black level and crosstalk; tables: limits of the absolute phase.
         encoding: of the images, one of :data:`ENCODINGS`.
         limits: largest deviation of orders, largest misfit, radians.
     """
 
     def __init__(
-        self, plan: Plan, color: ColorModel, tables: SetTables, *, encoding: str, settings: Settings,
+        self, plan: Plan, color: ColorModel, tables: PhaseLimits, *, encoding: str, settings: Settings,
         limits: tuple[float, float],
     ) -> None:  # fmt: skip
-        self._plan, self._tables, self._settings, self._encoding, self._limits = (
+        self._plan, self._phase_limits, self._settings, self._encoding, self._limits = (
             plan,
             tables,
             settings,
@@ -99,41 +99,41 @@ class SetDecoder:
         """Phases and orders of a set of raw images; ``side`` is for errors."""
         self._take(images, side)
         noise = self._noise(images[self._index[0]])
-        s, smallest = self._settings, np.float32(self._settings.min_modulation)
+        s, min_amplitude = self._settings, np.float32(self._settings.min_modulation)
         given = (
             self._stack, self._channels, self._scale, self._black, self._share, np.float32(s.saturation),
             np.float32(noise.floor), np.float32(noise.gain), self._index, self._first, self._solve, self._rest,
             self._rest_first,
         )  # fmt: skip
-        bend = bends(self._plan, self._stack, self._channels, float(smallest)).astype(np.float32)
+        harmonic = second_harmonics(self._plan, self._stack, self._channels, float(min_amplitude)).astype(np.float32)
         n_step_kernel.phases(
-            *given, bend, self._bit_index, self._bit_sign, self._phase, self._amplitude, self._variance, self._mean,
+            *given, harmonic, self._bit_index, self._bit_sign, self._phase, self._amplitude, self._variance, self._mean,
             self._misfit, self._bits, self._saturated,
         )  # fmt: skip
-        self._decide(smallest)
-        return self._settled(smallest)
+        self._decide(min_amplitude)
+        return self._unwrapped(min_amplitude)
 
-    def _decide(self, smallest: np.float32) -> None:
-        """The orders, by what the set has for them."""
+    def _decide(self, min_amplitude: np.float32) -> None:
+        """The orders, from a Gray code or from several fringes."""
         plan = self._plan
-        planes = self._phase, self._amplitude, self._variance, self._tables.low, self._tables.high
+        planes = self._phase, self._amplitude, self._variance, self._phase_limits.low, self._phase_limits.high
         if plan.bits:
             fringe = plan.fringes[0]
             temporal_unwrapping.by_bits(
                 *planes, self._bits, self._number, np.float32(plan.bits[0][1].cells / fringe.periods),
-                len(fringe.frames), smallest, self._misfit, self._order, self._phasor,
+                len(fringe.frames), min_amplitude, self._misfit, self._order, self._phasor,
             )  # fmt: skip
         else:
             temporal_unwrapping.by_phase(
-                *planes, self._ratio, self._weight, smallest, np.float32(self._limits[0]), self._misfit, self._order,
-                self._phasor,
+                *planes, self._ratio, self._weight, min_amplitude, np.float32(self._limits[0]), self._misfit,
+                self._order, self._phasor,
             )  # fmt: skip
 
-    def _settled(self, smallest: np.float32) -> SetPhase:
+    def _unwrapped(self, min_amplitude: np.float32) -> SetPhase:
         absolute_phase = self._phase[0].copy()
         amplitude = self._amplitude[0]
-        moved = temporal_unwrapping.settle(
-            self._order, self._phasor, amplitude, self._misfit, self._variance[0], smallest,
+        moved = temporal_unwrapping.reject_moved(
+            self._order, self._phasor, amplitude, self._misfit, self._variance[0], min_amplitude,
             np.float32(self._limits[1]), absolute_phase,
         )  # fmt: skip
         phase, variance, mean = self._phase[0], self._variance[0], self._mean
@@ -145,7 +145,7 @@ class SetDecoder:
             mean = self._spare[2]
         counts = np.rint(mean).clip(0, 255).astype(np.uint8)
         modulation = np.minimum(amplitude, 255).astype(np.uint8)
-        share = float(self._saturated.sum()) / self._saturated.size / self._tables.size[0]
+        share = float(self._saturated.sum()) / self._saturated.size / self._phase_limits.size[0]
         valid = self._order != temporal_unwrapping.NONE
         descriptors_without_color(phase, valid, counts, self._descriptors)
         found = PhaseMap(self._phasor, self._descriptors, counts, variance, share, phase, modulation, valid)
@@ -155,7 +155,7 @@ class SetDecoder:
         """Copy the images into one array; ImageError unless all fit."""
         if len(images) != self._plan.frames:
             raise ImageError(f"{len(images)} {side} images of a set of {self._plan.frames}; expected one each")
-        width, height = self._tables.size
+        width, height = self._phase_limits.size
         shape = (height, width, 3) if self._channels == 3 else (height, width)
         for number, image in enumerate(images):
             if image.shape != shape or image.dtype != self._type:

@@ -14,7 +14,7 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.filter.kernel_warmup import warm_up_conflicts
 from pipeline.multi_frame.color_sets import ColorSets
-from pipeline.multi_frame.gray_sets import GreySets
+from pipeline.multi_frame.gray_sets import GraySets
 from pipeline.multi_frame.image_roles import plan_of
 from pipeline.multi_frame.set_decoder import ENCODINGS
 from pipeline.pattern.sequence import FrameSequence
@@ -61,7 +61,7 @@ class SetReconstructor:
         self.calibration, self.sequence, self.volume, self.encoding = calibration, sequence, volume, encoding
         self.settings, self.plan = settings or Settings(), plan_of(sequence)
         self._clock, self._threads = clock, threads
-        make = ColorSets if self.plan.kind == "two_color" else GreySets
+        make = ColorSets if self.plan.kind == "two_color" else GraySets
         self._sets = make(calibration, self.plan, volume, encoding=encoding, settings=self.settings)
 
     @property
@@ -75,7 +75,7 @@ class SetReconstructor:
         Args:
             strides: spacings that will be requested.
         """
-        kept = self._sets.keep()
+        kept = self._sets.state()
         rng = np.random.default_rng(0)
         kind = np.uint16 if self.encoding == "mono16" else np.uint8
         deep = (3,) if self.encoding == "rgb8" else ()

@@ -1,7 +1,7 @@
-"""Which period of the finest fringe a pixel lies in: each one inside the measuring volume is tried on all the evidence.
+"""Temporal unwrapping: the period of the finest fringe, among those inside the measuring volume.
 
-Other fringes, or the bits of a Gray code, say what they should look like in each of these periods. The period that fits
-best is taken if it fits well and the next best does not (the method of excess fractions, Benoit 1898).
+Other fringes, or the bits of a Gray code, are predicted for each of these periods. The best fit is accepted if it
+is good and the next best does not (the method of excess fractions, Benoit 1898).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pipeline.multi_frame.n_step_kernel import BIT_STEPS
 
 NONE = np.int16(-32768)
 UNIT = np.float32(100.0)
-"""Size of all phasors, counts: a bright pixel does not pull the phase between it and a dark one."""
+"""Size of all phasors, counts, so that interpolation weights bright and dark pixels alike."""
 _ZERO, _ONE, _TURN = np.float32(0), np.float32(1), np.float32(2 * np.pi)
 _FAR, _CLEAR = np.float32(1e9), np.float32(4.0)
 _EDGE, _UNCERTAIN = np.float32(0.25), np.float32(4)
@@ -31,30 +31,30 @@ def _wrapped(a: Any) -> Any:
 
 @parallel
 def by_phase(
-    phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, ratio: Any, share: Any, smallest: float,
-    worst: float, misfit: Any, order: Any, phasor: Any,
+    phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, ratio: Any, share: Any, min_amplitude: float,
+    max_deviation: float, misfit: Any, order: Any, phasor: Any,
 ) -> None:  # fmt: skip
-    """Orders from several fringes; what they all say of the phase goes into that of the first.
+    """Orders from several fringes, and the phase of the first averaged with those of the others.
 
     Args:
         phase, amplitude, variance: (J, H, W), finest fringe first; the first planes of phase and variance become those
-            of all fringes together.
+            of the average.
         low, high: (H, W) limits of the absolute phase in the measuring volume, radians.
         ratio: (J,) periods per period of the first; share: (J,) weights of the fringes in the phase, their sum is 1.
-        smallest: amplitude below which a pixel is unknown, counts; worst: largest mean deviation of the fringes from
-            each other, radians.
-        misfit: (H, W), the mean square of what noise does not explain of that deviation is added.
+        min_amplitude: amplitude below which a pixel is unknown, counts; max_deviation: largest mean deviation of the
+            fringes from each other, radians.
+        misfit: (H, W), to which the mean square of that deviation, less its noise, is added.
         order: (H, W) int16, written, NONE where unknown; phasor: (H, W) int32, packed, 0 where unknown.
     """
     fringes, height, width = phase.shape
     others = np.float32(fringes - 1)
-    most = others * np.float32(worst) * np.float32(worst)
+    most = others * np.float32(max_deviation) * np.float32(max_deviation)
     for i in prange(height):
         for j in range(width):
             order[i, j], phasor[i, j] = NONE, 0
             usable = True
             for q in range(fringes):
-                usable &= amplitude[q, i, j] >= smallest
+                usable &= amplitude[q, i, j] >= min_amplitude
             if not usable or not high[i, j] > low[i, j]:
                 continue
             main = phase[0, i, j]
@@ -64,8 +64,8 @@ def by_phase(
             for k in range(k0, k1 + 1):
                 cost = _ZERO
                 for q in range(1, fringes):
-                    away = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(k)))
-                    cost += away * away
+                    deviation = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(k)))
+                    cost += deviation * deviation
                 if cost < best:
                     second, best, chosen = best, cost, k
                 elif cost < second:
@@ -77,8 +77,8 @@ def by_phase(
                 continue
             shift, noise, expected = _ZERO, share[0] * share[0] * variance[0, i, j], _ZERO
             for q in range(1, fringes):
-                away = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(chosen)))
-                shift += share[q] * away / ratio[q]
+                deviation = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(chosen)))
+                shift += share[q] * deviation / ratio[q]
                 noise += (share[q] / ratio[q]) ** 2 * variance[q, i, j]
                 expected += variance[q, i, j] + ratio[q] * ratio[q] * variance[0, i, j]
             misfit[i, j] += (best - expected) / others
@@ -94,10 +94,10 @@ def _changing(edge: Any) -> Any:
 
 
 @inline
-def _clearest(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
-    """How clearly the bits say that a pixel lies at this place of the code: the least clear one's contrast.
+def _least_contrast_at(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
+    """Evidence of the bits for a position in the code: the least contrast of the expected sign.
 
-    The bit whose edge is near says nothing.
+    The bit with an edge nearby is ignored.
     """
     cell, edge = np.int32(np.floor(place)), np.int32(np.rint(place))
     near = abs(place - np.float32(edge)) < _EDGE
@@ -116,9 +116,9 @@ def _clearest(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
 
 @inline
 def _unevenness(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
-    """Mean square deviation of the contrasts of the bits that have no edge near, in amplitudes^2.
+    """Mean square deviation of the contrasts of the bits without an edge nearby, in amplitudes^2.
 
-    Of the bright ones and of the dark ones by themselves: a projector's response may make the two unequal.
+    It is computed for bright and dark bits apart, since the projector's response may make them unequal.
     """
     cell = np.int32(np.floor(place))
     unclear = _changing(cell) | _changing(cell + np.int32(1))
@@ -141,33 +141,35 @@ def _unevenness(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
 @parallel
 def by_bits(
     phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, bits: Any, number: Any, per_period: float,
-    steps: int, smallest: float, misfit: Any, order: Any, phasor: Any,
+    steps: int, min_amplitude: float, misfit: Any, order: Any, phasor: Any,
 ) -> None:  # fmt: skip
     """Orders of one fringe from the bits of a Gray code.
 
     Args:
-        phase, amplitude, variance: (1, H, W); low, high, smallest, order, phasor: see :func:`by_phase`.
-        bits: (n, H, W) int8, see :func:`pipeline.multi_frame.n_step_kernel.phases`; number: (n,) int32, place of each
-            in the code, 0 = the least significant; per_period: cells of the code per period; steps: images of the
+        phase, amplitude, variance: (1, H, W); low, high, min_amplitude, order, phasor: see :func:`by_phase`.
+        bits: (n, H, W) int8, see :func:`pipeline.multi_frame.n_step_kernel.phases`; number: (n,) int32, position of
+            each in the code, 0 = the least significant; per_period: cells of the code per period; steps: images of the
             fringe.
-        misfit: (H, W), the mean square of what noise does not explain of the bits' contrasts is added.
+        misfit: (H, W), to which the mean square deviation of the bits' contrasts, less its noise, is added.
     """
     height, width = order.shape
     for i in prange(height):
         for j in range(width):
             order[i, j], phasor[i, j] = NONE, 0
-            if not amplitude[0, i, j] >= smallest or not high[i, j] > low[i, j]:
+            if not amplitude[0, i, j] >= min_amplitude or not high[i, j] > low[i, j]:
                 continue
             main = phase[0, i, j]
             k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
             k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
             best, second, chosen = -_FAR, -_FAR, int(k0)
             for k in range(k0, k1 + 1):
-                clear = _clearest(bits, number, i, j, (main / _TURN + np.float32(k)) * np.float32(per_period))
-                if clear > best:
-                    second, best, chosen = best, clear, k
-                elif clear > second:
-                    second = clear
+                contrast = _least_contrast_at(
+                    bits, number, i, j, (main / _TURN + np.float32(k)) * np.float32(per_period)
+                )
+                if contrast > best:
+                    second, best, chosen = best, contrast, k
+                elif contrast > second:
+                    second = contrast
             if best < _CERTAIN or second > -_CERTAIN:
                 continue
             place = (main / _TURN + np.float32(chosen)) * np.float32(per_period)
@@ -178,29 +180,29 @@ def by_bits(
 
 
 @parallel
-def settle(
+def reject_moved(
     order: Any,
     phasor: Any,
     amplitude: Any,
     misfit: Any,
     variance: Any,
-    smallest: float,
+    min_amplitude: float,
     limit: float,
     absolute_phase: Any,
 ) -> int:
-    """Forget the pixels whose images contradict each other, or whose neighbours' do, and count them.
+    """Reject pixels whose images, and those of their neighbours, contradict each other, and count them.
 
-    Where half of the lit pixels of a window of 5 x 5 contradict, something moved; a border between two surfaces makes
-    fewer contradict. A pixel that contradicts by three times as much is forgotten in any case, but not counted.
+    Contradictions of half of the lit pixels of a 5 x 5 window are due to motion; a border between two surfaces causes
+    fewer. A pixel with a contradiction three times as large is rejected in any case, but not counted.
 
     Args:
-        order, phasor: (H, W), forgotten in place; amplitude, misfit: (H, W), radians^2.
-        variance: (H, W), of the phases; the misfit of dim pixels is that uncertain.
+        order, phasor: (H, W), changed in place; amplitude, misfit: (H, W), radians^2.
+        variance: (H, W), of the phases; added to the limit, since dim pixels have a noisy misfit.
         limit: largest misfit, radians.
         absolute_phase: (H, W) float32, wrapped phases; becomes absolute, NaN where ``order`` is rejected.
 
     Returns:
-        Number of lit pixels where something moved.
+        Number of lit pixels with motion.
     """
     height, width = order.shape
     vote = np.empty((height, width), np.uint8)
@@ -208,7 +210,7 @@ def settle(
     largest = np.float32(limit) * np.float32(limit)
     for i in prange(height):
         for j in range(width):
-            lit = amplitude[i, j] >= smallest
+            lit = amplitude[i, j] >= min_amplitude
             vote[i, j] = (2 if misfit[i, j] > largest + _UNCERTAIN * variance[i, j] else 1) if lit else 0
     for i in prange(height):
         for j in range(width):
@@ -232,24 +234,24 @@ def settle(
 
 @parallel
 def confirm(
-    valid: Any, absolute_phase: Any, right_u: Any, right_v: Any, there: Any, per_turn: float, limit: float
+    valid: Any, absolute_phase: Any, right_u: Any, right_v: Any, other: Any, per_turn: float, limit: float
 ) -> None:
-    """Forget matches whose pixel in the other image has another absolute phase, or none.
+    """Reject matches whose pixel in the other image has another absolute phase, or none.
 
     Args:
         valid: (h, w) uint8, changed; absolute_phase, right_u, right_v: of
             :class:`pipeline.match.match_result.MatchResult`.
-        there: (H, W) float32, absolute phases of the other image; limit: radians.
+        other: (H, W) float32, absolute phases of the other image; limit: radians.
     """
     for i in prange(valid.shape[0]):
         for j in range(valid.shape[1]):
             if valid[i, j] == 0:
                 continue
             y, x = np.int32(right_v[i, j]) >> 3, np.int32(right_u[i, j]) >> 3
-            away = np.int32(32768)
-            if y < there.shape[0] and x < there.shape[1] and there[y, x] == there[y, x]:
-                away = np.int32(np.rint(there[y, x] * np.float32(per_turn))) - np.int32(absolute_phase[i, j])
-                away &= np.int32(65535)
-                away = min(away, np.int32(65536) - away)
-            if not np.float32(away) < np.float32(limit) * np.float32(per_turn):
+            deviation = np.int32(32768)
+            if y < other.shape[0] and x < other.shape[1] and other[y, x] == other[y, x]:
+                deviation = np.int32(np.rint(other[y, x] * np.float32(per_turn))) - np.int32(absolute_phase[i, j])
+                deviation &= np.int32(65535)
+                deviation = min(deviation, np.int32(65536) - deviation)
+            if not np.float32(deviation) < np.float32(limit) * np.float32(per_turn):
                 valid[i, j] = np.uint8(0)

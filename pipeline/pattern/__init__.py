@@ -1,1 +1,1 @@
-"""What is projected: the colour fringe, frames, and sequences of them."""
+"""Projected patterns: the colour fringe, frames, and sequences of them."""

@@ -1,6 +1,6 @@
-"""The colour fringe: what the projector shows, and which column an absolute phase belongs to.
+"""The colour fringe: its projected image, and the projector column of an absolute phase.
 
-One code path for plain and frequency-modulated fringes: the absolute phase at every column's centre is a table.
+Plain and frequency-modulated fringes share one representation: a table of the absolute phase at every column's centre.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class ColorFringe:
         return 2 * np.pi * self.periods * (np.arange(self.length) + 0.5) / self.length
 
     def column_of(self, phase: Array) -> Array:
-        """Projector column (or row) of absolute phases; straight continuation by half a pixel beyond both ends."""
+        """Projector column (or row) of absolute phases; extrapolated linearly by half a pixel beyond both ends."""
         table = self.phase
         columns = np.arange(-1.0, self.length + 1)
         ends = (2 * table[0] - table[1], 2 * table[-1] - table[-2])
@@ -133,8 +133,8 @@ def from_mapping(data: Mapping[str, Any]) -> ColorFringe:
 def modulated_profile(length: int, periods: float, *, depth: float = 0.15, seed: int = 0) -> Array:
     """Phase table of a frequency-modulated fringe: period lengths T0 (1 + depth c), c smooth, aperiodic, in [-1, 1].
 
-    An insurance for rigs whose projector stands at an integer ratio of the baseline, where equal fringes
-    carry no order on planes.
+    For rigs whose projector is at an integer ratio of the baseline, where equal fringes do not determine the
+    order on planes.
     """
     rng = np.random.default_rng(seed)
     codes = np.repeat(rng.integers(-1, 2, int(np.ceil(periods)) + 4), 8).astype(np.float64)

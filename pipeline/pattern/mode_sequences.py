@@ -1,4 +1,4 @@
-"""The sets of images of the measuring modes.
+"""Sequences of frames of the measuring modes.
 
 Three frequencies whose beats have one period over the whole projector ("heterodyne": Gruber and Haeusler, Optik 89,
 118, 1992) are all fine: each of them measures as well as the others. A Gray code numbers the periods of one fringe
@@ -12,20 +12,11 @@ from math import ceil, log2, pi
 
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import (
-    CHANNELS,
-    GREY_AMPLITUDE,
-    GREY_MEAN,
-    Axis,
-    Frame,
-    FrameSequence,
-    Fringe,
-    GrayBit,
-    check_size,
-)
+from pipeline.pattern.projected_frames import CHANNELS, GRAY_AMPLITUDE, GRAY_MEAN, Axis, Fringe, GrayBit, check_size
+from pipeline.pattern.sequence import Frame, FrameSequence
 
 MODES = ("two_color", "heterodyne", "gray")
-"""Beside the single shot, which is no sequence."""
+"""The modes other than the single shot, which needs no sequence."""
 
 FEWEST_PERIODS, MOST_STEPS = 4.0, 16
 _SECOND = 0.8
@@ -38,21 +29,21 @@ def mode_sequence(
     periods: float = 96.0,
     steps: int = 4,
     axis: Axis = "x",
-    mean: float = GREY_MEAN,
-    amplitude: float = GREY_AMPLITUDE,
+    mean: float = GRAY_MEAN,
+    amplitude: float = GRAY_AMPLITUDE,
     channels: tuple[str, ...] = CHANNELS,
 ) -> FrameSequence:
-    """The images of a mode in the order in which they are shown.
+    """The frames of a mode in their order.
 
     Args:
         name: one of :data:`MODES`; it becomes the sequence's name.
         size: (width, height) of the projector, pixels.
         periods: of the finest fringe over the width (axis x) or the height; may be fractional, at least 4.
-        steps: images of each fringe that is shifted, 3 to 16. With three, a projector whose response is not known
-            bends the phase by a quarter of a radian; with four by a hundredth.
+        steps: images of each fringe that is shifted, 3 to 16. With three, an uncalibrated response of the projector
+            changes the phase by a quarter of a radian; with four by a hundredth.
         axis: direction along which the phase grows.
         mean, amplitude: light of fringes and bits; of colour fringes see :class:`ColorFringe`.
-        channels: that fringes and bits are lit in; a monochrome projector takes all.
+        channels: lit by fringes and bits; all for a monochrome projector.
     """
     check_size(size)
     length = size[0] if axis == "x" else size[1]
@@ -85,8 +76,8 @@ def gray_bits(
     periods: float,
     axis: Axis,
     *,
-    mean: float = GREY_MEAN,
-    amplitude: float = GREY_AMPLITUDE,
+    mean: float = GRAY_MEAN,
+    amplitude: float = GRAY_AMPLITUDE,
     channels: tuple[str, ...] = CHANNELS,
 ) -> Sequence[GrayBit]:
     """A Gray code of half periods: of the two edges of a code's bits next to a pixel one is always far away."""

@@ -1,7 +1,7 @@
-"""Kinds of images that the projector shows, beside :class:`pipeline.pattern.color_fringe.ColorFringe`.
+"""Kinds of projected frames other than :class:`pipeline.pattern.color_fringe.ColorFringe`.
 
-An even image in drive values, as it is sent to the projector (its response may be what is asked for); in light, the
-same in every channel that is lit, one fringe, and one bit of a Gray code.
+A uniform frame is given in drive values, since it may serve to measure the projector's response; a fringe and a bit of
+a Gray code are given in light, the same in every lit channel.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ Axis = Literal["x", "y"]
 CHANNELS = ("red", "green", "blue")
 LARGEST_SIDE = 8192
 MOST_BITS = 13
-GREY_MEAN, GREY_AMPLITUDE = 100.0, 92.0
+GRAY_MEAN, GRAY_AMPLITUDE = 100.0, 92.0
 """Light of a fringe that is lit in all channels: crosstalk makes it brighter than a colour fringe."""
 
 
 @dataclass(frozen=True, slots=True)
 class Uniform:
-    """The same colour everywhere.
+    """A uniform colour.
 
     Args:
         size: (width, height) of the projector, pixels.
-        color: drive values of red, green and blue, whole numbers from 0 to 255, sent as they are.
+        color: drive values of red, green and blue, whole numbers from 0 to 255, sent unchanged.
     """
 
     size: tuple[int, int]
@@ -62,15 +62,15 @@ class Fringe:
         axis: direction along which the phase grows.
         shift: radians.
         mean, amplitude: light, 255 = full.
-        channels: those that are lit, of red, green, blue; the others are dark.
+        channels: the lit ones of red, green, blue; the others are dark.
     """
 
     size: tuple[int, int]
     periods: float
     axis: Axis = "x"
     shift: float = 0.0
-    mean: float = GREY_MEAN
-    amplitude: float = GREY_AMPLITUDE
+    mean: float = GRAY_MEAN
+    amplitude: float = GRAY_AMPLITUDE
     channels: tuple[str, ...] = CHANNELS
 
     def __post_init__(self) -> None:
@@ -141,7 +141,7 @@ class GrayBit:
         axis: direction along which the cells are counted.
         cells: over the width or height, at most ``2 ** bits``; may be fractional; 0 = ``2 ** bits``.
         mean, amplitude: light, 255 = full.
-        channels: those that are lit, of red, green, blue; the others are dark.
+        channels: the lit ones of red, green, blue; the others are dark.
     """
 
     size: tuple[int, int]
@@ -150,12 +150,12 @@ class GrayBit:
     inverted: bool = False
     axis: Axis = "x"
     cells: float = 0.0
-    mean: float = GREY_MEAN
-    amplitude: float = GREY_AMPLITUDE
+    mean: float = GRAY_MEAN
+    amplitude: float = GRAY_AMPLITUDE
     channels: tuple[str, ...] = CHANNELS
 
     def __post_init__(self) -> None:
-        # What a bit shares with a fringe is checked there.
+        # The parameters shared with a fringe are checked by it.
         fringe = Fringe(self.size, 1.0, self.axis, 0.0, self.mean, self.amplitude, self.channels)
         object.__setattr__(self, "channels", fringe.channels)
         if self.bits not in range(1, MOST_BITS + 1):
@@ -179,7 +179,7 @@ class GrayBit:
 
     @property
     def ones(self) -> NDArray[np.bool_]:
-        """Where along the axis the bit is bright, (length,)."""
+        """Positions along the axis at which the bit is bright, (length,)."""
         length = self.size[0] if self.axis == "x" else self.size[1]
         cell = np.floor(self.cells * (np.arange(length) + 0.5) / length).astype(np.int64)
         ones = ((cell ^ (cell >> 1)) >> (self.bits - 1 - self.bit)) & 1 == 1
@@ -210,12 +210,12 @@ def check_size(size: tuple[int, int]) -> None:
 
 
 def _spread(line: NDArray[Any], axis: Axis, size: tuple[int, int]) -> NDArray[Any]:
-    """A line along the axis, (length, 3), all over the image, (height, width, 3)."""
+    """A line along the axis, (length, 3), repeated over the image, (height, width, 3)."""
     return np.broadcast_to(line[None] if axis == "x" else line[:, None], (*size[::-1], 3))
 
 
 def _sent(wave: Array, lit: NDArray[np.bool_], axis: Axis, size: tuple[int, int], response: Response | None) -> Image:
-    """The image of a line of light, (length,), in the channels that are lit."""
+    """The image of a line of light, (length,), in the lit channels."""
     line = np.repeat(wave[:, None], 3, axis=1)
     drive = line if response is None else response.drive(line)
     # A dark channel gets drive 0, not the largest drive that still gives no light.

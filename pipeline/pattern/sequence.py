@@ -1,4 +1,4 @@
-"""Images that the projector shows one after the other on a scene at rest, as descriptions and as pixels."""
+"""Sequences of frames that the projector shows on a scene at rest, and their JSON descriptions."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import numpy as np
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as fringe_from_mapping
-from pipeline.pattern.projected_frames import CHANNELS as CHANNELS
-from pipeline.pattern.projected_frames import GREY_AMPLITUDE as GREY_AMPLITUDE
-from pipeline.pattern.projected_frames import GREY_MEAN as GREY_MEAN
-from pipeline.pattern.projected_frames import LARGEST_SIDE as LARGEST_SIDE
-from pipeline.pattern.projected_frames import Axis as Axis
-from pipeline.pattern.projected_frames import Fringe as Fringe
-from pipeline.pattern.projected_frames import GrayBit as GrayBit
-from pipeline.pattern.projected_frames import Image as Image
-from pipeline.pattern.projected_frames import Uniform as Uniform
-from pipeline.pattern.projected_frames import check_size as check_size
+from pipeline.pattern.projected_frames import (
+    CHANNELS,
+    GRAY_AMPLITUDE,
+    GRAY_MEAN,
+    Axis,
+    Fringe,
+    GrayBit,
+    Uniform,
+    check_size,
+)
 
 MOST_FRAMES = 512
 _LONGEST_NAME = 64
@@ -36,7 +36,7 @@ class FrameSequence:
     """Frames in the order in which they are shown; all of one size.
 
     Args:
-        name: what it is for, one word or a few, at most 64 characters.
+        name: its purpose, one word or a few, at most 64 characters.
         frames: 1 to 512.
     """
 
@@ -118,17 +118,17 @@ def frame_from_mapping(data: Mapping[str, Any]) -> Frame:
 
 
 def camera_sequence(size: tuple[int, int]) -> FrameSequence:
-    """For the cameras' calibration: white light that clips no channel of a well exposed camera."""
+    """For the cameras' calibration: white light that saturates no channel of a well exposed camera."""
     return FrameSequence("cameras", (Uniform(size, (WHITE_LEVEL,) * 3),))
 
 
 def projector_sequence(size: tuple[int, int], *, finest_px: float = 12.8, steps: int = 6) -> FrameSequence:
     """For the projector's calibration: white, black, and grey fringes of three frequencies in x and in y.
 
-    The steps are chosen for a projector whose response is not known yet. A fringe of n steps is blind to harmonics up
-    to n - 2. With gamma 2.2 the second harmonic turns a phase of three steps by up to 0.29 rad, the third one of four
-    steps by 0.011 rad: one period in three steps is good for telling 6 periods apart, and these in four steps for
-    telling the finest ones apart. Six steps leave the fifth harmonic, 0.0004 rad or 0.001 px.
+    The steps are chosen for an uncalibrated response of the projector. A fringe of n steps is insensitive to harmonics
+    up to n - 2. With gamma 2.2 the second harmonic changes a phase of three steps by up to 0.29 rad, the third one of
+    four steps by 0.011 rad: one period in three steps distinguishes 6 periods, and these in four steps the finest
+    ones. Six steps leave the fifth harmonic, 0.0004 rad or 0.001 px.
 
     Args:
         size: (width, height) of the projector, pixels.
@@ -162,8 +162,8 @@ def _gray_bit(size: tuple[int, int], data: Mapping[str, Any]) -> GrayBit:
         inverted=inverted,
         axis=data.get("axis", "x"),
         cells=float(data.get("cells", 0.0)),
-        mean=float(data.get("mean", GREY_MEAN)),
-        amplitude=float(data.get("amplitude", GREY_AMPLITUDE)),
+        mean=float(data.get("mean", GRAY_MEAN)),
+        amplitude=float(data.get("amplitude", GRAY_AMPLITUDE)),
         channels=_names(data.get("channels", CHANNELS)),
     )
 

@@ -25,9 +25,9 @@ class ColorModel:
 
     Args:
         black: (3,) camera counts (8-bit scale), R G B.
-        crosstalk: (3, 3), answer of camera channel c to projector channel p; ones on the diagonal.
-        balance: (3,) answers of the channels to their own full light on a white surface, relative to their mean.
-        lateral: lateral colour of the lens, None = none is known.
+        crosstalk: (3, 3), response of camera channel c to projector channel p; ones on the diagonal.
+        balance: (3,) responses of the channels to their own full light on a white surface, relative to their mean.
+        lateral_chromatic: lateral chromatic aberration of the lens; None = not calibrated.
     """
 
     black: Array = field(default_factory=lambda: np.zeros(3))
@@ -57,7 +57,7 @@ class ColorModel:
 
     @property
     def mix(self) -> Array:
-        """Answer of the camera's channels to the projector's on a white surface, (3, 3): crosstalk and balance."""
+        """Response of the camera's channels to the projector's on a white surface, (3, 3): crosstalk and balance."""
         return np.asarray(self.crosstalk * self.balance)
 
     @property
@@ -104,7 +104,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Everything known of a rig; the left camera is the world."""
+    """Calibration of a rig; the left camera is the world."""
 
     left: CameraModel
     right: CameraModel
@@ -115,11 +115,11 @@ class Calibration:
     registration: Registration | None = None
 
     def __post_init__(self) -> None:
-        away = max(np.abs(self.left.rotation - np.eye(3)).max(), np.abs(self.left.translation).max())
-        if away > 1e-9:
+        offset = max(np.abs(self.left.rotation - np.eye(3)).max(), np.abs(self.left.translation).max())
+        if offset > 1e-9:
             raise CalibrationError("cameras.left must have the identity pose: the left camera is the world frame")
         if self.baseline_mm < 1e-9:
-            raise CalibrationError("cameras.left and cameras.right stand at the same place: the baseline is 0 mm")
+            raise CalibrationError("cameras.left and cameras.right have the same position: the baseline is 0 mm")
 
     @property
     def baseline_mm(self) -> float:
@@ -154,7 +154,7 @@ class Cameras:
     registration: Registration | None = None
 
     def __post_init__(self) -> None:
-        # What holds for the cameras of a complete rig holds here; any third device serves to ask for it.
+        # The checks of a complete rig apply to the cameras; any third device completes it.
         Calibration(self.left, self.right, self.projector or self.right)
 
     @property
@@ -163,7 +163,7 @@ class Cameras:
         return float(np.linalg.norm(self.right.centre - self.left.centre))
 
     def complete(self) -> Calibration:
-        """The calibration that a measurement needs; CalibrationError if it has no projector."""
+        """The complete calibration; CalibrationError without a projector."""
         if self.projector is None:
             raise CalibrationError(NO_PROJECTOR)
         return Calibration(

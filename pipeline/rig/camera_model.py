@@ -2,7 +2,7 @@
 
 World frame = frame of the left camera. ``X_device = R X_world + t``; the image point is ``u = fx x_d + skew y_d + cx``,
 ``v = fy y_d + cy`` with the distorted normalised point (x_d, y_d) after Brown, 1971, in OpenCV's order of coefficients.
-All of it in float64: this is the reference that faster kernels are tested against.
+All in float64: the reference for tests of faster kernels.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class CameraModel:
         return self.normalise(np.stack([u, v], axis=-1))
 
     def cropped(self, left: int, top: int, width: int, height: int) -> CameraModel:
-        """The same device seen through a window of its sensor."""
+        """The same device with a region of its sensor."""
         matrix = self.matrix.copy()
         matrix[0, 2] -= left
         matrix[1, 2] -= top

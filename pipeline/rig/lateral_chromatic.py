@@ -1,9 +1,9 @@
-"""Where red and blue lie beside green: lateral colour of a camera's lens, registration of a projector's colours.
+"""Lateral chromatic aberration of a camera's lens, and registration of a projector's colours, against green.
 
 A lens magnifies every colour a little differently, and its centring shifts them: the image of a point in red light
-stands at ``x + d_red(x)`` when its image in green light stands at x. The displacement is kept as a shift, a radial
+lies at ``x + d_red(x)`` when its image in green light lies at x. The displacement is modelled as a shift, a radial
 magnification and its cubic term, about the principal point, in pixels; a projector's as an affine map. Both are tiny
-(tenths of a pixel) but turn each channel's fringe by an angle of its own, see :mod:`pipeline.decode.chromatic_phase`.
+(tenths of a pixel) but shift the phase of each channel's fringe, see :mod:`pipeline.decode.chromatic_phase`.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ class ColorDisplacement:
     def at(self, camera: CameraModel, pixels: Array) -> Array:
         """Displacement at pixels of a camera, (..., 2) -> (..., 2)."""
         m = camera.matrix
-        away = pixels - np.array([m[0, 2], m[1, 2]])
-        r2 = (away[..., 0] / m[0, 0]) ** 2 + (away[..., 1] / m[1, 1]) ** 2
-        return np.asarray(self.shift + (self.magnification + self.cubic * r2)[..., None] * away)
+        offset = pixels - np.array([m[0, 2], m[1, 2]])
+        r2 = (offset[..., 0] / m[0, 0]) ** 2 + (offset[..., 1] / m[1, 1]) ** 2
+        return np.asarray(self.shift + (self.magnification + self.cubic * r2)[..., None] * offset)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LateralChromatic:
-    """Lateral colour of a camera: where red and blue stand against green."""
+    """Lateral chromatic aberration of a camera: displacement of red and blue against green."""
 
     red: ColorDisplacement = field(default_factory=ColorDisplacement)
     blue: ColorDisplacement = field(default_factory=ColorDisplacement)
@@ -63,7 +63,7 @@ class LateralChromatic:
         return np.stack([self.red.at(camera, pixels), np.zeros_like(pixels), self.blue.at(camera, pixels)])
 
     def as_mapping(self) -> dict[str, Any]:
-        """The value of the key ``color.lateral_chromatic`` of a calibration file."""
+        """The value of the key ``color.lateral`` of a calibration file."""
         return {
             name: {"shift": np.asarray(color.shift).tolist(), "magnification": color.magnification,
                    "cubic": color.cubic}
@@ -73,9 +73,9 @@ class LateralChromatic:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorOffset:
-    """Where one colour lands against green on the projector's image: ``shift + stretch (p - centre)``.
+    """Offset of one colour against green in the projector's image: ``shift + stretch (p - centre)``.
 
-    Light sent from pixel p shines where green light of pixel ``p + offset`` does.
+    Its light from pixel p coincides with green light of pixel ``p + offset``.
 
     Args:
         shift: (2,), projector pixels, at the centre of the image.
@@ -93,7 +93,7 @@ class ColorOffset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """How a projector's red and blue images lie on its green one."""
+    """Registration of a projector's red and blue images to its green one."""
 
     red: ColorOffset = field(default_factory=ColorOffset)
     blue: ColorOffset = field(default_factory=ColorOffset)
@@ -112,7 +112,7 @@ class Registration:
 
 
 def lateral_chromatic_of(data: Any, name: str) -> LateralChromatic:
-    """Lateral colour of the mapping in a calibration file; ``name`` is the key, for errors."""
+    """Lateral chromatic aberration of the mapping in a calibration file; ``name`` is the key, for errors."""
     colors = []
     for color in _COLORS:
         part, key = _part(data, color, name), f"{name}.{color}"
@@ -158,6 +158,6 @@ def _numbers(
     if np.abs(value).max() > limit:
         raise CalibrationError(
             f"{name}.{key} is {data[key]!r:.80}, more than the limit of {limit:g} {unit}".rstrip()
-            + "; a calibration of colour that gives this went wrong"
+            + "; repeat the colour calibration"
         )
     return value

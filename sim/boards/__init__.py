@@ -1,1 +1,1 @@
-"""Calibration boards as scenes: views of them rendered for a session."""
+"""Calibration boards as scenes, and calibration sessions rendered from them."""

@@ -1,4 +1,4 @@
-"""Where a board is held in a session: near and far, tilted, and moved so that its marks reach the images' corners."""
+"""Poses of a board in a session: near and far, tilted, and moved so that its marks reach the images' corners."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from sim.scene.shapes import Triple, rotation_about
 Array = NDArray[np.float64]
 
 MOST_TILT_DEG = 45.0
-# Distance from the border of each device's image that every mark keeps, as a share of the image's width, and how
-# far beyond the measuring volume the board goes, as a share of the volume's half depth.
+# Least distance of the marks from the border of each device's image, as a fraction of its width, and the reach of the
+# poses beyond the measuring volume, as a fraction of its half depth.
 _MARGIN, _BEYOND = 0.01, 1.2
-# Of a hundredth of the stand-off each: further away the cameras' fields drift apart.
+# Of a hundredth of the stand-off each: further away the cameras' fields overlap less.
 _STEPS = 30
 _CORNERS = np.array([(-1, -1), (1, 1), (1, -1), (-1, 1), (0, -1), (0, 1), (-1, 0), (1, 0)], float)
 
 
 @dataclass(frozen=True, slots=True)
 class BoardPose:
-    """A board on the stage: place of the middle of its marks, mm, and rotation vector, radians."""
+    """Pose of a board on the stage: position of the centre of its marks, mm, and rotation vector, radians."""
 
     at_mm: Triple = (0.0, 0.0, 0.0)
     turn: Triple = (0.0, 0.0, 0.0)
@@ -68,9 +68,9 @@ def session_poses(
 
     Args:
         n: number of poses, 1 or more.
-        seed: another seed, another hand; the plan is the same.
+        seed: varies the poses about the same plan.
         layout: the rig, the standard one if None.
-        board: what must fit.
+        board: that must fit into the images.
         tilt_deg: largest tilt, up to 60.
     """
     if n < 1 or not 0 <= tilt_deg <= 60:
@@ -81,56 +81,56 @@ def session_poses(
 
 def _pose(k: int, seed: int, layout: RigLayout, board: Board, tilt_deg: float) -> BoardPose:
     rng = np.random.default_rng([seed, k, 5])
-    # Axes of the tilts follow each other by the golden angle, so that any number of poses covers all directions.
+    # Successive tilt axes differ by the golden angle, so that any number of poses covers all directions.
     axis = 2 * np.pi * 0.381966 * k + rng.uniform(-0.2, 0.2)
     tilt = 0.0 if k == 0 else np.radians(tilt_deg) * (1.0, 0.75, 0.5)[k % 3] * rng.uniform(0.93, 1.0)
     roll = rng.uniform(-0.12, 0.12) + (0.0, 0.15, -0.15)[k % 3]
     half = _BEYOND * layout.depth_mm / 2
     depth = half * ((2 * ((k * 0.618034 + 0.5) % 1.0) - 1) + rng.uniform(-0.1, 0.1))
-    lean = rotation_about((np.cos(axis), np.sin(axis), 0.0), tilt)
+    tilted = rotation_about((np.cos(axis), np.sin(axis), 0.0), tilt)
     for share in (1.0, 0.6, 0.3, 0.0):
-        # A large board is held straighter, or none of the images holds all of it.
-        turn = lean @ rotation_about((0.0, 0.0, 1.0), share * roll)
-        place = _nearest_fit(depth, turn, layout, board)
-        if place is not None:
+        # A large board is rolled less, or no image holds all of it.
+        turn = tilted @ rotation_about((0.0, 0.0, 1.0), share * roll)
+        position = _nearest_fit(depth, turn, layout, board)
+        if position is not None:
             break
     else:
         raise ValueError(f"session_poses: the board {board} does not fit into the images at any distance")
-    # Nobody's hand goes to the last pixel; the first pose stays in the middle.
+    # The reach varies as with a hand-held board; the first pose stays in the middle.
     reach = 0.0 if k == 0 else rng.uniform(0.9, 1.0)
     corner = _CORNERS[k % len(_CORNERS)]
     for along in (0, 1) if k % 2 else (1, 0):
-        place = place + reach * _furthest(place, np.eye(3)[along] * corner[along], turn, layout, board)
-    x, y, z = (float(value) for value in place)
+        position = position + reach * _furthest(position, np.eye(3)[along] * corner[along], turn, layout, board)
+    x, y, z = (float(value) for value in position)
     return BoardPose((x, y, z), _rotation_vector(turn))
 
 
 def _nearest_fit(depth: float, turn: Array, layout: RigLayout, board: Board) -> Array | None:
-    """The place in the middle of all images where the board fits in, at a depth or a little further away."""
+    """The position in the middle of all images where the board fits, at a depth or a little further away."""
     rig = layout.calibration()
     corners = _corners(turn, layout, board)
     rotation, origin = layout.stage_pose()
     for step in range(_STEPS):
-        place = np.array([0.0, 0.0, depth + 0.01 * step * layout.standoff_mm])
+        position = np.array([0.0, 0.0, depth + 0.01 * step * layout.standoff_mm])
         for _ in range(4):
-            away = np.zeros(2)
+            offset = np.zeros(2)
             for device in (rig.left, rig.right, rig.projector):
-                pixels = device.project(corners + rotation @ place + origin)
+                pixels = device.project(corners + rotation @ position + origin)
                 off = (np.array(device.size) - 1) / 2 - (pixels.min(axis=0) + pixels.max(axis=0)) / 2
-                away += off * (layout.standoff_mm + place[2]) / device.matrix[0, 0] / 3
-            place[:2] += np.nan_to_num(away)
-        if _fits(place, corners, layout):
-            return place
+                offset += off * (layout.standoff_mm + position[2]) / device.matrix[0, 0] / 3
+            position[:2] += np.nan_to_num(offset)
+        if _fits(position, corners, layout):
+            return position
     return None
 
 
-def _furthest(place: Array, direction: Array, turn: Array, layout: RigLayout, board: Board) -> Array:
-    """The longest way from a place along a direction with all marks in all images, (3,), mm."""
+def _furthest(position: Array, direction: Array, turn: Array, layout: RigLayout, board: Board) -> Array:
+    """The longest shift from a position along a direction with all marks in all images, (3,), mm."""
     corners = _corners(turn, layout, board)
     inner, outer = 0.0, layout.standoff_mm / 4
     for _ in range(14):
         way = (inner + outer) / 2
-        inner, outer = (way, outer) if _fits(place + way * direction, corners, layout) else (inner, way)
+        inner, outer = (way, outer) if _fits(position + way * direction, corners, layout) else (inner, way)
     return inner * direction
 
 
@@ -142,14 +142,14 @@ def _corners(turn: Array, layout: RigLayout, board: Board) -> Array:
     return np.asarray(corners @ turn.T @ layout.stage_pose()[0].T)
 
 
-def _fits(place: Array, corners: Array, layout: RigLayout) -> bool:
+def _fits(position: Array, corners: Array, layout: RigLayout) -> bool:
     rig = layout.calibration()
     rotation, origin = layout.stage_pose()
-    world = corners + rotation @ place + origin
-    return all(_shows(device, world) for device in (rig.left, rig.right, rig.projector))
+    world = corners + rotation @ position + origin
+    return all(_contains(device, world) for device in (rig.left, rig.right, rig.projector))
 
 
-def _shows(device: CameraModel, world: Array) -> bool:
+def _contains(device: CameraModel, world: Array) -> bool:
     pixels = device.project(world)
     size, margin = np.array(device.size), _MARGIN * device.size[0]
     with np.errstate(invalid="ignore"):
@@ -159,9 +159,9 @@ def _shows(device: CameraModel, world: Array) -> bool:
 def _rotation_vector(rotation: Array) -> Triple:
     """Rotation vector of a rotation by less than half a turn."""
     angle = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0))
-    away = np.array([
+    offset = np.array([
         rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
     ])  # fmt: skip
     scale = 0.5 if angle < 1e-9 else angle / (2 * np.sin(angle))
-    x, y, z = scale * away
+    x, y, z = scale * offset
     return float(x), float(y), float(z)

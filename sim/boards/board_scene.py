@@ -1,4 +1,4 @@
-"""Printed calibration boards as things on the stage, images of them, and the truth about their marks."""
+"""Printed calibration boards on the stage, their images, and the true pixels of their marks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def board_shape(board: Board, *, at_mm: Triple = (0.0, 0.0, 0.0), turn: Triple =
 
     Args:
         board: what is printed.
-        at_mm: place of the middle of its marks on the stage; turn: rotation vector, radians.
+        at_mm: position of the centre of its marks on the stage; turn: rotation vector, radians.
     """
     sheet = board_drawing.shapes(board)
     x, y = sheet.width_mm / 2 - sheet.offset_mm[0], sheet.height_mm / 2 - sheet.offset_mm[1]
@@ -56,18 +56,18 @@ def board_shape(board: Board, *, at_mm: Triple = (0.0, 0.0, 0.0), turn: Triple =
 
 
 def board_scene(board: Board, pose: BoardPose | None = None, *, beside: Sequence[Shape] = ()) -> Scene:
-    """A scene at rest: a board, and other things if there are any, such as what throws a shadow or a second board."""
+    """A scene at rest: a board, and other shapes ``beside`` it, such as an occluder or a second board."""
     pose = pose or BoardPose()
     return Scene("board", (board_shape(board, at_mm=pose.at_mm, turn=pose.turn), *beside))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedViews:
-    """Views of a board without noise; noise costs little, so many sessions come from one rendering.
+    """Views of a board without noise; many sessions with different noise come from one rendering.
 
     Args:
         layout, board, optics, encoding, poses: what was rendered.
-        counts: for each pose and each image of the projector, left and right counts above black.
+        counts: for each pose and projected frame, left and right counts above black.
     """
 
     layout: RigLayout
@@ -78,7 +78,7 @@ class RenderedViews:
     counts: tuple[tuple[Counts, ...], ...]
 
     def images(self, seed: int, view: int) -> list[tuple[Image, Image]]:
-        """Left and right image of each frame of a view; the seed decides the noise, bit by bit."""
+        """Left and right image of each frame of a view; the seed determines the noise."""
         frames = self.counts[view]
         start = 1_000_003 * seed + 1009 * view
         return [with_noise(pair, self.optics, start + k, self.encoding) for k, pair in enumerate(frames)]
@@ -94,15 +94,15 @@ def render_views(
     encoding: str = "rgb8",
     beside: Sequence[Shape] = (),
 ) -> RenderedViews:
-    """Render a board at each pose under each image of the projector.
+    """Render a board at each pose under each projected frame.
 
     Args:
-        layout: the rig. board: what is held into its field. poses: see :func:`session_poses`.
+        layout: the rig. board: on its stage. poses: see :func:`session_poses`.
         optics: light, lenses and sensor; with 4 x 4 rays a pixel at least. The standard ones if None.
-        frames: what the projector shows one after the other: a sequence (sent as it is, the response being unknown),
-            or images, (H, W, 3) uint8; if None, white that clips nothing.
+        frames: that the projector shows: a sequence (sent uncorrected, the response being unknown) or images,
+            (H, W, 3) uint8; if None, white without saturation.
         encoding: of the cameras.
-        beside: other things on the stage.
+        beside: other shapes on the stage.
     """
     optics = fine(optics or Optics())
     frames = camera_sequence(layout.projector_size) if frames is None else frames
@@ -115,7 +115,7 @@ def render_views(
 
 
 def fine(optics: Optics) -> Optics:
-    """The same with as many rays a pixel as a board's edges want."""
+    """The optics with as many rays a pixel as a board's edges require."""
     return replace(optics, supersampling=max(SUPERSAMPLING, optics.supersampling))
 
 

@@ -28,7 +28,7 @@ from sim.render.sensor import ENCODINGS
 from sim.rig import rig_files
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene.named_scenes import build as build_scene
+from sim.scene.named_scenes import build
 from sim.scene.scene import Scene
 
 
@@ -45,8 +45,8 @@ def write_capture(
     """Render each scene under each frame of a sequence and write a capture folder.
 
     Args:
-        folder: is made. scenes: one a view. seed: of the noise; all else as :func:`sim.render.render_pair.render_pair`
-            has it.
+        folder: created. scenes: one a view. seed: of the noise; the rest as in
+            :func:`sim.render.render_pair.render_pair`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     _write_json(folder / "capture.json", {"encoding": encoding, "sequence": sequence.as_mapping()})
@@ -63,7 +63,7 @@ def write_capture(
 def write_plain(
     folder: Path, layout: RigLayout, scenes: Sequence[Scene], optics: Optics, *, encoding: str = "rgb8", seed: int = 0
 ) -> None:
-    """``left_00.png``, ``right_00.png``, ...: one white image a scene, as an ordinary camera would take it."""
+    """``left_00.png``, ``right_00.png``, ...: one image a scene under white light."""
     folder.mkdir(parents=True, exist_ok=True)
     (frame,) = camera_sequence(layout.projector_size).frames
     for view, scene in enumerate(scenes):
@@ -79,7 +79,7 @@ def noise_seed(seed: int, view: int, frame: int) -> int:
 
 
 def write_image(path: Path, image: Image) -> None:
-    """An image as PNG, colours in the order that PNG has them."""
+    """Write an image as PNG."""
     if not cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image):
         raise OSError(f"{path} cannot be written")
 
@@ -87,7 +87,7 @@ def write_image(path: Path, image: Image) -> None:
 def write_truth(
     folder: Path, layout: RigLayout, optics: Optics, board: Board | None = None, poses: Sequence[BoardPose] = ()
 ) -> None:
-    """The files of the rig as it really is, and where the marks really are."""
+    """Write the files of the true rig, and the true marks."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, mapping in (
         ("truth_calibration.json", rig_files.calibration_mapping(layout, optics)),
@@ -116,7 +116,7 @@ def _write_json(path: Path, mapping: Any) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Render, write, and tell in one line what there is."""
+    """Render and write the session, and print one line about it."""
     chosen = _parser().parse_intermixed_args(arguments)
     try:
         board = parse_board(chosen.board)
@@ -149,7 +149,7 @@ def _write_color(folder: Path, layout: RigLayout, optics: Optics, encoding: str,
     from pipeline.calibrate.color import color_sequence
 
     sequence = color_sequence(layout.projector_size, check=layout.pattern())
-    write_capture(folder, layout, sequence, [build_scene("plane")], optics, encoding=encoding, seed=seed)
+    write_capture(folder, layout, sequence, [build("plane")], optics, encoding=encoding, seed=seed)
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -1,7 +1,7 @@
-"""``python -m sim.box [--config box.yaml] [--no-daemon]``: a rig in a box, measured live until Ctrl-C.
+"""``python -m sim.box [--config box.yaml] [--no-daemon]``: a rig on emulated hardware, measured live until Ctrl-C.
 
 Starts an X server without hardware, emulated cameras and the light between them, and the daemon on that rig; prints
-how to look at it. Nothing is left behind.
+the commands to watch it. Nothing is left behind.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _STOP_S = 20.0
 
 
 def main(arguments: list[str]) -> int:
-    """Run until told to stop; 0, or 1 when something is missing or the daemon ended by itself."""
+    """Run until a signal; 0, or 1 when something is missing or the daemon ended by itself."""
     parser = argparse.ArgumentParser(prog="python -m sim.box", description=(__doc__ or "").partition("\n\n")[2])
     parser.add_argument("--config", type=Path, help="YAML file with the box's options")
-    parser.add_argument("--no-daemon", action="store_true", help="the devices alone; run the daemon yourself")
+    parser.add_argument("--no-daemon", action="store_true", help="only the devices; the daemon is started separately")
     given = parser.parse_args(arguments)
     try:
         options = read(given.config) if given.config else BoxOptions()
@@ -44,15 +44,15 @@ def main(arguments: list[str]) -> int:
 
 
 def run(options: BoxOptions) -> int:
-    """Make the box, print its ready line, and give triggers until SIGINT or SIGTERM."""
+    """Start the box, print its ready line, and trigger until SIGINT or SIGTERM."""
     stop = threading.Event()
     with ExitStack() as stack:
         stack.enter_context(_on_signals(stop.set))
-        sys.stdout.write("making the box: X server, cameras, scene\n")
+        sys.stdout.write("starting the box: X server, cameras, scene\n")
         sys.stdout.flush()
         box = stack.enter_context(Box(options))
         daemon = _start_daemon(box, stack) if options.daemon else None
-        sys.stdout.write(_told(box))
+        sys.stdout.write(_description(box))
         sys.stdout.flush()
         watch = threading.Thread(target=_watch, args=(daemon, stop), daemon=True)
         watch.start()
@@ -64,7 +64,7 @@ def run(options: BoxOptions) -> int:
 
 
 class _on_signals:  # noqa: N801 - reads as a verb
-    """Inside the block SIGINT and SIGTERM call a function instead."""
+    """Inside the block SIGINT and SIGTERM call a function."""
 
     def __init__(self, action: Callable[[], None]) -> None:
         self._action = action
@@ -83,7 +83,7 @@ class _on_signals:  # noqa: N801 - reads as a verb
 def _start_daemon(box: Box, stack: ExitStack) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-c", _DAEMON, "run", str(box.rig_file)]
     environment = os.environ | {GENTL_DIR: str(box.gentl_dir)}
-    # Ctrl-C reaches the whole group of processes; a session of its own lets this process end the daemon in order.
+    # Ctrl-C reaches the whole process group; in its own session the daemon is ended in order by this process.
     process = subprocess.Popen(command, env=environment, start_new_session=True)  # noqa: S603 - a fixed list, no shell
     stack.callback(_end, process)
     return process
@@ -100,13 +100,13 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _watch(daemon: subprocess.Popen[bytes] | None, stop: threading.Event) -> None:
-    """Nothing is left to do once the daemon has ended."""
+    """Stop once the daemon has ended."""
     while daemon is not None and not stop.wait(0.5):
         if daemon.poll() is not None:
             stop.set()
 
 
-def _told(box: Box) -> str:
+def _description(box: Box) -> str:
     options, folder = box.options, box.folder
     width, height = options.layout.camera_size
     stream = f"tcp://127.0.0.1:{options.tcp}" if options.tcp else f"ipc://{folder}/stream"

@@ -1,4 +1,4 @@
-"""A whole rig without hardware: X server, emulated cameras, the light between them, and the files of the rig."""
+"""A complete rig without hardware: X server, emulated cameras, the light between them, and the rig's files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.protocols import SIDES, Side
 from sim.box.exposure_ledger import Ledger
 from sim.box.options import BoxOptions
 from sim.box.output_grabber import Grabber
-from sim.box.rig_files import PIXEL_FORMATS, RigPlaces, write_rig
+from sim.box.rig_files import PIXEL_FORMATS, RigAddresses, write_rig
 from sim.box.world import World
 from sim.box.xserver import Head, XServer
 from sim.devices.scene_options import scene_of
@@ -32,12 +32,12 @@ _FILTERS: dict[str, Filter] = {
     "mono8": "mono",
     "mono16": "mono",
 }
-# Beside exposure and readout, so that no edge ever meets a busy sensor by rounding.
+# Added to exposure and readout, so that no edge meets a busy sensor because of rounding.
 _REST_S = 0.0005
 
 
 class Box:
-    """Everything of a rig but the daemon; for ``with``.
+    """All of a rig but the daemon; a context manager.
 
     Args:
         options: of the box.
@@ -45,10 +45,10 @@ class Box:
         ledger: of the world.
 
     Attributes:
-        server: X server of its own, None when it was given one. display: of the X server whose output ``OUTPUT`` is the
-            projector. cables: to the cameras. world: gives the triggers.
-        stage: the scene. rig_file: for ``fringed run``. gentl_dir: what the environment variable ``GENTL_DIR`` must
-            say to every process that opens the cameras.
+        server: the box's X server, None when it uses another one. display: of the X server whose output ``OUTPUT`` is
+            the projector. cables: to the cameras. world: triggers the cameras.
+        stage: the scene. rig_file: for ``fringed run``. gentl_dir: value of the environment variable ``GENTL_DIR``
+            for every process that opens the cameras.
     """
 
     def __init__(self, options: BoxOptions, *, real_time: bool = True, ledger: Ledger | None = None) -> None:
@@ -109,7 +109,7 @@ class Box:
             folder,
             layout,
             simulation.optics,
-            RigPlaces(producer, self.serials, self.display, OUTPUT),
+            RigAddresses(producer, self.serials, self.display, OUTPUT),
             pixel_format=PIXEL_FORMATS[simulation.encoding],
             exposure_us=options.exposure_us,
             tolerance_us=options.tolerance_us,
@@ -130,5 +130,5 @@ class Box:
 
 
 def heads(options: BoxOptions) -> tuple[Head, Head]:
-    """The outputs that the X server of such a box has: a small desktop, and the projector."""
+    """Outputs of the box's X server: a small desktop, and the projector."""
     return _DESKTOP, Head(*options.layout.projector_size)

@@ -1,7 +1,7 @@
-"""What was shown at each trigger, so that any frame can be told which exposure it is by nothing but its bytes.
+"""Record of every trigger, which identifies the exposure of any frame by its bytes.
 
-The noise of every exposure has a seed of its own, so no two images of a run are equal; a frame that equals an image
-byte by byte is that exposure. Nothing is hidden in the images.
+The noise of every exposure has its own seed, so no two images of a run are equal: a frame that equals an image byte by
+byte is that exposure. The images hold no marks.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ def digest(pixels: NDArray[np.generic]) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class Trigger:
     """One trigger of the world.
 
     Args:
         index: 0 for the first one; it is the seed of the noise too.
         t_ns: the edge on both trigger lines, CLOCK_MONOTONIC.
-        image: digest of what the projector showed; dark: it was black because no display answered.
+        image: digest of the projected image; dark: it was black because no display answered.
         instant: of the scene.
-        faults: what befell each side's frame.
+        faults: of each side's frame.
         exposures: digest of the image on each sensor.
     """
 
@@ -50,10 +50,10 @@ class Shown:
 
 
 class Ledger:
-    """The last triggers and what was shown at each; counts of everything since the start. For any thread.
+    """The last triggers, and counts since the start. For any thread.
 
     Args:
-        keep: triggers that are remembered.
+        keep: number of triggers kept.
     """
 
     def __init__(self, *, keep: int = 4096) -> None:
@@ -61,13 +61,13 @@ class Ledger:
             raise ValueError(f"keep is {keep}, expected at least 1")
         self._lock = threading.Lock()
         self._keep = keep
-        self._shown: deque[Shown] = deque()
-        self._of_bytes: dict[tuple[Side, bytes], Shown] = {}
+        self._shown: deque[Trigger] = deque()
+        self._of_bytes: dict[tuple[Side, bytes], Trigger] = {}
         self._counts: Counter[tuple[Side, FaultKind]] = Counter()
         self._dark = 0
 
-    def note(self, shown: Shown) -> None:
-        """Write a trigger down, before its edges are given."""
+    def note(self, shown: Trigger) -> None:
+        """Record a trigger, before its edges."""
         with self._lock:
             if len(self._shown) == self._keep:
                 oldest = self._shown.popleft()
@@ -79,20 +79,20 @@ class Ledger:
                 self._counts[side, shown.faults[side]] += 1
             self._dark += shown.dark
 
-    def exposure_of(self, side: Side, image: NDArray[np.generic]) -> Shown | None:
-        """The trigger whose exposure a frame is, byte by byte; None if it is none of those remembered."""
+    def exposure_of(self, side: Side, image: NDArray[np.generic]) -> Trigger | None:
+        """The trigger whose exposure a frame is, byte by byte; None if it is none of those kept."""
         key = side, digest(image)
         with self._lock:
             return self._of_bytes.get(key)
 
     @property
-    def last(self) -> Shown | None:
+    def last(self) -> Trigger | None:
         """The latest trigger."""
         with self._lock:
             return self._shown[-1] if self._shown else None
 
     @property
-    def remembered(self) -> list[Shown]:
+    def triggers(self) -> list[Trigger]:
         """The last triggers in their order."""
         with self._lock:
             return list(self._shown)

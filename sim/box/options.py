@@ -1,4 +1,4 @@
-"""The options of a rig in a box: plain values in, checked objects out."""
+"""Options of the box: read from plain values and checked."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import Any
 import yaml
 
 from drivers.protocols import SIDES, Side
-from sim.devices.options import OptionError, SimOptions, known
+from sim.devices.options import OptionError, SimOptions, check_keys
 from sim.devices.options import from_mapping as sim_from_mapping
+from sim.devices.scene_options import scene_of
 from sim.rig.layout import RigLayout
 
 MAX_FILE_BYTES = 1 << 16
@@ -21,20 +22,20 @@ _CAMERA_STEP, _PROJECTOR_STEP = (4, 2), (8, 1)
 
 @dataclass(frozen=True, slots=True)
 class BoxOptions:
-    """Everything a rig in a box is made of.
+    """Options of a rig on emulated hardware.
 
     Args:
-        simulation: scene, layout, optics, encoding, faults and rate, as the simulated rig has them; ``rate_hz`` is the
-            rate of the triggers, ``frames`` the number of instants of a moving scene. The sizes of the images are
-            rounded down to what cameras and X servers have.
-        exposure_us: exposure time of the cameras, one period of the projector unless told otherwise; readout_us: time
-            that a frame takes to leave the sensor.
+        simulation: scene, layout, optics, encoding, faults and rate, as of the simulated rig; ``rate_hz`` is the
+            trigger rate, ``frames`` the number of instants of a moving scene. Image sizes are rounded down to sizes
+            that cameras and X servers support.
+        exposure_us: exposure time of the cameras, by default one period of the projector; readout_us: readout time
+            of the sensor.
         drift_ppm: of the cameras' clocks.
         tolerance_us: of the daemon's pairing.
-        tcp: port of the cloud stream on this machine, beside the socket in the box's folder; 0 = none.
+        tcp: port of the cloud stream on this machine, in addition to the socket in the box's folder; 0 = none.
         daemon: whether to start the daemon too.
         display: of an X server that runs already and has the outputs of ``sim.box.box.heads``; empty = start one.
-        folder: where everything is kept that is made; a temporary one if None.
+        folder: of all files; a temporary one if None.
     """
 
     simulation: SimOptions = field(default_factory=lambda: small_simulation())
@@ -69,14 +70,12 @@ class BoxOptions:
 
     @property
     def layout(self) -> RigLayout:
-        """The rig, its images of sizes that cameras and X servers have."""
+        """The rig, with image sizes that cameras and X servers support."""
         return fitted(self.simulation.layout)
 
     @property
     def instants_s(self) -> tuple[float, ...]:
         """Times of the moving scene's instants, seconds."""
-        from sim.devices.scene_options import scene_of
-
         simulation = self.simulation
         period_s = scene_of(simulation).period_s
         return tuple(period_s * k / simulation.frames for k in range(simulation.frames))
@@ -111,7 +110,7 @@ def read(path: Path) -> BoxOptions:
 
 def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> BoxOptions:
     """Options of plain values; relative paths start at ``base_dir``. Errors name the key."""
-    known("box", data, [item.name for item in fields(BoxOptions)])
+    check_keys("box", data, [item.name for item in fields(BoxOptions)])
     values = {key: value for key, value in data.items() if value is not None}
     if "simulation" in values:
         given = values["simulation"]
@@ -121,7 +120,7 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> BoxOp
             {"layout": {"scale": 0.25}, "frames": 12, "rate_hz": 4.0} | dict(given), base_dir
         )
     if "drift_ppm" in values:
-        known("box.drift_ppm", values["drift_ppm"], list(SIDES))
+        check_keys("box.drift_ppm", values["drift_ppm"], list(SIDES))
         if any(not isinstance(value, int | float) for value in values["drift_ppm"].values()):
             raise OptionError(f"box.drift_ppm is {values['drift_ppm']}, expected numbers")
         values["drift_ppm"] = dict.fromkeys(SIDES, 0.0) | values["drift_ppm"]

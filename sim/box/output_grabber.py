@@ -1,7 +1,7 @@
-"""What an X server really shows on one output: its pixels, as they go down the cable.
+"""Pixels that an X server shows on one output.
 
-Talks to the server through libxcb, because Xlib ends the whole process when a server dies. The pixels come through a
-piece of memory that both sides share (MIT-SHM 1.2), which the kernel frees with the last user.
+It uses libxcb, because Xlib ends the whole process when a server dies. The pixels are read through shared memory
+(MIT-SHM 1.2), which the kernel frees with its last user.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MOST_PIXELS = 1 << 26
 
 
 class DisplayLost(RuntimeError):
-    """The X server is gone, does not answer, or has no such output (any more)."""
+    """The X server has ended, does not answer, or has no such output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Rectangle:
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1 or self.width * self.height > _MOST_PIXELS or min(self.x, self.y) < 0:
-            raise ValueError(f"rectangle {self}: expected 1 to {_MOST_PIXELS} pixels and a place of 0 or more")
+            raise ValueError(f"rectangle {self}: expected 1 to {_MOST_PIXELS} pixels and a position of 0 or more")
 
 
 class Grabber:
@@ -49,34 +49,34 @@ class Grabber:
 
     Args:
         display: of the X server, for instance ``:7``.
-        place: name of the RandR output (``DUMMY1``), asked for at every connection, or a rectangle of the screen.
+        place: name of the RandR output (``DUMMY1``), looked up at every connection, or a rectangle of the screen.
         timeout_s: how long the server may take to answer.
     """
 
-    def __init__(self, display: str, place: str | Rectangle, *, timeout_s: float = 5.0) -> None:
-        self.display, self.place = display, place
+    def __init__(self, display: str, region: str | Rectangle, *, timeout_s: float = 5.0) -> None:
+        self.display, self.region = display, region
         self._timeout_s = timeout_s
-        self._link: _Link | None = None
+        self._connection: _Connection | None = None
 
     def grab(self) -> NDArray[np.uint8]:
         """The output's pixels now, (H, W, 3) uint8, R G B; a new array.
 
         Raises:
-            DisplayLost: the message says why; the next call connects anew.
+            DisplayLost: the message gives the reason; the next call connects again.
         """
         try:
-            if self._link is None:
-                self._link = _Link(self.display, self.place, self._timeout_s)
-            return self._link.grab()
+            if self._connection is None:
+                self._connection = _Connection(self.display, self.region, self._timeout_s)
+            return self._connection.grab()
         except DisplayLost:
             self.close()
             raise
 
     def close(self) -> None:
-        """Let go of the server; :meth:`grab` connects anew."""
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
+        """Disconnect; :meth:`grab` connects again."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
 
     def __enter__(self) -> Grabber:
         return self
@@ -87,22 +87,22 @@ class Grabber:
         self.close()
 
 
-class _Link:
+class _Connection:
     """One connection to a server, with the shared memory for one image."""
 
-    def __init__(self, display: str, place: str | Rectangle, timeout_s: float) -> None:
+    def __init__(self, display: str, region: str | Rectangle, timeout_s: float) -> None:
         self._xcb: Xcb = load()
         self._display, self._timeout_s = display, timeout_s
         self._memory: mmap.mmap | None = None
         self._c = self._xcb.connect(display)
         try:
             if self._xcb.has_error(self._c):
-                raise DisplayLost(f"display {display}: no X server takes a connection there")
+                raise DisplayLost(f"display {display}: no X server accepts a connection")
             screen = self._xcb.screen(self._c)
             if screen.root_depth not in (24, 32):
                 raise DisplayLost(f"display {display}: its depth is {screen.root_depth}, expected 24 (8 bits a colour)")
             self._root = screen.root
-            self.rectangle = place if isinstance(place, Rectangle) else self._find(place)
+            self.rectangle = region if isinstance(region, Rectangle) else self._find(region)
             self._share()
         except BaseException:
             self.close()
@@ -116,7 +116,7 @@ class _Link:
         self._xcb.free(self._reply(cookie, f"reading {box}"))
         assert self._memory is not None  # noqa: S101 - for the type checker
         pixels = np.frombuffer(self._memory, np.uint8, 4 * box.width * box.height)
-        # Another order of bytes than blue first is not to be had on the machines that this runs on.
+        # On little-endian machines the bytes are in the order blue, green, red.
         return np.asarray(cv2.cvtColor(pixels.reshape(box.height, box.width, 4), cv2.COLOR_BGRA2RGB))
 
     def close(self) -> None:
@@ -126,19 +126,19 @@ class _Link:
             self._memory = None
 
     def _find(self, output: str) -> Rectangle:
-        reply = self._reply(self._xcb.randr_get_monitors(self._c, self._root, 1), "asking for its outputs")
+        reply = self._reply(self._xcb.randr_get_monitors(self._c, self._root, 1), "requesting its outputs")
         try:
             monitors = self._xcb.monitors(reply)
         finally:
             self._xcb.free(reply)
         names = {}
         for m in monitors:
-            answer = self._reply(self._xcb.get_atom_name(self._c, m.name), "asking for an output's name")
+            answer = self._reply(self._xcb.get_atom_name(self._c, m.name), "requesting an output's name")
             names[self._xcb.atom_name(answer)] = Rectangle(m.x, m.y, m.width, m.height)
             self._xcb.free(answer)
         if output not in names:
-            there = ", ".join(names) or "none"
-            raise DisplayLost(f"display {self._display}: it has no output {output!r}; there are: {there}")
+            available = ", ".join(names) or "none"
+            raise DisplayLost(f"display {self._display}: it has no output {output!r}; there are: {available}")
         return names[output]
 
     def _share(self) -> None:
@@ -155,7 +155,7 @@ class _Link:
         error = self._xcb.request_check(self._c, cookie)
         if error:
             self._xcb.free(error)
-            raise DisplayLost(f"display {self._display}: it shares no memory (MIT-SHM 1.2 is missing or refused)")
+            raise DisplayLost(f"display {self._display}: it shares no memory (MIT-SHM 1.2 is missing or was rejected)")
 
     def _reply(self, cookie: ctypes.Structure, what: str) -> int:
         """Address of the reply to a request; the caller frees it."""
@@ -164,14 +164,14 @@ class _Link:
         fd, deadline = self._xcb.file_descriptor(self._c), time.monotonic() + self._timeout_s
         while not self._xcb.poll_for_reply(self._c, cookie.sequence, ctypes.byref(reply), ctypes.byref(error)):
             if self._xcb.has_error(self._c):
-                raise DisplayLost(f"display {self._display}: the X server is gone ({what})")
+                raise DisplayLost(f"display {self._display}: the X server has ended ({what})")
             left = deadline - time.monotonic()
             if left <= 0:
                 raise DisplayLost(f"display {self._display}: no answer within {self._timeout_s} s ({what})")
             select.select([fd], [], [], left)
         if error.value:
             self._xcb.free(error)
-            raise DisplayLost(f"display {self._display}: the X server refused ({what})")
+            raise DisplayLost(f"display {self._display}: the X server rejected the request ({what})")
         if not reply.value:
-            raise DisplayLost(f"display {self._display}: the X server is gone ({what})")
+            raise DisplayLost(f"display {self._display}: the X server has ended ({what})")
         return reply.value

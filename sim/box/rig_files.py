@@ -1,4 +1,4 @@
-"""The files of the rig that a box is: what `fringed run` needs to measure with it."""
+"""The rig files of a box, for `fringed run`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from sim.rig.optics import Optics
 
 
 @dataclass(frozen=True, slots=True)
-class RigPlaces:
-    """Where the pieces of a rig are found.
+class RigAddresses:
+    """Addresses of a rig's devices.
 
     Args:
         producer: the GenTL producer, a .cti file; serials: of the two cameras.
@@ -35,7 +35,7 @@ def write_rig(
     folder: Path,
     layout: RigLayout,
     optics: Optics,
-    places: RigPlaces,
+    places: RigAddresses,
     *,
     pixel_format: str,
     exposure_us: float,
@@ -43,14 +43,14 @@ def write_rig(
     tcp: int = 0,
     extra: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Write rig.yaml, calibration.yaml, pattern.json and volume.json, true to the layout; returns the first.
+    """Write rig.yaml, calibration.yaml, pattern.json and volume.json, for a layout; returns the path of the first.
 
     Args:
-        folder: made if missing; the sockets of stream and control stand there too.
-        layout: with sizes that the devices have; optics: decide what the calibration knows of colours and response.
+        folder: created if missing; the sockets of stream and control lie there too.
+        layout: with the devices' sizes; optics: determine the calibration's colours and response.
         pixel_format: of the cameras, by its name in GenICam (``RGB8``, ``BayerRG8``, ...).
         exposure_us: of the cameras; tolerance_us: of the pairing.
-        tcp: port of the stream beside its socket; 0 = none.
+        tcp: port of the stream in addition to its socket; 0 = none.
         extra: further sections of rig.yaml; they come last and replace those of the same name.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -83,7 +83,7 @@ def write_rig(
         "control": {"endpoint": f"ipc://{folder}/control"},
     }
     path = folder / "rig.yaml"
-    header = f"# A rig in a box: {width} x {height} pixels a camera, made by sim.box\n"
+    header = f"# A rig on emulated hardware: {width} x {height} pixels a camera, written by sim.box\n"
     path.write_text(header + yaml.safe_dump(rig | dict(extra or {}), sort_keys=False))
     return path
 

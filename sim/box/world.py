@@ -1,11 +1,11 @@
-"""The light between a projector's cable and the cameras' trigger lines: what is shown is what they see.
+"""The light between the projector's output and the cameras: they see the image that is really shown.
 
-At each trigger the world reads what the X server really shows on the projector's output, lights the scene with it,
-puts the images on both emulated sensors and gives both trigger lines an edge of the same time. In lock-step
+At each trigger the world reads the pixels that the X server shows on the projector's output, lights the scene with
+them, exposes both emulated sensors and sets an edge of the same time on both trigger lines. In lock-step
 (:meth:`World.step`) the next trigger waits until this one's frames have left the cameras, so nothing depends on the
-machine's speed; :meth:`World.run` gives triggers at a rate instead.
+machine's speed; :meth:`World.run` triggers at a rate instead.
 
-Faults come from the plan of the simulated rig and mean here:
+Faults come from the plan of the simulated rig, with these effects:
 
 ================  ======================================================================================
 ``lost``          the frame never leaves the camera; at odd triggers half of it does (an incomplete frame)
@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.protocols import SIDES, Side
-from sim.box.exposure_ledger import Ledger, Shown, digest
+from sim.box.exposure_ledger import Ledger, Trigger, digest
 from sim.box.output_grabber import DisplayLost
 from sim.devices.faults import FaultKind, FaultPlan
 from sim.render.projection_transport import Counts
@@ -40,35 +40,35 @@ _NO_EDGE = (FaultKind.WRONG_NUMBER, FaultKind.BLACKOUT, FaultKind.GONE)
 
 
 class CameraCable(Protocol):
-    """What the world does to one emulated camera."""
+    """The world's side of one emulated camera."""
 
     def show(self, image: Image) -> object:
-        """Let this image fall on the sensor from now on."""
+        """Expose the sensor to this image from now on."""
 
     def pulse(self, t_ns: int | None = None) -> object:
-        """An edge on the trigger line at a time of CLOCK_MONOTONIC."""
+        """Set an edge on the trigger line at a time of CLOCK_MONOTONIC."""
 
     def wait_idle(self, timeout_s: float) -> bool:
         """Wait until all frames of the edges so far have left the camera, or never will."""
 
     def drop(self, count: int = 1) -> None:
-        """The next frames never leave the camera."""
+        """Lose the next frames."""
 
     def truncate(self, count: int = 1) -> None:
-        """The next frames leave incomplete."""
+        """Send the next frames incomplete."""
 
     def stall(self, seconds: float) -> None:
-        """Frames are held back for a while."""
+        """Hold frames back for a time."""
 
     def unplug(self) -> None:
-        """Pull the plug."""
+        """Unplug the camera."""
 
     def plug(self) -> None:
-        """Put it back."""
+        """Plug the camera in."""
 
 
 class Screen(Protocol):
-    """What the projector shows."""
+    """The projector's output."""
 
     def grab(self) -> NDArray[np.uint8]:
         """(H, W, 3) uint8; DisplayLost while there is nothing to read."""
@@ -89,7 +89,7 @@ class NotSettled(RuntimeError):
 
 
 class World:
-    """Gives triggers; see the module. Its methods are for one thread.
+    """Triggers the cameras under the projected light; its methods are for one thread.
 
     Args:
         screen: the projector's output.
@@ -99,8 +99,8 @@ class World:
         plan: what goes wrong.
         period_s: least time between two triggers, also in lock-step; at least the cameras' exposure and readout.
         settle_s: longest wait of lock-step; NotSettled is raised after it.
-        ledger: where everything is written down.
-        lit_images: images of the projector that are kept lit, so that showing one again costs only noise.
+        ledger: that records the triggers.
+        lit_images: projected images whose counts are kept, so that showing one again costs only noise.
     """
 
     def __init__(
@@ -135,13 +135,13 @@ class World:
         """Triggers given so far."""
         return self._index
 
-    def put_on_stage(self, stage: Lit, *, instants: int = 1) -> None:
-        """Another scene, from the next trigger on."""
+    def set_stage(self, stage: Lit, *, instants: int = 1) -> None:
+        """Use another scene from the next trigger on."""
         self._stage, self._instants = stage, instants
         self._lit.clear()
 
-    def step(self, *, settle: bool = True) -> Shown:
-        """Give one trigger and, in lock-step, wait until its frames have left the cameras.
+    def step(self, *, settle: bool = True) -> Trigger:
+        """Trigger once and, in lock-step, wait until the frames have left the cameras.
 
         Raises:
             NotSettled: they have not within ``settle_s``.
@@ -157,7 +157,7 @@ class World:
             self._extra_first()
         t_ns = self._wait_for_turn()
         exposures = {side: digest(images[side]) for side in SIDES}
-        shown = Shown(index, t_ns, self._last_digest, dark, instant, faults, exposures)
+        shown = Trigger(index, t_ns, self._last_digest, dark, instant, faults, exposures)
         self.ledger.note(shown)
         self._index += 1
         for side in SIDES:
@@ -167,19 +167,19 @@ class World:
         return shown
 
     def replug(self) -> None:
-        """Give the cameras that the next trigger finds plugged in their plug already now."""
+        """Plug and unplug the cameras as the next trigger requires."""
         for side in SIDES:
             self._replug(side, gone=self._plan.gone(self._index, side))
 
     def settle(self) -> None:
-        """Wait until the frames of all edges so far have left the cameras that are there."""
+        """Wait until the frames of all edges so far have left the present cameras."""
         deadline = time.monotonic() + self._settle_s
         for side in SIDES:
             if side not in self._gone and not self._cables[side].wait_idle(max(0.0, deadline - time.monotonic())):
                 raise NotSettled(f"camera {side}: frames have not left it within {self._settle_s} s")
 
     def run(self, rate_hz: float, stop: threading.Event) -> None:
-        """Give triggers at a rate until told to stop; what comes late is counted in ``late`` and not made up for."""
+        """Trigger at a rate until ``stop`` is set; late triggers are skipped and counted in ``late``."""
         if not 0 < rate_hz <= 1000:
             raise ValueError(f"rate_hz is {rate_hz}, expected more than 0, at most 1000")
         period = 1 / rate_hz

@@ -1,4 +1,4 @@
-"""The dozen functions of libxcb that reading an output's pixels takes, typed for ctypes."""
+"""The functions of libxcb for reading an output's pixels, typed for ctypes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Cookie(Structure):
-    """Stands for the reply to a request."""
+    """Number of a request, which identifies its reply."""
 
     _fields_ = (("sequence", c_uint),)
 
@@ -27,7 +27,7 @@ class Screen(Structure):
 
 
 class Monitor(Structure):
-    """One output of RandR 1.5 with its place on the screen (xcb_randr_monitor_info_t)."""
+    """One output of RandR 1.5 with its position on the screen (xcb_randr_monitor_info_t)."""
 
     _fields_ = (
         ("name", c_uint32), ("primary", c_uint8), ("automatic", c_uint8), ("outputs_len", c_uint16), ("x", c_int16),
@@ -44,7 +44,7 @@ class _MonitorIterator(Structure):
 
 
 class Xcb:
-    """The functions, with the prefix ``xcb_`` left off; connections are addresses."""
+    """The functions, without the prefix ``xcb_``; connections are addresses."""
 
     def __init__(self) -> None:
         xcb, shm, randr = (ctypes.CDLL(name) for name in ("libxcb.so.1", "libxcb-shm.so.0", "libxcb-randr.so.0"))
@@ -73,7 +73,7 @@ class Xcb:
         self.free = _typed(libc.free, None, p)
 
     def connect(self, display: str) -> int:
-        """A connection, to be asked for its error first; it is never null."""
+        """A connection, never null; its error must be checked first."""
         return int(self._connect(display.encode(), ctypes.byref(c_int())))
 
     def screen(self, connection: int) -> Screen:
@@ -104,6 +104,6 @@ def load() -> Xcb:
     """The libraries, opened once.
 
     Raises:
-        OSError: one of them is missing; Debian has them as libxcb1, libxcb-shm0 and libxcb-randr0.
+        OSError: one of them is missing; Debian's packages are libxcb1, libxcb-shm0 and libxcb-randr0.
     """
     return Xcb()

@@ -71,9 +71,9 @@ EndSection
 
 
 def _free_display() -> str:
-    """A display number that nobody uses.
+    """An unused display number.
 
-    Not the lowest one, which the next server that is started anywhere would take while this one is down for a moment.
+    Not the lowest one, which any other server would take while this one restarts.
     """
     while True:
         number = FIRST_DISPLAY + secrets.randbelow(DISPLAYS)
@@ -87,9 +87,9 @@ class XServerError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """One output of the server: (width, height) of its mode in pixels, and its refresh rate as RandR tells it.
+    """One output of the server: (width, height) of its mode in pixels, and its refresh rate as RandR reports it.
 
-    The dummy driver's own vertical blank is at 60 Hz whatever the mode says.
+    The dummy driver's vertical blank is at 60 Hz in any mode.
     """
 
     width: int
@@ -104,12 +104,12 @@ class Head:
 
     @property
     def mode(self) -> str:
-        """Name of its mode in RandR, which no mode of the driver itself has."""
+        """Name of its mode in RandR, different from those of the driver's modes."""
         return f"{self.width}x{self.height}_{self.refresh_hz:g}"
 
     @property
     def modeline(self) -> str:
-        """Its timings, with blanking that every check of the server accepts."""
+        """Its timings, with blanking intervals that the server accepts."""
         columns, rows = self.width + 160, self.height + 30
         clock_mhz = columns * rows * self.refresh_hz / 1e6
         across = f"{self.width} {self.width + 48} {self.width + 80} {columns}"
@@ -121,11 +121,11 @@ DESKTOP_AND_PROJECTOR = Head(1280, 720), Head(1280, 1024)
 
 
 class XServer:
-    """Starts an X server that belongs to this process alone, and ends it.
+    """An X server of this process.
 
-    ``DUMMY0`` stands at the left, each further output right of the one before. The server finds a free display number
-    by itself; :meth:`restart` keeps it. Everything it writes lies in a private temporary directory. It dies with the
-    thread that started it.
+    ``DUMMY0`` is at the left, each further output right of the one before. The display number is a free one;
+    :meth:`restart` keeps it. All its files lie in a private temporary directory. It ends with the thread that started
+    it.
 
     Args:
         heads: the outputs, left to right.
@@ -133,7 +133,7 @@ class XServer:
         timeout_s: how long a start may take.
 
     Raises:
-        XServerError: from :meth:`start`: no such program, or it ended or hung; with the end of its log.
+        XServerError: from :meth:`start`: the program is missing, or it ended or hung; with the end of its log.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class XServer:
         return {**without, "DISPLAY": self.display}
 
     def start(self) -> None:
-        """Start, and wait until it takes connections; does nothing when it runs."""
+        """Start, and wait until it accepts connections; does nothing when it runs."""
         if self.alive:
             return
         self.stop()
@@ -202,7 +202,7 @@ class XServer:
             self._directory = None
 
     def kill(self) -> None:
-        """End the server without warning, as a crash would; its clients see a broken connection."""
+        """Kill the server, as in a crash; its clients see a broken connection."""
         if self._server is not None:
             self._server.kill()
             self._server.wait()
@@ -213,15 +213,15 @@ class XServer:
         self.start()
 
     def log(self) -> str:
-        """The end of what the server said."""
+        """The end of the server's log."""
         if self._directory is None:
             return ""
-        said = []
+        output = []
         for name in ("stderr", "log"):
             path = Path(self._directory.name, name)
             if path.exists():
-                said.append(path.read_text(errors="replace")[-LOG_TAIL_BYTES:])
-        return "\n".join(said).strip()
+                output.append(path.read_text(errors="replace")[-LOG_TAIL_BYTES:])
+        return "\n".join(output).strip()
 
     def _launch(self, directory: Path) -> None:
         ready, write = os.pipe()
@@ -247,7 +247,7 @@ class XServer:
     def _command(self, directory: Path, ready: int) -> list[str]:
         program = shutil.which("Xorg" if self._kind == "dummy" else "Xvfb")
         if program is None:
-            raise XServerError(f"no {self._kind} X server here; install the packages {PACKAGES}")
+            raise XServerError(f"no {self._kind} X server is installed; install the packages {PACKAGES}")
         guard = shutil.which("setpriv")
         command = [guard, "--pdeathsig", "KILL", program] if guard else [program]
         command += [self.display or _free_display(), "-displayfd", str(ready)]
@@ -263,18 +263,18 @@ class XServer:
     def _wait_ready(self, ready: int) -> int:
         assert self._server is not None  # noqa: S101 - for the type checker
         deadline = time.monotonic() + self._timeout_s
-        said = b""
+        output = b""
         with selectors.DefaultSelector() as selector:
             selector.register(ready, selectors.EVENT_READ)
-            while not said.endswith(b"\n"):
+            while not output.endswith(b"\n"):
                 if not selector.select(max(0.0, deadline - time.monotonic())):
-                    raise XServerError(f"the X server took no connection within {self._timeout_s} s\n{self.log()}")
+                    raise XServerError(f"the X server accepted no connection within {self._timeout_s} s\n{self.log()}")
                 piece = os.read(ready, 64)
                 if not piece:
                     code = self._server.wait(STOP_S)
                     raise XServerError(f"the X server ended with {code} while starting\n{self.log()}")
-                said += piece
-        return int(said)
+                output += piece
+        return int(output)
 
 
 def configuration(heads: Sequence[Head]) -> str:

@@ -1,1 +1,1 @@
-"""The drivers' protocols on rendered images: options, faults, triggers."""
+"""Simulated devices that implement the drivers' protocols: options, faults, triggers."""

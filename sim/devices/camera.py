@@ -1,4 +1,4 @@
-"""A simulated camera: the drivers' protocol over a bounded queue that the simulated world fills."""
+"""A simulated camera: the drivers' protocol on a bounded queue that the simulated world fills."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class CameraState(StrEnum):
 
 
 class SimCamera:
-    """One side of the simulated rig; made by the world, read by one thread.
+    """One side of the simulated rig; created by the world, read by one thread.
 
     Args:
         side: which camera.
         size: (width, height), pixels.
         encoding: of its frames.
-        queue_frames: frames that wait unread; a further one pushes the oldest out, which is counted.
-        dropped: told of each frame that is thrown away unread, and why (``overflow`` or ``dropped``).
-        started: told when the camera begins to accept triggers.
-        note: on where the images come from.
+        queue_frames: unread frames in the queue; a further one displaces the oldest, which is counted.
+        dropped: called with each frame that is discarded unread, and the reason (``overflow`` or ``dropped``).
+        started: called when the camera begins to accept triggers.
+        note: on the origin of the images.
     """
 
     def __init__(
@@ -55,19 +55,19 @@ class SimCamera:
 
     @property
     def state(self) -> CameraState:
-        """Where the camera is in its state diagram."""
+        """State of the camera."""
         return self._state
 
     def health(self) -> CameraHealth:
-        """Frames received, thrown away for want of room, dropped unread, and times the device was lost."""
+        """Counters: frames received, displaced from the queue, dropped unread, and losses of the device."""
         with self._changed:
             return CameraHealth(counters=dict(self._counters))
 
     def open(self) -> CameraInfo:
-        """Connect; DeviceLost while the device is away."""
+        """Connect; DeviceLost while the device is unplugged."""
         with self._changed:
             if not self._present:
-                raise DeviceLost(f"camera {self.side}: the simulated device is not there; open it again later")
+                raise DeviceLost(f"camera {self.side}: the simulated device is unplugged; open it again later")
             if self._state is not CameraState.CLOSED:
                 raise DriverError(f"camera {self.side}: open() while {self._state}; close() it first")
             self._state, self._lost = CameraState.IDLE, False
@@ -84,7 +84,7 @@ class SimCamera:
             self._started()
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame in the order of arrival, or None when none came in time."""
+        """The next frame in the order of arrival, or None when none arrived in time."""
         with self._changed:
             if self._state is not CameraState.ACQUIRING and not self._lost:
                 raise DriverError(f"camera {self.side}: read() while {self._state}; start() comes first")
@@ -103,14 +103,14 @@ class SimCamera:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Disconnect."""
         with self._changed:
             self._state, self._lost = CameraState.CLOSED, False
             self._drop_all()
             self._changed.notify_all()
 
     def deliver(self, frame: Frame) -> bool:
-        """The world's side: a frame arrives; False when the camera does not listen."""
+        """The world's side: deliver a frame; False when the camera does not acquire."""
         with self._changed:
             if self._state is not CameraState.ACQUIRING or not self._present:
                 return False
@@ -122,7 +122,7 @@ class SimCamera:
             return True
 
     def set_present(self, present: bool) -> None:
-        """The world's side: the device is unplugged, or back."""
+        """The world's side: plug or unplug the device."""
         with self._changed:
             if self._present and not present and self._state is not CameraState.CLOSED:
                 self._lost, self._state = True, CameraState.CLOSED
@@ -140,8 +140,8 @@ class SimCamera:
         while self._queue:
             self._drop_oldest("dropped")
 
-    def _drop_oldest(self, why: str) -> None:
+    def _drop_oldest(self, reason: str) -> None:
         frame = self._queue.popleft()
-        self._counters[why] += 1
+        self._counters[reason] += 1
         if self._dropped is not None:
-            self._dropped(frame, why)
+            self._dropped(frame, reason)

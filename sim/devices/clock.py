@@ -1,4 +1,4 @@
-"""Clocks: the machine's, and one that only moves when told to."""
+"""Clocks: the machine's, and one that is advanced by its user."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ class SystemClock:
 
 
 class SteppedClock:
-    """Time that stands still until :meth:`advance` is called; for tests and for lock-step runs."""
+    """A clock that moves only by :meth:`advance`; for tests and for lock-step runs."""
 
     def __init__(self, start_ns: int = 1_700_000_000_000_000_000) -> None:
         self._now_ns = start_ns
 
     def advance(self, by_ns: int) -> None:
-        """Let time pass."""
+        """Advance the clock."""
         self._now_ns += by_ns
 
     def realtime_ns(self) -> int:
-        """The time it is, nanoseconds."""
+        """The current time, nanoseconds."""
         return self._now_ns
 
     def monotonic_ns(self) -> int:

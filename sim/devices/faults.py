@@ -1,7 +1,7 @@
-"""What goes wrong, when and on which side: a plan by trigger, scripted or drawn from a seed, and a ledger of it.
+"""Faults of frames and cameras: a plan by trigger, scripted or drawn from a seed, and a ledger of the outcomes.
 
 The plan is a pure function of the trigger's index (0 for the first one of a run), so the same plan gives the same
-faults whatever the speed.
+faults at any speed.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from drivers.protocols import SIDES, Side
 
 
 class FaultKind(StrEnum):
-    """A fault, or the lack of one."""
+    """A fault, or none."""
 
     NONE = "none"
     LOST = "lost"  # this side's frame never arrives
-    LATE = "late"  # it arrives ``length`` triggers later, behind newer ones
+    LATE = "late"  # it arrives ``length`` triggers later, after newer ones
     DUPLICATE = "duplicate"  # it arrives twice
     EXTRA_FIRST = "extra_first"  # one frame too many before the first trigger
     WRONG_NUMBER = "wrong_number"  # its trigger number is off by ``length``
     BLACKOUT = "blackout"  # no frame on either side for ``length`` triggers
-    GONE = "gone"  # the camera is gone for ``length`` triggers
+    GONE = "gone"  # the camera is unplugged for ``length`` triggers
 
 
-# Those that can be drawn at random; extra_first happens once a run or never.
+# Those that can be drawn at random; extra_first occurs once a run or never.
 RANDOM_KINDS = (
     FaultKind.LOST,
     FaultKind.LATE,
@@ -43,7 +43,7 @@ _SPANNING = (FaultKind.GONE, FaultKind.BLACKOUT)
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: from trigger ``at``; ``side`` None means both; ``length`` as the kind has it."""
+    """One fault: from trigger ``at``; ``side`` None means both; the meaning of ``length`` depends on the kind."""
 
     kind: FaultKind
     at: int
@@ -54,15 +54,15 @@ class Fault:
         if self.length == 0 or (self.length < 0 and self.kind is not FaultKind.WRONG_NUMBER):
             raise ValueError(f"faults: {self.kind} at {self.at} has length {self.length}, expected at least 1")
 
-    def strikes(self, index: int, side: Side) -> bool:
-        """Whether it concerns this trigger and side."""
+    def affects(self, index: int, side: Side) -> bool:
+        """Whether the fault affects this trigger and side."""
         if self.side not in (None, side):
             return False
         span = self.length if self.kind in _SPANNING else 1
         return self.at <= index < self.at + span
 
 
-_FINE = Fault(FaultKind.NONE, 0)
+_NO_FAULT = Fault(FaultKind.NONE, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,8 @@ class FaultPlan:
     """Scripted faults, and others drawn with a rate per trigger and side.
 
     Args:
-        scripted: come first where both would strike.
-        rates: share of triggers, 0..1, by kind.
+        scripted: have precedence over drawn ones.
+        rates: fraction of triggers, 0..1, by kind.
         seed: of the drawn faults.
     """
 
@@ -84,16 +84,16 @@ class FaultPlan:
             if kind not in RANDOM_KINDS:
                 raise ValueError(f"faults.{kind} cannot be drawn at random; there are {', '.join(RANDOM_KINDS)}")
             if not 0 <= rate <= 1:
-                raise ValueError(f"faults.{kind} is {rate}, expected a share of the triggers from 0 to 1")
+                raise ValueError(f"faults.{kind} is {rate}, expected a fraction of the triggers from 0 to 1")
 
     @classmethod
     def none(cls) -> FaultPlan:
-        """Nothing goes wrong."""
+        """A plan without faults."""
         return cls()
 
     @classmethod
     def script(cls, faults: Iterable[Fault]) -> FaultPlan:
-        """Exactly these faults."""
+        """A plan of exactly these faults."""
         return cls(scripted=tuple(faults))
 
     @classmethod
@@ -105,19 +105,19 @@ class FaultPlan:
         return cls(scripted, drawn, seed)
 
     def of(self, index: int, side: Side) -> Fault:
-        """The fault of a trigger's frame on one side, or one of kind ``none``; a lost camera comes before all else."""
-        struck = [f for f in self.scripted if f.kind is not FaultKind.EXTRA_FIRST and f.strikes(index, side)]
-        spanning = [f for f in struck if f.kind in _SPANNING] or self._drawn_spans(index, side)
+        """The fault of a trigger's frame on one side, or one of kind ``none``; a lost camera has precedence."""
+        affecting = [f for f in self.scripted if f.kind is not FaultKind.EXTRA_FIRST and f.affects(index, side)]
+        spanning = [f for f in affecting if f.kind in _SPANNING] or self._drawn_spans(index, side)
         if spanning:
             return spanning[0]
-        return struck[0] if struck else self._drawn(index, side)
+        return affecting[0] if affecting else self._drawn(index, side)
 
     def gone(self, index: int, side: Side) -> bool:
-        """Whether the camera is away at this trigger."""
+        """Whether the camera is unplugged at this trigger."""
         return self.of(index, side).kind is FaultKind.GONE
 
     def extra_first(self, side: Side) -> bool:
-        """Whether this side sends a frame too many before the first trigger."""
+        """Whether this side sends an extra frame before the first trigger."""
         return any(f.kind is FaultKind.EXTRA_FIRST and f.side in (None, side) for f in self.scripted)
 
     def _drawn_spans(self, index: int, side: Side) -> list[Fault]:
@@ -133,11 +133,11 @@ class FaultPlan:
         for kind in RANDOM_KINDS:
             if kind not in _SPANNING and _chance(self.seed, index, SIDES.index(side), kind) < self.rates.get(kind, 0.0):
                 return Fault(kind, index, side, _LENGTHS.get(kind, 1))
-        return _FINE
+        return _NO_FAULT
 
 
 def _chance(seed: int, index: int, who: int, kind: FaultKind) -> float:
-    """An even number in [0, 1) that depends on all arguments (SplitMix64)."""
+    """A uniform number in [0, 1), a hash of all arguments (SplitMix64)."""
     mask = (1 << 64) - 1
     z = (seed * 0x9E3779B97F4A7C15 + index * 0xD1B54A32D192ED03 + (3 * RANDOM_KINDS.index(kind) + who + 1)) & mask
     for _ in range(2):
@@ -149,20 +149,20 @@ def _chance(seed: int, index: int, who: int, kind: FaultKind) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One event: ``index`` of the trigger, ``number`` that the frame carries, and what became of it."""
+    """One event: ``index`` of the trigger, ``number`` that the frame carries, and its outcome."""
 
     index: int
     number: int
     side: Side
-    fate: str
+    outcome: str
 
 
 class Ledger:
-    """What became of every frame, counted by side and fate; the entries themselves only on request.
+    """Outcome of every frame, counted by side and outcome; entries are kept on request.
 
-    Fates: ``sent`` (entered the camera's queue), each fault's name beside it, ``not_listening`` (the camera was not
-    acquiring), ``overflow`` (pushed out of the queue unread), ``dropped`` (unread when the camera stopped or was
-    lost). Late frames still on their way are the world's ``pending``.
+    Outcomes: ``sent`` (entered the camera's queue), the names of faults, ``not_listening`` (the camera was not
+    acquiring), ``overflow`` (displaced from the queue unread), ``dropped`` (unread when the camera stopped or was
+    lost). Late frames not yet delivered are the world's ``pending``.
     """
 
     def __init__(self, *, keep_entries: bool = False) -> None:
@@ -170,13 +170,13 @@ class Ledger:
         self.counts: Counter[tuple[Side, str]] = Counter()
         self.entries: list[Entry] | None = [] if keep_entries else None
 
-    def note(self, index: int, number: int, side: Side, fate: str) -> None:
-        """Write one event down."""
+    def note(self, index: int, number: int, side: Side, outcome: str) -> None:
+        """Record one event."""
         with self._lock:
-            self.counts[side, fate] += 1
+            self.counts[side, outcome] += 1
             if self.entries is not None:
-                self.entries.append(Entry(index, number, side, fate))
+                self.entries.append(Entry(index, number, side, outcome))
 
-    def of(self, fate: str) -> list[Entry]:
-        """All kept entries of one fate, in the order of happening."""
-        return [entry for entry in self.entries or () if entry.fate == fate]
+    def of(self, outcome: str) -> list[Entry]:
+        """All kept entries of one outcome, in order."""
+        return [entry for entry in self.entries or () if entry.outcome == outcome]

@@ -1,7 +1,7 @@
-"""What the cameras see of what the projector really shows, rendered when it is asked for.
+"""Camera images of the image that the projector shows, rendered on demand.
 
-A scene at rest is met by each camera's rays once (:class:`sim.render.projection_transport.Stage`); a new image costs
-a look-up, another trigger under the same image only its noise.
+The light transport of a scene at rest is computed once (:class:`sim.render.projection_transport.Stage`); a new
+projected image costs a look-up, another trigger under the same image only its noise.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from sim.devices.options import BOARD_SCENE, SimOptions
 from sim.devices.projector import LiveProjector
 from sim.devices.scene_options import optics_of, poses_of, scene_of
 from sim.devices.trigger_world import Lamp, SimWorld
-from sim.render.noise_pool import GrainPool, deviation_of
+from sim.render.noise_pool import NoisePool, deviation_of
 from sim.render.projection_transport import Stage
 from sim.render.render_pair import Image
 from sim.render.sensor import Light
 from sim.rig.disturbance import Device, Disturbance, TrueRig
 
-# Bytes of rendered stages and of lit images that are kept for the next time.
+# Bytes of cached stages and of cached lit images.
 _STAGE_BYTES, _LIT_BYTES = 600 << 20, 400 << 20
 _BYTES_A_RAY = 20
 
 
 @dataclass(frozen=True, slots=True)
 class _Situation:
-    """All that a stage depends on: pose of the board, instant of a moving scene, what has happened to the rig."""
+    """All that a stage depends on: pose of the board, instant of a moving scene, disturbances of the rig."""
 
     pose: int
     instant: int
@@ -36,11 +36,11 @@ class _Situation:
 
 
 class LiveScene:
-    """Images of a scene under a projector that shows anything; for :class:`sim.devices.trigger_world.SimWorld`.
+    """Images of a scene under any projected image; for :class:`sim.devices.trigger_world.SimWorld`.
 
     Args:
-        options: scene, rig, seed; ``disturb`` is what happens by itself, ``hold`` how long a pose lasts.
-        projector: asked for its image at every trigger.
+        options: scene, rig, seed; ``disturb``: scheduled disturbances, ``hold``: triggers of each pose.
+        projector: whose image is read at every trigger.
     """
 
     def __init__(self, options: SimOptions, projector: LiveProjector) -> None:
@@ -54,7 +54,7 @@ class LiveScene:
         columns, rows = options.layout.camera_size
         channels = 3 if options.encoding == "rgb8" else 1
         self._values = columns * rows * channels
-        self._pool = GrainPool(self._values, options.seed)
+        self._pool = NoisePool(self._values, options.seed)
         rays = columns * rows * self._optics.supersampling**2
         self._stages_kept = max(2, self._instants, _STAGE_BYTES // (2 * _BYTES_A_RAY * rays))
         self._lit_kept = max(4, 2 * self._instants, _LIT_BYTES // (16 * self._values))
@@ -70,22 +70,22 @@ class LiveScene:
         return min(self._moved + held, self._poses - 1)
 
     def next_pose(self, index: int) -> int:
-        """Move the board on before trigger ``index``; returns the number of its pose then. It stays at the last one."""
+        """Move the board to its next pose before trigger ``index``; returns its number. The last pose is kept."""
         with self._lock:
             self._moved += 1
             return self.pose(index)
 
     def disturb(self, disturbance: Disturbance) -> None:
-        """Something happens to the rig at the trigger that the disturbance names."""
+        """Disturb the rig at the disturbance's trigger."""
         with self._lock:
             self._disturbances = (*self._disturbances, disturbance)
 
     def prepare(self, index: int) -> None:
-        """Render what trigger ``index`` will need, so that it can be given without a delay."""
+        """Render the images of trigger ``index`` in advance."""
         self._counts(index)
 
     def pair(self, index: int) -> tuple[Image, Image]:
-        """Left and right image of a trigger under the image that is shown now, each with a noise of its own."""
+        """Left and right image of a trigger under the image that is shown now, each with its own noise."""
         left, right = (
             self._pool.image(counts, deviation, self._optics, self._options.encoding, index=2 * index + camera)
             for camera, (counts, deviation) in enumerate(self._counts(index))
@@ -130,9 +130,9 @@ class LiveScene:
 
 
 class LiveWorld(SimWorld):
-    """A world whose images are rendered when they are needed: what the projector shows now is what the cameras see.
+    """A world whose images are rendered on demand, of the image that the projector shows.
 
-    A trigger that cannot be rendered in time is given later. Args as of :class:`SimWorld`, with a live scene.
+    A trigger that cannot be rendered in time is delayed. Args as of :class:`SimWorld`, with a live scene.
     """
 
     _slack = 0.1
@@ -149,25 +149,25 @@ class LiveWorld(SimWorld):
 
     @property
     def poses(self) -> int:
-        """Number of poses that the board goes through; 1 where there is no board."""
+        """Number of the board's poses; 1 without a board."""
         return self._scene.poses
 
     def step(self) -> int:
-        """Give one trigger; returns its number. It is given when its images are ready, not before."""
+        """Trigger once, when the images are ready; returns the trigger's number."""
         with self._lock:
             self._scene.prepare(self.triggers)
             return super().step()
 
     def next_pose(self) -> int:
-        """Move the board to its next pose, as a person's hand does; the next trigger sees it there.
+        """Move the board to its next pose, effective at the next trigger.
 
         Returns:
-            The number of the pose; after the last one the board stays.
+            The number of the pose; the last one is kept.
         """
         return self._scene.next_pose(self.triggers)
 
     def disturb(self, side: Device, **change: Any) -> None:
-        """Something happens to a device from the next trigger on, and adds to what has happened before.
+        """Disturb a device from the next trigger on, in addition to earlier disturbances.
 
         Args:
             side: ``left``, ``right`` or ``projector``.

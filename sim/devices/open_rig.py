@@ -1,4 +1,4 @@
-"""A whole simulated rig behind the drivers' protocols, made from the ``sim`` options of a rig file."""
+"""A simulated rig behind the drivers' protocols, created from the ``sim`` options of a rig file."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from sim.rig import rig_files
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigDevices:
-    """What the daemon needs of a rig.
+    """Devices and files of a simulated rig.
 
     Args:
         cameras: ``left`` and ``right``, closed.
         projector: closed.
-        trigger: gives triggers by itself once a camera has started (``rate_hz`` above 0), else by ``step()``;
-            ``close()`` ends it and all devices. That of a live rig is a :class:`sim.devices.live_world.LiveWorld`.
+        trigger: triggers by itself once a camera has started (``rate_hz`` above 0), else by ``step()``; ``close()``
+            ends it and all devices. That of a live rig is a :class:`sim.devices.live_world.LiveWorld`.
         options: as checked.
         calibration, pattern, volume: plain mappings of the three files of such a rig.
     """
@@ -53,15 +53,15 @@ def open_rig(
     first_number: int = 0,
     keep_entries: bool = False,
 ) -> RigDevices:
-    """Make a simulated rig; renders its loop first if it is not cached, or what a live rig needs for its first trigger.
+    """Create a simulated rig; renders its loop if it is not cached, or the first trigger of a live rig.
 
-    The devices are made, not opened.
+    The devices are created, not opened.
 
     Args:
         options: the ``sim`` section of a rig file, or checked options.
         base_dir: where relative paths in it start.
-        progress: told (done, of) while the loop is rendered.
-        clock: what the time is; the machine's if None.
+        progress: called with (done, of) while the loop is rendered.
+        clock: the machine's if None.
         images: instead of the rendered loop.
         first_number: number of the first trigger.
         keep_entries: whether the ledger of faults keeps every event.

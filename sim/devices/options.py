@@ -1,4 +1,4 @@
-"""The ``sim`` options of a rig: plain values in, checked objects out."""
+"""The ``sim`` options of a rig: read from plain values and checked."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _SCENES = (*NAMES, BOARD_SCENE)
 
 
 class OptionError(ValueError):
-    """An option of the simulated rig that is not known or not possible; the message names it."""
+    """An unknown or invalid option of the simulated rig; the message names it."""
 
 
 @dataclass(frozen=True, slots=True)
 class SimOptions:
-    """Everything a simulated rig is made of.
+    """Options of a simulated rig.
 
     Args:
         scene: name, see :mod:`sim.scene.named_scenes`, or ``board``.
@@ -37,15 +37,15 @@ class SimOptions:
         frames: images in the loop.
         layout: the rig.
         optics: light, lenses, sensors.
-        encoding: what the cameras send.
-        faults: what goes wrong.
+        encoding: of the cameras.
+        faults: of frames and cameras.
         rate_hz: triggers a second; 0 = only by ``trigger.step()``.
-        cache_dir: where rendered loops are kept; None = the user's cache directory.
-        live: whether images are rendered when they are needed, of what the projector shows then; else a loop is
-            rendered beforehand and the projector shows nothing but its pattern.
+        cache_dir: of rendered loops; None = the user's cache directory.
+        live: whether images are rendered on demand, of the image that the projector shows; else a loop is rendered
+            beforehand and the projector shows only its pattern.
         board: of the scene ``board``, such as ``circles:11x9:32:20``; poses: number of its poses in a live rig.
         hold: triggers after which the board of a live rig moves on by itself; 0 = only by ``trigger.next_pose()``.
-        disturb: what happens to the rig at which trigger; the calibration is the one from before.
+        disturb: disturbances of the rig by trigger; the calibration is that of the undisturbed rig.
     """
 
     scene: str = "moving"
@@ -100,7 +100,7 @@ _KINDS: dict[str, type] = {
 
 def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> SimOptions:
     """Options of plain values; relative paths start at ``base_dir``. Errors name the key."""
-    known("sim", data, [item.name for item in fields(SimOptions)])
+    check_keys("sim", data, [item.name for item in fields(SimOptions)])
     values: dict[str, Any] = {key: value for key, value in data.items() if value is not None}
     for key, kind in _KINDS.items():
         if key in values and (not isinstance(values[key], kind) or isinstance(values[key], bool) != (kind is bool)):
@@ -116,13 +116,13 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> SimOp
         values["disturb"] = _disturbances(values["disturb"])
     if "faults" in values:
         values["faults"] = _faults(values["faults"], int(values.get("seed", 0)))
-    return _made("sim", SimOptions, values)
+    return _built("sim", SimOptions, values)
 
 
 def _layout(data: Mapping[str, Any]) -> RigLayout:
-    known("sim.layout", data, [*(item.name for item in fields(RigLayout)), "scale"])
+    check_keys("sim.layout", data, [*(item.name for item in fields(RigLayout)), "scale"])
     values = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items() if key != "scale"}
-    layout: RigLayout = _made("sim.layout", RigLayout, values)
+    layout: RigLayout = _built("sim.layout", RigLayout, values)
     scale = data.get("scale", 1.0)
     if not isinstance(scale, int | float) or not 0 < scale <= 4:
         raise OptionError(f"sim.layout.scale is {scale!r}, expected more than 0, at most 4")
@@ -130,12 +130,12 @@ def _layout(data: Mapping[str, Any]) -> RigLayout:
 
 
 def _optics(data: Mapping[str, Any]) -> Optics:
-    known("sim.optics", data, [*(item.name for item in fields(Optics)), "preset"])
+    check_keys("sim.optics", data, [*(item.name for item in fields(Optics)), "preset"])
     values = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items() if key != "preset"}
     presets = {"standard": Optics, "realistic": Optics.realistic, "ideal": Optics.ideal}
     preset = data.get("preset", "standard")
     _one_of("optics.preset", preset, tuple(presets))
-    optics: Optics = _made("sim.optics", presets[preset], values)
+    optics: Optics = _built("sim.optics", presets[preset], values)
     return optics
 
 
@@ -143,25 +143,27 @@ def _disturbances(data: object) -> tuple[Disturbance, ...]:
     """A list of {at, side, turn_deg, shift_px, crosstalk}, in the order of their triggers."""
     if not isinstance(data, list | tuple):
         raise OptionError(f"sim.disturb is {data!r:.60}, expected a list")
-    made: list[Disturbance] = []
+    disturbances: list[Disturbance] = []
     for i, item in enumerate(data):
         name = f"sim.disturb[{i}]"
-        known(name, item, [entry.name for entry in fields(Disturbance)])
+        check_keys(name, item, [entry.name for entry in fields(Disturbance)])
         _one_of(f"disturb[{i}].side", item.get("side"), DEVICES)
-        made.append(_made(name, Disturbance, {k: tuple(v) if isinstance(v, list) else v for k, v in item.items()}))
-    return tuple(sorted(made, key=lambda disturbance: disturbance.at))
+        disturbances.append(
+            _built(name, Disturbance, {k: tuple(v) if isinstance(v, list) else v for k, v in item.items()})
+        )
+    return tuple(sorted(disturbances, key=lambda disturbance: disturbance.at))
 
 
 def _faults(data: Mapping[str, Any], seed: int) -> FaultPlan:
     """Rates by kind, ``extra_first: left|right``, ``seed``, and ``script``: a list of {kind, at, side, length}."""
-    known("sim.faults", data, [*RANDOM_KINDS, "extra_first", "seed", "script"])
+    check_keys("sim.faults", data, [*RANDOM_KINDS, "extra_first", "seed", "script"])
     script = [_fault(i, item) for i, item in enumerate(data.get("script", ()))]
     extra = data.get("extra_first")
     if extra:
         _one_of("faults.extra_first", extra, get_args(Side))
         script.append(Fault(FaultKind.EXTRA_FIRST, 0, extra))
     rates = {kind: data[kind] for kind in RANDOM_KINDS if kind in data}
-    plan: FaultPlan = _made(
+    plan: FaultPlan = _built(
         "sim.faults", FaultPlan, {"scripted": tuple(script), "rates": rates, "seed": data.get("seed", seed)}
     )
     return plan
@@ -169,16 +171,16 @@ def _faults(data: Mapping[str, Any], seed: int) -> FaultPlan:
 
 def _fault(i: int, data: Mapping[str, Any]) -> Fault:
     name = f"faults.script[{i}]"
-    known(f"sim.{name}", data, [item.name for item in fields(Fault)])
+    check_keys(f"sim.{name}", data, [item.name for item in fields(Fault)])
     _one_of(f"{name}.kind", data.get("kind"), tuple(FaultKind))
-    fault: Fault = _made(f"sim.{name}", Fault, {"at": 0, **data, "kind": FaultKind(data["kind"])})
+    fault: Fault = _built(f"sim.{name}", Fault, {"at": 0, **data, "kind": FaultKind(data["kind"])})
     if fault.side is not None:
         _one_of(f"{name}.side", fault.side, get_args(Side))
     return replace(fault, at=int(fault.at), length=int(fault.length))
 
 
-def known(name: str, data: object, keys: list[str]) -> None:
-    """OptionError unless ``data`` is a mapping with some of these keys; ``name`` stands for it in the message."""
+def check_keys(name: str, data: object, keys: list[str]) -> None:
+    """OptionError unless ``data`` is a mapping with some of these keys; ``name``: of the mapping in the message."""
     if not isinstance(data, Mapping):
         raise OptionError(f"{name} is {data!r:.60}, expected a mapping")
     for key in data:
@@ -193,8 +195,8 @@ def _one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
         raise OptionError(f"sim.{name} is {value!r}, expected one of {', '.join(allowed)}")
 
 
-def _made(name: str, make: Any, values: dict[str, Any]) -> Any:
-    """The object, with every complaint about its values told as one about the option."""
+def _built(name: str, make: Any, values: dict[str, Any]) -> Any:
+    """Create an object; errors about its values become OptionErrors that name the option."""
     try:
         return make(**values)
     except OptionError:

@@ -1,4 +1,4 @@
-"""Simulated projectors: one for a rendered loop, which has one image, and one that shows any image."""
+"""Simulated projectors: one for a rendered loop, with a single image, and one that shows any image."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from drivers.protocols import ProjectorInfo
 
 
 class SimProjector:
-    """Shows the image that the loop was rendered with, or darkness.
+    """Shows the image that the loop was rendered with, or black.
 
-    Until somebody opens it, it shows the image (as a slide projector would that was left on).
+    Before it is opened, it shows the image.
 
     Args:
-        image: (H, W, 3) uint8, the one that was rendered.
+        image: (H, W, 3) uint8, of the loop.
     """
 
     def __init__(self, image: NDArray[np.uint8]) -> None:
@@ -28,7 +28,7 @@ class SimProjector:
 
     @property
     def lit(self) -> bool:
-        """Whether the pattern is on the scene."""
+        """Whether the pattern is shown."""
         return self._lit
 
     def open(self) -> ProjectorInfo:
@@ -56,18 +56,18 @@ class SimProjector:
             )
 
     def problem(self) -> str:
-        """Nothing ever is."""
+        """Always empty."""
         return ""
 
     def close(self) -> None:
-        """Go dark and let go."""
+        """Show black and disconnect."""
         self._open, self._lit = False, False
 
 
 class LiveProjector:
     """Shows any image of its size.
 
-    Until somebody opens it, it shows ``first`` (as a slide projector would that was left on).
+    Before it is opened, it shows ``first``.
 
     Args:
         first: (H, W, 3) uint8.
@@ -77,25 +77,25 @@ class LiveProjector:
     latency_s = 0.0
 
     def __init__(self, first: NDArray[np.uint8]) -> None:
-        self._black = _kept(np.zeros_like(first))
-        self._shown = _kept(first)
+        self._black = _frozen(np.zeros_like(first))
+        self._shown = _frozen(first)
         self._stored: list[tuple[NDArray[np.uint8], bytes]] = []
         self._first = 0
         self._open = False
 
     @property
     def shown(self) -> tuple[NDArray[np.uint8], bytes]:
-        """The image that is shown now, read-only, and a digest of it."""
+        """The image that is shown, read-only, and its digest."""
         return self._shown
 
     def shown_at(self, index: int) -> tuple[NDArray[np.uint8], bytes]:
-        """The image that trigger ``index`` sees."""
+        """The image at trigger ``index``, and its digest."""
         stored = self._stored
         return stored[(index - self._first) % len(stored)] if stored else self._shown
 
     def store(self, images: Sequence[NDArray[np.uint8]], first: int = 0) -> None:
-        """Show these from now on, one a trigger, the first of them at trigger ``first``; :meth:`show` ends it."""
-        self._first, self._stored = first, [_kept(image) for image in images]
+        """Show these images, one a trigger, the first at trigger ``first``; :meth:`show` ends it."""
+        self._first, self._stored = first, [_frozen(image) for image in images]
 
     def open(self) -> ProjectorInfo:
         """Connect; the image is black until :meth:`show`."""
@@ -104,7 +104,7 @@ class LiveProjector:
         return ProjectorInfo("simulated", (width, height), 0.0)
 
     def show(self, image: NDArray[np.uint8]) -> None:
-        """Show an image; the next trigger sees it."""
+        """Show an image from the next trigger on."""
         if not self._open:
             raise DriverError("projector: show() while closed; open() comes first")
         expected = self._black[0].shape
@@ -112,18 +112,18 @@ class LiveProjector:
             raise SettingRefused(
                 f"projector: image {image.shape} {image.dtype} does not fit, expected {expected} uint8"
             )
-        self._shown, self._stored = _kept(image), []
+        self._shown, self._stored = _frozen(image), []
 
     def problem(self) -> str:
-        """Nothing ever is."""
+        """Always empty."""
         return ""
 
     def close(self) -> None:
-        """Go dark and let go."""
+        """Show black and disconnect."""
         self._open, self._shown, self._stored = False, self._black, []
 
 
-def _kept(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:
+def _frozen(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bytes]:
     copy = np.array(image, order="C")
     copy.setflags(write=False)
     return copy, hashlib.blake2b(copy.data, digest_size=16).digest()

@@ -1,7 +1,7 @@
 """A loop of images of a scene, rendered once and kept on disk.
 
-The folder of a loop is named by a digest of everything that went into it. It appears whole or not at all; one that
-does not pass its checks is rendered again.
+The folder of a loop is named by a digest of all that its images depend on. It is written atomically; a loop with
+wrong checksums is rendered again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sim.render import render_pair
 from sim.rig.disturbance import TrueRig
 from sim.scene.scene import Scene
 
-# To be raised whenever the same options would give other images.
+# Incremented whenever the same options give other images.
 RENDER_VERSION = 1
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -44,14 +44,14 @@ class Loop:
         return len(self.left)
 
     def pair(self, index: int) -> tuple[Image, Image]:
-        """Left and right image of a trigger; after the last comes the first again."""
+        """Left and right image of a trigger; the first follows the last."""
         i = index % len(self.left)
         return np.asarray(self.left[i]), np.asarray(self.right[i])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Switched:
-    """Loops one after the other: for each the trigger that it begins with, the first one at 0."""
+    """Successive loops: each with the trigger at which it begins, the first at 0."""
 
     loops: tuple[tuple[int, Loop], ...]
 
@@ -61,7 +61,7 @@ class Switched:
 
 
 def loops_of(options: SimOptions, progress: Progress | None = None) -> Loop | Switched:
-    """The loop of these options, or one for the time before and one after each disturbance."""
+    """The loop of these options, or one before and one after each disturbance."""
     parts = [(0, load_or_render(replace(options, disturb=()), progress))]
     for k, disturbance in enumerate(options.disturb):
         parts.append((disturbance.at, load_or_render(replace(options, disturb=options.disturb[: k + 1]), progress)))
@@ -69,7 +69,7 @@ def loops_of(options: SimOptions, progress: Progress | None = None) -> Loop | Sw
 
 
 def load_or_render(options: SimOptions, progress: Progress | None = None) -> Loop:
-    """The loop of these options, from the cache if it is there; ``progress(done, of)`` is called while rendering."""
+    """The loop of these options, from the cache if present; ``progress(done, of)`` is called while rendering."""
     root = options.cache_dir or default_cache_dir()
     folder = root / f"loop-{digest(options)[:24]}"
     found = _read(folder)
@@ -105,7 +105,7 @@ def digest(options: SimOptions) -> str:
 
 
 def render_loop(options: SimOptions, progress: Progress | None = None) -> Loop:
-    """All images of the loop, after all disturbances; a scene at rest is lit once and only the noise differs."""
+    """All images of the loop, after all disturbances; a scene at rest is rendered once and only the noise differs."""
     scene = scene_of(options)
     pairs = []
     counts = None
@@ -142,7 +142,7 @@ def _frozen(images: list[Image]) -> Image:
 
 
 def _read(folder: Path) -> Loop | None:
-    """The loop in a folder, or None if there is none or it is not what was written."""
+    """The loop in a folder, or None if there is none or its checksums are wrong."""
     try:
         sums = json.loads((folder / "loop.json").read_text())["crc32"]
         arrays = {side: np.load(folder / f"{side}.npy", mmap_mode="r", allow_pickle=False) for side in sums}
@@ -154,26 +154,26 @@ def _read(folder: Path) -> Loop | None:
 
 
 def _keep(loop: Loop, folder: Path) -> Loop | None:
-    """Write the loop beside its place and move it there; None where the disk refuses, which costs only time."""
+    """Write the loop to a temporary folder and rename it; None if that fails, which costs only time."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     except OSError:
         return None
     try:
         sums = {}
         for side, images in (("left", loop.left), ("right", loop.right)):
-            _write(fresh / f"{side}.npy", images)
+            _write(temporary / f"{side}.npy", images)
             sums[side] = zlib.crc32(images.data)
-        (fresh / "loop.json").write_text(json.dumps({"crc32": sums}))
+        (temporary / "loop.json").write_text(json.dumps({"crc32": sums}))
         if folder.exists():
-            # What is there did not pass its checks (or another process was quicker: then this is as good).
+            # The existing one has wrong checksums, or another process was faster and this one is as good.
             shutil.rmtree(folder, ignore_errors=True)
-        fresh.rename(folder)
+        temporary.rename(folder)
     except OSError:
         return _read(folder)
     finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
     return _read(folder)
 
 

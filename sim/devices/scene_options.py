@@ -1,4 +1,4 @@
-"""The scene of a set of options: one of those with a name, or a board at one of its session's poses."""
+"""The scene of the options: a named one, or a board at a pose of its session."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.scene.scene import Scene
 
 
 def scene_of(options: SimOptions, pose: int = 0) -> Scene:
-    """The scene, for the scene ``board`` at pose number ``pose`` (the last one for all beyond)."""
+    """The scene, for the scene ``board`` at pose number ``pose`` (the last one for larger numbers)."""
     if options.scene == BOARD_SCENE:
         poses = poses_of(options)
         return board_scene(board_of(options), poses[min(pose, len(poses) - 1)])
@@ -23,7 +23,7 @@ def scene_of(options: SimOptions, pose: int = 0) -> Scene:
 
 
 def optics_of(options: SimOptions) -> Optics:
-    """The optics, with as many rays a pixel as the scene wants."""
+    """The optics, with as many rays a pixel as the scene requires."""
     return fine(options.optics) if options.scene == BOARD_SCENE else options.optics
 
 
@@ -33,7 +33,7 @@ def board_of(options: SimOptions) -> Board:
 
 
 def poses_of(options: SimOptions) -> tuple[BoardPose, ...]:
-    """Where the board stands, one after the other."""
+    """Successive poses of the board."""
     return _poses(options.poses, options.seed, options.layout, board_of(options))
 
 

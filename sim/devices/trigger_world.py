@@ -1,4 +1,4 @@
-"""The world around the simulated devices: triggers, exposures, and everything that goes wrong on the way."""
+"""The world around the simulated devices: triggers, exposures and faults."""
 
 from __future__ import annotations
 
@@ -18,45 +18,45 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class Images(Protocol):
-    """Where the images of a trigger come from; they are read-only."""
+    """Source of the images of a trigger; they are read-only."""
 
     def pair(self, index: int) -> tuple[Image, Image]:
         """Left and right image of trigger ``index``."""
 
 
 class Lamp(Protocol):
-    """The simulated projector, as far as the world needs it."""
+    """The part of the simulated projector that the world uses."""
 
     @property
     def lit(self) -> bool:
-        """Whether the images are those of the trigger; dark ones are sent otherwise."""
+        """Whether the projector shows its image; otherwise dark images are sent."""
 
     def close(self) -> None:
-        """Go dark and let go."""
+        """Show black and disconnect."""
 
 
 class SimWorld:
-    """Gives triggers and hands each camera its frames, through the fault plan.
+    """Triggers the cameras and delivers their frames, subject to the fault plan.
 
-    :meth:`step` gives one trigger and returns when all its frames have arrived, so tests need no clock. With
-    ``rate_hz`` above 0 a thread does so in real time, from the moment the first camera starts until :meth:`close`.
+    :meth:`step` triggers once and returns when all frames have arrived, so tests need no clock. With ``rate_hz`` above
+    0 a thread triggers in real time, from the start of the first camera until :meth:`close`.
 
     Args:
         images: of each trigger.
         projector: dark images are sent while it is dark.
         size: (width, height) of the cameras.
-        plan: what goes wrong.
+        plan: of faults.
         rate_hz: triggers a second; 0 = only by :meth:`step`.
-        clock: what the time is; the machine's if None.
+        clock: the machine's if None.
         first_number: number of the first trigger; it wraps at 2**32.
-        exposure_us: exposure time; a frame arrives when it has passed.
+        exposure_us: exposure time, after which a frame arrives.
         dark_dn: counts of an image without projector light.
-        queue_frames: room in each camera's queue.
-        keep_entries: whether the ledger keeps every event, not just counts.
-        note: on the images, for what the cameras say of themselves.
+        queue_frames: capacity of each camera's queue.
+        keep_entries: whether the ledger keeps every event, not only counts.
+        note: on the images, for the cameras' information.
     """
 
-    _slack = 1.0  # By how much of a period a trigger that comes late may stand nearer to the next one.
+    _slack = 1.0  # Fraction of a period by which a late trigger may shorten the time to the next one.
 
     def __init__(
         self,
@@ -100,16 +100,16 @@ class SimWorld:
 
     @property
     def triggers(self) -> int:
-        """Triggers given so far."""
+        """Number of triggers so far."""
         return self._index
 
     @property
     def pending(self) -> int:
-        """Late frames that are still on their way."""
+        """Number of late frames not yet delivered."""
         return len(self._late)
 
     def step(self) -> int:
-        """Give one trigger; returns its number."""
+        """Trigger once; returns the trigger's number."""
         with self._lock:
             index = self._index
             t_ns = self._clock.realtime_ns() - round(1000 * self._exposure_us)
@@ -123,12 +123,12 @@ class SimWorld:
             return self._number(index)
 
     def flush(self) -> None:
-        """Let the late frames that are still on their way arrive now."""
+        """Deliver all late frames."""
         with self._lock:
             self._send_late(self._index + TRIGGER_MODULUS)
 
     def start(self) -> None:
-        """Begin to give triggers in real time; nothing happens when ``rate_hz`` is 0 or they are being given."""
+        """Trigger in real time; does nothing when ``rate_hz`` is 0 or the thread runs."""
         with self._lock:
             if self._rate_hz <= 0 or self._thread is not None:
                 return
@@ -137,7 +137,7 @@ class SimWorld:
             self._thread.start()
 
     def stop(self) -> None:
-        """Give no more triggers in real time."""
+        """Stop triggering in real time."""
         with self._lock:
             thread, self._thread = self._thread, None
             self._stop.set()
@@ -160,7 +160,7 @@ class SimWorld:
         due_ns = self._clock.monotonic_ns() + period_ns
         while not self._stop.wait(max(0, due_ns - self._clock.monotonic_ns()) / 1e9):
             self.step()
-            # A machine that was asleep goes on from now, instead of giving all missed triggers at once.
+            # After a suspension of the machine triggering continues from now, without all missed triggers at once.
             due_ns = max(due_ns, self._clock.monotonic_ns() - slack_ns) + period_ns
 
     def _number(self, index: int, off: int = 0) -> int:
@@ -177,7 +177,7 @@ class SimWorld:
         return self._dark, self._dark
 
     def _frame(self, index: int, side: Side, image: Image, t_ns: int, off: int = 0) -> Frame:
-        # Both cameras hang on one wire: they differ by a few hundred nanoseconds.
+        # Both cameras share a trigger line: their times differ by a few hundred nanoseconds.
         jitter_ns = (index * 7919 + (523 if side == "right" else 0)) % 1000 - 500
         number, now_ns = self._number(index, off), self._clock.realtime_ns()
         return Frame(side, number, t_ns + jitter_ns, now_ns, self._encoding, image, self._exposure_us)
@@ -218,8 +218,8 @@ class SimWorld:
                 self._deliver(-1, frame)
 
     def _deliver(self, index: int, frame: Frame) -> None:
-        heard = self.cameras[frame.side].deliver(frame)
-        self.ledger.note(index, frame.trigger, frame.side, "sent" if heard else "not_listening")
+        accepted = self.cameras[frame.side].deliver(frame)
+        self.ledger.note(index, frame.trigger, frame.side, "sent" if accepted else "not_listening")
 
     def _note_dropped(self, frame: Frame, why: str) -> None:
         self.ledger.note(-1, frame.trigger, frame.side, why)

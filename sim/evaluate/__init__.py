@@ -1,1 +1,1 @@
-"""Measured against the truth."""
+"""Scores of clouds and calibrations against the truth."""

@@ -1,7 +1,7 @@
-"""Any calibration put to the test: what the simulated rig measures with it, against the truth.
+"""Trial of a calibration: measurements of the simulated rig with it, against the truth.
 
-The image shown is the fringe sent through the inverse of the response that the *calibration* knows, as a daemon
-would send it; what the cameras see of it is the true rig's affair.
+The projected fringe is corrected by the response of the *calibration*, as the daemon would do; the cameras' images
+follow from the true rig.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from sim.render.ground_truth import Truth
 from sim.render.render_pair import Image
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
-from sim.scene import named_scenes as scenes
+from sim.scene.named_scenes import build
 
 SCENES = ("plane", "spheres", "face")
 
 
 def true_calibration(layout: RigLayout, optics: Optics) -> Calibration:
-    """All that there is to know of a rig, without an error."""
+    """The calibration of a rig without any error."""
     return layout.calibration_for(replace(optics, crosstalk_error=0.0, projector_error_px=(0.0, 0.0)))
 
 
@@ -38,15 +38,15 @@ def measuring_pair(
     encoding: str = "rgb8",
     seed: int = 0,
 ) -> tuple[Image, Image, Truth]:
-    """Both images of a scene under the fringe that somebody with this calibration shows, and the left truth.
+    """Both images of a scene under the fringe as shown with this calibration, and the left truth.
 
     Args:
-        calibration: only its response matters here. layout, optics: the rig as it is.
+        calibration: only its response is used. layout, optics: the rig as it is.
         scene: name, see :mod:`sim.scene.named_scenes`. pattern: that of the layout if None. seed: of textures and
             noise.
     """
     optics, pattern = optics or Optics(), pattern or layout.pattern()
-    built = scenes.build(scene, seed=seed)
+    built = build(scene, seed=seed)
     left, right = render_pair.render_images(
         layout, built, pattern.image(calibration.response), optics, seed=seed, encoding=encoding
     )
@@ -54,7 +54,7 @@ def measuring_pair(
     return left, right, truth
 
 
-def judged(
+def trial_scores(
     calibration: Calibration,
     layout: RigLayout,
     optics: Optics | None = None,

@@ -1,4 +1,4 @@
-"""Wrong points, false surfaces and error against sigma, by the distance to a depth edge; the truth decides."""
+"""Wrong points, false surfaces and error against sigma, by the distance to a depth edge, against the truth."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class PointErrors:
 
     Args:
         covered: share of the measurable pixels (lit, seen by both cameras, inside the volume) within 1 mm.
-        wrong: share of the points that err by more than 6 mm or stand where nothing is.
+        wrong: share of the points that err by more than 6 mm or have no truth.
         wrong_alone: share of the points that are wrong against the truth of all eight neighbours, too.
         false_surfaces: number of connected surfaces of at least 30 points of which half or more are wrong.
         false_points: points of these.
@@ -70,7 +70,7 @@ class PointErrors:
 def point_errors(
     xyz: NDArray[np.float32], sigma_mm: NDArray[np.float32], truth: Truth, volume_mm: tuple[float, float]
 ) -> PointErrors:
-    """Judge a cloud (H, W, 3) with its sigma (H, W), both mm; ``volume_mm`` is the range of depth to be measured."""
+    """Figures of a cloud (H, W, 3) with its sigma (H, W), both mm; ``volume_mm``: range of depth to be measured."""
     valid = np.isfinite(xyz[..., 2])
     error = distance_mm(xyz, truth)
     with np.errstate(invalid="ignore"):
@@ -118,7 +118,7 @@ def false_surfaces(depth: NDArray[np.float32], wrong: Bools) -> list[int]:
 
 def surface_labels(depth: NDArray[np.float32]) -> NDArray[np.int64]:
     """Label of the 4-connected surface that each pixel (H, W) belongs to; 0 = no point."""
-    # Pixels and the links between them on one grid of twice the size: OpenCV's components do the rest.
+    # Pixels and the links between them on one grid of twice the size, labelled by OpenCV.
     rows, columns = depth.shape
     grid = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)
     grid[::2, ::2] = np.isfinite(depth)

@@ -1,4 +1,4 @@
-"""How good a cloud is, told by the truth."""
+"""Scores of a cloud against the truth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Score:
 
     Args:
         reconstructed: share of the pixels that are lit and seen by both cameras whose point errs by less than 1 mm.
-        wrong: share of the points that err by more than 6 mm, or stand where nothing is.
+        wrong: share of the points that err by more than 6 mm, or have no truth.
         rms_mm: root mean square error of the points that err by less than 1 mm.
         smooth_rms_mm: the same after a 5 x 5 local fit, away from borders.
         bias_mm: mean error along the viewing ray after the local fit, away from borders.
@@ -76,13 +76,13 @@ def smoothed_error(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """The rigid motion that lays a cloud upon the truth: ``X_true = rotation X + translation``.
+    """The rigid motion that aligns a cloud with the truth: ``X_true = rotation X + translation``.
 
     Args:
         rotation: (3, 3); translation: (3,), mm.
         angle_deg: of the rotation.
         shift_mm: how far the middle of the cloud moves.
-        scale: of the cloud, that would fit best, 1 = none. It is told, not applied: a wrong scale is an error.
+        scale: of the cloud, that would fit best, 1 = none. It is reported, not applied: a wrong scale is an error.
     """
 
     rotation: Array
@@ -98,19 +98,19 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True)
 class AlignedScore:
-    """Score of a cloud in its own frame laid upon the truth, and how it had to be moved for that."""
+    """Score of a cloud aligned with the truth, and the alignment."""
 
     score: Score
     alignment: Alignment
 
 
 def aligned(xyz: NDArray[np.float32], truth: Truth, *, only: NDArray[np.bool_] | None = None) -> AlignedScore:
-    """Score the shape of a cloud that was made with any calibration of the same left camera.
+    """Score the shape of a cloud measured with any calibration of the same left camera.
 
-    A calibration's world is its own left camera, which differs from the true one by what the calibration could not
-    know (principal point against rotation, for instance). The whole cloud is moved rigidly, never scaled, to where it
-    fits best, and then judged: what remains is error of shape and size. The fit goes pixel by pixel, so a point that
-    slid along a surface counts as wrong by that way.
+    A calibration's world is its own left camera, which differs from the true one by what the calibration cannot
+    determine (principal point against rotation, for instance). The whole cloud is moved rigidly, never scaled, to the
+    best fit, and then scored: what remains is error of shape and size. The fit compares pixel by pixel, so a shift
+    along a surface counts as error.
 
     Args:
         xyz: (H, W, 3) mm in the frame of the calibration. truth: of the true left camera. only: see :func:`score`.
@@ -130,8 +130,8 @@ def best_motion(xyz: NDArray[np.float32], truth: Truth) -> Alignment:
             f"{np.count_nonzero(both)} points have a truth, expected {_LEAST_POINTS} or more to align them"
         )
     cloud, true = xyz[both].astype(np.float64), truth.xyz[both].astype(np.float64)
-    away = true - cloud
-    rotation, translation = np.eye(3), np.median(away, axis=0)
+    offset = true - cloud
+    rotation, translation = np.eye(3), np.median(offset, axis=0)
     scale = 1.0
     for _ in range(_ALIGNMENT_ROUNDS):
         error = np.linalg.norm(cloud @ rotation.T + translation - true, axis=1)
@@ -147,9 +147,9 @@ def best_motion(xyz: NDArray[np.float32], truth: Truth) -> Alignment:
 def _kabsch(cloud: Array, true: Array, weights: Array) -> tuple[Array, Array, float]:
     share = (weights / weights.sum())[:, None]
     middle, target = (share * cloud).sum(axis=0), (share * true).sum(axis=0)
-    here, there = cloud - middle, true - target
-    u, values, vt = np.linalg.svd((share * there).T @ here)
+    centred, centred_true = cloud - middle, true - target
+    u, values, vt = np.linalg.svd((share * centred_true).T @ centred)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = (u * sign) @ vt
-    scale = float((values * sign).sum() / (share * here * here).sum())
+    scale = float((values * sign).sum() / (share * centred * centred).sum())
     return rotation, target - rotation @ middle, scale

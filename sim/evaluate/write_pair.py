@@ -30,11 +30,9 @@ def write_pair(pair: RenderedPair, folder: Path) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Render, write, and tell in one line what there is."""
+    """Render and write the pair, and print one line about it."""
     if len(arguments) < 2:
-        sys.stderr.write(
-            f"{__doc__}Scenes: {', '.join(named_scenes.NAMES)}; a path stands for the mesh of that file.\n"
-        )
+        sys.stderr.write(f"{__doc__}Scenes: {', '.join(named_scenes.NAMES)}; a path means the mesh in that file.\n")
         return 2
     name, folder, *changes = arguments
     optics = Optics(**{key: json.loads(value) for key, _, value in (item.partition("=") for item in changes)})

@@ -1,1 +1,1 @@
-"""From the projector's light over surfaces and lens to the sensor's image, with the truth beside it."""
+"""Rendering: projector light, surfaces, lens, sensor, and the ground truth."""

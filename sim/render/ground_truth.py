@@ -1,4 +1,4 @@
-"""What is really there, pixel by pixel: the judge of every reconstruction."""
+"""Ground truth of a rendered image, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Truth:
     """Truth of one camera at the middle of the exposure, at each pixel's centre.
 
     Args:
-        xyz: (H, W, 3) float32, mm, world; NaN where the pixel sees nothing.
+        xyz: (H, W, 3) float32, mm, world; NaN where the pixel's ray hits nothing.
         projector: (H, W, 2) float32, projector pixel (u, v) that lights the point, shadow or not; NaN likewise.
-        order: (H, W) int16, fringe order floor(phase / 2 pi); -1 where nothing is, outside the image, or no pattern.
+        order: (H, W) int16, fringe order floor(phase / 2 pi); -1 without a hit or pattern, or outside the image.
         lit: (H, W), the projector sees the point and it lies within its image.
         seen_by_both: (H, W), the other camera sees it too, within its image.
     """
@@ -36,16 +36,16 @@ class Truth:
 
     @property
     def hit(self) -> Bools:
-        """Where there is something, (H, W)."""
+        """Pixels whose ray hits a surface, (H, W)."""
         return np.asarray(np.isfinite(self.xyz[..., 2]))
 
     @property
     def scorable(self) -> Bools:
-        """Where a measurement is possible: lit, and seen by both cameras, (H, W)."""
+        """Pixels that can be measured: lit, and seen by both cameras, (H, W)."""
         return self.lit & self.seen_by_both
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """All arrays by name, to be stored."""
+        """All arrays by name."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
@@ -70,8 +70,8 @@ def rows_of_truth(
     rays = pixel_rays(packed(camera), first_row, rows, width, 1.0, 0.0, 0.0)
     hits = surfaces.hits(camera.centre, rays)
     light = pixels_of(packed(projector), hits.points)
-    lit = surfaces.seen_from(hits, projector.centre) & inside(light, projector.size)
-    both = surfaces.seen_from(hits, other.centre) & inside(pixels_of(packed(other), hits.points), other.size)
+    lit = surfaces.visible_from(hits, projector.centre) & inside(light, projector.size)
+    both = surfaces.visible_from(hits, other.centre) & inside(pixels_of(packed(other), hits.points), other.size)
     light[hits.which < 0] = np.nan
     shape = (rows, width)
     return Truth(

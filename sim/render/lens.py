@@ -1,4 +1,4 @@
-"""Cameras and projectors as compiled code sees them: one vector of numbers each, and the mapping both ways."""
+"""Camera models for compiled code: a vector of parameters, and the projection in both directions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def ray_of(d: Array, u: float, v: float) -> tuple[float, float, float]:
     xt = (u - d[2] - d[1] * yt) / d[0]
     x, y = xt, yt
     for _ in range(30):
-        # The distortion is a slight one: a fixed point iteration gains several digits a round.
+        # The distortion is small: a fixed point iteration gains several digits a round.
         xd, yd = distorted(d, x, y)
         ex, ey = xt - xd, yt - yd
         x += ex

@@ -14,7 +14,7 @@ from sim.scene.texture import albedo
 
 Array = NDArray[np.float64]
 
-# Pixels are joined by quadratic B-splines: a smooth stand-in for square pixels, whose own blur counts as defocus.
+# Pixels are interpolated by quadratic B-splines instead of squares; the splines' own blur counts as defocus.
 _SPLINE_VARIANCE = 1 / 6
 
 
@@ -36,7 +36,7 @@ def _spline(f: float) -> tuple[float, float, float]:
 
 @njit(cache=True, nogil=True)
 def _sample(light: NDArray[np.float32], u: float, v: float, channel: int) -> float:
-    """Light of one channel at a place of the projector image; 0 outside."""
+    """Light of one channel at a position in the projector image; 0 outside."""
     rows, columns = light.shape[0], light.shape[1]
     if u < -0.5 or v < -0.5 or u > columns - 0.5 or v > rows - 0.5:
         return 0.0
@@ -66,7 +66,7 @@ def shade(
     standoff_mm: float,
     ambient: float,
 ) -> NDArray[np.float32]:
-    """Light that comes back from surface points, (n, 3), 0..255; 0 where nothing is hit."""
+    """Light reflected by surface points, (n, 3), 0..255; 0 without a hit."""
     out = np.zeros((len(points), 3), np.float32)
     for k in range(len(points)):
         i = which[k]

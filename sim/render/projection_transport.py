@@ -1,9 +1,8 @@
-"""Any image on the projector, seen by both cameras: the renderer with everything done once but the image itself.
+"""Light transport from projector to cameras for a scene at rest: computed once, then applied to any projected image.
 
-Light is linear. For a scene at rest each ray of a camera image meets one place of the projector image and brings
-back a fixed share of its light; what changes with the image is a look-up per ray, and what follows (lens blur,
-colours, mosaic, noise) is the renderer's own code. :mod:`sim.render.render_pair` renders from the pixels of the image
-on the cable too, so the two differ by rounding alone.
+Light is linear: each ray of a camera image meets one position of the projector image and returns a fixed fraction of
+its light. A new image costs one look-up per ray; the rest (lens blur, colours, mosaic, noise) is the renderer's code.
+The results differ from those of :mod:`sim.render.render_pair` by rounding only.
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.rig.camera_model import CameraModel
-from sim.render import projected_light as lighting
 from sim.render import render_pair, sensor
 from sim.render.lens import packed, pixel_rays, pixels_of
+from sim.render.projected_light import projected_light, shade
 from sim.render.render_pair import Image
 from sim.rig.disturbance import TrueRig
 from sim.rig.layout import RigLayout
@@ -29,13 +28,13 @@ from sim.scene.scene import Scene
 Light = NDArray[np.float32]
 Counts = tuple[Light, Light]
 
-# The image of the projector is given this many more pixels at each edge, so that no look-up needs to clamp.
+# Pixels added to the projector image at each edge, so that no look-up needs clamping.
 _EDGE_PX = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprint:
-    """Where each ray of one camera meets the projector image during one exposure, and how much light comes back.
+    """Where each ray of one camera meets the projector image during one exposure, and how much light returns.
 
     Args:
         uv: (H s, W s, 2) float32, projector pixel, for s x s rays a pixel.
@@ -47,7 +46,7 @@ class Footprint:
     gain: Light
     dark: Light
 
-    def under(self, light: Light, optics: Optics) -> Light:
+    def lit_by(self, light: Light, optics: Optics) -> Light:
         """Light on the sensor, (H, W, 3), under ``light`` of :func:`sim.render.projected_light.projected_light`."""
         edged = cv2.copyMakeBorder(light, _EDGE_PX, _EDGE_PX, _EDGE_PX, _EDGE_PX, cv2.BORDER_REPLICATE)
         rays = np.empty_like(self.gain)
@@ -57,21 +56,21 @@ class Footprint:
         def band(first: int, rows: int) -> None:
             some = slice(first, first + rows)
             for start, end in groups:
-                _look_up(self.uv[some], self.gain[some], edged, shifts[start], start, end, rays[some])
+                _reflected(self.uv[some], self.gain[some], edged, shifts[start], start, end, rays[some])
 
         render_pair.in_bands(band, len(rays))
         return _pixels(rays, optics) + self.dark
 
 
 class Stage:
-    """A scene at fixed instants, ready to be lit by any image.
+    """A scene at fixed instants, for any projected image.
 
-    Keeps 20 bytes a ray, camera and instant: 70 MB a camera at 1024 x 820, 4 MB at a quarter of that each way.
+    It keeps 20 bytes a ray, camera and instant: 70 MB a camera at 1024 x 820, 4 MB at a quarter of that size.
 
     Args:
         layout, scene, optics, encoding: as :func:`sim.render.render_pair.render_pair` takes them.
         instants_s: starts of exposure in the scene's time; one is enough for a scene at rest.
-        rig: instead of that of the layout and of the optics, when something has happened to it.
+        rig: a disturbed rig instead of that of the layout and the optics.
     """
 
     def __init__(
@@ -91,7 +90,7 @@ class Stage:
         self.layout, self.scene, self.optics, self.encoding = layout, scene, optics or Optics(), encoding
         self.instants_s = instants_s if scene.moves else instants_s[:1]
         self.rig = rig = TrueRig.of(layout, self.optics) if rig is None else rig
-        self._prints = [
+        self._footprints = [
             tuple(
                 _footprint(layout, rig.projector, scene, self.optics, t_s, camera) for camera in (rig.left, rig.right)
             )
@@ -99,24 +98,24 @@ class Stage:
         ]
 
     def counts(self, image: NDArray[np.uint8], instant: int = 0) -> Counts:
-        """Counts above black of both cameras without noise, as :func:`sim.render.render_pair.render_counts` gives them.
+        """Counts above black of both cameras without noise, as of :func:`sim.render.render_pair.render_counts`.
 
         Args:
             image: (H, W, 3) uint8 of the projector's size.
-            instant: index of ``instants_s``; it goes round.
+            instant: index of ``instants_s``, modulo their number.
         """
         sent = render_pair.image_sent(image, self.optics, self.layout.projector_size)
-        light = lighting.projected_light(sent, self.optics)
+        light = projected_light(sent, self.optics)
         left, right = (
             sensor.exposed(
-                footprint.under(light, self.optics), camera, self.optics, self.encoding, self.rig.crosstalk[camera]
+                footprint.lit_by(light, self.optics), camera, self.optics, self.encoding, self.rig.crosstalk[camera]
             )
-            for camera, footprint in enumerate(self._prints[instant % len(self._prints)])
+            for camera, footprint in enumerate(self._footprints[instant % len(self._footprints)])
         )
         return left, right
 
     def images(self, counts: Counts, seed: int) -> tuple[Image, Image]:
-        """What the sensors make of counts; the seed decides the noise, bit by bit."""
+        """Both images of counts; the seed determines the noise."""
         return render_pair.with_noise(counts, self.optics, seed, self.encoding)
 
 
@@ -163,11 +162,11 @@ def _sampled(
 
     def band(first: int, height: int) -> tuple[Light, Light, Light]:
         hits = now.hits(camera.centre, pixel_rays(packed(camera), first, height, columns, 1.0, *offset))
-        lit = now.seen_from(hits, projector.centre)
+        lit = now.visible_from(hits, projector.centre)
         surface = (now.table, hits.points, hits.normals, hits.which)
         # The renderer's own shading under a light of one everywhere is the share of light that comes back.
-        gain = lighting.shade(*surface, lit, lamp, unit, shift, standoff, 0.0)
-        dark = lighting.shade(*surface, np.zeros_like(lit), lamp, black, shift, standoff, optics.ambient)
+        gain = shade(*surface, lit, lamp, unit, shift, standoff, 0.0)
+        dark = shade(*surface, np.zeros_like(lit), lamp, black, shift, standoff, optics.ambient)
         for part in (gain, dark):
             now.add_gloss(part, hits, camera.centre, projector.centre)
             now.darken(part, hits, camera.centre, render_pair.angle_of_a_ray(camera, optics))
@@ -180,8 +179,8 @@ def _sampled(
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _look_up(uv: Light, gain: Light, light: Light, shift: np.float32, first: int, last: int, out: Light) -> None:
-    """Light that each ray brings back in channels first .. last; ``light`` has ``_EDGE_PX`` more at each edge."""
+def _reflected(uv: Light, gain: Light, light: Light, shift: np.float32, first: int, last: int, out: Light) -> None:
+    """Light that each ray returns in channels first .. last; ``light`` has ``_EDGE_PX`` more pixels at each edge."""
     half, most = np.float32(0.5), np.float32(0.75)
     for row in range(uv.shape[0]):
         for column in range(uv.shape[1]):

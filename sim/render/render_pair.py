@@ -1,7 +1,7 @@
 """One trigger: both cameras' images of a scene under projector light, with the truth.
 
 Every pixel is the mean over several rays and, where something moves, over several instants of the exposure. Bands of
-rows are rendered by a few threads; the result does not depend on how many.
+rows are rendered by a few threads; the result does not depend on their number.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Response
 from pipeline.rig.camera_model import CameraModel
-from sim.render import projected_light as lighting
 from sim.render import sensor
 from sim.render.ground_truth import Truth, rows_of_truth, stacked
 from sim.render.lens import packed, pixel_rays
+from sim.render.projected_light import projected_light, shade
 from sim.rig.disturbance import TrueRig
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
@@ -34,7 +35,7 @@ _BAND_ROWS = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedPair:
-    """Images of one trigger, in the sensor's encoding, and what is true."""
+    """Images of one trigger, in the sensor's encoding, and their truth."""
 
     left: Image
     right: Image
@@ -56,13 +57,13 @@ def render_pair(
 
     Args:
         layout: the rig.
-        scene: what stands on the stage.
-        pattern: a fringe (sent through the inverse of the response if the optics say so), or the image
-            (H, W, 3) uint8 that the projector shows; then no fringe orders are known.
+        scene: on the stage.
+        pattern: a fringe (corrected by the inverse response if the optics are precorrected), or the projected image
+            (H, W, 3) uint8; then the truth has no fringe orders.
         optics: light, lenses and sensor; the standard ones if None.
         t_s: start of the exposure in the scene's time.
-        seed: of the noise; the same seed gives the same images, bit by bit.
-        encoding: ``rgb8`` (three chips), ``bayer_rggb8`` and its kin, ``mono8``, ``mono16``.
+        seed: of the noise; the same seed gives the same images.
+        encoding: ``rgb8`` (three chips), ``bayer_rggb8`` and the other Bayer mosaics, ``mono8``, ``mono16``.
     """
     optics = Optics() if optics is None else optics
     images = render_images(layout, scene, pattern, optics, t_s, seed, encoding)
@@ -80,7 +81,7 @@ def render_images(
     seed: int = 0,
     encoding: str = "rgb8",
 ) -> tuple[Image, Image]:
-    """The images of :func:`render_pair` alone, for a third less time."""
+    """The images of :func:`render_pair` without the truth, in two thirds of the time."""
     return with_noise(render_counts(layout, scene, pattern, optics, t_s, encoding), optics, seed, encoding)
 
 
@@ -95,10 +96,10 @@ def render_counts(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Counts above black of both cameras without noise or rounding, in the sensor's layout.
 
-    ``rig`` stands for that of the layout and of the optics, when something has happened to it.
+    ``rig`` is a disturbed rig instead of that of the layout and the optics.
     """
     rig = TrueRig.of(layout, optics) if rig is None else rig
-    light = lighting.projected_light(image_sent(pattern, optics, rig.projector.size), optics)
+    light = projected_light(image_sent(pattern, optics, rig.projector.size), optics)
     left, right = (
         sensor.exposed(
             light_on_sensor(layout, rig.projector, scene, light, optics, t_s, device),
@@ -115,7 +116,7 @@ def render_counts(
 def with_noise(
     counts: tuple[NDArray[np.float32], NDArray[np.float32]], optics: Optics, seed: int, encoding: str
 ) -> tuple[Image, Image]:
-    """Images of noiseless counts; every seed has a noise of its own."""
+    """Images of noiseless counts; the seed determines the noise."""
     left, right = (
         sensor.read_out(image, optics, np.random.default_rng([seed, camera]), encoding)
         for camera, image in enumerate(counts)
@@ -124,17 +125,15 @@ def with_noise(
 
 
 def image_sent(pattern: ColorFringe | NDArray[np.uint8], optics: Optics, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The image on the cable to the projector, (H, W, 3) uint8."""
+    """The image sent to the projector, (H, W, 3) uint8."""
     if isinstance(pattern, ColorFringe):
-        from pipeline.rig.calibration import Response
-
         corrected = optics.precorrected and optics.gamma != 1.0
         image = pattern.image(Response(*optics.response_table()) if corrected else None)
     else:
         image = pattern
     if image.shape != (size[1], size[0], 3) or image.dtype != np.uint8:
         raise ValueError(
-            f"the image to show is {image.shape} {image.dtype}, the projector takes ({size[1]}, {size[0]}, 3) uint8"
+            f"the projected image is {image.shape} {image.dtype}, the projector takes ({size[1]}, {size[0]}, 3) uint8"
         )
     return image
 
@@ -160,7 +159,7 @@ def light_on_sensor(
     rays = np.empty((rows * s, columns * s, 3), np.float32)
     for i in range(s):
         for j in range(s):
-            # Each ray of a pixel sees an instant of its own; back and forth, so that time and column do not correlate.
+            # Each ray of a pixel has its own instant, in alternating order, so that time and column do not correlate.
             instant = s * i + (j if i % 2 == 0 else s - 1 - j)
             now = surfaces(scene, t_s + (instant + 0.5) / s**2 * 1e-6 * optics.exposure_us, stage)
             lattice = _Lattice(1.0, (j + 0.5) / s - 0.5, (i + 0.5) / s - 0.5, rows, columns)
@@ -195,10 +194,8 @@ def _light_at(
     def band(first: int, rows: int) -> NDArray[np.float32]:
         rays = pixel_rays(lens, first, rows, columns, step, left, top)
         hits = now.hits(camera.centre, rays)
-        lit = now.seen_from(hits, projector.centre)
-        out = lighting.shade(
-            now.table, hits.points, hits.normals, hits.which, lit, lamp, light, shift, standoff, optics.ambient
-        )
+        lit = now.visible_from(hits, projector.centre)
+        out = shade(now.table, hits.points, hits.normals, hits.which, lit, lamp, light, shift, standoff, optics.ambient)
         now.add_gloss(out, hits, camera.centre, projector.centre)
         now.darken(out, hits, camera.centre, angle_of_a_ray(camera, optics))
         return np.asarray(out.reshape(rows, columns, 3))
@@ -227,7 +224,7 @@ def truths(
 
 
 def in_bands(work: Callable[[int, int], T], rows: int) -> list[T]:
-    """``work(first_row, rows)`` for bands of rows, on all cores; the compiled parts let go of the interpreter."""
+    """``work(first_row, rows)`` for bands of rows, on all cores; the compiled parts release the interpreter lock."""
     firsts = range(0, rows, _BAND_ROWS)
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
         return list(pool.map(lambda first: work(first, min(_BAND_ROWS, rows - first)), firsts))

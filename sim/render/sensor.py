@@ -1,4 +1,4 @@
-"""From light on the sensor to counts: blur, colours, mosaic, noise, saturation."""
+"""The sensor: blur, colours, mosaic, noise and saturation of the light that reaches it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def exposed(
 ) -> Light:
     """Counts above black without noise: (H, W, 3) for colour chips, (H, W) for mosaic and mono.
 
-    ``crosstalk`` (3, 3) stands for that of the optics, without a change of the gain.
+    ``crosstalk`` (3, 3) replaces that of the optics, without a change of the gain.
     """
     crosstalk = optics.true_crosstalk()[camera] if crosstalk is None else crosstalk
     mix = (optics.gain(camera) * crosstalk).astype(np.float32)
@@ -77,19 +77,19 @@ def mosaic(image: Light, encoding: str) -> Light:
 
 def noise_variance(counts: Light, optics: Optics) -> Light:
     """Variance in counts squared of pixels with these counts above black."""
-    shot = 255.0 / optics.full_well_e if optics.full_well_e > 0 else 0.0
+    electron_dn = 255.0 / optics.full_well_e if optics.full_well_e > 0 else 0.0
     return np.asarray(
-        optics.noise**2 * (np.maximum(counts, 0) * np.float32(shot) + np.float32(optics.read_noise_dn**2))
+        optics.noise**2 * (np.maximum(counts, 0) * np.float32(electron_dn) + np.float32(optics.read_noise_dn**2))
     )
 
 
 def read_out(
     counts: Light, optics: Optics, rng: np.random.Generator, encoding: str
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """The image as the sensor gives it, from counts above black: noise, black level, saturation, rounding."""
+    """The sensor's image of counts above black: noise, black level, saturation, rounding."""
     if optics.noise > 0:
-        grain = rng.standard_normal(counts.shape, dtype=np.float32)
-        counts = counts + grain * np.sqrt(noise_variance(counts, optics))
+        noise = rng.standard_normal(counts.shape, dtype=np.float32)
+        counts = counts + noise * np.sqrt(noise_variance(counts, optics))
     counts = counts + np.float32(optics.black_dn)
     if encoding == "mono16":
         return np.rint(np.clip(counts, 0, 255) * 257).astype(np.uint16)

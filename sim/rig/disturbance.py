@@ -1,4 +1,4 @@
-"""What happens to a rig between its calibration and now: a camera knocked, a lens shifted, colours that drift."""
+"""Disturbances of a rig after its calibration: rotated devices, shifted lenses, drift of colours."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class Disturbance:
 
     Args:
         side: ``left``, ``right`` or ``projector``.
-        at: number of the first trigger that sees it, counted from 0.
+        at: number of the first trigger affected, counted from 0.
         turn_deg: rotation vector in the device's own frame, degrees; it turns about its centre of projection.
         shift_px: shift of the principal point, pixels.
-        crosstalk: what is added to the camera's largest crosstalk; 0.03 is three percent of a channel's light.
+        crosstalk: added to the camera's largest crosstalk; 0.03 is three percent of a channel's light.
     """
 
     side: Device
@@ -52,7 +52,7 @@ class Disturbance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueRig:
-    """The devices as they are, whatever the calibration says; the world is the left camera's before all disturbances.
+    """The true devices, not as calibrated; the world is the frame of the left camera before all disturbances.
 
     Args:
         left, right, projector: with their poses. crosstalk: (2, 3, 3) of both cameras.
@@ -65,29 +65,26 @@ class TrueRig:
 
     @classmethod
     def of(cls, layout: RigLayout, optics: Optics) -> TrueRig:
-        """The rig as it was built."""
+        """The undisturbed rig."""
         rig = layout.calibration()
         return cls(rig.left, rig.right, rig.projector, optics.true_crosstalk())
 
-    def after(self, disturbance: Disturbance) -> TrueRig:
+    def after(self, change: Disturbance) -> TrueRig:
         """The rig after a disturbance."""
-        device: CameraModel = getattr(self, disturbance.side)
-        rotation = (
-            rotation_about(disturbance.turn_deg, float(np.radians(np.linalg.norm(disturbance.turn_deg))))
-            @ device.rotation
-        )
+        device: CameraModel = getattr(self, change.side)
+        rotation = rotation_about(change.turn_deg, float(np.radians(np.linalg.norm(change.turn_deg)))) @ device.rotation
         matrix = device.matrix.copy()
-        matrix[:2, 2] += disturbance.shift_px
+        matrix[:2, 2] += change.shift_px
         moved = CameraModel(
             device.size, matrix, device.distortion, rotation, -rotation @ device.centre, name=device.name
         )
-        if disturbance.side == "left":
+        if change.side == "left":
             rig = replace(self, left=moved)
-        elif disturbance.side == "right":
+        elif change.side == "right":
             rig = replace(self, right=moved)
         else:
             return replace(self, projector=moved)
-        camera = ("left", "right").index(disturbance.side)
+        camera = ("left", "right").index(change.side)
         crosstalk = self.crosstalk.copy()
-        crosstalk[camera] += disturbance.crosstalk * crosstalk_shape(camera)
+        crosstalk[camera] += change.crosstalk * crosstalk_shape(camera)
         return replace(rig, crosstalk=crosstalk)

@@ -1,7 +1,7 @@
-"""How a simulated rig stands: two converging cameras and a projector between them.
+"""Layout of a simulated rig: two converging cameras and a projector between them.
 
-The stage is the frame of the things measured: its origin is where all axes meet, x runs along the baseline, y down,
-z away from the rig. The world is the left camera's frame, as everywhere.
+The stage is the frame of the measured objects: its origin is where all optical axes meet, x runs along the baseline,
+y down, z away from the rig. The world is the left camera's frame.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RigLayout:
-    """Sizes and places; the defaults are the project's standard rig.
+    """Sizes and positions; the defaults are the project's standard rig.
 
     Args:
         camera_size: (width, height) of both cameras, pixels.
         focal_px: focal length of both cameras, pixels.
         baseline_mm: distance of the cameras.
-        projector_fraction: where the projector stands between left (0) and right (1).
+        projector_fraction: position of the projector between left (0) and right (1).
         projector_up_mm: height of the projector above the baseline.
         standoff_mm: distance from each camera to the stage's origin.
         projector_size: (width, height), pixels.
@@ -81,20 +81,20 @@ class RigLayout:
         return rotation, np.array([0.0, 0.0, self.standoff_mm])
 
     def calibration(self) -> Calibration:
-        """The true rig, without colour: what the renderer uses."""
+        """The true rig, without colour."""
         rotation, origin = self.stage_pose()
         right_centre = self.baseline_mm * rotation[:, 0]
         projector_centre = self.projector_fraction * right_centre - self.projector_up_mm * rotation[:, 1]
         left = self._camera("left", np.array([2.7, -1.9, 0.11]), np.array([-0.08, 0.10, 2e-4, -1.5e-4, 0.0]))
         right = self._camera("right", np.array([-3.4, 2.2, -0.07]), np.array([-0.075, 0.08, -1.2e-4, 2.2e-4, 0.0]))
         return Calibration(
-            left, _looking(right, right_centre, origin), _looking(self._projector(), projector_centre, origin)
+            left, _aimed(right, right_centre, origin), _aimed(self._projector(), projector_centre, origin)
         )
 
     def calibration_for(self, optics: Optics) -> Calibration:
-        """What a calibrated pipeline would know of this rig: colours and response, with the errors of ``optics``."""
+        """The calibration of this rig: with colours and response, and with the errors of ``optics``."""
         true = self.calibration()
-        crosstalk = optics.known_crosstalk()
+        crosstalk = optics.calibrated_crosstalk()
         black = np.full(3, optics.black_dn)
         response = Response(*optics.response_table()) if optics.gamma != 1.0 else None
         projector = _misplaced(true.projector, optics.projector_error_px)
@@ -103,7 +103,7 @@ class RigLayout:
         )
 
     def pattern(self, periods: float | None = None, **options: Any) -> ColorFringe:
-        """The colour fringe that belongs to this rig."""
+        """The colour fringe of this rig."""
         return ColorFringe(size=self.projector_size, periods=self.periods if periods is None else periods, **options)
 
     def volume(self) -> Volume:
@@ -129,8 +129,8 @@ def _scaled(size: tuple[int, int], factor: float) -> tuple[int, int]:
     return max(8, round(size[0] * factor)), max(8, round(size[1] * factor))
 
 
-def _looking(device: CameraModel, centre: Array, target: Array) -> CameraModel:
-    """The device standing at ``centre`` with its axis through ``target`` and its rows along the baseline."""
+def _aimed(device: CameraModel, centre: Array, target: Array) -> CameraModel:
+    """The device at ``centre`` with its axis through ``target`` and its rows along the baseline."""
     forward = (target - centre) / np.linalg.norm(target - centre)
     down = np.array([0.0, 1.0, 0.0]) - forward[1] * forward
     down /= np.linalg.norm(down)
@@ -139,7 +139,7 @@ def _looking(device: CameraModel, centre: Array, target: Array) -> CameraModel:
 
 
 def _misplaced(projector: CameraModel, error_px: tuple[float, float]) -> CameraModel:
-    """The projector with wrong columns: a shift, and a stretch that is ``error_px[1]`` at the image's edges."""
+    """The projector with wrong columns: a shift, and a stretch of ``error_px[1]`` at the image's edges."""
     shift, stretch = error_px
     if shift == 0 and stretch == 0:
         return projector

@@ -1,4 +1,4 @@
-"""Everything between the image sent and the counts read, as numbers: light, lenses, colours and sensor."""
+"""Parameters of light, lenses, colours and sensor, from the image sent to the counts read."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
-# What differs from one real camera to the next: the shape of the crosstalk matrix, scaled by ``crosstalk``.
+# The shape of the crosstalk matrix differs from camera to camera; it is scaled by ``crosstalk``.
 _CROSSTALK_SHAPES = (
     ((0.0, 0.9, 0.3), (1.0, 0.0, 0.8), (0.2, 1.1, 0.0)),
     ((0.0, 1.0, 0.25), (0.8, 0.0, 1.0), (0.3, 0.9, 0.0)),
 )
 _ERROR_SHAPE = ((0.0, 1.0, -1.0), (-1.0, 0.0, 1.0), (1.0, -1.0, 0.0))
-# The standard fringe peaks at 245.5 in one channel while both others stand at 68.5.
+# The standard fringe peaks at 245.5 in one channel while the other two are at 68.5.
 _PEAK_LIGHT, _VALLEY_LIGHT = 245.5, 68.5
 WHITE_ALBEDO = 0.9
 
@@ -28,13 +28,13 @@ class Optics:
 
     Args:
         gamma: exponent of the projector's response; 1 = linear.
-        precorrected: whether the pattern is sent through the inverse of the response.
+        precorrected: whether the pattern is corrected by the inverse of the response.
         defocus_px: standard deviation of the projector's blur, projector pixels.
-        color_shift_px: how far red, green and blue land to the right of their column, projector pixels.
+        color_shift_px: displacement of red, green and blue to the right of their column, projector pixels.
         projector_error_px: shift and edge stretch by which the *calibrated* projector is wrong, pixels.
         ambient: ambient light as a share of full projector light, black of the projector included.
-        crosstalk: largest off-diagonal entries of the cameras' crosstalk are about this.
-        crosstalk_error: relative error of the off-diagonal entries that the calibration knows.
+        crosstalk: about the largest off-diagonal entry of the cameras' crosstalk.
+        crosstalk_error: relative error of the off-diagonal entries in the calibration.
         psf_px: standard deviation of the cameras' blur, camera pixels.
         chromatic: difference of magnification of red (-) and blue (+) against green; 2e-4 is 0.1 px at the edge.
         black_dn: black level, counts.
@@ -44,7 +44,7 @@ class Optics:
         read_noise_dn: standard deviation, counts.
         noise: factor on all noise; 0 = no noise and no rounding error other than 8 bit.
         exposure_us: exposure time; the image is the mean over it.
-        supersampling: rays per pixel, along each axis; where something moves, each has an instant of its own.
+        supersampling: rays per pixel, along each axis; in moving scenes each has its own instant.
     """
 
     gamma: float = 1.0
@@ -91,7 +91,7 @@ class Optics:
 
     @classmethod
     def ideal(cls, **changes: Any) -> Optics:
-        """No noise, no blur, no crosstalk, no ambient light: for laws."""
+        """No noise, no blur, no crosstalk, no ambient light: for exact tests."""
         values: dict[str, Any] = {
             "defocus_px": 0.0,
             "ambient": 0.0,
@@ -106,8 +106,8 @@ class Optics:
         """Crosstalk of the left and the right camera, (2, 3, 3); ones on the diagonals."""
         return np.eye(3) + self.crosstalk * np.array(_CROSSTALK_SHAPES)
 
-    def known_crosstalk(self) -> Array:
-        """The crosstalk as the calibration has it, (2, 3, 3)."""
+    def calibrated_crosstalk(self) -> Array:
+        """The crosstalk of the calibration, (2, 3, 3)."""
         return np.eye(3) + self.crosstalk * np.array(_CROSSTALK_SHAPES) * (
             1 + self.crosstalk_error * np.array(_ERROR_SHAPE)
         )
@@ -130,5 +130,5 @@ class Optics:
 
 
 def crosstalk_shape(camera: int) -> Array:
-    """How the crosstalk of a camera is shared out among its channels, (3, 3), for one of size 1; 0 on the diagonal."""
+    """Crosstalk of a camera, (3, 3), scaled to size 1; 0 on the diagonal."""
     return np.array(_CROSSTALK_SHAPES[camera])

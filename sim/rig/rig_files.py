@@ -1,4 +1,4 @@
-"""What a calibrated simulated rig would have on disk, as the plain mappings of the file formats."""
+"""The files of a calibrated simulated rig, as plain mappings of the file formats."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.rig.optics import Optics
 
 
 def calibration_mapping(layout: RigLayout, optics: Optics) -> dict[str, Any]:
-    """The mapping of ``calibration.yaml``, with the errors that ``optics`` gives the calibration."""
+    """The mapping of ``calibration.yaml``, with the calibration errors of ``optics``."""
     mapping = to_mapping(layout.calibration_for(optics))
     for side in ("left", "right"):
         mapping["cameras"][side]["serial"] = f"sim-{side}"

@@ -1,4 +1,4 @@
-"""Triangle meshes: read by trimesh, hit by Embree, and made exact again in double precision."""
+"""Triangle meshes: read by trimesh, intersected by Embree, refined in double precision."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Mesh:
         return np.where(missed, np.inf, distance), np.where(missed, -1, which)
 
     def blocks(self, points: Array, viewer: Array) -> NDArray[np.bool_]:
-        """Whether the mesh stands between each point (n, 3) and the viewer (3,), all in its frame."""
+        """Whether the mesh occludes each point (n, 3) for the viewer (3,), all in its frame."""
         away = viewer - points
         length = np.linalg.norm(away, axis=1, keepdims=True)
         which = np.asarray(self.tree.run(_single(points + _OFFSET_MM * away / length), _single(away / length)))
@@ -46,7 +46,7 @@ def _single(values: Array) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=4)
 def load(path: Path, radius_mm: float) -> Mesh:
-    """The mesh of a file (OBJ, PLY, STL ...), y up in the file, turned to the rig and scaled into a sphere."""
+    """The mesh of a file (OBJ, PLY, STL ...), y up in the file, turned towards the rig and scaled into a sphere."""
     import trimesh
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh

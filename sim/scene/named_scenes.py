@@ -47,11 +47,11 @@ def _spheres() -> Scene:
     )
 
 
-def _steps_at(x: float, y: float, look: Texture | None, albedo: tuple[float, float, float]) -> tuple[Shape, ...]:
+def _steps_at(x: float, y: float, texture: Texture | None, albedo: tuple[float, float, float]) -> tuple[Shape, ...]:
     """Three treads side by side, 12 and 27 mm apart, in front of z = 68."""
     heights = (22.0, 34.0, 61.0)
     return tuple(
-        box(34, 90, height).placed((x + 34 * i, y, 68 - height / 2), albedo=albedo, texture=look)
+        box(34, 90, height).placed((x + 34 * i, y, 68 - height / 2), albedo=albedo, texture=texture)
         for i, height in enumerate(heights)
     )
 
@@ -65,8 +65,8 @@ def _steps() -> Scene:
 
 
 def _face() -> Scene:
-    look = Texture(smooth=0.12, smooth_mm=35.0, speckle=0.06, speckle_mm=2.5)
-    return Scene("face", (relief(190, 260, 82).placed((0, 0, 45), albedo=SKIN, texture=look),))
+    texture = Texture(smooth=0.12, smooth_mm=35.0, speckle=0.06, speckle_mm=2.5)
+    return Scene("face", (relief(190, 260, 82).placed((0, 0, 45), albedo=SKIN, texture=texture),))
 
 
 def _isolated() -> Scene:
@@ -103,14 +103,14 @@ def _moving() -> Scene:
     head = Motion(swing_mm=(18, 6, 14), turn_rad=0.38, axis=(0.1, 1.0, 0.0))
     ball = Motion(swing_mm=(10, 42, 16), turn_rad=0.0, phase_rad=1.0)
     small = Motion(swing_mm=(-24, 26, 22), cycles=2, phase_rad=2.2)
-    look = Texture(smooth=0.2, smooth_mm=30.0, speckle=0.06, speckle_mm=2.5)
+    texture = Texture(smooth=0.2, smooth_mm=30.0, speckle=0.06, speckle_mm=2.5)
     return Scene(
         "moving",
         (
             board((0.62, 0.66, 0.70), Texture(smooth=0.15, smooth_mm=60.0)),
-            relief(165, 235, 74).placed((5, 0, 22), albedo=SKIN, texture=look, motion=head),
-            sphere(34).placed((-145, -20, 10), albedo=(0.75, 0.55, 0.5), texture=look, motion=ball),
-            sphere(24).placed((140, 40, 0), albedo=(0.55, 0.62, 0.78), texture=look, motion=small),
+            relief(165, 235, 74).placed((5, 0, 22), albedo=SKIN, texture=texture, motion=head),
+            sphere(34).placed((-145, -20, 10), albedo=(0.75, 0.55, 0.5), texture=texture, motion=ball),
+            sphere(24).placed((140, 40, 0), albedo=(0.55, 0.62, 0.78), texture=texture, motion=small),
             box(50, 50, 50).placed(
                 (145, -95, 20), turn=(0.4, 0.6, 0.0), albedo=(0.6, 0.72, 0.6), motion=Motion(turn_rad=0.5)
             ),

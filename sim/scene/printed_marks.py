@@ -1,7 +1,7 @@
-"""What is printed on the front of a rectangle: black discs and black squares, exact to a fraction of a ray.
+"""Marks printed on the front of a rectangle: black discs and black squares, exact to a fraction of a ray.
 
-The share of ink under a ray is that of a small window on the paper as wide as the distance to the next ray, so that
-edges are as soft as they must be for as many rays as there are, and areas and centroids are true whatever the number.
+The fraction of ink at a ray is that of a small window on the paper as wide as the distance to the next ray, so that
+areas and centroids are correct for any number of rays.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# Wider than the softest edge, so that whoever looks into one cell finds all that reaches into it.
+# Wider than the softest edge, so that a cell lists all marks that reach into it.
 _GUARD_MM = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ink:
-    """Black things on the front (the side z < 0) of a rectangle, in its frame; those of one print do not overlap.
+    """Black marks on the front (the side z < 0) of a rectangle, in its frame; they do not overlap.
 
     Args:
         discs: (n, 3) centre x, y and radius, mm.
-        squares: (m, 4) x0, y0, x1, y1, mm; rectangles, to be precise.
+        squares: (m, 4) x0, y0, x1, y1, mm.
         share: albedo of the ink as a share of the paper's.
     """
 
@@ -40,7 +40,7 @@ class Ink:
             raise ValueError(f"ink: share is {self.share}, expected 0 to less than 1")
 
     def cells(self) -> Cells:
-        """The same, sorted into cells of the paper, so that a ray looks at few of them."""
+        """The marks sorted into cells of the paper, so that a ray is tested against few of them."""
         x, y, r = self.discs.T
         boxes = np.concatenate([np.stack([x - r, y - r, x + r, y + r], axis=1), self.squares])
         low, high = boxes[:, :2].min(axis=0) - 2 * _GUARD_MM, boxes[:, 2:].max(axis=0) + 2 * _GUARD_MM
@@ -78,30 +78,30 @@ def darken(
     cells: Cells,
     pose: tuple[Array, Array],
     points: Array,
-    here: NDArray[np.bool_],
+    on_rectangle: NDArray[np.bool_],
     viewer: Array,
     spread: float,
 ) -> None:
-    """Take from light that comes back from a rectangle what its ink swallows, in place.
+    """Reduce the light that a rectangle reflects by what its ink absorbs, in place.
 
     Args:
         light: (n, 3); pose: rectangle to world.
-        points: (n, 3) of the world; here: (n,) which of them lie on the rectangle.
-        viewer: (3,) where the rays come from; spread: angle between neighbouring rays, radians.
+        points: (n, 3) of the world; on_rectangle: (n,) which of them lie on the rectangle.
+        viewer: (3,) origin of the rays; spread: angle between neighbouring rays, radians.
     """
     rotation, place = pose
     eye = (viewer - place) @ rotation
     if eye[2] >= 0:
         return
     _darken(
-        light, points, here, rotation, place, eye, spread, cells.share, cells.discs, cells.squares, cells.grid,
+        light, points, on_rectangle, rotation, place, eye, spread, cells.share, cells.discs, cells.squares, cells.grid,
         cells.first, cells.items,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
 def _inside(distance: float, width: float) -> float:
-    """Share of a window that lies inside an edge at a signed distance from its middle."""
+    """Fraction of a window that lies inside an edge at a signed distance from its middle."""
     return min(max(0.5 + distance / min(width, 2 * _GUARD_MM), 0.0), 1.0)
 
 
@@ -111,7 +111,7 @@ def _disc(disc: Array, x: float, y: float, slope_x: float, slope_y: float, width
     away = np.sqrt(ax * ax + ay * ay)
     if away < 1e-9:
         return 1.0
-    # A step between rays is longer on the paper along the slant of the ray.
+    # On the paper, a step between rays is longer along the slant of the ray.
     along = (ax * slope_x + ay * slope_y) / away
     return _inside(disc[2] - away, width * np.sqrt(1 + along * along))
 
@@ -127,7 +127,7 @@ def _square(square: Array, x: float, y: float, wide: float, high: float) -> floa
 def _darken(
     light: NDArray[np.float32],
     points: Array,
-    here: NDArray[np.bool_],
+    on_rectangle: NDArray[np.bool_],
     r: Array,
     place: Array,
     eye: Array,
@@ -141,7 +141,7 @@ def _darken(
 ) -> None:
     columns, rows = int(grid[3]), int(grid[4])
     for k in range(len(points)):
-        if not here[k]:
+        if not on_rectangle[k]:
             continue
         cx, cy, cz = points[k, 0] - place[0], points[k, 1] - place[1], points[k, 2] - place[2]
         x = r[0, 0] * cx + r[1, 0] * cy + r[2, 0] * cz

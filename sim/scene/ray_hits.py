@@ -1,4 +1,4 @@
-"""What rays meet: analytic shapes and meshes of one instant behind one question each."""
+"""First hits of rays on the analytic shapes and meshes of a scene at one instant."""
 
 from __future__ import annotations
 
@@ -45,23 +45,23 @@ class Surfaces:
             nearer = far < distance
             distance[nearer], which[nearer] = far[nearer], index
             normals[nearer] = mesh.normals[triangle[nearer]] @ rotation.T
-            # A triangle has two sides; the one seen is the one that counts.
+            # A triangle has two sides; the normal of the visible one is used.
             normals[nearer] *= -np.sign(np.sum(normals[nearer] * rays[nearer], axis=1, keepdims=True))
         points = np.where(which[:, None] >= 0, origin + np.where(which >= 0, distance, 0.0)[:, None] * rays, np.nan)
         return Hits(points, normals, which)
 
-    def seen_from(self, hits: Hits, viewer: Array) -> Bools:
-        """Which hits a viewer at a place (3,) sees: nothing in between, and from the same side."""
-        seen = ray_intersection.visible(self.table, hits.points, hits.normals, viewer)
+    def visible_from(self, hits: Hits, viewer: Array) -> Bools:
+        """Which hits a viewer at a position (3,) sees: without occlusion, and from the same side."""
+        visible = ray_intersection.visible(self.table, hits.points, hits.normals, viewer)
         for index, mesh in self.meshes:
             rotation, place = self.table.rotation[index], self.table.translation[index]
-            asked = np.flatnonzero(seen)
-            points = (hits.points[asked] - place) @ rotation
-            seen[asked] &= ~mesh.blocks(points, (viewer - place) @ rotation)
-        return np.asarray(seen)
+            candidates = np.flatnonzero(visible)
+            points = (hits.points[candidates] - place) @ rotation
+            visible[candidates] &= ~mesh.blocks(points, (viewer - place) @ rotation)
+        return np.asarray(visible)
 
     def darken(self, light: NDArray[np.float32], hits: Hits, viewer: Array, spread: float) -> None:
-        """Take from the light that comes back from hits, (n, 3), what ink swallows; in place.
+        """Reduce the light that hits reflect, (n, 3), by what ink absorbs; in place.
 
         Args:
             light, hits: of the same rays; viewer: (3,) their origin; spread: angle between neighbours, radians.

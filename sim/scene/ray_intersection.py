@@ -1,6 +1,6 @@
-"""Where rays meet the analytic shapes, exactly, in compiled code.
+"""Exact intersection of rays with the analytic shapes, in compiled code.
 
-Every shape is met in its own frame; ``dims`` means what :mod:`sim.scene.shapes` says for its kind. A miss is ``inf``.
+Rays are transformed into each shape's frame; ``dims`` as in :mod:`sim.scene.shapes`. A miss is ``inf``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Table(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _bump(exponent: float) -> float:
-    """``exp(-exponent)``, and 0 where that is less than a billionth of anything here."""
+    """``exp(-exponent)``, or 0 where that is negligible."""
     return np.exp(-exponent) if exponent < 20 else 0.0
 
 
@@ -242,7 +242,7 @@ def nearest(s: Table, origin: Array, rays: Array) -> tuple[Array, NDArray[np.int
 
 @njit(cache=True, nogil=True)
 def visible(s: Table, points: Array, normals: Array, viewer: Array) -> NDArray[np.bool_]:
-    """Which surface points a viewer sees past all analytic shapes, (n,); NaN points are seen by nobody."""
+    """Which surface points a viewer sees past all analytic shapes, (n,); NaN points are not visible."""
     seen = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
         x, y, z = (

@@ -1,4 +1,4 @@
-"""Things in front of the rig: shapes with a place, a colour and a way of moving."""
+"""Shapes in front of the rig, with pose, colour and motion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Motion:
         turn_rad: amplitude of a sine turn about ``axis``.
         axis: axis of the turn, in the shape's own frame.
         cycles: cycles in one period of the scene; a whole number closes the loop.
-        phase_rad: where in the cycle it stands at time 0; the turn is a quarter ahead.
+        phase_rad: phase in the cycle at time 0; the turn is a quarter ahead.
     """
 
     swing_mm: Triple = (0.0, 0.0, 0.0)
@@ -42,7 +42,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Texture:
-    """Share and grain (mm) of smooth stains and of speckle; a seed makes it this thing's own."""
+    """Amplitude and grain (mm) of smooth stains and of speckle; ``seed`` varies them."""
 
     smooth: float = 0.0
     smooth_mm: float = 30.0
@@ -56,18 +56,18 @@ COLORED = Texture(smooth=0.35, smooth_mm=28.0, speckle=0.10, speckle_mm=3.0)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One thing; made by the functions below.
+    """One shape; created by the functions below.
 
     Args:
         kind: number of the kind, see :mod:`sim.scene.ray_intersection`.
-        dims: sizes, mm, (at most 6), as the kind has it.
-        radius_mm: of a sphere about the origin of the shape that holds it all.
-        at_mm: place on the stage.
+        dims: sizes, mm, (at most 6), depending on the kind.
+        radius_mm: of the bounding sphere about the shape's origin.
+        at_mm: position on the stage.
         turn: rotation vector on the stage, radians.
         albedo: R G B, 0..1, before the texture.
         motion: None = rests.
         mesh: file of a triangle mesh, only for that kind.
-        ink: what is printed on its front, only for a rectangle.
+        ink: printed on its front, only for a rectangle.
         gloss: strength and exponent of the mirror-like part of the reflection (Blinn, 1977); 0 = matt.
     """
 
@@ -101,7 +101,7 @@ class Shape:
         motion: Motion | None = None,
         gloss: tuple[float, float] = (0.0, 1.0),
     ) -> Shape:
-        """The same shape elsewhere, with a look of its own."""
+        """The same shape at another pose, with its own colour, texture and motion."""
         color = (albedo,) * 3 if isinstance(albedo, float | int) else albedo
         texture = texture or Texture()
         return replace(self, at_mm=at_mm, turn=turn, albedo=color, texture=texture, motion=motion, gloss=gloss)
@@ -114,7 +114,7 @@ def rectangle(width_mm: float, height_mm: float, *, ink: Ink | None = None) -> S
 
 
 def plane() -> Shape:
-    """A plane without end, z = 0."""
+    """An infinite plane, z = 0."""
     return Shape(RECTANGLE, (_NOT_BOUNDED, _NOT_BOUNDED), _NOT_BOUNDED)
 
 
@@ -135,7 +135,7 @@ def cylinder(radius_mm: float, length_mm: float) -> Shape:
 
 
 def relief(width_mm: float, height_mm: float, depth_mm: float, *, variant: str = "face") -> Shape:
-    """A bulge towards the rig over an ellipse in z = 0: ``face`` (with nose, eyes and mouth) or ``waves``."""
+    """A relief towards the rig over an ellipse in z = 0: ``face`` (with nose, eyes and mouth) or ``waves``."""
     number = {"face": 0.0, "waves": 1.0}[variant]
     a, b = width_mm / 2, height_mm / 2
     q, p = np.mgrid[-1:1:301j, -1:1:301j]
@@ -162,7 +162,7 @@ def rotation_about(axis: Triple, angle: float) -> Array:
 
 
 def table_of(shapes: tuple[Shape, ...], share: float, stage: tuple[Array, Array]) -> Table:
-    """All shapes at one instant in the world, as compiled code wants them."""
+    """All shapes at one instant in the world, as a table for compiled code."""
     n = len(shapes)
     kind, radius = np.array([s.kind for s in shapes], np.int64), np.array([s.radius_mm for s in shapes])
     rotation, translation, dims = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros((n, 6))

@@ -1,4 +1,4 @@
-"""Coloured surfaces: smooth stains and fine speckle, different in every channel, fixed to the thing."""
+"""Coloured textures: smooth stains and fine speckle, different in every channel, fixed to the shape."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def _hash(x: int, y: int, z: int, seed: int) -> int:
-    """A well mixed 32-bit number of a lattice point."""
+    """Hash of a lattice point, 30 bits."""
     h = np.uint64(x & 0xFFFFFFFF) * np.uint64(0x9E3779B1) + np.uint64(y & 0xFFFFFFFF) * np.uint64(0x85EBCA77)
     h += np.uint64(z & 0xFFFFFFFF) * np.uint64(0xC2B2AE3D) + np.uint64(seed & 0xFFFFFFFF) * np.uint64(0x27D4EB2F)
     h ^= h >> np.uint64(29)
@@ -29,7 +29,7 @@ def _fade(f: float) -> float:
 
 @njit(cache=True, nogil=True)
 def noise(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]:
-    """Three independent smooth random functions of a place, each -1..1, with a grain of one unit."""
+    """Three independent smooth random functions of a position, each -1..1, with a grain of one unit."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     fx, fy, fz = _fade(x - i), _fade(y - j), _fade(z - k)
     red, green, blue = 0.0, 0.0, 0.0
@@ -45,9 +45,9 @@ def noise(x: float, y: float, z: float, seed: int) -> tuple[float, float, float]
 
 @njit(cache=True, nogil=True)
 def albedo(base: Array, texture: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Albedo R G B at a place on the thing, mm.
+    """Albedo R G B at a position on the shape, mm.
 
-    ``texture`` is the share of the smooth stains, their grain in mm, the same two of the speckle, and the seed.
+    ``texture``: amplitude of the smooth stains, their grain in mm, the same two of the speckle, and the seed.
     """
     r, g, b = 1.0, 1.0, 1.0
     seed = int(texture[4])

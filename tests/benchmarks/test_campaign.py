@@ -17,7 +17,7 @@ from benchmarks.campaign.takes import Takes, first_part, stem_of
 from benchmarks.load.__main__ import percentile, verdict
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import SIDES
-from sim.box.exposure_ledger import Ledger, Shown, digest
+from sim.box.exposure_ledger import Ledger, Trigger, digest
 from sim.devices.faults import FaultKind
 
 TAKE = Path(__file__).parents[1] / "golden" / "take.mcap"
@@ -58,7 +58,7 @@ def ledger_of(path: Path, *, swapped: bool) -> Ledger:
     ledger = Ledger()
     for index, (pair, right) in enumerate(zip(pairs, rights, strict=True)):
         exposures = {"left": digest(np.asarray(pair.left)), "right": digest(np.asarray(right))}
-        ledger.note(Shown(index, index, b"", False, 0, dict.fromkeys(SIDES, FaultKind.NONE), exposures))
+        ledger.note(Trigger(index, index, b"", False, 0, dict.fromkeys(SIDES, FaultKind.NONE), exposures))
     return ledger
 
 

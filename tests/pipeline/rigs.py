@@ -18,7 +18,7 @@ def rotation(x: float, y: float, z: float) -> np.ndarray:
 
 
 def camera(name: str, centre: tuple[float, float, float], turn: tuple[float, float, float], **changes) -> CameraModel:
-    """A 256 x 205 camera with distortion and skew that looks roughly along z."""
+    """A 256 x 205 camera with distortion and skew whose axis is roughly z."""
     r = rotation(*turn)
     values = {
         "size": (256, 205),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from daemon.monitoring.calibration_drift.verdicts import SURFACE, Assessment
 from pipeline.monitor import OBSERVABLES
-from pipeline.monitor.explain import Turn
+from pipeline.monitor.explain import Rotation
 
 _GEOMETRY = ("column", "slope", "epipolar")
 _NAMES = {
@@ -50,13 +50,13 @@ def describe(drifted: Mapping[str, Assessment], cause: str = "") -> str:
     return "; ".join(parts)
 
 
-def describe_cause(turn: Turn | None) -> str:
+def describe_cause(rotation: Rotation | None) -> str:
     """Describe the device that has moved, as a clause; empty when there is none."""
-    if turn is None:
+    if rotation is None:
         return ""
-    device = "projector" if turn.device == "projector" else f"{turn.device} camera"
-    axis = "xyz"[max(range(3), key=lambda k: abs(turn.turn_deg[k]))]
-    size = max(abs(value) for value in turn.turn_deg)
+    device = "projector" if rotation.device == "projector" else f"{rotation.device} camera"
+    axis = "xyz"[max(range(3), key=lambda k: abs(rotation.angle_deg[k]))]
+    size = max(abs(value) for value in rotation.angle_deg)
     return f"the {device} or its lens has moved, as much as a turn of {size:.3f} degrees about its {axis} axis"
 
 

@@ -26,7 +26,7 @@ from daemon.monitoring.calibration_drift.verdicts import Assessment, Assessor, V
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
-from pipeline.monitor.explain import GEOMETRY, clear, explain
+from pipeline.monitor.explain import GEOMETRY, explain, unambiguous
 from pipeline.monitor.observe import Observation, Observer, Reading, warm_up
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration
@@ -167,7 +167,7 @@ class DriftMonitor:
             self._begin(item.left.encoding)
         assert self._observer is not None  # noqa: S101 - made by _begin
         observation = self._observer.observe(item.left.image, item.right.image, item.cloud)
-        surface = Reading(observation.known, 0.01) if observation.lit > _LEAST_LIT else None
+        surface = Reading(observation.valid, 0.01) if observation.lit > _LEAST_LIT else None
         self._assessor.feed(began_ns / 1e9, observation.readings, surface=surface)
         self._last = observation
         self._checked += 1
@@ -217,7 +217,7 @@ class DriftMonitor:
         if self._last is None or not len(self._last.shape) or len(changes) < len(GEOMETRY) or self._observer is None:
             return ""
         return explanation.describe_cause(
-            clear(explain(self._calibration, self._last.shape, self._observer.first, changes))
+            unambiguous(explain(self._calibration, self._last.shape, self._observer.first, changes))
         )
 
     def _row(self, event: str, item: CloudItem | None = None) -> dict[str, Any]:

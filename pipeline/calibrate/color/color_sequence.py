@@ -9,7 +9,8 @@ import numpy as np
 
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import CHANNELS, WHITE_LEVEL, Frame, FrameSequence, Fringe, GrayBit, Uniform
+from pipeline.pattern.projected_frames import CHANNELS, Fringe, GrayBit, Uniform
+from pipeline.pattern.sequence import WHITE_LEVEL, Frame, FrameSequence
 
 Axis = Literal["x", "y"]
 

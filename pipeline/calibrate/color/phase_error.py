@@ -17,7 +17,8 @@ from pipeline.calibrate.color.color_sequence import FringeSet, check_frames
 from pipeline.calibrate.color.crosstalk import fringe_phasors
 from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import FrameSequence, Fringe
+from pipeline.pattern.projected_frames import Fringe
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.calibration import ColorModel
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.calibrate.color.color_planes import View
 from pipeline.calibrate.color.color_sequence import Roles
 from pipeline.calibrate.color.tone_response import LevelCurve
-from pipeline.pattern.sequence import CHANNELS
+from pipeline.pattern.projected_frames import CHANNELS
 from pipeline.rig.calibration import Response
 
 Array = NDArray[np.float64]

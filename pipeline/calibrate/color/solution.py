@@ -31,7 +31,8 @@ from pipeline.calibrate.color.session_quality import (
 from pipeline.calibrate.color.tone_response import LevelCurve, level_curve, response_of
 from pipeline.common.errors import ImageError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import Frame, FrameSequence, Fringe, GrayBit, Uniform
+from pipeline.pattern.projected_frames import Fringe, GrayBit, Uniform
+from pipeline.pattern.sequence import Frame, FrameSequence
 from pipeline.rig.calibration import Calibration, ColorModel, Response
 from pipeline.rig.lateral_chromatic import Registration
 

@@ -18,7 +18,8 @@ from pipeline.common.errors import ImageError, PatternError
 from pipeline.decode.noise_model import NoiseModel
 from pipeline.decode.raw_image import BAYER
 from pipeline.multi_frame.n_step import F64, Bools, WrappedPhase, absolute_phase, noise_of, solution_of, wrapped_phase
-from pipeline.pattern.sequence import CHANNELS, Axis, FrameSequence, Fringe
+from pipeline.pattern.projected_frames import CHANNELS, Axis, Fringe
+from pipeline.pattern.sequence import FrameSequence
 
 _SATURATION = 254.0
 _TURN = 2 * np.pi

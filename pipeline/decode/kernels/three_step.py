@@ -59,11 +59,11 @@ def pointwise_row(
         u, v = c * inverse, s * inverse
         t0, t1, t2 = s0 * u - c0 * v, s1 * u - c1 * v, s2 * u - c2 * v
         square0, square1, square2 = t0 * t0, t1 * t1, t2 * t2
-        shot_noise = square0 * max(x, zero) + square1 * max(y, zero) + square2 * max(z, zero)
+        photon_noise = square0 * max(x, zero) + square1 * max(y, zero) + square2 * max(z, zero)
         fine = one if (x < top0) & (y < top1) & (z < top2) else zero
         unit_re[j], unit_im[j], usable[j] = u, v, fine
         re[j], im[j] = fine * c, fine * s
         mean[j] = fine * max(a0 * x + a1 * y + a2 * z, zero)
-        tangential[j] = fine * (floor * (square0 + square1 + square2) + gain * shot_noise)
+        tangential[j] = fine * (floor * (square0 + square1 + square2) + gain * photon_noise)
         saturated += one - fine
     return int(saturated)

@@ -77,7 +77,7 @@ def test_a_mosaic_gives_the_same_phase_without_demosaicing(encoding, radius):
 
 @pytest.mark.parametrize("albedo", [0.3, 0.7, 1.2])
 @pytest.mark.parametrize("ambient", [0.0, 40.0])
-def test_the_phase_knows_neither_albedo_nor_ambient_light(albedo, ambient):
+def test_the_phase_depends_on_neither_albedo_nor_ambient_light(albedo, ambient):
     phase = smooth_phase()
     found = decoder().decode(image(phase, albedo=albedo, ambient=ambient))
     assert np.abs(wrapped(found.phase - phase)[INNER]).max() < 0.03 / min(albedo, 1)
@@ -88,7 +88,7 @@ def test_the_modulation_is_the_amplitude_times_the_albedo():
     assert np.abs(found.modulation[INNER].astype(float) - 35).max() < 3
 
 
-def test_equalising_takes_the_colour_of_a_surface_away():
+def test_normalisation_removes_the_bias_of_a_coloured_surface():
     phase = smooth_phase()
     tint = np.array([1.0, 0.55, 0.75])
     counts = (light(phase) * tint) @ CROSSTALK.T + COLOR.black
@@ -122,7 +122,7 @@ def test_the_predicted_variance_is_the_scatter(radius, encoding):
     assert 0.9 < predicted / scatter < 1.12
 
 
-def test_clipped_samples_are_left_out_of_the_fit():
+def test_saturated_samples_are_excluded_from_the_fit():
     phase = smooth_phase()
     bright = image(phase, mean=150.0, amplitude=110.0, ambient=10.0, color=ColorModel())
     dec = Decoder(ColorModel(), SHIFTS, mosaic=None, slopes=(2 * np.pi / 11, 0.0), settings=Settings())
@@ -243,7 +243,7 @@ def test_the_three_chip_decoder_does_what_whole_planes_in_double_precision_do(ra
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", *BAYER])
-def test_the_equalised_phase_is_right_up_to_the_border(encoding):
+def test_the_normalised_phase_is_correct_up_to_the_border(encoding):
     rgb = hard_image((72, 94))
     if encoding == "rgb8":
         raw, levels = rgb, levels_of(rgb)
@@ -305,7 +305,7 @@ def test_small_images_are_decoded_as_parts_of_large_ones(encoding, shape):
     assert (np.abs(one - other) < 1.5 / PHASOR_SCALE).all()
 
 
-def test_the_modulation_outlives_the_next_image():
+def test_the_modulation_is_kept_when_the_next_image_is_decoded():
     dec = decoder()
     first = dec.decode(hard_image())
     kept = first.modulation.copy()
@@ -326,7 +326,7 @@ def test_the_box_mean_of_any_period_fits_16_bits(axis, period):
 
 
 @pytest.mark.parametrize("period", [17.0, 45.0])
-def test_long_periods_across_the_rows_are_equalised_as_well(period):
+def test_long_periods_across_the_rows_are_normalised_as_well(period):
     v = np.arange(160)[:, None] + np.zeros((1, 40))
     phase = 2 * np.pi * v / period
     slopes = (0.0, 2 * np.pi / period)

@@ -53,7 +53,7 @@ def drawn(n=20_000):
     return phase, equal, rng.random(n) < 0.5, rng.integers(0, 256, n).astype(np.uint8)
 
 
-def test_everything_returns_and_nothing_disturbs_its_neighbours():
+def test_every_field_of_a_descriptor_is_recovered():
     phase, equal, valid, mean = drawn()
     plane = made(phase, equal, valid, mean)
     found = [np.empty(len(plane), kind) for kind in (np.int32, np.int32, np.float32, np.bool_)]

@@ -77,7 +77,7 @@ def test_no_order_is_filled_across_an_edge_or_an_invalid_pixel(what: str, b: int
         assert (crossing[:-1] == NONE).all()
 
 
-def test_an_unsure_pixel_leaves_itself_and_what_it_would_settle_open() -> None:
+def test_an_unconfident_pixel_and_the_ones_it_would_decide_stay_open() -> None:
     shape = (9, 9)
     absolute, valid, confident = case(shape)
     confident[2, 2] = 0

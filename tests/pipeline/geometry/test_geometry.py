@@ -118,7 +118,7 @@ def _broken(path, value):
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "words"),
+    ("path", "value", "message"),
     [
         (("cameras", "right", "rotation"), [[1, 0, 0], [0, 1, 0], [0, 0.1, 1]], "cameras.right.rotation is not a rot"),
         (("cameras", "right", "rotation"), [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "mirrors"),
@@ -136,18 +136,18 @@ def _broken(path, value):
         (("cameras", "right", "matrix", 0, 0), float("nan"), "not finite"),
     ],
 )
-def test_a_calibration_that_contradicts_itself_is_refused_by_name(path, value, words):
-    with pytest.raises(CalibrationError, match=words):
+def test_an_inconsistent_calibration_is_rejected_with_its_key(path, value, message):
+    with pytest.raises(CalibrationError, match=message):
         from_mapping(_broken(path, value))
 
 
-def test_two_cameras_at_one_place_are_refused():
+def test_two_cameras_at_one_position_are_rejected():
     left = camera("left", (0, 0, 0), (0, 0, 0))
     with pytest.raises(CalibrationError, match="baseline"):
         Calibration(left, left, rig().projector)
 
 
-def test_a_volume_behind_a_device_is_refused():
+def test_a_volume_behind_a_device_is_rejected():
     calibration = rig()
     behind = CameraModel(
         calibration.right.size, calibration.right.matrix, rotation=rotation(0, np.pi, 0),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.decode.raw_image import BAYER
-from pipeline.monitor.illumination import fringe_period_px, lighting
+from pipeline.monitor.illumination import fringe_period_px, measure_illumination
 from pipeline.pattern.color_fringe import ColorFringe
 from tests.pipeline import rigs
 
@@ -44,47 +44,47 @@ def lit(value: int = 40, stride: int = 1) -> Any:
 def test_the_amplitude_of_every_channel_is_found(encoding: str, axis: str) -> None:
     image = fringes(axis=axis)
     raw = image if encoding == "rgb8" else mosaic(image, encoding)
-    seen = lighting(raw, encoding, lit(), period_px=PERIOD, axis=axis)
+    seen = measure_illumination(raw, encoding, lit(), period_px=PERIOD, axis=axis)
     assert seen.saturated == (0.0, 0.0, 0.0)
     assert seen.amplitude == pytest.approx(AMPLITUDE, rel=0.1)
 
 
 @pytest.mark.parametrize("wrong", [0.85, 1.15])
 def test_a_period_that_is_not_quite_right_hardly_matters(wrong: float) -> None:
-    seen = lighting(fringes(), "rgb8", lit(), period_px=wrong * PERIOD)
+    seen = measure_illumination(fringes(), "rgb8", lit(), period_px=wrong * PERIOD)
     assert seen.amplitude == pytest.approx(AMPLITUDE, rel=0.15)
 
 
 def test_a_surface_without_fringes_has_hardly_any_amplitude() -> None:
-    seen = lighting(fringes((0.0, 0.0, 0.0)), "rgb8", lit(), period_px=PERIOD)
+    seen = measure_illumination(fringes((0.0, 0.0, 0.0)), "rgb8", lit(), period_px=PERIOD)
     assert max(seen.amplitude) < 5
 
 
-def test_clipped_samples_are_counted_by_channel() -> None:
+def test_saturated_samples_are_counted_by_channel() -> None:
     image = fringes()
     image[:, : WIDTH // 4, 1] = 255
-    assert lighting(image, "rgb8", lit(), period_px=PERIOD).saturated == pytest.approx((0, 0.25, 0))
+    assert measure_illumination(image, "rgb8", lit(), period_px=PERIOD).saturated == pytest.approx((0, 0.25, 0))
 
 
-def test_where_there_is_no_light_nothing_is_known() -> None:
-    seen = lighting(fringes(), "rgb8", lit(0), period_px=PERIOD)
+def test_without_light_there_is_no_amplitude() -> None:
+    seen = measure_illumination(fringes(), "rgb8", lit(0), period_px=PERIOD)
     assert all(math.isnan(value) for value in seen.amplitude)
 
 
-def test_half_measured_and_monochrome_images_are_looked_at_too() -> None:
-    assert lighting(fringes(), "rgb8", lit(stride=2), period_px=PERIOD, stride=2).amplitude == pytest.approx(
-        AMPLITUDE, rel=0.1
-    )
+def test_subsampled_and_monochrome_images_are_measured() -> None:
+    assert measure_illumination(
+        fringes(), "rgb8", lit(stride=2), period_px=PERIOD, stride=2
+    ).amplitude == pytest.approx(AMPLITUDE, rel=0.1)
     grey = fringes()[..., 2]
-    assert lighting(grey, "mono8", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
+    assert measure_illumination(grey, "mono8", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
     deep = grey.astype(np.uint16) * 257
-    assert lighting(deep, "mono16", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
+    assert measure_illumination(deep, "mono16", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
 
 
 def test_an_image_of_a_few_pixels_is_no_error() -> None:
     for size in ((2, 3), (5, 40)):
         image = np.zeros((*size, 3), np.uint8)
-        assert len(lighting(image, "rgb8", image[..., 0], period_px=PERIOD).amplitude) == 3
+        assert len(measure_illumination(image, "rgb8", image[..., 0], period_px=PERIOD).amplitude) == 3
 
 
 def test_the_period_is_that_of_the_rig() -> None:

@@ -1,4 +1,4 @@
-"""What pairs of a rendered rig tell: nothing when nothing has happened, else what the formulas say."""
+"""Readings of pairs of a rendered rig: zero without a disturbance, else as the formulas predict."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_shifted_lens_moves_the_trinocular_residual_by_its_share() -> None:
 
 
 @pytest.mark.slow
-def test_a_turn_of_a_hundredth_of_a_degree_is_seen_about_each_axis() -> None:
+def test_a_rotation_of_a_hundredth_of_a_degree_is_observed_about_each_axis() -> None:
     for side, sign in (("left", -1), ("right", 1)):
         pitch = changes(Disturbance(side, turn_deg=(0.01, 0, 0)))  # type: ignore[arg-type]
         shift = 3413 * SCALE * np.deg2rad(0.01)
@@ -74,7 +74,7 @@ def test_a_turn_of_a_hundredth_of_a_degree_is_seen_about_each_axis() -> None:
 
 
 @pytest.mark.slow
-def test_crosstalk_turns_the_channels_of_its_own_camera_only() -> None:
+def test_crosstalk_shifts_the_channels_of_its_own_camera_only() -> None:
     found = changes(Disturbance("right", crosstalk=0.03))
     right = [abs(found[f"right_{color}_rad"]) for color in ("red", "green", "blue")]
     left = [abs(found[f"left_{color}_rad"]) for color in ("red", "green", "blue")]
@@ -82,7 +82,7 @@ def test_crosstalk_turns_the_channels_of_its_own_camera_only() -> None:
 
 
 @pytest.mark.slow
-def test_a_wall_at_right_angles_says_little_about_the_epipolar_residual() -> None:
+def test_a_frontal_wall_hardly_determines_the_epipolar_residual() -> None:
     wall = read(rig("plane"))
     assert wall["column_px"].sigma < 0.001
     assert "epipolar_px" not in wall or wall["epipolar_px"].sigma > 0.04

@@ -29,7 +29,7 @@ def test_a_scene_at_rest_is_measured(mode, encoding):
 
 
 @pytest.mark.parametrize("mode", ["heterodyne", "gray"])
-def test_errors_are_what_sigma_says(mode):
+def test_errors_agree_with_sigma(mode):
     cloud, true = made(mode).reconstruct(*taken(mode, scene="plane")), truth("plane").xyz
     valid = np.isfinite(cloud.sigma_mm)
     error = np.linalg.norm(cloud.xyz - true, axis=-1)[valid] / cloud.sigma_mm[valid]
@@ -38,7 +38,7 @@ def test_errors_are_what_sigma_says(mode):
 
 @pytest.mark.parametrize("mode", ["heterodyne", "gray"])
 @pytest.mark.parametrize("speed_m_s", [0.3, 1.0])
-def test_what_moves_is_unknown_rather_than_wrong(mode, speed_m_s):
+def test_moving_surfaces_are_unknown_rather_than_wrong(mode, speed_m_s):
     reconstructor = made(mode)
     cloud = reconstructor.reconstruct(*in_motion(mode, speed_m_s))
     assert cloud.points < 0.02 * cloud.gray.size
@@ -58,7 +58,7 @@ def test_two_colours_measure_with_images_of_one_instant():
     assert abs(np.median(away) - 0.4) < 0.25
 
 
-def test_an_unknown_response_of_the_projector_is_not_taken_for_motion():
+def test_an_uncalibrated_response_of_the_projector_is_not_taken_for_motion():
     optics = Optics(gamma=2.2, precorrected=False)
     for mode in ("heterodyne", "gray"):
         cloud = made(mode, optics=optics).reconstruct(*taken(mode, optics=optics))
@@ -66,7 +66,7 @@ def test_an_unknown_response_of_the_projector_is_not_taken_for_motion():
         assert cloud.moved < 0.02 * cloud.gray.size
 
 
-def test_colours_of_the_projector_beside_each_other_do_not_hurt_a_mosaic():
+def test_misregistered_projector_colours_do_not_affect_a_mosaic():
     optics = Optics.realistic()
     cloud = made("heterodyne", "bayer_rggb8", optics).reconstruct(*taken("heterodyne", "bayer_rggb8", optics=optics))
     assert score(cloud.xyz, truth()).rms_mm < 0.3
@@ -121,7 +121,7 @@ def test_images_that_do_not_fit_are_refused_by_name():
         made("two_color").reconstruct(lefts[:1], rights[:1])
 
 
-def test_what_cannot_be_measured_with_is_refused():
+def test_unsuitable_sequences_are_rejected():
     calibration, volume = LAYOUT.calibration_for(OPTICS), LAYOUT.volume()
     with pytest.raises(CalibrationError, match=r"pattern\.size"):
         SetReconstructor(calibration, mode_sequence("gray", (640, 480), periods=40), volume)

@@ -54,7 +54,7 @@ def test_columns_and_phases_are_each_others_inverse(profile):
     assert np.isnan(pattern.column_of(np.array([-100.0, 1e6]))).all()
 
 
-def test_a_pattern_sent_through_its_response_gives_the_light_asked_for():
+def test_a_precorrected_pattern_gives_the_requested_light():
     levels = np.linspace(0, 255, 33)
     curve = (levels / 255) ** 2.2
     response = Response(levels, np.stack([curve, curve**1.1, curve**0.9]))
@@ -81,7 +81,7 @@ def test_a_pattern_survives_json(pattern):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"kind": "stripes"}, "pattern.kind"),
         ({"periods": 0}, "pattern.periods"),
@@ -95,6 +95,6 @@ def test_a_pattern_survives_json(pattern):
         ({"size": "big"}, "pattern"),
     ],
 )
-def test_a_pattern_that_cannot_be_is_refused_by_name(change, words):
-    with pytest.raises(PatternError, match=words):
+def test_an_invalid_pattern_is_rejected_with_its_key(change, message):
+    with pytest.raises(PatternError, match=message):
         from_mapping(ColorFringe().as_mapping() | change)

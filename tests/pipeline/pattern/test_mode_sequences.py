@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from pipeline.common.errors import PatternError
 from pipeline.multi_frame.image_roles import plan_of
 from pipeline.pattern.mode_sequences import MODES, heterodyne_periods, mode_sequence
-from pipeline.pattern.sequence import FrameSequence, Fringe, GrayBit, Uniform, frame_from_mapping, from_mapping
+from pipeline.pattern.projected_frames import Fringe, GrayBit, Uniform
+from pipeline.pattern.sequence import FrameSequence, frame_from_mapping, from_mapping
 from pipeline.rig.calibration import Response
 
 SIZE = (1280, 1024)
@@ -99,7 +100,7 @@ def test_a_bad_mode_is_refused(name, options, word):
         mode_sequence(name, SIZE, **options)
 
 
-def test_sets_that_say_too_little_are_refused():
+def test_insufficient_sets_are_rejected():
     gray, fringes = mode_sequence("gray", SIZE), mode_sequence("heterodyne", SIZE)
     color = mode_sequence("two_color", SIZE).frames
     for frames, word in (

@@ -10,10 +10,9 @@ import pytest
 
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.projected_frames import Fringe, Uniform
 from pipeline.pattern.sequence import (
     FrameSequence,
-    Fringe,
-    Uniform,
     camera_sequence,
     frame_from_mapping,
     from_mapping,
@@ -46,7 +45,7 @@ def test_the_light_of_a_fringe_follows_its_formula_in_the_lit_channels_alone(axi
     np.testing.assert_array_equal(fringe.image(), np.rint(light).astype(np.uint8))
 
 
-def test_a_predistorted_fringe_has_the_light_that_was_asked_for() -> None:
+def test_a_predistorted_fringe_has_the_requested_light() -> None:
     levels = np.arange(256.0)
     response = Response(levels, np.stack([(levels / 255) ** g for g in (2.2, 1.8, 2.4)]))
     fringe = Fringe(SIZE, 4.0, "x", 0.7, 110.0, 90.0, ("red", "blue"))

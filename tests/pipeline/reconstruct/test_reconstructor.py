@@ -114,7 +114,7 @@ def test_measuring_in_other_units_gives_the_same_shape(pair, cloud):
     assert both.sum() > 0.995 * cloud.points
     assert np.abs(big.xyz[both] / 2.5 - cloud.xyz[both]).max() < 0.02
     # The right image's variance is that of the nearest pixel, which rounding may exchange for its neighbour; rounding
-    # may also decide whether a pixel at the border of something is looked at a third time.
+    # may also decide whether a pixel at a border is matched a third time.
     changes = np.abs(big.sigma_mm[both] / 2.5 / cloud.sigma_mm[both] - 1)
     assert np.quantile(changes, 0.999) < 1e-3
     assert np.mean(changes > 0.05) < 1e-4
@@ -256,7 +256,7 @@ def test_a_volume_that_is_none_is_refused(limits):
 
 def test_settings_are_changed_by_name_and_checked():
     assert Settings().with_overrides({"min_modulation": 8}).min_modulation == 8.0
-    for change, words in (
+    for change, message in (
         ({"min_modulaton": 8}, "did you mean min_modulation"),
         ({"min_modulation": "8"}, "takes float"),
         ({"min_modulation": 1000.0}, "allowed"),
@@ -264,6 +264,6 @@ def test_settings_are_changed_by_name_and_checked():
         ({"self_calibrate": 1}, "takes bool"),
         ({"min_component": True}, "takes int"),
     ):
-        with pytest.raises(PipelineError, match=words):
+        with pytest.raises(PipelineError, match=message):
             Settings().with_overrides(change)
     assert set(LIMITS) == {f.name for f in dataclasses.fields(Settings) if f.type != "bool"}

@@ -45,7 +45,7 @@ def judged(axis, rendered, cloud):
 
 @AXES
 @pytest.mark.parametrize("number", FRAMES[1:])
-def test_a_pair_that_follows_agrees_with_the_pair_alone(axis, number):
+def test_a_pair_with_prior_agrees_with_the_pair_alone(axis, number):
     rendered = pair("moving", number)
     one, other = alone(axis, rendered), followed(axis)[number]
     both = (one.order >= 0) & (other.order >= 0)
@@ -60,7 +60,7 @@ def test_the_first_pair_is_searched_in_full(axis):
     assert same(followed(axis)[0], alone(axis, pair("moving")))
 
 
-def test_following_is_another_way_than_searching_in_full():
+def test_a_search_with_prior_differs_from_a_full_search():
     # Without this the laws above would hold for a prior that does nothing: one that believes too much must show.
     found = calibrated.__wrapped__("x", settings=dataclasses.replace(SETTINGS, follow_cost=1.5))
     clouds = [found.reconstruct(*images(pair("moving", n)), use_prior=True) for n in (0, 1)]
@@ -93,7 +93,7 @@ def test_a_pair_alone_does_not_depend_on_what_came_before(axis):
     assert same(found.reconstruct(*images(rendered, axis)), expected)
 
 
-def test_following_does_not_depend_on_the_number_of_threads():
+def test_results_with_prior_do_not_depend_on_the_number_of_threads():
     for threads in (1, 2):
         found = calibrated("x", threads=threads)
         found.clear_prior()
@@ -131,7 +131,7 @@ def test_the_first_pair_after_an_end_is_searched_in_full(ended_by):
     assert same(found.reconstruct(*images(rendered), use_prior=True), alone("x", rendered))
 
 
-def test_what_follows_an_end_is_as_after_a_start():
+def test_pairs_after_a_cleared_prior_are_as_after_a_start():
     found = calibrated("x")
     for n in (3, 4, 5):
         found.reconstruct(*images(pair("moving", n)), use_prior=True)

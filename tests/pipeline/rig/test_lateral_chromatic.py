@@ -80,7 +80,7 @@ def test_errors_in_the_file_name_the_key(path, value, message):
         from_mapping(data)
 
 
-def test_a_red_point_stands_where_the_displacement_says():
+def test_a_red_point_is_displaced_by_the_model():
     """A tenth of a per cent at 100 px from the principal point is a tenth of a pixel, away from it."""
     camera = rig().left
     centre = camera.matrix[:2, 2]
@@ -106,7 +106,7 @@ def test_the_channels_angles_are_the_phases_of_where_their_light_comes_from():
     assert np.allclose(angles[1], 0)
 
 
-def test_a_mere_shift_of_the_projectors_colours_costs_nothing():
+def test_a_pure_shift_of_the_projectors_colours_needs_no_table():
     calibration = with_colors(None, Registration(ColorOffset(np.array([0.3, 0.0])), ColorOffset()))
     chromatic = chromatic_correction(calibration, PATTERN, calibration.left_color, 1400.0)
     assert chromatic.step == 0
@@ -142,7 +142,7 @@ def correction_for(shape):
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8"])
 @pytest.mark.parametrize("radius", [1, 2])
-def test_turned_channels_give_the_phase_of_the_unturned(encoding, radius):
+def test_chromatic_correction_recovers_the_phase(encoding, radius):
     phase = smooth_phase()
     raw = turned_image(phase, encoding)
     plain = decoder(encoding, window_radius=radius).decode(raw)
@@ -160,7 +160,7 @@ def test_turned_channels_give_the_phase_of_the_unturned(encoding, radius):
     assert np.sqrt((equal**2).mean()) < 0.05
 
 
-def test_balance_takes_unequal_channels_out_of_the_phase():
+def test_balance_corrects_unequal_channels_in_the_phase():
     phase, gains = smooth_phase(), np.array([1.2, 1.0, 0.8])
     light = np.moveaxis(80 + 70 * np.cos(phase + np.array(SHIFTS)[:, None, None]), 0, -1) + 20
     raw = np.rint(light * gains @ COLOR.crosstalk.T + COLOR.black).astype(np.uint8)
@@ -172,7 +172,7 @@ def test_balance_takes_unequal_channels_out_of_the_phase():
 
 
 def displaced_rig(chromatic, shift):
-    """What the simulator's lens and projector do, as a calibration says it."""
+    """The simulator's lens and projector errors as a calibration."""
     calibration = LAYOUT.calibration_for(Optics())
 
     def color(model: ColorModel) -> ColorModel:
@@ -199,7 +199,7 @@ def measured(calibration, pair, encoding):
 
 
 @pytest.mark.parametrize(("encoding", "gain"), [("rgb8", 10), ("bayer_rggb8", 4)])
-def test_lateral_colour_and_registration_are_taken_out_of_the_phase(encoding, gain):
+def test_lateral_chromatic_aberration_and_registration_are_corrected_in_the_phase(encoding, gain):
     chromatic, shift = 4e-3, 0.3
     optics = Optics(chromatic=chromatic, color_shift_px=(shift, 0.0, -shift), noise=0.0)
     pair = render_pair(LAYOUT, build("plane"), LAYOUT.pattern(PERIODS), optics, encoding=encoding)
@@ -209,7 +209,7 @@ def test_lateral_colour_and_registration_are_taken_out_of_the_phase(encoding, ga
     assert after < before / gain
 
 
-def test_a_plane_is_truer_with_lateral_colour_corrected():
+def test_chromatic_correction_improves_a_plane():
     chromatic, shift = 4e-3, 0.3
     optics = Optics(chromatic=chromatic, color_shift_px=(shift, 0.0, -shift), noise=0.3)
     pair = render_pair(LAYOUT, build("plane"), LAYOUT.pattern(PERIODS), optics)

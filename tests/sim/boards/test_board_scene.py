@@ -10,7 +10,8 @@ import pytest
 
 from pipeline.calibrate.targets.board.board import DEFAULT_BOARD, parse_board
 from pipeline.calibrate.targets.board.charuco_board import charuco
-from pipeline.pattern.sequence import FrameSequence, Fringe, Uniform
+from pipeline.pattern.projected_frames import Fringe, Uniform
+from pipeline.pattern.sequence import FrameSequence
 from sim.boards import board_scene
 from sim.boards.board_poses import BoardPose, middle, session_poses
 from sim.render import render_pair
@@ -94,7 +95,7 @@ def test_images_of_boards_do_not_depend_on_the_number_of_rays(text):
     assert few[inner].max() == pytest.approx(1, abs=0.01)
 
 
-def test_inner_corners_of_a_chessboard_are_where_the_truth_says(quarter):
+def test_inner_corners_of_a_chessboard_are_at_their_true_pixels(quarter):
     board = parse_board("chessboard:9x6:34")
     rig = quarter.calibration()
     truth = board_scene.true_marks(quarter, board, TILTED)
@@ -157,7 +158,7 @@ def test_a_sequence_is_shown_frame_by_frame_and_other_things_may_stand_beside(qu
     assert 0.005 < changed.mean() < 0.2
 
 
-def test_ink_that_is_no_ink_is_refused():
+def test_invalid_ink_is_rejected():
     with pytest.raises(ValueError, match=r"share is 1\.5"):
         Ink(np.zeros((0, 3)), np.zeros((0, 4)), 1.5)
     with pytest.raises(ValueError, match="discs"):
@@ -211,11 +212,11 @@ def test_every_mark_of_a_session_is_in_every_image(text, quarter):
 
 
 @pytest.mark.parametrize(("n", "tilt"), [(0, 45), (3, 80)])
-def test_sessions_that_make_no_sense_are_refused(n, tilt):
+def test_invalid_sessions_are_rejected(n, tilt):
     with pytest.raises(ValueError, match="session_poses"):
         session_poses(n, tilt_deg=tilt)
 
 
-def test_a_board_that_never_fits_is_told(quarter):
+def test_a_board_that_never_fits_raises_an_error(quarter):
     with pytest.raises(ValueError, match="does not fit"):
         session_poses(2, 0, quarter, parse_board("circles:11x9:320"))

@@ -1,4 +1,4 @@
-"""Capture folders hold what their description says, and the truth beside it."""
+"""Capture folders hold the images of their description, and the truth."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ SMALL = ["--scale", "0.125", "--views", "2", "--board", "circles:5x4:60:36"]
 def test_a_session_for_the_projector_is_a_capture_folder_with_its_truth(tmp_path):
     folder = tmp_path / "session"
     assert session.main([str(folder), *SMALL, "--projector", "--seed", "3", "noise=0.5"]) == 0
-    told = json.loads((folder / "capture.json").read_text())
-    frames = sequence.from_mapping(told["sequence"])
-    assert told["encoding"] == "rgb8"
+    description = json.loads((folder / "capture.json").read_text())
+    frames = sequence.from_mapping(description["sequence"])
+    assert description["encoding"] == "rgb8"
     assert frames.name == "projector"
     layout = RigLayout().scaled(0.125)
     for view in range(2):
@@ -80,7 +80,7 @@ def test_white_images_are_as_bright_as_they_may_be(tmp_path):
         (["--views", "0"], "session_poses"),
     ],
 )
-def test_wrong_arguments_are_told_in_a_line(arguments, message, tmp_path, capsys):
+def test_wrong_arguments_give_a_one_line_message(arguments, message, tmp_path, capsys):
     folder = tmp_path / "nothing"
     assert session.main([str(folder), *arguments]) == 2
     assert message in capsys.readouterr().err

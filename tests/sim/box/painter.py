@@ -1,4 +1,4 @@
-"""Paints pixels on an X screen, so that a test knows what is there."""
+"""Paint known pixels on an X screen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever goes wrong on the way, the daemon lives, says so, recovers by itself and pairs nothing wrongly."""
+"""Under every fault the daemon keeps running, reports it, recovers by itself and makes no wrong pair."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ SCRIPT = [
 
 def no_wrong_pair(daemon: Daemon) -> bool:
     counts = daemon.witness.counts
-    told = f"{counts['pairs']} pairs ({counts['dark']} dark), {counts['wrong']} wrong, {counts['unknown']} unknown"
-    print(f"\n{told}")  # noqa: T201 - the count is the result
+    summary = f"{counts['pairs']} pairs ({counts['dark']} dark), {counts['wrong']} wrong, {counts['unknown']} unknown"
+    print(f"\n{summary}")  # noqa: T201 - the count is the result
     return counts["wrong"] == counts["unknown"] == 0
 
 
@@ -47,7 +47,7 @@ def test_lost_broken_late_and_superfluous_frames(make_box: Callable[..., Box]) -
     counts = box.world.ledger.counts
     assert all(counts[side, FaultKind.NONE] for side in SIDES)
     harmless = {FaultKind.NONE, FaultKind.LATE, FaultKind.DUPLICATE}
-    whole = sum(all(shown.faults[side] in harmless for side in SIDES) for shown in box.world.ledger.remembered)
+    whole = sum(all(shown.faults[side] in harmless for side in SIDES) for shown in box.world.ledger.triggers)
     assert no_wrong_pair(daemon)
     assert daemon.witness.counts["pairs"] == whole
     drivers = {side: status.cameras[side].driver for side in SIDES}

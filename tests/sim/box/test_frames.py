@@ -54,17 +54,17 @@ def test_frames_are_what_was_shown_and_pairs_are_right(make_box: Callable[..., B
     box = make_box(encoding=encoding)
     optics, layout = box.options.simulation.optics, box.options.layout
     moving = Stage(layout, named_scenes.build("moving"), optics, encoding=encoding, instants_s=(0.0, 0.8, 1.7))
-    shown_images, pairer, told = images(box), Pairer(PairingSettings(tolerance_ns=500_000)), Counter[str]()
+    shown_images, pairer, counts = images(box), Pairer(PairingSettings(tolerance_ns=500_000)), Counter[str]()
     with devices(box) as (projector, cameras):
         for index in range(TRIGGERS):
             if index % 10 == 0:
                 projector.show(shown_images[index // 10 % len(shown_images)])
                 assert projector.problem() == ""
             if index == TRIGGERS // 2:
-                box.world.put_on_stage(moving, instants=3)
+                box.world.set_stage(moving, instants=3)
             shown = box.world.step()
             assert not shown.dark
-            told[shown.image.hex()] += 1
+            counts[shown.image.hex()] += 1
             for side in SIDES:
                 frame = cameras[side].read(10.0)
                 assert frame is not None and frame.encoding == encoding
@@ -75,10 +75,10 @@ def test_frames_are_what_was_shown_and_pairs_are_right(make_box: Callable[..., B
                     if isinstance(event, Pair):
                         seen = {s: box.world.ledger.exposure_of(s, getattr(event, s).image) for s in SIDES}
                         assert seen["left"] == seen["right"] is not None
-                        told["pairs"] += 1
+                        counts["pairs"] += 1
         assert all(cameras[side].read(0.01) is None for side in SIDES)
-    assert told.pop("pairs") == TRIGGERS
-    assert sorted(told.values()) == [TRIGGERS / 3] * 3
+    assert counts.pop("pairs") == TRIGGERS
+    assert sorted(counts.values()) == [TRIGGERS / 3] * 3
     states = [box.cables[side].state() for side in SIDES]
     assert [state.delivered for state in states] == [TRIGGERS] * 2
     assert not any(state.missed or state.dropped or state.no_buffer for state in states)

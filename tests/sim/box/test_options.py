@@ -1,4 +1,4 @@
-"""Options of a box are checked before anything is started; the rig's files say what the box is."""
+"""Options of a box are checked before anything is started; the rig's files describe the box."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daemon.config import load_rig
 from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES
 from sim.box.options import BoxOptions, fitted, read
-from sim.box.rig_files import RigPlaces, write_rig
+from sim.box.rig_files import RigAddresses, write_rig
 from sim.devices.options import OptionError
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
@@ -35,7 +35,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("text", MISTAKES)
-def test_mistakes_are_told_with_file_and_key(tmp_path: Path, text: str) -> None:
+def test_mistakes_are_reported_with_file_and_key(tmp_path: Path, text: str) -> None:
     path = tmp_path / "box.yaml"
     path.write_text(text)
     with pytest.raises(OptionError) as error:
@@ -61,7 +61,7 @@ def test_sizes_fit_the_devices(scale: float) -> None:
 
 def test_the_daemon_reads_what_is_written(tmp_path: Path) -> None:
     layout, serials = fitted(RigLayout().scaled(0.25)), {side: f"S-{side}" for side in SIDES}
-    places = RigPlaces(tmp_path / "made.cti", serials, ":7", "DUMMY1")
+    places = RigAddresses(tmp_path / "made.cti", serials, ":7", "DUMMY1")
     path = write_rig(
         tmp_path / "rig",
         layout,

@@ -66,18 +66,18 @@ def test_a_box_measures_until_interrupted(tmp_path: Path) -> None:
             assert len(next(clouds).points) > 5000
         # As a terminal does with Ctrl-C.
         os.killpg(process.pid, signal.SIGINT)
-        said, _ = process.communicate(timeout=60)
+        output, _ = process.communicate(timeout=60)
     finally:
         process.kill()
         process.wait()
-    assert process.returncode == 0, said
-    assert "ready: 128 x 102 pixels, moving" in said and "everything is closed" in said
-    assert "Traceback" not in said
+    assert process.returncode == 0, output
+    assert "ready: 128 x 102 pixels, moving" in output and "everything is closed" in output
+    assert "Traceback" not in output
     assert mentioning(str(folder)) == []
     assert not list((folder / "gentl").iterdir())
 
 
-def test_a_mistake_is_told_in_a_line(tmp_path: Path) -> None:
+def test_a_mistake_gives_a_one_line_message(tmp_path: Path) -> None:
     file = tmp_path / "box.yaml"
     file.write_text("exposure: 3")
     command = [sys.executable, "-m", "sim.box", "--config", str(file)]
@@ -97,6 +97,6 @@ def test_a_box_in_front_of_an_x_server_that_runs_already(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("display", [7, "there:0", ":0; true"])
-def test_a_display_that_cannot_be_is_refused(display: object) -> None:
+def test_an_invalid_display_is_rejected(display: object) -> None:
     with pytest.raises(OptionError, match=r"box\.display"):
         from_mapping({"display": display})

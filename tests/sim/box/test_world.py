@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.protocols import SIDES
-from sim.box.exposure_ledger import Ledger, Shown, digest
+from sim.box.exposure_ledger import Ledger, Trigger, digest
 from sim.box.output_grabber import DisplayLost
 from sim.box.world import NotSettled, World
 from sim.devices.faults import Fault, FaultKind, FaultPlan
@@ -95,7 +95,7 @@ def test_edges_keep_their_distance() -> None:
     assert min(b - a for a, b in itertools.pairwise(times)) >= 3_000_000
 
 
-def test_an_image_that_comes_back_is_not_lit_again() -> None:
+def test_an_image_shown_before_is_not_lit_again() -> None:
     bench = Bench(lit_images=2)
     for value in (1, 2, 1, 2, 2, 1):
         bench.screen.image = np.full_like(bench.screen.image, value)
@@ -134,7 +134,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_each_fault_befalls_its_camera_and_is_written_down(name: str) -> None:
+def test_each_fault_affects_its_camera_and_is_recorded(name: str) -> None:
     fault, calls, left, right = FAULTS[name]
     bench = Bench(FaultPlan.script([fault]))
     shown = [bench.world.step() for _ in range(6)]
@@ -147,7 +147,7 @@ def test_each_fault_befalls_its_camera_and_is_written_down(name: str) -> None:
         assert bench.world.ledger.counts["left", fault.kind] > 0
 
 
-def test_lock_step_waits_for_the_frames_and_says_whose_never_left() -> None:
+def test_lock_step_waits_for_the_frames_and_names_the_camera_that_kept_them() -> None:
     bench = Bench(settle_s=0.2)
     bench.cables["right"].busy_s = 0.01
     bench.world.step()
@@ -163,7 +163,7 @@ def test_a_camera_that_is_gone_is_not_waited_for() -> None:
     bench.world.step()
 
 
-def test_running_ends_when_told_and_does_not_make_up_for_lateness() -> None:
+def test_running_ends_on_request_and_skips_late_triggers() -> None:
     bench, stop = Bench(), threading.Event()
     bench.screen.grab = lambda: (time.sleep(0.005), bench.screen.image)[1]
     thread = threading.Thread(target=bench.world.run, args=(1000, stop))
@@ -179,12 +179,12 @@ def test_running_ends_when_told_and_does_not_make_up_for_lateness() -> None:
         bench.world.run(0, stop)
 
 
-def test_the_ledger_remembers_the_last_triggers_and_counts_all() -> None:
+def test_the_ledger_keeps_the_last_triggers_and_counts_all() -> None:
     ledger = Ledger(keep=3)
     images = [np.full((2, 2), k, np.uint8) for k in range(5)]
     none = dict.fromkeys(SIDES, FaultKind.NONE)
     for k, image in enumerate(images):
-        ledger.note(Shown(k, 0, b"", False, 0, none, dict.fromkeys(SIDES, digest(image))))
+        ledger.note(Trigger(k, 0, b"", False, 0, none, dict.fromkeys(SIDES, digest(image))))
     found = [ledger.exposure_of("left", image) for image in images]
     assert [shown and shown.index for shown in found] == [None, None, 2, 3, 4]
     assert ledger.counts == {("left", FaultKind.NONE): 5, ("right", FaultKind.NONE): 5}

@@ -1,4 +1,4 @@
-"""Each fault does what its name says, on its side, at its trigger; and the ledger accounts for every frame."""
+"""Each fault has its effect, on its side, at its trigger; the ledger accounts for every frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sim.devices.trigger_world import SimWorld
 
 
 class Numbered:
-    """Images that tell which trigger they belong to, and which side."""
+    """Images that encode their trigger and side."""
 
     def pair(self, index):
         out = []
@@ -129,7 +129,7 @@ def test_a_camera_is_gone_and_comes_back():
     world.step()
     with pytest.raises(DeviceLost, match=r"left.*unplugged"):
         camera.read(0.0)
-    with pytest.raises(DeviceLost, match=r"left.*not there"):
+    with pytest.raises(DeviceLost, match=r"left.*unplugged"):
         camera.open()
     for _ in range(3):
         world.step()
@@ -139,7 +139,7 @@ def test_a_camera_is_gone_and_comes_back():
     assert [f.trigger for f in read_all(camera)] == [5]
     assert len(read_all(world.cameras["right"])) == 6
     assert camera.health().counters["lost_device"] == 1
-    assert Counter(e.fate for e in world.ledger.entries if e.side == "left") == {
+    assert Counter(e.outcome for e in world.ledger.entries if e.side == "left") == {
         "sent": 2,
         "dropped": 1,
         "gone": 3,

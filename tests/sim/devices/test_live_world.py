@@ -1,4 +1,4 @@
-"""A live rig: the cameras see what the projector shows, a board where it is held, and a rig that was knocked."""
+"""A live rig: images under the projected image, of a board at its pose, and of a disturbed rig."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def opened():
         rig.close()
 
 
-def shot(rig, image=None):
+def captured(rig, image=None):
     """Both images of one trigger under an image."""
     if image is not None:
         rig.projector.show(image)
@@ -69,7 +69,7 @@ def test_cameras_see_what_the_projector_shows(encoding, opened):
             options.layout, scene_of(options), image, options.optics, encoding=encoding
         )
         step = 257 if encoding == "mono16" else 1
-        for ours, theirs in zip(shot(rig, image), expected, strict=True):
+        for ours, theirs in zip(captured(rig, image), expected, strict=True):
             assert ours.dtype == theirs.dtype
             assert ours.shape == theirs.shape
             assert np.abs(ours.astype(int) - theirs).max() <= step
@@ -81,29 +81,29 @@ def test_devices_of_a_live_rig_keep_their_protocols(opened):
     assert all(isinstance(camera, Camera) for camera in rig.cameras.values())
     with pytest.raises(SettingRefused, match="does not fit"):
         rig.projector.show(np.zeros((8, 8, 3), np.uint8))
-    bright = shot(rig, images_of(rig)[0])[0].max()
+    bright = captured(rig, images_of(rig)[0])[0].max()
     rig.projector.close()
-    assert shot(rig)[0].max() < 0.2 * bright
+    assert captured(rig)[0].max() < 0.2 * bright
     with pytest.raises(DriverError, match=r"show.. while closed"):
         rig.projector.show(images_of(rig)[0])
     assert rig.projector.problem() == ""
 
 
-def test_a_projector_that_nobody_opened_shows_the_pattern():
+def test_an_unopened_projector_shows_the_pattern():
     rig = open_rig(OPTIONS, clock=SteppedClock())
     for camera in rig.cameras.values():
         camera.open()
         camera.start()
     pattern = rig.options.layout.pattern().image()
     expected = render_pair.render_images(rig.options.layout, scene_of(rig.options), pattern, rig.options.optics)
-    assert np.abs(shot(rig)[0].astype(int) - expected[0]).max() <= 1
+    assert np.abs(captured(rig)[0].astype(int) - expected[0]).max() <= 1
     rig.close()
 
 
-def test_every_trigger_has_a_noise_of_its_own_and_the_right_one(opened):
+def test_every_trigger_has_its_own_noise_of_the_right_variance(opened):
     rig = opened({**OPTIONS, "scene": "plane", "optics": {}, "seed": 5})
     grey = images_of(rig)[0]
-    first, second = (np.stack(shot(rig, grey)).astype(float) for _ in range(2))
+    first, second = (np.stack(captured(rig, grey)).astype(float) for _ in range(2))
     counts = render_pair.render_counts(rig.options.layout, scene_of(rig.options), grey, rig.options.optics)
     from sim.render.sensor import noise_variance
 
@@ -114,13 +114,13 @@ def test_every_trigger_has_a_noise_of_its_own_and_the_right_one(opened):
     assert difference.var() == pytest.approx(2 * (variance.mean() + 1 / 12), rel=0.02)
     assert abs(np.corrcoef((first - np.stack(counts)).ravel(), difference.ravel())[0, 1] + np.sqrt(0.5)) < 0.02
     again = opened({**OPTIONS, "scene": "plane", "optics": {}, "seed": 5})
-    assert np.array_equal(np.stack(shot(again, grey)), first)
+    assert np.array_equal(np.stack(captured(again, grey)), first)
 
 
 def test_a_moving_scene_goes_round(opened):
     rig = opened({**OPTIONS, "scene": "moving", "frames": 3})
     white = images_of(rig)[0]
-    frames = [shot(rig, white)[0] for _ in range(4)]
+    frames = [captured(rig, white)[0] for _ in range(4)]
     assert np.array_equal(frames[0], frames[3])
     assert np.abs(frames[0].astype(int) - frames[1]).max() > 30
     scene = scene_of(rig.options)
@@ -136,7 +136,7 @@ def test_the_board_stays_until_it_is_moved_on_and_stays_at_the_last_pose(opened)
     options, seen = rig.options, []
     for expected_pose in (0, 1, 2, 2):
         assert rig.trigger.pose == expected_pose
-        pair, again = shot(rig, white), shot(rig)
+        pair, again = captured(rig, white), captured(rig)
         assert np.array_equal(pair[0], again[0])
         expected = render_pair.render_images(
             options.layout, scene_of(options, expected_pose), white, optics_of(options)
@@ -153,7 +153,7 @@ def test_a_loop_of_a_board_shows_its_first_pose(opened, tmp_path):
     loop = opened({**BOARD, "live": False, "frames": 1, "cache_dir": str(tmp_path)})
     live = opened(BOARD)
     image = live.options.layout.pattern().image()
-    for ours, theirs in zip(shot(live, image), shot(loop, image), strict=True):
+    for ours, theirs in zip(captured(live, image), captured(loop, image), strict=True):
         assert np.abs(ours.astype(int) - theirs).max() <= 1
     notes = [rig.cameras["left"].note for rig in (live, loop)]
     assert "what the projector shows" in notes[0]
@@ -166,7 +166,7 @@ def test_a_board_may_move_on_by_itself(opened):
     poses, frames = [], []
     for _ in range(7):
         poses.append(rig.trigger.pose)
-        frames.append(shot(rig, white)[0])
+        frames.append(captured(rig, white)[0])
     assert poses == [0, 0, 1, 1, 2, 2, 2]
     same = [np.array_equal(a, b) for a, b in pairwise(frames)]
     assert same == [True, False, True, False, True, True]
@@ -182,13 +182,13 @@ def test_a_board_may_move_on_by_itself(opened):
         ("projector", {"turn_deg": (0.0, 0.2, 0.0)}),
     ],
 )
-def test_a_disturbance_changes_what_it_says_and_nothing_else(side, change, opened):
+def test_a_disturbance_changes_its_own_parameters_only(side, change, opened):
     rig = opened(OPTIONS)
     image = images_of(rig)[2]
-    before = shot(rig, image)
-    told = rig.calibration
+    before = captured(rig, image)
+    calibration = rig.calibration
     rig.trigger.disturb(side, **change)
-    after = shot(rig)
+    after = captured(rig)
     options = rig.options
     true = TrueRig.of(options.layout, options.optics).after(Disturbance(side, **change))
     expected = render_pair.with_noise(
@@ -199,10 +199,10 @@ def test_a_disturbance_changes_what_it_says_and_nothing_else(side, change, opene
         assert np.abs(after[camera].astype(int) - expected[camera]).max() <= 1
         touched = side in (name, "projector")
         assert np.array_equal(after[camera], before[camera]) != touched
-    assert rig.calibration == told
+    assert rig.calibration == calibration
 
 
-def test_a_turn_keeps_the_place_and_a_shift_keeps_the_pose():
+def test_a_rotation_keeps_the_position_and_a_shift_keeps_the_pose():
     options = from_mapping(OPTIONS)
     rig = TrueRig.of(options.layout, options.optics)
     turned = rig.after(Disturbance("right", turn_deg=(0.0, 0.01, 0.0)))
@@ -230,11 +230,11 @@ def test_scripted_disturbances_come_at_their_triggers_live_and_in_a_loop(opened,
     live = opened({**OPTIONS, "disturb": DISTURBANCE[::-1]})
     loop = opened({**OPTIONS, "live": False, "frames": 2, "disturb": DISTURBANCE, "cache_dir": str(tmp_path)})
     image = live.options.layout.pattern().image()
-    shots = [[shot(rig, image) for _ in range(6)] for rig in (live, loop)]
-    for from_live, from_loop in zip(*shots, strict=True):
+    captures = [[captured(rig, image) for _ in range(6)] for rig in (live, loop)]
+    for from_live, from_loop in zip(*captures, strict=True):
         for ours, theirs in zip(from_live, from_loop, strict=True):
             assert np.abs(ours.astype(int) - theirs).max() <= 1
-    left, right = zip(*shots[0], strict=True)
+    left, right = zip(*captures[0], strict=True)
     assert [np.array_equal(a, b) for a, b in pairwise(right)] == [True, False, True, True, True]
     assert [np.array_equal(a, b) for a, b in pairwise(left)] == [True, True, True, False, True]
     for rig in (live, loop):
@@ -255,7 +255,7 @@ def test_the_loop_before_a_disturbance_is_the_undisturbed_one(tmp_path):
     assert len(list(tmp_path.iterdir())) == 2
     assert kept.exists()
     assert np.array_equal(both.pair(1)[0], loops.load_or_render(plain).pair(1)[0])
-    # The same knock at another trigger needs no other loop.
+    # The same disturbance at another trigger needs no other loop.
     later = from_mapping({**OPTIONS, "live": False, "frames": 2, "cache_dir": str(tmp_path),
                           "disturb": [{**DISTURBANCE[0], "at": 50}]})  # fmt: skip
     assert np.array_equal(loops.loops_of(later).pair(50)[1], both.pair(2)[1])
@@ -298,6 +298,6 @@ def test_triggers_at_a_rate_see_a_new_image_after_it_is_shown():
         ({"disturb": [{"side": "left", "turn_deg": [0, 0, 90]}]}, r"at most 45 degrees"),
     ],
 )
-def test_wrong_options_are_told_by_name(change, message):
+def test_wrong_options_are_named(change, message):
     with pytest.raises(OptionError, match=message):
         from_mapping({**OPTIONS, **change})

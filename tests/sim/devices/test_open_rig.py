@@ -25,13 +25,13 @@ def rig(tmp_path):
     devices.close()
 
 
-def test_devices_are_what_the_protocols_say(rig):
+def test_devices_implement_the_protocols(rig):
     assert set(rig.cameras) == set(SIDES)
     assert all(isinstance(camera, Camera) for camera in rig.cameras.values())
     assert isinstance(rig.projector, Projector)
 
 
-def test_a_camera_tells_what_it_is(rig):
+def test_a_camera_reports_its_information(rig):
     info = rig.cameras["left"].open()
     assert (info.model, info.serial, info.size, info.encoding) == ("simulated", "sim-left", (64, 51), "rgb8")
 
@@ -88,8 +88,8 @@ def test_an_idle_camera_ignores_triggers_and_stop_drops_what_waits(rig):
     rig.trigger.step()
     assert camera.read(0.0).trigger == 2
     assert camera.read(0.0) is None
-    fates = [entry.fate for entry in rig.trigger.ledger.entries if entry.side == "left"]
-    assert fates == ["not_listening", "sent", "dropped", "sent"]
+    outcomes = [entry.outcome for entry in rig.trigger.ledger.entries if entry.side == "left"]
+    assert outcomes == ["not_listening", "sent", "dropped", "sent"]
 
 
 def test_a_full_queue_loses_its_oldest_frames_and_counts_them(rig):

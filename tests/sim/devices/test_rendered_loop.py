@@ -69,7 +69,7 @@ def test_a_spoiled_cache_is_rendered_again(name, spoil, options):
     assert rendered(options)[1] == 0
 
 
-def test_nothing_half_done_stays_behind(options):
+def test_no_partial_loop_is_left_behind(options):
     rendered(options)
     assert [path.name[:5] for path in options.cache_dir.iterdir()] == ["loop-"]
 
@@ -152,12 +152,12 @@ def test_plain_values_become_checked_options(tmp_path):
         ({"faults": {"extra_first": "middle"}}, r"sim\.faults\.extra_first is 'middle'"),
     ],
 )
-def test_wrong_options_are_told_by_name(data, message):
+def test_wrong_options_are_named(data, message):
     with pytest.raises(OptionError, match=message):
         from_mapping(data)
 
 
-def test_a_shot_holds_images_and_truth(tmp_path, small):
+def test_a_written_pair_holds_images_and_truth(tmp_path, small):
     import cv2
 
     from sim.evaluate.write_pair import write_pair

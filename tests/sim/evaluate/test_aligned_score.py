@@ -62,7 +62,7 @@ def test_a_mirrored_cloud_is_not_laid_upon_the_truth(truth):
     assert aligned(mirrored, truth).score.reconstructed < 0.9
 
 
-def test_too_few_points_are_told(truth):
+def test_too_few_points_raise_an_error(truth):
     empty = np.full_like(truth.xyz, np.nan)
     with pytest.raises(ValueError, match="0 points have a truth"):
         aligned(empty, truth)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.rig.calibration import Calibration
-from sim.evaluate.calibration_trial import judged, true_calibration
+from sim.evaluate.calibration_trial import trial_scores, true_calibration
 from sim.rig.disturbance import Disturbance, TrueRig
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
@@ -23,7 +23,7 @@ def quarter():
 def test_the_true_calibration_needs_no_motion_and_a_wrong_one_shows(quarter):
     optics = Optics(gamma=2.2)
     true = true_calibration(quarter, optics)
-    found = judged(true, quarter, optics, scenes=("plane", "spheres"))
+    found = trial_scores(true, quarter, optics, scenes=("plane", "spheres"))
     for result in found.values():
         assert result.score.reconstructed > 0.8
         assert result.alignment.angle_deg < 0.02
@@ -31,7 +31,10 @@ def test_the_true_calibration_needs_no_motion_and_a_wrong_one_shows(quarter):
         assert result.alignment.scale == pytest.approx(1, abs=3e-4)
     disturbed = TrueRig.of(quarter, optics).after(Disturbance("right", turn_deg=(0.0, 0.1, 0.0))).right
     wrong = Calibration(true.left, disturbed, true.projector, true.left_color, true.right_color, true.response)
-    assert judged(wrong, quarter, optics, scenes=("spheres",))["spheres"].score.rms_mm > found["spheres"].score.rms_mm
+    assert (
+        trial_scores(wrong, quarter, optics, scenes=("spheres",))["spheres"].score.rms_mm
+        > found["spheres"].score.rms_mm
+    )
 
 
 def test_a_principal_point_traded_for_a_rotation_costs_no_shape(quarter):
@@ -48,7 +51,7 @@ def test_a_principal_point_traded_for_a_rotation_costs_no_shape(quarter):
     other = Calibration(
         replace(true.left, matrix=matrix), turned(true.right), turned(true.projector), true.left_color, true.right_color
     )
-    best, traded = (judged(item, quarter, optics, scenes=("spheres",))["spheres"] for item in (true, other))
+    best, traded = (trial_scores(item, quarter, optics, scenes=("spheres",))["spheres"] for item in (true, other))
     assert traded.alignment.angle_deg == pytest.approx(np.degrees(shift_px / matrix[0, 0]), rel=0.1)
     assert traded.alignment.shift_mm > 0.5
     assert traded.score.rms_mm < 1.1 * best.score.rms_mm

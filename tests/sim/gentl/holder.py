@@ -15,7 +15,7 @@ from tests.sim.gentl.host import opened
 
 
 def main(producer: str, serial: str) -> None:
-    """Hold the camera until nobody wants it any more."""
+    """Hold the camera until standard input is closed."""
     with opened(Path(producer), serial) as (host,):
         host.trigger_on()
         host.set(PixelFormat="Mono8")
@@ -25,8 +25,8 @@ def main(producer: str, serial: str) -> None:
         while not select.select([sys.stdin], [], [], 0)[0]:
             capture = host.capture(0.02)
             if capture is not None:
-                told = {"frame_id": capture.frame_id, "timestamp": capture.timestamp, "first": capture.bytes[0]}
-                sys.stdout.write(json.dumps(told) + "\n")
+                expected = {"frame_id": capture.frame_id, "timestamp": capture.timestamp, "first": capture.bytes[0]}
+                sys.stdout.write(json.dumps(expected) + "\n")
                 sys.stdout.flush()
 
 

@@ -20,19 +20,19 @@ def test_it_is_compiled_once_and_nothing_else_is_left(producer: Path, tmp_path: 
     assert library.parent.name == producer.parent.name, "the directory is named by the sources"
 
 
-def test_without_a_compiler_the_message_tells_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_the_message_names_the_next_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(NoCompilerError, match="tools/system-packages compiler"):
         build(tmp_path)
 
 
-def test_what_the_compiler_says_is_in_the_error(producer: Path, tmp_path: Path) -> None:  # noqa: ARG001
+def test_the_compilers_output_is_in_the_error(producer: Path, tmp_path: Path) -> None:  # noqa: ARG001
     with pytest.raises(BuildError, match="no-such-flag"):
         build(tmp_path, extra_flags=("--no-such-flag",))
     assert list(tmp_path.rglob("*.cti")) == []
 
 
-def test_the_command_prints_where_it_stands(producer: Path) -> None:
+def test_the_command_prints_its_path(producer: Path) -> None:
     command = [sys.executable, "-m", "sim.gentl.build"]
     result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
     assert result.stdout.strip() == str(producer)

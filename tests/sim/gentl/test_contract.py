@@ -113,7 +113,7 @@ def test_what_is_open_is_not_opened_twice(library: Library) -> None:
     assert library.c.GCRegisterEvent(library.stream, NEW_BUFFER, byref(out)) == IN_USE
 
 
-def test_what_is_not_there_is_refused_by_name(library: Library) -> None:
+def test_unknown_names_are_rejected(library: Library) -> None:
     out, size = c_void_p(), c_size_t()
     assert library.c.IFOpenDevice(library.interface, b"FringedCam_5", c_int32(3), byref(out)) == INVALID_ID
     assert "FringedCam_5" in library.problem()
@@ -123,7 +123,7 @@ def test_what_is_not_there_is_refused_by_name(library: Library) -> None:
     assert library.c.DSGetInfo(library.stream, 99, None, None, byref(size)) == NOT_AVAILABLE
 
 
-def test_sizes_are_told_first_and_too_small_rooms_are_left_alone(library: Library) -> None:
+def test_sizes_are_returned_first_and_too_small_buffers_are_not_written(library: Library) -> None:
     size = c_size_t()
     library.ok("IFGetDeviceID", library.interface, c_uint32(0), None, byref(size))
     assert size.value == len(b"FringedCam_0") + 1

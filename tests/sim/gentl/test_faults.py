@@ -95,7 +95,7 @@ def test_without_a_queued_buffer_frames_are_lost_and_counted(producer: Path, cab
         assert (camera.state().no_buffer, host.stream.StreamLostFrameCount.value) == (2, 2)
 
 
-def test_frames_that_nobody_waits_for_any_more_are_abandoned(producer: Path, cable: Cables) -> None:
+def test_frames_of_an_ended_acquisition_are_abandoned(producer: Path, cable: Cables) -> None:
     camera = cable(real_time=True)
     with opened(producer, "CAM0") as (host,):
         armed(host)
@@ -128,7 +128,7 @@ def test_an_unplugged_camera_answers_nothing_and_leaves_the_list(producer: Path,
     assert set(serials(producer)) == {"CAM0", "CAM1"}
 
 
-def test_after_plugging_in_the_clock_starts_anew_and_frames_come_again(producer: Path, cable: Cables) -> None:
+def test_after_plugging_in_the_clock_restarts_and_frames_arrive_again(producer: Path, cable: Cables) -> None:
     camera = cable()
     camera.set_clock(offset_ns=10**18)
     with opened(producer, "CAM0") as (host,):
@@ -145,7 +145,7 @@ def test_after_plugging_in_the_clock_starts_anew_and_frames_come_again(producer:
         assert (capture.frame_id, capture.timestamp < 10**15) == (0, True)
 
 
-def test_a_closed_cable_is_a_camera_that_is_gone_for_good(producer: Path, directory: Path) -> None:
+def test_a_closed_cable_removes_its_camera(producer: Path, directory: Path) -> None:
     camera = Cable(directory, 0, serial="CAM0")
     with opened(producer, "CAM0") as (host,):
         camera.close()
@@ -170,7 +170,7 @@ def test_a_closed_cable_is_a_camera_that_is_gone_for_good(producer: Path, direct
         ({"serial": "x" * 64}, "1 to 63 bytes"),
     ],
 )
-def test_a_camera_that_cannot_be_is_refused(cable: Cables, wrong: dict[str, object], message: str) -> None:
+def test_an_invalid_camera_is_rejected(cable: Cables, wrong: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         cable(**wrong)
 

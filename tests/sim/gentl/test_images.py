@@ -132,7 +132,7 @@ def test_regions_beyond_the_sensor_are_refused(producer: Path, cable: Cables) ->
         host.set(OffsetX=0, Width=WIDTH)
 
 
-def test_chunks_tell_what_they_are_named_for(producer: Path, cable: Cables) -> None:
+def test_chunks_hold_the_values_of_their_names(producer: Path, cable: Cables) -> None:
     camera = cable()
     camera.set_clock(offset_ns=123_456_789)
     with opened(producer, "CAM0") as (host,):
@@ -182,7 +182,7 @@ def test_a_pulse_exposes_the_image_that_was_shown_when_it_was_given(producer: Pa
         assert camera.state().overwritten == 0
 
 
-def test_an_image_that_was_slept_through_is_lost_and_never_another_in_its_place(producer: Path, cable: Cables) -> None:
+def test_an_overwritten_image_is_lost_and_never_replaced_by_another(producer: Path, cable: Cables) -> None:
     camera = cable(real_time=True)
     with opened(producer, "CAM0") as (host,):
         host.trigger_on()

@@ -25,7 +25,7 @@ REPOSITORY = Path(__file__).parents[3]
 
 
 class Holder:
-    """A process that has a camera open and tells of its frames."""
+    """A process that has a camera open and reports its frames."""
 
     def __init__(self, producer: Path, serial: str) -> None:
         command = [sys.executable, "-m", "tests.sim.gentl.holder", str(producer), serial]
@@ -38,7 +38,7 @@ class Holder:
         assert self._lines.get(timeout=60) == "armed\n"
 
     def frame(self) -> dict[str, int]:
-        """The next frame that it tells of."""
+        """The next frame that it reports."""
         return dict(json.loads(self._lines.get(timeout=WAIT_S)))
 
     def end(self, *, kill: bool = False) -> None:
@@ -84,8 +84,8 @@ def test_two_processes_with_a_camera_each_see_the_same_pulses(cable: Cables, hol
             camera.show(np.full((HEIGHT, WIDTH), 10 + k, np.uint8))
             assert camera.pulse(t_ns + k * 10_000_000)
         for camera, one in zip(cameras, holders, strict=True):
-            told = {"frame_id": k, "timestamp": camera.device_ns(t_ns + k * 10_000_000), "first": 10 + k}
-            assert one.frame() == told
+            expected = {"frame_id": k, "timestamp": camera.device_ns(t_ns + k * 10_000_000), "first": 10 + k}
+            assert one.frame() == expected
     assert [camera.state().open_by for camera in cameras] == [one.process.pid for one in holders]
     for one in holders:
         one.end()

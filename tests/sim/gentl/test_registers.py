@@ -18,12 +18,12 @@ TRIGGERS = "AcquisitionStart", "FrameBurstStart", "FrameStart"
 LINES = "Line0", "Line1", "Line2"
 
 
-def test_the_camera_says_who_it_is(producer: Path, cable: Cables) -> None:
+def test_the_camera_reports_its_identity(producer: Path, cable: Cables) -> None:
     camera = cable(serial="22334455", model="Model C", size=(64, 48))
     camera.set_temperature(51.25)
     with opened(producer, "22334455") as (host,):
-        told = [host.get(f"Device{name}") for name in ("VendorName", "ModelName", "SerialNumber", "FirmwareVersion")]
-        assert told == ["Fringed", "Model C", "22334455", "1.0"]
+        names = "VendorName", "ModelName", "SerialNumber", "FirmwareVersion"
+        assert [host.get(f"Device{name}") for name in names] == ["Fringed", "Model C", "22334455", "1.0"]
         assert host.get("DeviceTemperature") == 51.25
         host.set(DeviceUserID="left")
         assert host.get("DeviceUserID") == "left"
@@ -175,7 +175,7 @@ def test_the_old_models_frame_numbers_have_16_bits_and_no_zero(producer: Path, c
         ("NewestOnly", [6], ("superseded", 6)),
     ],
 )
-def test_the_stream_keeps_the_frames_that_it_was_told_to(
+def test_the_stream_keeps_frames_by_its_buffer_handling_mode(
     producer: Path, cable: Cables, mode: str, kept: list[int], state: tuple[str, int]
 ) -> None:
     camera = cable()

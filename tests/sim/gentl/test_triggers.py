@@ -128,7 +128,7 @@ def test_pulses_of_the_future_are_limited(producer: Path, cable: Cables) -> None
     assert camera.state().exposed == 0
 
 
-def test_the_frame_rate_limit_eats_pulses(producer: Path, cable: Cables) -> None:
+def test_pulses_above_the_frame_rate_limit_are_missed(producer: Path, cable: Cables) -> None:
     camera = cable()
     with opened(producer, "CAM0") as (host,):
         host.trigger_on()
@@ -168,7 +168,7 @@ def test_the_settings_decide_whether_a_pulse_exposes(
         assert (state.exposed, state.ignored) == (frames, 1 - frames)
 
 
-def test_the_time_of_exposure_is_the_edge_that_was_asked_for_and_its_delay(producer: Path, cable: Cables) -> None:
+def test_the_time_of_exposure_is_the_selected_edge_plus_its_delay(producer: Path, cable: Cables) -> None:
     camera = cable()
     with opened(producer, "CAM0") as (host,):
         host.trigger_on(activation="FallingEdge")
@@ -202,7 +202,7 @@ def test_exposure_by_the_width_of_the_pulse(producer: Path, cable: Cables) -> No
 
 
 def test_another_trigger_left_on_blocks_the_frames_until_it_comes(producer: Path, cable: Cables) -> None:
-    """Nobody tells a program about a selector that an earlier one has left on."""
+    """A program gets no notice of a selector that an earlier one has left on."""
     camera = cable()
     with opened(producer, "CAM0") as (host,):
         host.trigger_on("Line2", selector="AcquisitionStart")
@@ -277,7 +277,7 @@ def test_a_camera_without_triggers_runs_free(producer: Path, cable: Cables, imag
         assert gaps_ns.min() >= 5 * MS
 
 
-def test_pulses_reach_nobody_before_the_start_and_are_ignored(producer: Path, cable: Cables) -> None:
+def test_pulses_before_the_start_are_ignored(producer: Path, cable: Cables) -> None:
     camera = cable()
     assert not camera.pulse()
     with opened(producer, "CAM0") as (host,):

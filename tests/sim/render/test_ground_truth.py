@@ -155,7 +155,7 @@ def test_reliefs_are_met_at_their_surface_and_nowhere_before(variant, small):
         assert (gap(share * points) > -1e-3)[np.abs((share * points - origin) @ rotation[:, 0]) < 60].mean() > 0.995
 
 
-def test_a_supersampled_image_is_lit_where_the_truth_says_so(small):
+def test_a_supersampled_image_is_lit_where_the_truth_is_lit(small):
     scene = named_scenes.build("spheres")
     pair = render_pair.render_pair(small, scene, np.full((128, 160, 3), 255, np.uint8), Optics.ideal())
     inner = cv2.erode(pair.truth_left.lit.astype(np.uint8), np.ones((3, 3))) > 0
@@ -193,7 +193,7 @@ def test_frequency_modulated_patterns_have_orders_of_their_own_table(small):
     assert np.abs(truth.order - table[columns])[truth.lit].max() <= 1
 
 
-def test_textures_move_with_the_thing(small):
+def test_textures_move_with_the_shape(small):
     flat = np.full((128, 160, 3), 200, np.uint8)
     shape = rectangle(120, 120).placed((0, 0, 0), texture=COLORED, motion=Motion(swing_mm=(30, 0, 0)))
     scene = Scene("one", (shape,), period_s=4.0)

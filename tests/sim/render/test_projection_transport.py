@@ -30,7 +30,7 @@ def images() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_any_image_looks_as_the_renderer_has_it(case: str) -> None:
+def test_any_projected_image_matches_the_renderer(case: str) -> None:
     name, optics, encoding, t_s = CASES[case]
     scene = named_scenes.build(name, seed=2)
     stage = Stage(SMALL, scene, optics, encoding=encoding, instants_s=(t_s,))
@@ -72,10 +72,10 @@ def test_instants_go_round_and_a_scene_at_rest_needs_one() -> None:
     assert not np.array_equal(pics[0], pics[1])
 
 
-def test_mistakes_are_told() -> None:
+def test_invalid_arguments_raise_an_error() -> None:
     with pytest.raises(ValueError, match="encoding is 'yuv', expected one of rgb8"):
         Stage(SMALL, named_scenes.build("plane"), encoding="yuv")
     with pytest.raises(ValueError, match="instants_s is empty"):
         Stage(SMALL, named_scenes.build("plane"), instants_s=())
-    with pytest.raises(ValueError, match=r"the image to show is \(4, 4, 3\)"):
+    with pytest.raises(ValueError, match=r"the projected image is \(4, 4, 3\)"):
         Stage(SMALL, named_scenes.build("plane")).counts(np.zeros((4, 4, 3), np.uint8))

@@ -68,7 +68,7 @@ def test_light_falls_with_the_square_of_the_distance_and_the_cosine(small):
     assert np.abs(counts[inner][..., 1] / expected[inner] - 1).max() < 2e-3
 
 
-def test_noise_variance_follows_shot_and_read_noise(small, board):
+def test_noise_variance_follows_photon_and_read_noise(small, board):
     optics = Optics(read_noise_dn=1.5, full_well_e=5000)
     flat = np.full((128, 160, 3), 90, np.uint8)
     counts = render_pair.render_counts(small, board, flat, optics)
@@ -106,7 +106,7 @@ def test_mono16_has_the_same_light_at_full_scale_65535(small, board):
     assert np.abs(high / 257 - low).max() <= 0.51
 
 
-def test_crosstalk_mixes_projector_channels_as_the_calibration_says(small, board):
+def test_crosstalk_mixes_projector_channels_as_calibrated(small, board):
     optics = Optics(noise=0.0, ambient=0.0)
     calibration = small.calibration_for(optics)
     for channel in range(3):
@@ -127,7 +127,7 @@ def test_a_pre_corrected_pattern_gives_the_light_of_a_linear_projector(small, bo
     assert np.abs(bare - linear).max() > 20
 
 
-def test_the_calibration_knows_what_realistic_optics_spoil(small):
+def test_the_calibration_has_the_errors_of_realistic_optics(small):
     optics = Optics.realistic()
     true, known = small.calibration(), small.calibration_for(optics)
     assert known.response is not None
@@ -254,7 +254,7 @@ def test_all_axes_meet_on_the_stage():
         assert device.project(np.array([0.0, 0.0, layout.standoff_mm])) == pytest.approx(principal, abs=1e-6)
 
 
-def test_the_projector_stands_where_the_layout_says():
+def test_the_projector_has_the_position_of_the_layout():
     layout = RigLayout(projector_fraction=0.25, projector_up_mm=80)
     rig = layout.calibration()
     along = (rig.right.centre - rig.left.centre) / rig.baseline_mm

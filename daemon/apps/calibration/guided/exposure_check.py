@@ -6,7 +6,8 @@ import numpy as np
 
 from daemon.apps.calibration.guided.capture import CapturedImages
 from pipeline.calibrate.color.color_planes import LEAST_PEAK, MAX_SATURATED_SHARE, SATURATION, WHITE_SHARE, planes_of
-from pipeline.pattern.sequence import CHANNELS, FrameSequence, Uniform
+from pipeline.pattern.projected_frames import CHANNELS, Uniform
+from pipeline.pattern.sequence import FrameSequence
 
 
 def full_light(size: tuple[int, int]) -> FrameSequence:

@@ -17,7 +17,8 @@ from daemon.apps.calibration.views.view import Progress, Source
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
 from pipeline.calibrate.color import ColorSolution, calibrate_color
 from pipeline.common.errors import ImageError, PatternError
-from pipeline.pattern.sequence import FrameSequence, Uniform
+from pipeline.pattern.projected_frames import Uniform
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.calibration import Calibration, Cameras
 
 MOST_PASSES = 4

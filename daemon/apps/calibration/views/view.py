@@ -10,7 +10,8 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import Image
 from pipeline.common.errors import PatternError
 from pipeline.pattern import sequence as sequences
-from pipeline.pattern.sequence import FrameSequence, Uniform
+from pipeline.pattern.projected_frames import Uniform
+from pipeline.pattern.sequence import FrameSequence
 
 Progress = Callable[[int, int], None]
 

@@ -9,7 +9,7 @@ import numpy as np
 from daemon.live.items import CloudItem
 from daemon.monitoring.health.quantities import CHANNELS
 from drivers.protocols import SIDES
-from pipeline.monitor.illumination import LINES, Lighting, fringe_period_px, lighting
+from pipeline.monitor.illumination import LINES, ImageIllumination, fringe_period_px, measure_illumination
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration
 
@@ -30,14 +30,14 @@ class Illumination:
         """Return the quantities of one pair; takes about a millisecond."""
         out = {"coverage_lit": _coverage(item)}
         for side, frame, modulation in zip(SIDES, (item.left, item.right), item.cloud.modulation, strict=True):
-            result = lighting(
+            result = measure_illumination(
                 frame.image, frame.encoding, modulation, period_px=self._period_px, stride=item.stride, axis=self._axis
             )
             out |= _quantities(side, result)
         return out
 
 
-def _quantities(side: str, result: Lighting) -> dict[str, float]:
+def _quantities(side: str, result: ImageIllumination) -> dict[str, float]:
     out = {f"saturated_{side}": max(result.saturated)}
     known = [value for value in result.amplitude if not math.isnan(value)]
     out[f"modulation_{side}"] = min(known) if known else math.nan

@@ -14,7 +14,8 @@ import numpy as np
 
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.calibrate.targets.board.board_drawing import raster
-from pipeline.pattern.sequence import FrameSequence, Uniform
+from pipeline.pattern.projected_frames import Uniform
+from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.calibration import Cameras
 from pipeline.rig.camera_model import CameraModel
 

@@ -21,7 +21,8 @@ from daemon.apps.calibration.views.view import View, white_frame
 from daemon.recording.write.part_writer import PartWriter
 from drivers.protocols import SIDES, Frame
 from pipeline.decode.raw_image import BAYER
-from pipeline.pattern.sequence import Uniform, projector_sequence
+from pipeline.pattern.projected_frames import Uniform
+from pipeline.pattern.sequence import projector_sequence
 from tests.daemon.apps.calibration import drawn
 
 RNG = np.random.default_rng(0)

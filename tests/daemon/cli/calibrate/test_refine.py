@@ -18,7 +18,7 @@ from daemon.cli.calibrate import refine as calibrate_refine
 from daemon.rig.calibration_file import calibration_bytes, parse_calibration, read_calibration
 from pipeline.calibrate.drift_correction import Pair, refine, table
 from pipeline.common.errors import CalibrationError
-from pipeline.monitor.explain import turned
+from pipeline.monitor.explain import rotated
 from sim.rig.disturbance import Disturbance
 from tests.golden.make import TAKE
 
@@ -73,7 +73,7 @@ def test_a_drift_that_several_devices_explain_requires_the_device(rig: Rig) -> N
 
 def test_the_command_confirms_before_it_writes(rig: Rig, tmp_path: Path) -> None:
     options = {"live": True, "scene": "moving", "frames": 2, "layout": {"scale": SCALE}, "rate_hz": 10.0}
-    off = turned(rig.calibration, "right", (0.0, -0.03, 0.0))
+    off = rotated(rig.calibration, "right", (0.0, -0.03, 0.0))
     file = tmp_path / "calibration.yaml"
     file.write_bytes(calibration_bytes(off, quality={"rms_stereo_px": 0.05}))
     before = file.read_bytes()

@@ -6,7 +6,8 @@ import pytest
 from pipeline.calibrate.color.color_sequence import color_sequence, roles_of
 from pipeline.common.errors import PatternError
 from pipeline.pattern.color_fringe import ColorFringe
-from pipeline.pattern.sequence import FrameSequence, Uniform, from_mapping
+from pipeline.pattern.projected_frames import Uniform
+from pipeline.pattern.sequence import FrameSequence, from_mapping
 
 SIZE = (256, 200)
 

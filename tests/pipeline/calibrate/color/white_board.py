@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.decode.raw_image import BAYER
-from pipeline.pattern.sequence import Uniform
+from pipeline.pattern.projected_frames import Uniform
 from pipeline.rig.calibration import Calibration, Response
 from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.lateral_chromatic import LateralChromatic, Registration

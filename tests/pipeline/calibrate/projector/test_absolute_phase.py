@@ -13,7 +13,8 @@ from pipeline.common.errors import ImageError, PatternError
 from pipeline.decode.noise_model import NoiseModel
 from pipeline.decode.raw_image import BAYER, mosaic_of
 from pipeline.multi_frame.n_step import absolute_phase, noise_of, unwrapped, wrapped_phase
-from pipeline.pattern.sequence import FrameSequence, Fringe, Uniform, projector_sequence
+from pipeline.pattern.projected_frames import Fringe, Uniform
+from pipeline.pattern.sequence import FrameSequence, projector_sequence
 
 SIZE = (640, 96)
 SEQUENCE = projector_sequence(SIZE)

@@ -34,7 +34,8 @@ from daemon.control.sequence_capture import Capture
 from daemon.live.service import Service
 from daemon.recording.recorder import Recorder
 from drivers.errors import DriverError
-from pipeline.pattern.sequence import FrameSequence, Fringe, Uniform, camera_sequence
+from pipeline.pattern.projected_frames import Fringe, Uniform
+from pipeline.pattern.sequence import FrameSequence, camera_sequence
 from tests.daemon.apps.calibration.guided.hand_rig import BOARD, HandDevices, find, hand_devices
 from tests.daemon.lit_rig import UnmeasuringService
 from tests.daemon.rigs import Collector, config, rig_of
@@ -197,7 +198,7 @@ def test_a_missing_camera_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(devices_module, "_START_S", 0.3)
     devices = hand_devices(rate_hz=0.0)
     devices.cameras["right"].set_present(False)
-    with pytest.raises(DaemonError, match=r"camera right: .* not there"):
+    with pytest.raises(DaemonError, match=r"camera right: .* unplugged"):
         CaptureFromDevices(devices, config(tmp_path))
     assert devices.projector.level == 0
 
