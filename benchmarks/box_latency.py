@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.common.box_daemon import Daemon
 from benchmarks.common.tables import Table
-from daemon.live.items import Item, PairItem
+from daemon.live.items import Item, Pair
 from fringed import SilenceError, subscribe
 from sim.box.box import GENTL_DIR, Box
 from sim.box.exposure_ledger import Trigger
@@ -50,7 +50,7 @@ class Times:
 
     def report(self, shown: Trigger, item: Item, now_ns: int) -> None:
         """Note the times of a pair or a cloud; called by the witness."""
-        if isinstance(item, PairItem):
+        if isinstance(item, Pair):
             host_ns = max(item.left.t_host_ns, item.right.t_host_ns) - self._offset_ns
             self._edges[item.left.trigger] = shown.index, shown.t_ns
             self._note("frame", shown, host_ns)
@@ -127,7 +127,9 @@ def _run(box: Box, daemon: Daemon, times: Times, options: argparse.Namespace) ->
     subscriber = threading.Thread(target=_subscribe, args=(daemon.stream, times, ended), name="subscriber")
     subscriber.start()
     try:
-        wait_until(lambda: "cloud/full" in daemon.service.sinks["stream"].status()["topics"], 30, "the subscription")
+        wait_until(
+            lambda: "cloud/full" in daemon.service.router.sinks["stream"].status()["topics"], 30, "the subscription"
+        )
         triggers = threading.Thread(target=box.world.run, args=(options.rate, stop), name="triggers")
         triggers.start()
         try:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.common.box_daemon import Daemon
 from benchmarks.common.process_statistics import sample
-from daemon.live.acquisition.pairer import Pair
+from daemon.live.items import Pair
 from drivers.protocols import SIDES
 from sim.box.box import GENTL_DIR, Box
 from sim.box.options import from_mapping

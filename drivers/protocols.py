@@ -1,4 +1,4 @@
-"""What every camera and projector offers, real or simulated.
+"""The interfaces of cameras and projectors, real or simulated.
 
 A camera is read by one thread of the daemon, which owns it from ``open`` to ``close``::
 
@@ -11,7 +11,7 @@ Times are CLOCK_REALTIME nanoseconds. Trigger numbers are unsigned 32-bit and ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 TRIGGER_MODULUS = 1 << 32
+FlipSource = Literal["present", "vblank", "unverified"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One image as the sensor gave it.
+    """One image as the sensor delivered it.
 
     Args:
         side: which camera.
@@ -34,9 +35,9 @@ class Frame:
         t_host_ns: when the host had the whole frame.
         encoding: ``rgb8``, ``bayer_rggb8`` (and the other three), ``mono8``, ``mono16``.
         image: (H, W) or (H, W, 3), uint8 or uint16, read-only; never overwritten afterwards.
-        exposure_us: exposure time that the camera took, 0 if unknown.
+        exposure_us: exposure time that the camera used, 0 if unknown.
         t_device_ns: start of exposure on the camera's own clock, None if it has none.
-        frame_id: the camera's own number of the frame, None if it gives none.
+        frame_id: the camera's own number of the frame, None if it has none.
     """
 
     side: Side
@@ -52,12 +53,12 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """What a camera says of itself once it is open.
+    """Properties of a camera, known once it is open.
 
     Args:
         size: (width, height), pixels; encoding: as in :class:`Frame`.
-        exposure_us: exposure time that it took, 0 if unknown.
-        notes: each setting that was refused or rounded, in a sentence.
+        exposure_us: exposure time that it uses, 0 if unknown.
+        notes: each setting that was rejected or rounded, in a sentence.
     """
 
     model: str
@@ -70,10 +71,10 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True)
 class CameraHealth:
-    """How a camera fares: its temperature, None if unknown, and what was counted since the daemon started.
+    """Condition of a camera: its temperature, None if unknown, and its counters since the daemon started.
 
-    ``counters`` hold every frame that the driver knows of and never delivered, by reason (``incomplete``,
-    ``no_buffer``, ``missed_trigger``, ...), and whatever else the driver counts.
+    ``counters`` hold every frame that was lost in the camera or the driver, by reason (``incomplete``, ``no_buffer``,
+    ``missed_trigger``, ...), and whatever else the driver counts.
     """
 
     temperature_c: float | None = None
@@ -97,19 +98,43 @@ class Camera(Protocol):
         """Stop accepting triggers; frames not yet read are dropped."""
 
     def close(self) -> None:
-        """Let go of the device; never raises, may be called twice."""
+        """Release the device; never raises, may be called twice."""
 
     def health(self) -> CameraHealth:
-        """How it fares, in any state and from any thread; returns at once what is known."""
+        """Condition of the camera, in any state and from any thread; returns at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProjectorInfo:
-    """What a projector says of itself; ``refresh_hz`` is 0 where it cannot be known."""
+    """Properties of a projector, known once it is open.
+
+    Args:
+        refresh_hz: 0 if unknown; latency_s: from flip to light, None if it was never measured.
+        fixed_image: whether it shows an image of its own, whatever :meth:`Projector.show` is given.
+    """
 
     output: str
     size: tuple[int, int]
     refresh_hz: float
+    latency_s: float | None = None
+    fixed_image: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Flip:
+    """When an image was out, that is, when the graphics card began to send it.
+
+    Args:
+        t_monotonic_ns, t_realtime_ns: the same instant on both clocks.
+        msc: number of the vertical blank, 0 if unknown.
+        source: ``present`` = the server reported this very image; ``vblank`` = first vertical blank after it was
+            drawn; ``unverified`` = the server reports no time, this is when drawing ended.
+    """
+
+    t_monotonic_ns: int
+    t_realtime_ns: int
+    msc: int
+    source: FlipSource
 
 
 @runtime_checkable
@@ -119,18 +144,61 @@ class Projector(Protocol):
     def open(self) -> ProjectorInfo:
         """Connect; raises DriverError when the output is not there or its mode does not fit."""
 
-    def show(self, image: NDArray[np.uint8]) -> None:
-        """Show an (H, W, 3) uint8 image of the projector's size until the next call."""
+    def show(self, image: NDArray[np.uint8]) -> Flip | None:
+        """Show an (H, W, 3) uint8 image of the projector's size until the next call; None where the flip is unknown."""
 
     def problem(self) -> str:
         """Why the last image may not be shown at this moment, empty when all is well; returns at once."""
 
     def close(self) -> None:
-        """Go dark and let go; never raises."""
+        """Go dark and release the output; never raises."""
+
+
+@runtime_checkable
+class StoresImages(Protocol):
+    """A projector that can be given the images of a sequence, to show one at each trigger."""
+
+    def store(self, images: Sequence[NDArray[np.uint8]], first: int = 0) -> None:
+        """Show these from now on, the first of them at trigger ``first``."""
+
+
+@runtime_checkable
+class CountsShown(Protocol):
+    """A projector that counts events of its output."""
+
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """Among them ``restarts``: how often the output was opened again since :meth:`Projector.open`."""
+
+
+class MovesBoard(Protocol):
+    """What moves the board of a simulated rig; in front of a real rig a person does."""
+
+    def next_pose(self) -> object:
+        """Move the board to its next pose; returns the pose, the same one again after the last."""
+
+
+class Devices(Protocol):
+    """The devices of a rig, closed."""
+
+    @property
+    def cameras(self) -> Mapping[Side, Camera]:
+        """Left and right."""
+
+    @property
+    def projector(self) -> Projector:
+        """Of the rig."""
+
+    @property
+    def board(self) -> MovesBoard | None:
+        """Of a simulated rig."""
+
+    def close(self) -> None:
+        """Close all of them."""
 
 
 class Clock(Protocol):
-    """Time as the daemon sees it, injected so that tests need not sleep."""
+    """The daemon's time, injected so that tests need not sleep."""
 
     def realtime_ns(self) -> int:
         """CLOCK_REALTIME, nanoseconds."""

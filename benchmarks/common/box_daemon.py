@@ -14,7 +14,7 @@ import yaml
 
 from daemon.bootstrap.sinks import open_publisher
 from daemon.config import load_rig
-from daemon.live.items import CloudItem, Item, PairItem
+from daemon.live.items import CloudItem, Item, Pair
 from daemon.live.service import Service
 from daemon.rig.open_rig import open_rig
 from drivers.protocols import SIDES
@@ -34,6 +34,8 @@ class Witness:
             (CLOCK_MONOTONIC, ns) at which it was offered, before its bytes were compared.
     """
 
+    heartbeat = None
+
     def __init__(self, ledger: Ledger, report: Callable[[Trigger, Item, int], None] | None = None) -> None:
         self._ledger = ledger
         self._report = report
@@ -43,7 +45,7 @@ class Witness:
     def offer(self, item: Item) -> bool:
         """Identify a pair or a cloud."""
         now_ns = time.monotonic_ns()
-        if isinstance(item, PairItem):
+        if isinstance(item, Pair):
             shown = {side: self._ledger.exposure_of(side, getattr(item, side).image) for side in SIDES}
             left, right = shown["left"], shown["right"]
             if left is None or right is None:
@@ -116,7 +118,7 @@ class Daemon:
 
     def stop(self) -> None:
         """End the service; may be called twice."""
-        self.service.ask_stop()
+        self.service.request_stop()
         self._thread.join(60)
         if self._thread.is_alive():
             raise TimeoutError("the daemon does not end within 60 s")

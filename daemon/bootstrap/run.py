@@ -1,4 +1,4 @@
-"""Put a daemon together from rig.yaml and run it until a signal comes."""
+"""Make a daemon from rig.yaml and run it until a signal ends it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 
 from daemon.bootstrap.sighup import Reloads, hung_up, terminals
 from daemon.bootstrap.sinks import open_capture, open_gate, open_health, open_publisher, open_selfcheck, open_take
-from daemon.bootstrap.systemd.logging_setup import tell_fields
+from daemon.bootstrap.systemd.logging_setup import set_fields
 from daemon.bootstrap.systemd.notifier import Notifier
 from daemon.bootstrap.systemd.supervisor import Supervisor
 from daemon.common.errors import DaemonError
@@ -32,39 +32,38 @@ from daemon.rig.open_rig import OptionsError, Progress, open_rig
 
 log = logging.getLogger("fringed")
 
-
 _SIGNALS = signal.SIGTERM, signal.SIGINT, signal.SIGHUP
 
 
-class StopAskedError(DaemonError):
-    """A signal came while the daemon was still being put together."""
+class StopRequestedError(DaemonError):
+    """A stop was requested while the daemon was still being made."""
 
 
 @dataclass(slots=True)
 class StopFlag:
     """Turns SIGTERM and SIGINT into one orderly stop, whenever they come, and SIGHUP into a reload.
 
-    SIGHUP of a terminal that was closed is a wish to stop.
+    SIGHUP of a terminal that was closed requests a stop.
     """
 
-    asked: bool = False
+    requested: bool = False
     stop: Callable[[], None] | None = None
     reload: Callable[[], None] | None = None
 
-    def ask(self) -> None:
-        """Stop what runs, or whatever will be started; takes no lock, so that a signal handler may call it."""
-        self.asked = True
+    def request(self) -> None:
+        """Stop what runs or will be started; takes no lock, so that a signal handler may call it."""
+        self.requested = True
         if self.stop is not None:
             self.stop()
 
     @contextmanager
     def on_signals(self) -> Iterator[StopFlag]:
-        """Listen to the signals inside the block; only the main thread can."""
-        ours = terminals()
+        """Handle the signals inside the block; only the main thread can."""
+        own_terminals = terminals()
 
         def handle(number: int, _: FrameType | None) -> None:
-            if number != signal.SIGHUP or hung_up(ours):
-                self.ask()
+            if number != signal.SIGHUP or hung_up(own_terminals):
+                self.request()
             elif self.reload is not None:
                 self.reload()
 
@@ -84,27 +83,27 @@ def run_rig(
     record: str | None = None,
     on_status: Callable[[dict[str, Any]], None] | None = None,
 ) -> None:
-    """Measure with the rig of a file until asked to stop.
+    """Measure with the rig of a file until a stop is requested.
 
     Args:
         path: of rig.yaml; record: name of a take that begins at once.
-        progress: told (done, of) while a simulated rig is rendered.
-        on_status: told the status once a second.
+        progress: called with (done, of) while a simulated rig is rendered.
+        on_status: called with the status once a second.
     """
     flag = flag or StopFlag()
     config, base_dir = load_rig(path), path.resolve().parent
     supervisor = Supervisor(Notifier.from_environment())
 
     def watched(done: int, of: int) -> None:
-        if flag.asked:
-            raise StopAskedError("stopped while starting")
+        if flag.requested:
+            raise StopRequestedError("stopped while starting")
         supervisor.preparing(f"rendering the simulated rig, {done} of {of} images")
         if progress is not None:
             progress(done, of)
 
     try:
         rig = open_rig(config, base_dir, progress=watched)
-    except StopAskedError:
+    except StopRequestedError:
         return
     except OptionsError as error:
         raise error.located(path) from error
@@ -125,7 +124,7 @@ def _run(
     supervisor: Supervisor,
 ) -> None:
     session = str(uuid.uuid4())
-    tell_fields(session=session, device=config.device.name)
+    set_fields(session=session, device=config.device.name)
     try:
         publisher = open_publisher(config, rig, session)
     except BaseException:
@@ -136,7 +135,7 @@ def _run(
 
     def publish(status: dict[str, Any]) -> None:
         publisher.publish_status(status)
-        supervisor.told(status)
+        supervisor.note_status(status)
         if health is not None:
             health.health.note_status(status)
         if on_status is not None:
@@ -153,11 +152,13 @@ def _run(
         service = Service(config, rig, sinks, on_status=publish, session=session)
         takes = config.path(config.recording.dir, base_dir)
         recorder = Recorder(
-            service,
+            service.router,
+            config,
             lambda: service.config.path(service.config.recording.dir, base_dir),
             lambda take: open_take(
                 service.config, service.rig, session, take, path, shown=service.mode_controller.shown
             ),
+            clock=service.clock,
         )
         capture = Capture(
             service,
@@ -171,7 +172,7 @@ def _run(
         control = ControlServer(config.control.endpoint, methods.table())
         gate = open_gate(config, base_dir, publisher, control.endpoint, methods.table())
         if gate is not None:
-            service.add_sink("remote", gate)
+            service.router.add_sink("remote", gate)
     except BaseException:
         if control is not None:
             control.close()
@@ -185,12 +186,12 @@ def _run(
     service.on_tick.append(reloads.tick)
 
     def stop() -> None:
-        service.ask_stop()
+        service.request_stop()
         supervisor.stopping()
 
-    flag.stop, flag.reload = stop, reloads.ask
-    if flag.asked:
-        service.ask_stop()
+    flag.stop, flag.reload = stop, reloads.request
+    if flag.requested:
+        service.request_stop()
     try:
         if record is not None:
             _record_at_once(service, recorder, record)

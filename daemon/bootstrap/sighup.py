@@ -1,4 +1,4 @@
-"""SIGHUP: read rig.yaml again, on a thread of its own, so that the main loop goes on; or the end of a terminal."""
+"""SIGHUP: rig.yaml is read again, in a thread of its own, so that the main loop goes on; or a terminal was closed."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ log = logging.getLogger("fringed")
 
 
 class Reloads:
-    """Turns wishes of a signal handler into reloads, one at a time; wishes that come meanwhile become one more.
+    """Turns requests of a signal handler into reloads, one at a time; requests that come meanwhile become one more.
 
     Args:
-        reload: does it, and returns what changed; may take seconds. ready: whether it can be done by now.
+        reload: does it, and returns what changed; may take seconds. ready: whether it is possible yet.
     """
 
     def __init__(self, reload: Callable[[], Any], *, ready: Callable[[], bool]) -> None:
         self._reload, self._ready = reload, ready
-        self._asked = False
+        self._requested = False
         self._thread: threading.Thread | None = None
 
-    def ask(self) -> None:
-        """Wish for one; takes no lock, so that a signal handler may call it."""
-        self._asked = True
+    def request(self) -> None:
+        """Request a reload; takes no lock, so that a signal handler may call it."""
+        self._requested = True
 
     def tick(self) -> None:
-        """Called by the main loop: begin what was wished for."""
-        if not self._asked or not self._ready() or (self._thread is not None and self._thread.is_alive()):
+        """Called by the main loop: begin what was requested."""
+        if not self._requested or not self._ready() or (self._thread is not None and self._thread.is_alive()):
             return
-        self._asked = False
+        self._requested = False
         self._thread = threading.Thread(target=self._run, name="reload", daemon=True)
         self._thread.start()
 
@@ -49,7 +49,7 @@ def terminals(descriptors: Iterable[int] = (0, 1, 2)) -> tuple[int, ...]:
 
 
 def hung_up(descriptors: Iterable[int]) -> bool:
-    """Whether one of these terminals is gone: then SIGHUP tells of its end and is no wish to reload."""
+    """Whether one of these terminals is gone: then SIGHUP reports its end and requests no reload."""
     poll = select.poll()
     for number in descriptors:
         poll.register(number, 0)

@@ -1,4 +1,4 @@
-"""The sinks of a daemon, made from its configuration; their packages are loaded here and nowhere else."""
+"""The sinks of a daemon, made from its configuration; their packages are imported here alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daemon.config.checks import for_others
 from daemon.config.rig_config import RigConfig
 from daemon.control.rpc.protocol import Method
 from daemon.live.items import Sink
-from daemon.live.sets import Shown
+from daemon.live.projection.mode_plan import ShownSequence
 from daemon.rig.open_rig import Rig
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
 
 
 def local_endpoints(config: RigConfig) -> list[str]:
-    """Of the stream: those that only this machine can reach, at least one; the gate reads the first."""
+    """Endpoints of the stream that only this machine can reach, at least one; the gate reads the first."""
     local = [endpoint for endpoint in config.stream.endpoints if not for_others(endpoint)]
     return local or [stream_endpoint()]
 
@@ -54,7 +54,7 @@ def local_endpoints(config: RigConfig) -> list[str]:
 def open_gate(
     config: RigConfig, base_dir: Path, publisher: StatusSink, control: str, methods: Mapping[str, Method]
 ) -> Sink | None:
-    """The gate between other machines and the stream and ``control``; None when no address is meant for them."""
+    """The gate between other machines and the stream and ``control``; None when no address is for them."""
     from daemon.keys.key_store import KeyStore
     from daemon.remote_access.gate_messages import GateConfig
     from daemon.remote_access.gate_sink import RemoteGate
@@ -76,12 +76,12 @@ def open_gate(
 
 
 def open_take(
-    config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path, *, shown: Shown | None = None
+    config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path, *, shown: ShownSequence | None = None
 ) -> Sink:
     """The writer of a take, its first part open; everything that a replay needs is attached.
 
     Args:
-        shown: what is shown instead of the rig's pattern.
+        shown: sequence that is shown instead of the rig's pattern.
     """
     from daemon.recording.write.take_writer import TakeWriter
 
@@ -144,7 +144,7 @@ def open_selfcheck(config: RigConfig, rig: Rig, base_dir: Path) -> Sink:
 
 
 def open_health(config: RigConfig, rig: Rig, base_dir: Path) -> Health:
-    """The watch over how the daemon fares, running."""
+    """The health monitor, running."""
     from daemon.monitoring.health.sink import Health
 
     return Health(config, rig, base_dir)

@@ -57,16 +57,16 @@ class CalibrateMethods:
 
     def status(self, _: dict[str, Any]) -> dict[str, Any]:
         """Return the newest capture's progress, the projector's size, and whether a hand is simulated."""
-        projector, hand = self._service.projector, self._service.rig.next_pose is not None
+        projector, hand = self._service.projector, self._service.rig.board is not None
         size = None if projector is None else list(projector.size)
         return self._capture.status() | {"projector": size, "hand": hand}
 
     def next_pose(self, _: dict[str, Any]) -> dict[str, Any]:
         """Move the board of a simulated rig to its next pose."""
-        move = self._service.rig.next_pose
-        if move is None:
+        board = self._service.rig.board
+        if board is None:
             raise RpcError(FAILED, "this rig has no simulated hand: move the board yourself")
-        return {"pose": move()}
+        return {"pose": board.next_pose()}
 
     @property
     def capturing(self) -> bool:

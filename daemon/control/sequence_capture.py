@@ -22,8 +22,7 @@ from typing import Any
 
 from daemon.common.errors import DaemonError
 from daemon.common.latest_wins_queue import LatestWinsQueue
-from daemon.live.acquisition.pairer import Pair
-from daemon.live.items import PairItem, Sink
+from daemon.live.items import Pair, Sink
 from daemon.live.projection.confirmed_capture import CaptureCancelledError, ConfirmedCapture, patience_s, settling_ns
 from daemon.live.service import Service
 from daemon.recording.format.raw_image import ENCODINGS
@@ -199,15 +198,18 @@ class Capture:
 
     def _confirmed_capture(self, pairs: LatestWinsQueue[Pair]) -> ConfirmedCapture:
         service = self._service
-        projector, refresh_hz = service.rig.projector, service.projector.refresh_hz if service.projector else 0.0
+        info = service.projector
+        if info is None:
+            raise DaemonError("the daemon is still starting; try again when it is running")
         tolerance_ns = round(1000 * service.config.pairing.tolerance_us)
-        settle_ns = settling_ns(projector, refresh_hz, tolerance_ns=tolerance_ns)
+        settle_ns = settling_ns(info, tolerance_ns=tolerance_ns)
         return ConfirmedCapture(
-            projector,
+            service.rig.projector,
+            info,
             pairs,
             clock=service.clock,
             settle_ns=settle_ns,
-            patience_s=patience_s(rendered=service.rig.next_pose is not None),
+            patience_s=patience_s(rendered=service.rig.board is not None),
             cancelled=self._give_up,
         )
 
@@ -276,7 +278,7 @@ class Capture:
         frames = request.sequence.frames
         images = (frame.image(request.response) for _ in range(request.pairs) for frame in frames)
         for number, pair in enumerate(capture.each(images)):
-            item = PairItem(replace(pair.left, trigger=number), replace(pair.right, trigger=number))
+            item = pair.renumbered(number)
             end_ns = self._now_ns() + round(1e9 * _DISK_S)
             while not sink.offer(item):
                 problem = sink.status().get("problem")
@@ -297,7 +299,7 @@ class Capture:
         try:
             if capture is not None and not self._service.stopping:
                 self._resuming = True
-                capture.forget()
+                capture.reset()
                 capture.show(rig.pattern.image(rig.calibration.response))
                 capture.pair()
         except Exception as error:  # a lost camera, for example, which the status reports

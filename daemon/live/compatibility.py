@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from daemon.live.status import CameraStatus
+from daemon.live.acquisition.camera_status import CameraStatus
 from drivers.protocols import ProjectorInfo, Side
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration

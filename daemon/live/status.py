@@ -1,9 +1,9 @@
-"""What the daemon says of itself.
+"""State and status of the daemon.
 
 States::
 
     starting --> running <--> degraded          degraded: a camera is gone, a sink has a problem, ...
-        |           |             |             paused: told to stop measuring; everything stays connected
+        |           |             |             paused: by request; everything stays connected
         |           +--> paused <-+
         +-----------+------+------+--> stopping
 """
@@ -14,6 +14,9 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from daemon.live.acquisition.camera_status import CameraStatus
+from daemon.live.items import SINGLE
+
 
 class State(StrEnum):
     """What the daemon is doing."""
@@ -23,39 +26,6 @@ class State(StrEnum):
     DEGRADED = "degraded"
     PAUSED = "paused"
     STOPPING = "stopping"
-
-
-class CameraState(StrEnum):
-    """What a camera's thread is doing."""
-
-    CLOSED = "closed"
-    ACQUIRING = "acquiring"
-    PAUSED = "paused"
-    LOST = "lost"
-
-
-@dataclass(frozen=True, slots=True)
-class CameraStatus:
-    """One camera, as its thread sees it.
-
-    Args:
-        losses: times the device was gone; fates: what became of the frames that the driver delivered.
-        driver: what the driver counts, frames that it lost among it.
-    """
-
-    state: CameraState
-    model: str = ""
-    serial: str = ""
-    encoding: str = ""
-    size: tuple[int, int] = (0, 0)
-    exposure_us: float = 0.0
-    problem: str = ""
-    losses: int = 0
-    rate_hz: float = 0.0
-    frames: int = 0
-    fates: dict[str, int] = field(default_factory=dict)
-    driver: dict[str, int] = field(default_factory=dict)
-    temperature_c: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +39,10 @@ class Status:
         publish_latency_ms: from the arrival of both frames to the handing over of the cloud to the stream, empty while
             nobody reads clouds. Both over the last ten minutes or so.
         selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
-            nobody looks.
-        health: the verdict and what is beyond its limits; only ``enabled: false`` when nobody judges.
+            it is switched off.
+        health: the verdict and what is beyond its limits; only ``enabled: false`` when it is switched off.
         mode: single, or the name of a multi-frame mode; sequence: its images and sets.
-        garbage: collections of Python's garbage since the start, and how long they held everything up.
+        garbage: runs of Python's garbage collector since the start, and how long they stopped all threads.
     """
 
     state: State
@@ -102,7 +72,7 @@ class Status:
     recorder: dict[str, Any]
     selfcheck: dict[str, Any]
     health: dict[str, Any]
-    mode: str = "single"
+    mode: str = SINGLE
     sequence: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:

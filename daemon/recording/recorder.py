@@ -11,11 +11,12 @@ from typing import Any, Protocol
 from daemon.common.errors import DaemonError
 from daemon.config.rig_config import RigConfig
 from daemon.live.items import CloudItem, Item, Sink
-from daemon.live.service import Service
+from daemon.live.router import Router
 from daemon.recording.read.catalog import Listing, scan
 from daemon.recording.write.frame_queue import RawItem
 from daemon.recording.write.pretrigger_buffer import MEGABYTE, PretriggerBuffer
 from daemon.rig.open_rig import Rig
+from drivers.protocols import Clock
 
 SINK = "recorder"
 MOST_TAKES, MOST_OTHER_FILES = 1000, 100
@@ -33,21 +34,29 @@ class Recorder:
     """Starts and stops takes; a sink of the service from the beginning.
 
     Args:
-        service: whose pairs are recorded.
+        router: whose pairs are recorded; config: at the start.
         directory: of the takes, as it is when one begins; created then.
         open_take: makes the writer of a take from its path.
     """
 
+    heartbeat = None
+
     def __init__(
-        self, service: Service, directory: Path | Callable[[], Path], open_take: Callable[[Path], Any]
+        self,
+        router: Router,
+        config: RigConfig,
+        directory: Path | Callable[[], Path],
+        open_take: Callable[[Path], Any],
+        *,
+        clock: Clock,
     ) -> None:
-        self._service, self._directory, self._open_take = service, directory, open_take
+        self._config, self._directory, self._open_take, self._clock = config, directory, open_take, clock
         self._switch = threading.Lock()  # held while a take begins or ends, which may take long
         self._routing = threading.Lock()  # held briefly: guards which buffer or take gets an item
         self._path: Path | None = None
         self._take: Take | None = None
-        self._pretrigger = PretriggerBuffer(self._limits, service.clock.monotonic_ns)
-        service.add_sink(SINK, self)
+        self._pretrigger = PretriggerBuffer(self._limits, clock.monotonic_ns)
+        router.add_sink(SINK, self)
 
     @property
     def directory(self) -> Path:
@@ -93,7 +102,7 @@ class Recorder:
             raise DaemonError(
                 f"{directory}: cannot be created: {error.strerror or error}; set recording.dir"
             ) from error
-        stamp = datetime.fromtimestamp(self._service.clock.realtime_ns() / 1e9, tz=UTC)
+        stamp = datetime.fromtimestamp(self._clock.realtime_ns() / 1e9, tz=UTC)
         path = directory / f"{name}_{stamp:%Y%m%dT%H%M%S}_{stamp.microsecond // 1000:03d}.mcap"
         if path.exists():
             raise DaemonError(f"{path} exists already; try again")
@@ -139,10 +148,10 @@ class Recorder:
 
     def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:  # noqa: ARG002 - the protocol's
         """Prepare to clear the buffer with the mode: its images show a pattern that no take will have."""
-        before = self._service.config.mode
 
         def commit() -> None:
-            if config.mode != before:
+            before, self._config = self._config, config
+            if config.mode != before.mode:
                 with self._routing:
                     self._pretrigger.clear()
 
@@ -162,5 +171,5 @@ class Recorder:
         return {"recording": False, **(take.status() if take is not None else {}), **kept}
 
     def _limits(self) -> tuple[float, int]:
-        recording = self._service.config.recording
+        recording = self._config.recording
         return recording.before_s, recording.before_mb * MEGABYTE

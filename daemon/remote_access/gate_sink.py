@@ -41,6 +41,8 @@ class RemoteGate:
         DaemonError: keys that cannot be used, an address that cannot be bound.
     """
 
+    heartbeat = None
+
     def __init__(self, config: GateConfig, store: KeyStore) -> None:
         self._config, self._keys = config, KeyWatch(store)
         self._lock = threading.Lock()

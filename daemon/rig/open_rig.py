@@ -1,4 +1,4 @@
-"""The devices of a rig and what is known of them, put together from rig.yaml."""
+"""The devices of a rig and its files, opened as rig.yaml names them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daemon.config.rig_config import RigConfig
 from daemon.config.yaml_source import read_yaml
 from daemon.rig.calibration_file import CalibrationFile, parse_calibration, read_calibration
 from daemon.rig.pattern_file import read_pattern, read_volume
-from drivers.protocols import SIDES, Camera, Projector, Side
+from drivers.protocols import SIDES, Camera, Devices, MovesBoard, Projector, Side
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
 from pipeline.rig.calibration import Calibration
@@ -26,11 +26,11 @@ Progress = Callable[[int, int], None]
 
 
 _SECTIONS = {"sim": ("simulation",), "cameras": ("cameras",), "projector": ("projector", "options")}
-"""Where in rig.yaml the options stand that a driver's message calls by a shorter name."""
+"""Sections of rig.yaml that a driver's message calls by a shorter name."""
 
 
 class OptionsError(ConfigError):
-    """Options that a driver refuses: ``path`` names the key as well as the driver's message tells it."""
+    """Options that a driver rejects; ``path`` is the key, as far as the driver's message names it."""
 
     def __init__(self, section: str, message: str) -> None:
         named = re.match(r"(sim|cameras|projector)\.([A-Za-z0-9_.\[\]]+)", message)
@@ -41,7 +41,7 @@ class OptionsError(ConfigError):
         super().__init__([f"{section}: {self.message}"])
 
     def located(self, path: Path) -> ConfigError:
-        """The same mistake with its place in the rig file."""
+        """The same error with its line and column in the rig file."""
         source = read_yaml(path.read_text(encoding="utf-8"))
         line, column = source.place(self.path, key=self.path in source.keys)
         return ConfigError([f"{path}:{line}:{column}: {self.message}"])
@@ -49,13 +49,13 @@ class OptionsError(ConfigError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """Everything a measurement stands on.
+    """Devices, calibration, pattern and volume.
 
     Args:
         cameras: left and right, closed; projector: closed.
         calibration_data: the bytes of the calibration file; identity: their digest, ``sha256:...``.
-        release: lets go of all devices.
-        next_pose: moves the board of a simulated rig on; None where a person does.
+        release: closes all devices.
+        board: of a simulated rig, None where a person moves it.
     """
 
     cameras: Mapping[Side, Camera]
@@ -66,14 +66,14 @@ class Rig:
     calibration_data: bytes
     identity: str
     release: Callable[[], None]
-    next_pose: Callable[[], object] | None = None
+    board: MovesBoard | None = None
 
 
 def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Rig:
     """Make the devices that rig.yaml names and read the files it names.
 
     Raises:
-        OptionsError: options that the driver refuses; PipelineError: a file that does not fit.
+        OptionsError: options that the driver rejects; PipelineError: a file that does not fit.
         DaemonError: a driver that cannot be loaded.
     """
     devices = open_devices(config, base_dir, progress=progress)
@@ -88,7 +88,7 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
             calibration_data=calibration.data,
             identity=calibration.identity,
             release=devices.close,
-            next_pose=next_pose(devices),
+            board=devices.board,
         )
     except BaseException:
         devices.close()
@@ -101,6 +101,7 @@ class _Devices:
 
     cameras: Mapping[Side, Camera]
     projector: Projector
+    board: MovesBoard | None = None
 
     def close(self) -> None:
         for camera in self.cameras.values():
@@ -108,11 +109,11 @@ class _Devices:
         self.projector.close()
 
 
-def open_devices(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Any:
-    """Cameras and projector of rig.yaml, closed, without its other files; ``close()`` lets go of all of them.
+def open_devices(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Devices:
+    """Make cameras and projector of rig.yaml, closed, without its other files.
 
     Raises:
-        OptionsError: options that the driver refuses. DaemonError: a driver that cannot be loaded.
+        OptionsError: options that the driver rejects. DaemonError: a driver that cannot be loaded.
     """
     try:
         return _devices(config, base_dir, progress)
@@ -120,14 +121,8 @@ def open_devices(config: RigConfig, base_dir: Path, *, progress: Progress | None
         raise OptionsError(_section(config), str(error)) from error
 
 
-def next_pose(devices: Any) -> Callable[[], object] | None:
-    """What moves the board of these devices on: simulated rigs have a hand of their own."""
-    found: Callable[[], object] | None = getattr(getattr(devices, "trigger", None), "next_pose", None)
-    return found
-
-
 def check_options(config: RigConfig, base_dir: Path) -> None:
-    """Let the drivers look at their options; touches no device.
+    """Check the drivers' options; touches no device.
 
     Raises:
         OptionsError: as :func:`open_devices`.
@@ -141,11 +136,12 @@ def check_options(config: RigConfig, base_dir: Path) -> None:
             raise OptionsError("simulation", str(error)) from error
 
 
-def _devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Any:
-    """What a whole rig's driver gives, or the same put together from a camera driver and a projector driver."""
+def _devices(config: RigConfig, base_dir: Path, progress: Progress | None) -> Devices:
+    """The devices of a whole rig's driver, or those of a camera driver and a projector driver."""
     name, projector = config.cameras.driver, config.projector
     if name in driver_table.RIGS:
-        return driver_table.load(driver_table.RIGS[name])(_options(config), base_dir, progress=progress)
+        devices: Devices = driver_table.load(driver_table.RIGS[name])(_options(config), base_dir, progress=progress)
+        return devices
     if projector is None or projector.driver not in driver_table.PROJECTORS:
         raise ValueError(f"projector.driver is missing, expected one of: {', '.join(driver_table.PROJECTORS)}")
     open_camera = driver_table.load(driver_table.CAMERAS[name])
@@ -163,7 +159,7 @@ def _section(config: RigConfig) -> str:
 
 def _options(config: RigConfig) -> dict[str, Any]:
     if config.cameras.driver == "sim":
-        # A loop that was rendered beforehand shows one image; the images of a set are rendered as they are shown.
+        # A loop that was rendered beforehand shows one image; the frames of a set are rendered when they are shown.
         return ({} if config.mode == "single" else {"live": True}) | dict(config.simulation)
     projector = config.projector.model_dump() if config.projector else {}
     return {"cameras": config.cameras.model_dump(), "projector": projector}

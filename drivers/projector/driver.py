@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,27 +10,10 @@ from numpy.typing import NDArray
 
 from drivers.errors import DriverError, SettingRefused
 from drivers.projector.hooks import run_hooks
-from drivers.projector.messages import BYTES_LIMIT, SEQUENCE_LIMIT, FlipSource, Setup, Shown
+from drivers.projector.messages import BYTES_LIMIT, SEQUENCE_LIMIT, Setup, Shown
 from drivers.projector.options import ProjectorOptions
 from drivers.projector.supervisor import Supervisor
-from drivers.protocols import ProjectorInfo
-
-
-@dataclass(frozen=True, slots=True)
-class Flip:
-    """When an image was out, that is, when the graphics card began to send it.
-
-    Args:
-        t_monotonic_ns, t_realtime_ns: the same instant on both clocks.
-        msc: number of the vertical blank, 0 if unknown.
-        source: ``present`` = the server told of this very image; ``vblank`` = first vertical blank after it was
-            drawn; ``unverified`` = the server tells no time, this is when drawing ended.
-    """
-
-    t_monotonic_ns: int
-    t_realtime_ns: int
-    msc: int
-    source: FlipSource
+from drivers.protocols import Flip, ProjectorInfo
 
 
 class OutputProjector:
@@ -45,9 +27,9 @@ class OutputProjector:
     def __init__(self, options: ProjectorOptions, directory: Path, *, hung_s: float = 6.0) -> None:
         self.options = options
         self.notes: tuple[str, ...] = ()
-        self.last_flip: Flip | None = None
         self._directory, self._hung_s = directory, hung_s
         self._first_flip: Flip | None = None
+        self._last_flip: Flip | None = None
         self._supervisor: Supervisor | None = None
         self._info: ProjectorInfo | None = None
 
@@ -70,15 +52,23 @@ class OutputProjector:
             supervisor.close()
             raise
         self._supervisor, self.notes = supervisor, opened.notes
-        self._info = ProjectorInfo(opened.output.name, opened.output.size, opened.output.refresh_hz)
+        refresh_hz = opened.output.refresh_hz
+        latency_s = self.options.latency_s(refresh_hz)
+        self._info = ProjectorInfo(opened.output.name, opened.output.size, refresh_hz, latency_s)
         return self._info
 
-    def show(self, image: NDArray[np.uint8]) -> None:
-        """Show an (H, W, 3) uint8 image until the next call; returns when it is out, or ``problem`` tells why not."""
-        self.show_sequence([image])
+    def show(self, image: NDArray[np.uint8]) -> Flip | None:
+        """Show an (H, W, 3) uint8 image until the next call; returns when it is out.
 
-    def show_sequence(self, images: list[NDArray[np.uint8]], *, hold_frames: int = 1, loop: bool = False) -> None:
-        """Show images one after the other; returns when the first is out.
+        Returns:
+            Its flip; None where the image is not out yet, and :meth:`problem` says why.
+        """
+        return self.show_sequence([image])
+
+    def show_sequence(
+        self, images: list[NDArray[np.uint8]], *, hold_frames: int = 1, loop: bool = False
+    ) -> Flip | None:
+        """Show images one after the other; returns when the first is out, with its flip.
 
         Args:
             images: at most 64 of (H, W, 3) uint8.
@@ -105,7 +95,8 @@ class OutputProjector:
         hook = self.options.hook
         patience_s = self.options.show_timeout_s + len(hook.show) * hook.timeout_s
         shown = self._supervisor.show(images, hold_frames=hold_frames, loop=loop, timeout_s=patience_s)
-        self._note_flip(shown)
+        self._last_flip = self._flip(shown)
+        return self._last_flip
 
     def problem(self) -> str:
         """Why the last image may not be shown at this moment, empty when all is well."""
@@ -115,7 +106,7 @@ class OutputProjector:
         return f"projector {self.options.output}: {found}" if found else ""
 
     def close(self) -> None:
-        """Go dark, let go, run the hooks; never raises, may be called twice."""
+        """Go dark, release the output, run the hooks; never raises, may be called twice."""
         if self._supervisor is None:
             return
         self._supervisor.close()
@@ -136,27 +127,21 @@ class OutputProjector:
         return self._supervisor.pid if self._supervisor is not None else 0
 
     @property
-    def latency_s(self) -> float | None:
-        """From flip to light as the options tell it, None if it was never measured."""
-        return self.options.latency_s(self._info.refresh_hz if self._info is not None else 0.0)
-
-    @property
     def measured_refresh_hz(self) -> float | None:
-        """Refresh rate between the first and the last flip, None if the server tells no vertical blanks."""
-        first, last = self._first_flip, self.last_flip
+        """Refresh rate between the first and the last flip, None if the server reports no vertical blanks."""
+        first, last = self._first_flip, self._last_flip
         if first is None or last is None or not 0 < first.msc < last.msc:
             return None
         return (last.msc - first.msc) * 1e9 / (last.t_monotonic_ns - first.t_monotonic_ns)
 
-    def _note_flip(self, shown: Shown | None) -> None:
+    def _flip(self, shown: Shown | None) -> Flip | None:
         if shown is None:
-            self.last_flip = None
-            return
+            return None
         offset_ns = time.time_ns() - time.monotonic_ns()
         flip = Flip(shown.t_monotonic_ns, shown.t_monotonic_ns + offset_ns, shown.msc, shown.source)
         if self._first_flip is None or flip.msc <= self._first_flip.msc:
             self._first_flip = flip
-        self.last_flip = flip
+        return flip
 
     def _after_show(self) -> None:
         self._run_hooks(self.options.hook.show)

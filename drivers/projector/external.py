@@ -14,14 +14,11 @@ from drivers.protocols import ProjectorInfo
 
 
 class ExternalProjector:
-    """Shows nothing itself; it checks sizes, runs hooks, and trusts that the image is there.
+    """Shows nothing itself: it checks sizes and runs hooks; what :meth:`show` is given never reaches the projector.
 
     Args:
         options: see :class:`drivers.projector.options.ExternalOptions`; directory: where hooks run.
     """
-
-    fixed_image = True
-    """What is given to :meth:`show` never reaches the projector."""
 
     def __init__(self, options: ExternalOptions, directory: Path) -> None:
         self.options = options
@@ -35,10 +32,12 @@ class ExternalProjector:
         if not self._open:
             self._run_hooks(self.options.hook.open)
             self._open, self._problem = True, ""
-        return ProjectorInfo(self.options.name, self.options.size, self.options.refresh_hz)
+        refresh_hz = self.options.refresh_hz
+        latency_s = self.options.latency_s(refresh_hz)
+        return ProjectorInfo(self.options.name, self.options.size, refresh_hz, latency_s, fixed_image=True)
 
     def show(self, image: NDArray[np.uint8]) -> None:
-        """Run the ``show`` hooks; a hook that fails is told by :meth:`problem`."""
+        """Run the ``show`` hooks; :meth:`problem` names a hook that failed."""
         if not self._open:
             raise DriverError(f"projector {self.options.name}: show() while closed; open() comes first")
         width, height = self.options.size
@@ -66,11 +65,6 @@ class ExternalProjector:
             self._run_hooks(self.options.hook.close)
         except DriverError as error:
             self.notes = (*self.notes, str(error))
-
-    @property
-    def latency_s(self) -> float | None:
-        """From flip to light as the options tell it, None if it was never measured."""
-        return self.options.latency_s(self.options.refresh_hz)
 
     def _run_hooks(self, commands: tuple[tuple[str, ...], ...]) -> None:
         variables = {"FRINGED_OUTPUT": self.options.name}

@@ -6,7 +6,7 @@ import fcntl
 import mmap
 import os
 import socket
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 import numpy as np
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from drivers.projector.found import OutputFound
 from drivers.projector.options import SIZE_LIMIT, ProjectorOptions
+from drivers.protocols import FlipSource
 
 PACKET_LIMIT = 1 << 17
 SEQUENCE_LIMIT = 64
 BYTES_LIMIT = 1 << 30
-
-FlipSource = Literal["present", "vblank", "unverified"]
 
 
 class Setup(msgspec.Struct, tag="setup", frozen=True, kw_only=True):

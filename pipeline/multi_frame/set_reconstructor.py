@@ -60,6 +60,7 @@ class SetReconstructor:
             raise ImageError(f"encoding {encoding!r:.80} is not known; expected one of {', '.join(ENCODINGS)}")
         self.calibration, self.sequence, self.volume, self.encoding = calibration, sequence, volume, encoding
         self.settings, self.plan = settings or Settings(), plan_of(sequence)
+        self.mode = sequence.name
         self._clock, self._threads = clock, threads
         make = ColorSets if self.plan.kind == "two_color" else GraySets
         self._sets = make(calibration, self.plan, volume, encoding=encoding, settings=self.settings)
@@ -69,11 +70,11 @@ class SetReconstructor:
         """Of the projector's columns: offset, slope along, slope across; observed minus calibrated coordinate."""
         return self._sets.correction
 
-    def warm_up(self, *, strides: tuple[int, ...] = (1,)) -> None:
+    def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:  # noqa: ARG002 - see below
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
 
         Args:
-            strides: spacings that will be requested.
+            strides: spacings that will be requested; use_prior: without effect, sets have no prior.
         """
         kept = self._sets.state()
         rng = np.random.default_rng(0)
@@ -88,12 +89,20 @@ class SetReconstructor:
         warm_up_conflicts()
         self._sets.restore(kept)
 
-    def reconstruct(self, lefts: Sequence[NDArray[Any]], rights: Sequence[NDArray[Any]], *, stride: int = 1) -> Cloud:
+    def reconstruct(
+        self,
+        lefts: Sequence[NDArray[Any]],
+        rights: Sequence[NDArray[Any]],
+        *,
+        stride: int = 1,
+        use_prior: bool = False,  # noqa: ARG002 - see below
+    ) -> Cloud:
         """The cloud of a set of raw images, one of each camera for each frame of the sequence, in its order.
 
         Args:
             lefts, rights: (H, W, 3) for rgb8, else (H, W), of the calibrated sizes; uint16 for mono16, else uint8.
             stride: points only on every n-th pixel of every n-th row; the others are unknown.
+            use_prior: without effect, sets have no prior.
 
         Raises:
             ImageError: another number of images, or an image of another size or type.

@@ -49,6 +49,8 @@ class Reconstructor:
         CalibrationError: when pattern, projector and volume do not fit together.
     """
 
+    mode = "single"
+
     def __init__(
         self,
         calibration: Calibration,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.protocols import Camera, Clock, Projector, Side
+from drivers.protocols import Camera, Clock, MovesBoard, Projector, Side
 from sim.devices.live_world import LiveScene, LiveWorld
 from sim.devices.options import SimOptions, from_mapping
 from sim.devices.projector import LiveProjector, SimProjector
@@ -37,6 +37,11 @@ class RigDevices:
     calibration: Mapping[str, Any]
     pattern: Mapping[str, Any]
     volume: Mapping[str, float]
+
+    @property
+    def board(self) -> MovesBoard | None:
+        """Of a live rig."""
+        return self.trigger if isinstance(self.trigger, LiveWorld) else None
 
     def close(self) -> None:
         """Stop the triggers and close all devices."""

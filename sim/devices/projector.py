@@ -74,7 +74,6 @@ class LiveProjector:
     """
 
     lit = True  # A black image is rendered like any other.
-    latency_s = 0.0
 
     def __init__(self, first: NDArray[np.uint8]) -> None:
         self._black = _frozen(np.zeros_like(first))
@@ -101,7 +100,7 @@ class LiveProjector:
         """Connect; the image is black until :meth:`show`."""
         self._open, self._shown, self._stored = True, self._black, []
         height, width = self._black[0].shape[:2]
-        return ProjectorInfo("simulated", (width, height), 0.0)
+        return ProjectorInfo("simulated", (width, height), 0.0, latency_s=0.0)
 
     def show(self, image: NDArray[np.uint8]) -> None:
         """Show an image from the next trigger on."""

@@ -19,15 +19,13 @@ from tests.daemon.rigs import SMALL, open_rig_size
 class FreeProjector:
     """Shows every image at once, and says so."""
 
-    latency_s = 0.0
-
     def __init__(self, size: tuple[int, int]) -> None:
         self.size, self.level, self.trouble = size, 0, ""
         self.shown: list[int] = []
         self.lit = True
 
     def open(self) -> ProjectorInfo:
-        return ProjectorInfo("free", self.size, 0.0)
+        return ProjectorInfo("free", self.size, 0.0, latency_s=0.0)
 
     def show(self, image: Any) -> None:
         if self.trouble:
@@ -68,6 +66,11 @@ def devices(rate_hz: float = 200.0) -> tuple[RigDevices, FreeProjector, SimWorld
 class FlatReconstructor:
     """Gives a cloud without any point, and compiles nothing."""
 
+    mode = "single"
+
+    def warm_up(self, *, strides: tuple[int, ...], use_prior: bool) -> None:
+        pass
+
     def reconstruct(self, left: Any, right: Any, *, stride: int = 1, use_prior: bool = False) -> Cloud:  # noqa: ARG002
         shape = left.shape[:2]
         xyz, sigma = np.full((*shape, 3), np.nan, np.float32), np.full(shape, np.nan, np.float32)
@@ -78,5 +81,6 @@ class FlatReconstructor:
 class UnmeasuringService(Service):
     """The daemon without its pipeline."""
 
-    def _warm(self) -> Any:
-        return FlatReconstructor()
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.path.warm_reconstructor = FlatReconstructor  # type: ignore[assignment]

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from daemon.common.heartbeat import Heartbeat
 from daemon.config import RigConfig, parse_rig
-from daemon.live.items import CloudItem, Item, PairItem
+from daemon.live.items import CloudItem, Item, Pair
 from daemon.rig.open_rig import Rig
 from pipeline.pattern import color_fringe
 from pipeline.rig import calibration
@@ -85,7 +86,9 @@ def config(tmp_path: Path, extra: str = "") -> RigConfig:
 
 
 class Collector:
-    """A sink that keeps everything, or refuses everything."""
+    """A sink that keeps everything, or rejects everything."""
+
+    heartbeat: Heartbeat | None = None
 
     def __init__(self, *, full: bool = False) -> None:
         self.items: list[Item] = []
@@ -108,5 +111,5 @@ class Collector:
         return [item for item in self.items if isinstance(item, CloudItem)]
 
     @property
-    def pairs(self) -> list[PairItem]:
-        return [item for item in self.items if isinstance(item, PairItem)]
+    def pairs(self) -> list[Pair]:
+        return [item for item in self.items if isinstance(item, Pair)]

@@ -57,7 +57,9 @@ class Running:
         self.sink = Listening()
         rig = read_again(rig_of(self.devices), config, path)
         self.service = Service(config, rig, {"stream": self.sink})
-        self.recorder = Recorder(self.service, path / "takes", lambda _: Collector())
+        self.recorder = Recorder(
+            self.service.router, self.service.config, path / "takes", lambda _: Collector(), clock=self.service.clock
+        )
         self.methods = Methods(self.service, self.recorder, path=self.rig_file, base_dir=path).table()
         self.thread = threading.Thread(target=self.service.run)
         self.thread.start()
@@ -88,7 +90,7 @@ class Running:
         return service.config, service.settings, service.rig, service.worker._reconstructor, len(self.sink.committed)
 
     def stop(self) -> None:
-        self.service.ask_stop()
+        self.service.request_stop()
         self.thread.join(60)
         assert not self.thread.is_alive()
 
@@ -99,5 +101,5 @@ def warmed(path: Path) -> Running:
     for _ in range(4):  # the first ones wait until the cameras' counts are believed
         step(made.devices)
     made.clouds(1)
-    wait_until(lambda: not made.service.worker._box)
+    wait_until(lambda: not made.service.worker._queue)
     return made

@@ -7,7 +7,7 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-from daemon.live.items import PairItem
+from daemon.live.items import Pair
 from daemon.recording.write.take_writer import TakeWriter
 from daemon.rig.calibration_file import write_calibration
 from drivers.protocols import Frame
@@ -41,7 +41,7 @@ def main() -> None:
             Frame(side, number, t_ns, t_ns + 10_000_000, "rgb8", image, optics.exposure_us)
             for side, image in zip(("left", "right"), images, strict=True)
         )
-        writer.offer(PairItem(left, right))
+        writer.offer(Pair(left, right))
     writer.close()
     calibration.unlink()
     command = ["replay", str(TAKE), "--no-output", "--bless", str(FIGURES), "--set", "min_component=60"]

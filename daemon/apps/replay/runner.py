@@ -99,24 +99,24 @@ class Replay:
             TakeError, PipelineError: files that do not fit together.
         """
         self.failures.clear()
-        sequence, sequel = self.sequence, TemporalPrior()
+        sequence, prior = self.sequence, TemporalPrior()
         self._sets = None if sequence is None else Sets(self.take, sequence)
         shots = pairs_of(self.take, progress) if self._sets is None else self._sets.shots(progress)
         for shot in shots:
             pair = shot.pair
             reconstructor = self._reconstructor(pair.encoding, sequence)
             runs: list[Run] = []
-            use_prior = self.use_prior and sequel.follows(pair.sequence, pair.t_ns, 1)
+            use_prior = self.use_prior and prior.usable(pair.sequence, pair.t_ns, 1)
             try:
                 for _ in range(repeat):
                     cloud, run = _timed(reconstructor, shot, sequence, use_prior=use_prior)
                     runs.append(run)
                     use_prior = self.use_prior  # a repeated run has the pair itself before it
             except PipelineError as error:
-                sequel.forget()
+                prior.reset()
                 self.failures.append(Failure(pair.sequence, str(error)))
                 continue
-            sequel.measured(pair.sequence, pair.t_ns, 1)
+            prior.measured(pair.sequence, pair.t_ns, 1)
             yield Result(pair, cloud, runs)
 
     def _reconstructor(self, encoding: str, sequence: FrameSequence | None) -> Any:

@@ -1,1 +1,1 @@
-"""How a service manager sees the daemon: notifications, proof of life, journal, signals."""
+"""The service manager's side of the daemon: notifications, watchdog, journal."""

@@ -1,7 +1,7 @@
 """Log lines with fields of their own, in the journal's native protocol.
 
-Every line carries FRINGED_SESSION and FRINGED_DEVICE, and what the line speaks of, where it says so with ``extra``:
-FRINGED_SIDE, FRINGED_REASON, FRINGED_TAKE, FRINGED_SEQ.
+Every line carries FRINGED_SESSION and FRINGED_DEVICE, and those of FRINGED_SIDE, FRINGED_REASON, FRINGED_TAKE and
+FRINGED_SEQ that it was logged with (``extra``).
 """
 
 from __future__ import annotations
@@ -19,37 +19,37 @@ from pathlib import Path
 SOCKET = Path("/run/systemd/journal/socket")
 EXTRA = "side", "reason", "take", "seq"
 _MAX_BYTES = 1 << 20  # of one line, its traceback included
-_PATIENCE_S = 0.25
+_TIMEOUT_S = 0.25
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 
 
-def begun_by_systemd(environ: Mapping[str, str], descriptor: int = 2) -> bool:
+def started_by_systemd(environ: Mapping[str, str], descriptor: int = 2) -> bool:
     """Whether standard error goes to the journal: JOURNAL_STREAM names its device and inode."""
     try:
-        there = os.fstat(descriptor)
+        stat = os.fstat(descriptor)
     except OSError:
         return False
-    return environ.get("JOURNAL_STREAM", "") == f"{there.st_dev}:{there.st_ino}"
+    return environ.get("JOURNAL_STREAM", "") == f"{stat.st_dev}:{stat.st_ino}"
 
 
 class JournalHandler(logging.Handler):
-    """Hands records to the journal; where there is none they go to ``beside``.
+    """Sends records to the journal, or to ``fallback`` where there is none.
 
-    A journal that does not read makes nobody wait for long: the line is lost and counted.
+    A journal that does not read delays the caller for a moment only: the line is lost and counted.
 
     ``fields`` stand in every line, ``{"session": ...}`` as FRINGED_SESSION.
 
     Args:
-        path: of the journal's socket; beside: takes the lines where that is not there.
+        path: of the journal's socket; fallback: takes the lines where there is none.
     """
 
-    def __init__(self, path: Path = SOCKET, *, beside: logging.Handler | None = None) -> None:
+    def __init__(self, path: Path = SOCKET, *, fallback: logging.Handler | None = None) -> None:
         super().__init__()
         self.fields: dict[str, str] = {}
         self.lost = 0
-        self._path, self._beside = str(path), beside
+        self._path, self._fallback = str(path), fallback
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-        self._socket.settimeout(_PATIENCE_S)
+        self._socket.settimeout(_TIMEOUT_S)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Send one record."""
@@ -58,13 +58,13 @@ class JournalHandler(logging.Handler):
         except TimeoutError:
             self.lost += 1
         except OSError:
-            if self._beside is not None:
-                self._beside.handle(record)
+            if self._fallback is not None:
+                self._fallback.handle(record)
         except Exception:
             self.handleError(record)
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()
         super().close()
 

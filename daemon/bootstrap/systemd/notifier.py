@@ -12,11 +12,11 @@ _VARIABLES = "NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"
 
 
 class Notifier:
-    """Tells a service manager how it goes; does nothing where there is none.
+    """Sends messages to a service manager; does nothing where there is none.
 
     Args:
-        address: of the manager's socket, a path or ``@`` and an abstract name; empty = nobody wants to know.
-        watchdog_s: how often the manager wants a sign of life; None = it does not watch.
+        address: of the manager's socket, a path or ``@`` and an abstract name; empty = there is none.
+        watchdog_s: how often the manager expects a message; None = it has no watchdog.
     """
 
     def __init__(self, address: str = "", *, watchdog_s: float | None = None) -> None:
@@ -27,19 +27,19 @@ class Notifier:
 
     @classmethod
     def from_environment(cls, environ: MutableMapping[str, str] | None = None) -> Notifier:
-        """The one that systemd's variables describe; they are taken out, so that no child speaks for the daemon."""
+        """The one that systemd's variables describe; they are removed, so that no child sends in the daemon's name."""
         variables = os.environ if environ is None else environ
         address, interval, pid = (variables.pop(name, "") for name in _VARIABLES)
         watched = interval.isdigit() and int(interval) > 0 and pid in ("", str(os.getpid()))
         return cls(address if address[:1] in ("/", "@") else "", watchdog_s=int(interval) / 1e6 if watched else None)
 
     @property
-    def wanted(self) -> bool:
+    def active(self) -> bool:
         """Whether there is a manager."""
         return self._socket is not None
 
     def ready(self, status: str) -> bool:
-        """Starting, or reloading, is done."""
+        """Report that starting, or reloading, is done."""
         return self._send("READY=1", _status(status))
 
     def status(self, text: str) -> bool:
@@ -51,25 +51,25 @@ class Notifier:
         return self._send("WATCHDOG=1")
 
     def extend(self, seconds: float) -> bool:
-        """Starting takes longer: give up only when nothing is heard for so long."""
+        """Extend the time-out of starting: the manager gives up when no message comes for so long."""
         return self._send(f"EXTEND_TIMEOUT_USEC={round(1e6 * seconds)}")
 
     def reloading(self) -> bool:
-        """A reload begins; :meth:`ready` ends it."""
+        """Report that a reload begins; :meth:`ready` ends it."""
         return self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> bool:
-        """The end begins."""
+        """Report that the daemon stops."""
         return self._send("STOPPING=1", _status("stopping"))
 
     def close(self) -> None:
-        """Say nothing more; may be called twice."""
+        """Send nothing more; may be called twice."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
     def _send(self, *lines: str) -> bool:
-        """Whether it went out; a manager that does not read makes nobody wait."""
+        """Send without waiting for a manager that does not read; whether it was sent."""
         if self._socket is None:
             return False
         try:

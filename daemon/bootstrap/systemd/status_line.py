@@ -35,8 +35,8 @@ def waiting(status: dict[str, Any]) -> str:
     return f"frames come, {status['pairs']} pairs, but no cloud yet; dropped {sum(status['drops'].values())}"
 
 
-def told(status: dict[str, Any]) -> str:
-    """One line for the service manager, with what is wrong at its end."""
+def describe(status: dict[str, Any]) -> str:
+    """One line for the service manager, with the problems at its end."""
     text = line(status) if status["clouds"] else waiting(status)
     reasons = "; ".join(status["reasons"])
     return f"{text}; {reasons}" if reasons and reasons not in text else text

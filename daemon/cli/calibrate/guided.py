@@ -47,10 +47,10 @@ def run(
             view=view,
             notify=notify,
             progress=progress,
-            stopped=lambda: flag.asked,
+            stopped=lambda: flag.requested,
         )
     captured = [outcome for outcome in outcomes.values() if outcome.views]
-    if flag.asked:
+    if flag.requested:
         notify(stopped_text(step, captured))
         raise typer.Exit(130)
     for outcome in outcomes.values():

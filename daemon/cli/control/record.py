@@ -100,7 +100,7 @@ def direct(
 
         def on_status(status: dict[str, Any]) -> None:
             if seconds is not None and status["pairs"] and not timer:
-                timer.append(threading.Timer(seconds, flag.ask))
+                timer.append(threading.Timer(seconds, flag.request))
                 timer[0].daemon = True
                 timer[0].start()
 

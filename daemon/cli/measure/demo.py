@@ -44,7 +44,7 @@ def main(
         viewer = Viewer(endpoint) if view else None
         if viewer is not None:
             stack.callback(viewer.close)
-        report = Report(seconds, stop=flag.ask, viewer=viewer, say=typer.echo, now_s=time.monotonic)
+        report = Report(seconds, stop=flag.request, viewer=viewer, say=typer.echo, now_s=time.monotonic)
         progress = stack.enter_context(rendering())
         typer.echo("Rendering the scene (kept for the next time), then measuring it live. Ctrl-C ends it.")
         run_rig(rig_file, progress=progress, flag=flag, on_status=report)

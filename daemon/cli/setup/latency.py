@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -35,14 +35,8 @@ def main(
     except OptionsError as error:
         raise error.located(rig) from error
 
-    def flip_ns() -> int | None:
-        flip: Any = getattr(devices.projector, "last_flip", None)
-        return flip.t_realtime_ns if flip is not None and flip.source != "unverified" else None
-
     try:
-        found = measure_latency(
-            devices.cameras, devices.projector, clock=SystemClock(), flip_ns=flip_ns, flashes=flashes
-        )
+        found = measure_latency(devices.cameras, devices.projector, clock=SystemClock(), flashes=flashes)
     finally:
         devices.close()
     typer.echo(json.dumps(asdict(found)) if as_json else told(found))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from drivers.projector import ExternalProjector, OutputFound, OutputProjector
+    from drivers.protocols import Flip
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
@@ -135,8 +136,8 @@ def hold(
             typer.echo(f"{info.output}: {info.size[0]}x{info.size[1]} pixels at {info.refresh_hz:.3f} Hz")
             for note in projector.notes:
                 typer.echo(f"note: {note}")
-            projector.show(make(info.size))
-            typer.echo(f"shown{_when(projector)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
+            flip = projector.show(make(info.size))
+            typer.echo(f"shown{_when(flip)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
             _watch(projector, None if seconds is None else time.monotonic() + seconds)
     finally:
         projector.close()
@@ -152,8 +153,7 @@ def _watch(projector: OutputProjector | ExternalProjector, deadline: float | Non
         time.sleep(0.2 if deadline is None else min(0.2, max(0.0, deadline - time.monotonic())))
 
 
-def _when(projector: OutputProjector | ExternalProjector) -> str:
-    flip = getattr(projector, "last_flip", None)
+def _when(flip: Flip | None) -> str:
     if flip is None:
         return ""
     return {

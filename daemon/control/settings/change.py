@@ -96,6 +96,6 @@ class Changer:
             return []
         if rig is not service.rig:
             check_fit(rig, {side: camera.status for side, camera in service.cameras.items()})
-        sinks = [sink for sink in service.sinks.values() if isinstance(sink, Changeable)]
+        sinks = [sink for sink in service.router.sinks.values() if isinstance(sink, Changeable)]
         service.change(config, rig, settings, [sink.change(config, rig) for sink in sinks])
         return changed

@@ -11,8 +11,8 @@ import numpy as np
 from daemon.common.errors import DaemonError
 from daemon.config.rig_config import RigConfig
 from daemon.control.settings.live_settings import FILES
+from daemon.live.acquisition.camera_status import CameraStatus
 from daemon.live.compatibility import size_problem
-from daemon.live.status import CameraStatus
 from daemon.rig.calibration_file import read_calibration
 from daemon.rig.open_rig import Rig
 from daemon.rig.pattern_file import read_pattern, read_volume

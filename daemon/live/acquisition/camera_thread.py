@@ -1,4 +1,4 @@
-"""One thread a camera: open, read, and open again when the device was gone."""
+"""One thread for each camera: opens it, reads it, and opens it again after the device was lost."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from daemon.common.counters import Rate
 from daemon.common.heartbeat import Heartbeat
-from daemon.live.status import CameraState, CameraStatus
+from daemon.live.acquisition.camera_status import CameraState, CameraStatus
 from drivers.errors import DriverError
 from drivers.protocols import Camera, Clock, Frame, Side
 
@@ -25,8 +25,8 @@ class CameraThread:
 
     Args:
         side: which one; camera: closed.
-        deliver: takes each frame; must be quick. started: told before the camera accepts triggers (again).
-        changed: told whenever the camera's state changes.
+        deliver: takes each frame; must be quick. started: called before the camera accepts triggers (again).
+        changed: called whenever the camera's state changes.
     """
 
     def __init__(
@@ -46,14 +46,14 @@ class CameraThread:
         self._rate = Rate()
         self._frames = 0
         self.heartbeat = Heartbeat(clock.monotonic_ns)
-        self._wanted = threading.Event()
-        self._wanted.set()
+        self._enabled = threading.Event()
+        self._enabled.set()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"camera-{side}", daemon=True)
 
     @property
     def status(self) -> CameraStatus:
-        """The camera now; the fates of its frames are the pairing's to add."""
+        """Of the camera; without the outcomes of its frames, which the pairer counts."""
         rate, health = self._rate.per_second(self._clock.monotonic_ns()), self._camera.health()
         return replace(
             self._status,
@@ -67,12 +67,12 @@ class CameraThread:
         """Begin."""
         self._thread.start()
 
-    def measure(self, wanted: bool) -> None:
+    def measure(self, enabled: bool) -> None:
         """Accept triggers, or stay connected without accepting them."""
-        (self._wanted.set if wanted else self._wanted.clear)()
+        (self._enabled.set if enabled else self._enabled.clear)()
 
-    def ask_stop(self) -> None:
-        """End soon; :meth:`join` waits for it."""
+    def request_stop(self) -> None:
+        """Request the end; :meth:`join` waits for it."""
         self._stop.set()
 
     def join(self, timeout_s: float) -> bool:
@@ -122,15 +122,15 @@ class CameraThread:
         )
 
     def _acquire(self) -> None:
-        """Read until told to pause or stop; waits while paused."""
+        """Read until a pause or stop is requested; waits while paused."""
         self.heartbeat.expect(_TURN_S)
-        if not self._wanted.wait(_READ_TIMEOUT_S):
+        if not self._enabled.wait(_READ_TIMEOUT_S):
             return
         self._started(self.side)
         self.heartbeat.expect(_DEVICE_S)
         self._camera.start()
         self._set(replace(self._status, state=CameraState.ACQUIRING))
-        while self._wanted.is_set() and not self._stop.is_set():
+        while self._enabled.is_set() and not self._stop.is_set():
             self.heartbeat.expect(_TURN_S)
             frame = self._camera.read(_READ_TIMEOUT_S)
             if frame is not None:

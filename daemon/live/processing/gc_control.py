@@ -1,7 +1,7 @@
-"""Python's garbage collector, kept out of the measurements.
+"""Control of Python's garbage collector, so that it does not delay measurements.
 
 A collection stops every thread for as long as it takes: tens of milliseconds over all that a daemon has imported.
-Here what is there after the start is frozen, which takes it out of every later collection, and what comes after is
+The objects that exist after the start are frozen, which takes them out of every later collection, and newer ones are
 collected between two pairs: the young a little at a time, everything only when no pair waits.
 """
 
@@ -18,7 +18,7 @@ _FULL_S, _OVERDUE_S = 60.0, 600.0
 
 
 class GcPauses:
-    """How often and how long Python held all threads up, whoever asked for the collection."""
+    """How often and how long collections stopped all threads, whoever requested them."""
 
     def __init__(self, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._now_ns = now_ns
@@ -26,16 +26,16 @@ class GcPauses:
         self._count, self._total_ms, self._max_ms = 0, 0.0, 0.0
 
     def start(self) -> None:
-        """Count from now on."""
+        """Begin to count."""
         gc.callbacks.append(self._note)
 
     def stop(self) -> None:
-        """Count no more; may be called twice."""
+        """Stop counting; may be called twice."""
         if self._note in gc.callbacks:
             gc.callbacks.remove(self._note)
 
     def summary(self) -> dict[str, float]:
-        """Collections, and their whole and longest time."""
+        """Number of collections, their total and longest time."""
         return {"count": self._count, "total_ms": round(self._total_ms, 3), "max_ms": round(self._max_ms, 3)}
 
     def _note(self, phase: str, _: dict[str, Any]) -> None:
@@ -47,27 +47,27 @@ class GcPauses:
 
 
 class GcControl:
-    """The collector of a process that measures; call :meth:`between_pairs` often."""
+    """Runs the collector instead of Python; call :meth:`between_pairs` often."""
 
     def __init__(self) -> None:
-        self._held = False
+        self._active = False
         self._was_enabled = False
         self._young = 0
         self._full_due_s = 0.0
 
-    def hold(self, now_s: float) -> None:
-        """Take over, or start again after much has changed: collect everything, freeze what is left."""
-        if not self._held:
+    def take_over(self, now_s: float) -> None:
+        """Begin, or begin again after much has changed: collect everything, freeze the rest."""
+        if not self._active:
             self._was_enabled = gc.isenabled()
         gc.disable()
         gc.unfreeze()
         gc.collect()
         gc.freeze()
-        self._held, self._young, self._full_due_s = True, 0, now_s + _FULL_S
+        self._active, self._young, self._full_due_s = True, 0, now_s + _FULL_S
 
     def between_pairs(self, now_s: float, *, idle: bool) -> None:
         """Collect what is due; ``idle``: no pair waits, so that some milliseconds do not matter."""
-        if not self._held:
+        if not self._active:
             return
         late_s = now_s - self._full_due_s
         if late_s > _OVERDUE_S or (idle and late_s > 0):
@@ -78,9 +78,9 @@ class GcControl:
             gc.collect(1 if self._young % _YOUNG_PER_MIDDLE == 0 else 0)
 
     def release(self) -> None:
-        """Give the collector back as it was; may be called twice."""
-        if self._held:
-            self._held = False
+        """Restore the collector; may be called twice."""
+        if self._active:
+            self._active = False
             gc.unfreeze()
             if self._was_enabled:
                 gc.enable()

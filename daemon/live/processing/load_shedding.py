@@ -1,4 +1,4 @@
-"""When pairs come faster than they can be measured: whether to measure every second pixel instead of dropping pairs."""
+"""Load shedding: while pairs come faster than they are measured, every second pixel is measured instead of all."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections import deque
 from statistics import median_low
 
 _WINDOW_NS = 1_000_000_000
-_CALM_NS = 3_000_000_000
+_RECOVERY_NS = 3_000_000_000
 _COMPARED = 9  # measurements whose median stands for the time that one takes
 _BEHIND = 2  # measurements that pairs were dropped during; a single one may be a hiccup, or the first of all
-_ROOM = 0.8  # share of the time that the full measurement may take, as foreseen, for it to come back
+_MAX_LOAD = 0.8  # share of the time that the full measurement may take, as predicted, to be resumed
 
 
 class LoadShedding:
     """Decides from the drops of the last second, and from how long full and half measurements took.
 
-    It goes to half when pairs were dropped during several measurements, and comes back when nothing was dropped for
-    some seconds and the full measurement would leave room. Its time is foreseen: as it was before, times what the half
-    one has changed since.
+    The stride becomes 2 when pairs were dropped during several measurements, and 1 again when nothing was dropped for
+    some seconds and the full measurement would leave time to spare. Its time is predicted: as it was before, times the
+    change of the half one since.
 
     Args:
         enabled: False = always the full image.
@@ -44,15 +44,15 @@ class LoadShedding:
             self._behind.clear()
 
     def offered(self, now_ns: int) -> None:
-        """A pair came."""
+        """Note that a pair came."""
         self._offered.append(now_ns)
 
     def dropped(self, now_ns: int) -> None:
-        """A pair was dropped because the pipeline was busy."""
+        """Note that a pair was dropped because the pipeline was busy."""
         self._dropped_ns, self._dropped_meanwhile = now_ns, True
 
     def measured(self, busy_ms: float, stride: int, now_ns: int) -> bool:
-        """A pair was measured so; True when :attr:`stride` has changed."""
+        """Note that a pair was measured; True when :attr:`stride` has changed."""
         if stride == 1:
             self._full_ms.append(busy_ms)
         else:
@@ -67,7 +67,7 @@ class LoadShedding:
             self.stride = 2
             self._half_ms.clear()
             self._first_half_ms.clear()
-        elif before == 2 and self._has_room(now_ns):
+        elif before == 2 and self._has_capacity(now_ns):
             self.stride = 1
             self._behind.clear()
         if self.stride != before:
@@ -77,11 +77,11 @@ class LoadShedding:
     def _steadily_behind(self, now_ns: int) -> bool:
         return sum(t_ns > now_ns - _WINDOW_NS for t_ns in self._behind) >= _BEHIND
 
-    def _has_room(self, now_ns: int) -> bool:
-        calm_since_ns = max(self._since_ns, self._dropped_ns or 0)
-        if now_ns - calm_since_ns < _CALM_NS:
+    def _has_capacity(self, now_ns: int) -> bool:
+        drop_free_since_ns = max(self._since_ns, self._dropped_ns or 0)
+        if now_ns - drop_free_since_ns < _RECOVERY_NS:
             return False
-        came = sum(t_ns > now_ns - _CALM_NS for t_ns in self._offered)
+        came = sum(t_ns > now_ns - _RECOVERY_NS for t_ns in self._offered)
         # The lower one of two: the very first measurement also calibrates itself and takes much longer.
         full_ms = median_low(self._full_ms) * median_low(self._half_ms) / median_low(self._first_half_ms)
-        return came * full_ms < _ROOM * _CALM_NS / 1e6
+        return came * full_ms < _MAX_LOAD * _RECOVERY_NS / 1e6

@@ -1,4 +1,4 @@
-"""The reconstructor of a rig, as its configuration wants it."""
+"""The reconstructor of a rig, as its configuration needs it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 
 from daemon.common.errors import DaemonError
 from daemon.config.rig_config import Pipeline, RigConfig
-from daemon.live.processing.worker import ReconstructsSets
-from daemon.live.projection.mode_plan import ModePlan, SetMeasure
+from daemon.live.items import SINGLE
+from daemon.live.processing.worker import CloudReconstructor
+from daemon.live.projection.mode_plan import ModePlan
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from pipeline.common.settings import Settings
@@ -23,8 +24,8 @@ def make_reconstructor(
     clock: Clock,
     *,
     plan: ModePlan | None = None,
-) -> Reconstructor | SetMeasure:
-    """A reconstructor, not warmed up.
+) -> CloudReconstructor:
+    """Make a reconstructor, not warmed up.
 
     Args:
         encodings: of both cameras, empty where one is not known yet; plan: of a multi-frame mode.
@@ -42,9 +43,7 @@ def make_reconstructor(
     return Reconstructor(rig.calibration, rig.pattern, rig.volume, **options)
 
 
-def warm_up(made: Reconstructor | ReconstructsSets, config: Pipeline) -> None:
+def warm_up(reconstructor: CloudReconstructor, config: Pipeline) -> None:
     """Compile every kernel that this configuration may need, up to a minute after an update."""
-    if isinstance(made, Reconstructor):
-        made.warm_up(strides=(1, 2) if config.overload == "half" else (1,), use_prior=config.temporal_prior)
-    else:
-        made.warm_up()
+    half = config.overload == "half" and reconstructor.mode == SINGLE
+    reconstructor.warm_up(strides=(1, 2) if half else (1,), use_prior=config.temporal_prior)

@@ -1,11 +1,11 @@
-"""Whether a pair follows the last measured one closely enough for its surface to serve as a guess."""
+"""Whether the orders of the last measured pair may be used as the prior of the next one."""
 
 from __future__ import annotations
 
 from drivers.protocols import TRIGGER_MODULUS
 
 _MAX_PERIODS = 4
-_MIN_NS = 200_000_000  # so much is close whatever the trigger's rate
+_MIN_NS = 200_000_000  # a shorter time is close at any trigger rate
 
 
 class TemporalPrior:
@@ -14,12 +14,12 @@ class TemporalPrior:
     def __init__(self) -> None:
         self._last: tuple[int, int, int] | None = None
 
-    def follows(self, seq: int, t_ns: int, stride: int) -> bool:
-        """Whether a pair comes at most four trigger periods (or 0.2 s) after the last one.
+    def usable(self, seq: int, t_ns: int, stride: int) -> bool:
+        """Whether a pair was exposed at most four trigger periods (or 0.2 s) after the last one.
 
         Args:
-            seq: number of the trigger; t_ns: start of exposure; stride: spacing of the pixels to be measured, which
-                must be that of the last pair.
+            seq: trigger number; t_ns: start of exposure; stride: spacing of the pixels to be measured, which must be
+                that of the last pair.
         """
         if self._last is None:
             return False
@@ -30,9 +30,9 @@ class TemporalPrior:
         return periods <= _MAX_PERIODS or passed_ns <= _MIN_NS
 
     def measured(self, seq: int, t_ns: int, stride: int) -> None:
-        """This pair has been measured."""
+        """Note that this pair has been measured."""
         self._last = seq, t_ns, stride
 
-    def forget(self) -> None:
-        """The next pair begins anew: settings changed, or a pair failed."""
+    def reset(self) -> None:
+        """Use no prior for the next pair: settings changed, or a pair failed."""
         self._last = None

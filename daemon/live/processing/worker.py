@@ -1,4 +1,4 @@
-"""The pipeline's thread: the freshest pair in, a cloud out to every sink."""
+"""The pipeline's thread: the newest pair or image set in, a cloud out."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from daemon.common.errors import DaemonError
 from daemon.common.heartbeat import Heartbeat
 from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import Pipeline
-from daemon.live.acquisition.pairer import Pair
-from daemon.live.items import CloudItem
+from daemon.live.items import SINGLE, CloudItem, ImageSet, Pair
 from daemon.live.processing.gc_control import GcControl, GcPauses
 from daemon.live.processing.load_shedding import LoadShedding
 from daemon.live.processing.temporal_prior import TemporalPrior
-from daemon.live.sets import SINGLE, ImageSet
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
 from pipeline.reconstruct.cloud import Cloud
@@ -31,31 +29,25 @@ _IDLE_S = 0.2
 _TURN_S, _MEASURE_S, _MAKE_S = 10.0, 30.0, 900.0  # longest times of a turn; compiling takes minutes
 
 
-class Reconstructs(Protocol):
-    """What the worker needs of a reconstructor."""
+class CloudReconstructor(Protocol):
+    """Makes clouds: of pairs in mode ``single``, of image sets in the other modes."""
 
-    def reconstruct(self, left: Any, right: Any, *, stride: int = 1, use_prior: bool = False) -> Cloud:
-        """The cloud of two raw images.
+    @property
+    def mode(self) -> str:
+        """The mode whose images it reconstructs."""
+
+    def warm_up(self, *, strides: tuple[int, ...], use_prior: bool) -> None:
+        """Compile every kernel for these strides, and for the use of a prior."""
+
+    def reconstruct(self, left: Any, right: Any, /, *, stride: int = 1, use_prior: bool = False) -> Cloud:
+        """The cloud of two raw images, or of the two lists of a set's images.
 
         Args:
-            stride: spacing of the pixels that are measured, 1 or 2; use_prior: the last pair's surface is a good guess.
+            stride: spacing of the pixels that are measured; use_prior: the last pair's orders are a good guess.
         """
 
 
-class ReconstructsSets(Protocol):
-    """What the worker needs of a reconstructor of sets."""
-
-    mode: str
-
-    def warm_up(self) -> None:
-        """Compile every kernel."""
-
-    def reconstruct(self, lefts: Any, rights: Any) -> Cloud:
-        """The cloud of the raw images of a set, in the order of its sequence."""
-
-
-Make = Callable[[], Reconstructs | ReconstructsSets | None]
-Shot = Pair | ImageSet
+Make = Callable[[], CloudReconstructor | None]
 
 
 class Worker:
@@ -68,9 +60,9 @@ class Worker:
     """
 
     def __init__(self, config: Pipeline, *, emit: Callable[[CloudItem], None], drops: Counters, clock: Clock) -> None:
-        self._box: LatestWinsQueue[Shot] = LatestWinsQueue(config.queue)
+        self._queue: LatestWinsQueue[Pair | ImageSet] = LatestWinsQueue(config.queue)
         self._config, self._emit, self._drops, self._clock = config, emit, drops, clock
-        self._reconstructor: Reconstructs | ReconstructsSets | None = None
+        self._reconstructor: CloudReconstructor | None = None
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
         self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
@@ -78,9 +70,9 @@ class Worker:
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
         self.last: CloudItem | None = None
-        self._overload = LoadShedding(enabled=config.overload == "half")
-        self._sequel = TemporalPrior()
-        self._garbage, self.pauses = GcControl(), GcPauses()
+        self._load = LoadShedding(enabled=config.overload == "half")
+        self._prior = TemporalPrior()
+        self._gc, self.gc_pauses = GcControl(), GcPauses()
         self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
         self._ended: Future[None] = Future()
@@ -88,17 +80,17 @@ class Worker:
     @property
     def stride(self) -> int:
         """Spacing of the pixels that are measured now: 2 while the pipeline is overloaded and may skip pixels."""
-        return self._overload.stride
+        return self._load.stride
 
     @property
     def waiting(self) -> int:
         """Pairs that wait to be measured."""
-        return len(self._box)
+        return len(self._queue)
 
     def start(self, make: Make) -> Future[None]:
-        """Begin: make a reconstructor, every kernel compiled, and measure from then on.
+        """Make a reconstructor, every kernel compiled, and measure from then on.
 
-        All of that happens in the pipeline's thread, so that numba's workers belong to it and to nobody else.
+        All of that happens in the pipeline's thread, so that numba's workers belong to it alone.
 
         Returns:
             Done when it is made; holds the exception when it could not be.
@@ -108,10 +100,10 @@ class Worker:
         return self._made
 
     def replace(self, make: Make, timeout_s: float) -> None:
-        """Make another reconstructor between two pairs and use it from then on; None: keep the one that is there.
+        """Make another reconstructor between two pairs and use it from then on; None: keep the present one.
 
-        It is made in the pipeline's thread, because not every threading layer of numba bears two callers. ``make`` may
-        change what else must change between two pairs, as its last act.
+        It is made in the pipeline's thread, because not every threading layer of numba supports two callers. ``make``
+        may change what else must change between two pairs, as its last act.
 
         Raises:
             DaemonError: when the pipeline does not get to it in time, or ends; PipelineError: from ``make``.
@@ -122,55 +114,57 @@ class Worker:
         if done.done():
             done.result()
         elif not done.cancel() and not self._ended.done():
-            raise DaemonError(f"the pipeline is still at it after {timeout_s:g} s; ask later whether the change came")
+            raise DaemonError(
+                f"the change is still being made after {timeout_s:g} s; check later whether it was applied"
+            )
         elif self._ended.done():
             raise DaemonError("the daemon is stopping; nothing was changed")
         else:
-            raise DaemonError(f"the pipeline did not take over the change within {timeout_s:g} s; nothing was changed")
+            raise DaemonError(f"the pipeline did not apply the change within {timeout_s:g} s; nothing was changed")
 
     def end_changes(self) -> None:
-        """Refuse changes from now on, those that wait at once."""
+        """Reject changes from now on, those that wait at once."""
         if not self._ended.done():
             self._ended.set_result(None)
 
     def configure(self, config: Pipeline) -> None:
-        """Overload and temporal prior from now on; to be called between two pairs."""
+        """Set overload and temporal prior from now on; to be called between two pairs."""
         self._config = config
-        self._overload.enable(config.overload == "half")
+        self._load.enable(config.overload == "half")
 
-    def offer(self, shot: Shot) -> None:
-        """Take a pair or a set; the freshest wins."""
+    def offer(self, captured: Pair | ImageSet) -> None:
+        """Take a pair or a set; the newest wins."""
         if not self._running():
-            self._drop(shot, "not_ready")
+            self._drop(captured, "not_ready")
             return
         now_ns = self._clock.monotonic_ns()
-        if isinstance(shot, Pair):
-            self._overload.offered(now_ns)
-        pushed_out = self._box.put(shot)
+        if isinstance(captured, Pair):
+            self._load.offered(now_ns)
+        pushed_out = self._queue.put(captured)
         if pushed_out is not None:
             if isinstance(pushed_out, Pair):
-                self._overload.dropped(now_ns)
+                self._load.dropped(now_ns)
             self._drop(pushed_out, "pipeline_busy")
 
     def _running(self) -> bool:
         return self._reconstructor is not None and self._thread.is_alive()
 
-    def _drop(self, shot: Shot, reason: str) -> None:
+    def _drop(self, captured: Pair | ImageSet, reason: str) -> None:
         self.dropped += 1
-        self._count(shot, reason)
+        self._count(captured, reason)
 
-    def _count(self, shot: Shot, reason: str) -> None:
-        self._drops.add(f"{_kind(shot)}s_{reason}")
+    def _count(self, captured: Pair | ImageSet, reason: str) -> None:
+        self._drops.add(f"{captured.noun}s_{reason}")
 
     def stop(self, timeout_s: float) -> bool:
-        """Finish the pair at hand and end; False when it does not end in time.
+        """Finish the current pair and end; False when it does not end in time.
 
         Compiling, up to a minute after an update, is not waited for: the end of the program ends it.
         """
         self._stop.set()
         self.end_changes()
-        for shot in self._box.close():
-            self._count(shot, "stopped")
+        for captured in self._queue.close():
+            self._count(captured, "stopped")
         if not self._running():
             return True
         self._thread.join(timeout_s)
@@ -189,43 +183,28 @@ class Worker:
             return
         self._made.set_result(None)
         try:
-            self._hold_garbage()
-            self.pauses.start()
+            self._freeze()
+            self.gc_pauses.start()
             while not self._stop.is_set():
                 self._next()
         finally:
             self.heartbeat.rest()
-            self.pauses.stop()
-            self._garbage.release()
+            self.gc_pauses.stop()
+            self._gc.release()
 
     def _next(self) -> None:
         self._change()
         self.heartbeat.expect(_TURN_S)
-        shot = self._box.get(_IDLE_S)
-        if shot is not None:
+        captured = self._queue.get(_IDLE_S)
+        if captured is not None:
             self.heartbeat.expect(_MEASURE_S)
-            self._try(shot)
+            self._try(captured)
             self.finished += 1
             self.heartbeat.expect(_TURN_S)
-        self._garbage.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._box)
+        self._gc.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._queue)
 
-    def _hold_garbage(self) -> None:
-        self._garbage.hold(self._clock.monotonic_ns() / 1e9)
-
-    def _try(self, shot: Shot) -> None:
-        try:
-            if isinstance(shot, ImageSet):
-                self._measure_set(shot)
-            else:
-                self._measure(shot)
-        except PipelineError as error:
-            self._sequel.forget()
-            self._count(shot, "refused_by_pipeline")
-            log.warning("%s %d cannot be measured: %s", _kind(shot), shot.seq, error)
-        except Exception:
-            self._sequel.forget()
-            self._count(shot, "failed_in_pipeline")
-            log.exception("%s %d failed", _kind(shot), shot.seq)
+    def _freeze(self) -> None:
+        self._gc.take_over(self._clock.monotonic_ns() / 1e9)
 
     def _change(self) -> None:
         while self._changes:
@@ -237,46 +216,47 @@ class Worker:
                 made = make()
                 if made is not None:
                     self._reconstructor = made
-                    self._sequel.forget()
-                    self._hold_garbage()  # the reconstructor that was frozen before can go
+                    self._prior.reset()
+                    self._freeze()  # the reconstructor that was frozen before can be freed
                 done.set_result(None)
             except Exception as error:
                 done.set_exception(error)
 
-    def _measure(self, pair: Pair) -> None:
-        reconstructor: Any = self._reconstructor
-        if getattr(reconstructor, "mode", SINGLE) != SINGLE:
-            self._drop(pair, "of_another_mode")
+    def _try(self, captured: Pair | ImageSet) -> None:
+        reconstructor = self._reconstructor
+        if reconstructor is None or reconstructor.mode != captured.mode:
+            self._drop(captured, "of_another_mode")
             return
-        stride, t_ns = self._overload.stride, pair.left.t_exposure_ns
-        use_prior = self._config.temporal_prior and self._sequel.follows(pair.seq, t_ns, stride)
+        try:
+            self._measure(captured, reconstructor)
+        except PipelineError as error:
+            self._prior.reset()
+            self._count(captured, "refused_by_pipeline")
+            log.warning("%s %d cannot be measured: %s", captured.noun, captured.seq, error)
+        except Exception:
+            self._prior.reset()
+            self._count(captured, "failed_in_pipeline")
+            log.exception("%s %d failed", captured.noun, captured.seq)
+
+    def _measure(self, captured: Pair | ImageSet, reconstructor: CloudReconstructor) -> None:
+        """Sets are measured in full, however long it takes, and without a prior: their scene is at rest."""
+        single, seq, t_ns = captured.mode == SINGLE, captured.seq, captured.t_ns
+        stride = self._load.stride if single else 1
+        use_prior = single and self._config.temporal_prior and self._prior.usable(seq, t_ns, stride)
         began_ns = self._clock.monotonic_ns()
-        cloud = reconstructor.reconstruct(pair.left.image, pair.right.image, stride=stride, use_prior=use_prior)
+        cloud = reconstructor.reconstruct(*captured.images, stride=stride, use_prior=use_prior)
         # The latency is taken here, where the result is made, not where it is written or shown.
         latency_ms = (self._clock.realtime_ns() - t_ns) / 1e6
-        item = CloudItem(pair.seq, t_ns, cloud, pair.left, pair.right, latency_ms, self.dropped, stride)
+        item = CloudItem(
+            seq, t_ns, cloud, captured.left, captured.right, latency_ms, self.dropped, stride,
+            captured.mode, captured.frames, captured.span_ms,
+        )  # fmt: skip
         now_ns = self._clock.monotonic_ns()
         self._note(item, now_ns)
         self._emit(item)
-        self._sequel.measured(pair.seq, t_ns, stride)
-        if self._overload.measured((now_ns - began_ns) / 1e6, stride, now_ns):
-            log.info("load: every %s pixel is measured", "second" if self._overload.stride == 2 else "single")
-
-    def _measure_set(self, shot: ImageSet) -> None:
-        """Every pixel, however long it takes: the scene is at rest."""
-        reconstructor: Any = self._reconstructor
-        if getattr(reconstructor, "mode", SINGLE) != shot.mode:
-            self._drop(shot, "of_another_mode")
-            return
-        cloud = reconstructor.reconstruct(shot.lefts, shot.rights)
-        latency_ms = (self._clock.realtime_ns() - shot.t_ns) / 1e6
-        item = CloudItem(
-            shot.seq, shot.t_ns, cloud, shot.left, shot.right, latency_ms, self.dropped,
-            mode=shot.mode, frames=len(shot.pairs), span_ms=shot.span_ms,
-        )  # fmt: skip
-        self._sequel.forget()
-        self._note(item, self._clock.monotonic_ns())
-        self._emit(item)
+        self._prior.measured(seq, t_ns, stride)
+        if single and self._load.measured((now_ns - began_ns) / 1e6, stride, now_ns):
+            log.info("load: every %s pixel is measured", "second" if self._load.stride == 2 else "single")
 
     def _note(self, item: CloudItem, now_ns: int) -> None:
         self.latency_ms.note(item.latency_ms)
@@ -286,7 +266,3 @@ class Worker:
         self.valid = self.points / max(1, item.cloud.gray.size)
         self.stages_ms = {name: round(ms, 2) for name, ms in item.cloud.ms.items()}
         self.last = item
-
-
-def _kind(shot: Shot) -> str:
-    return "set" if isinstance(shot, ImageSet) else "pair"

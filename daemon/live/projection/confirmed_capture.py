@@ -1,23 +1,23 @@
-"""Images shown one after the other, each with pairs of raw images that surely show it.
+"""Capture of images one after the other, each with pairs of raw images that surely show it.
 
 A pair counts for an image only if both of its exposures began after the image's light was surely out: the flip, the
-projector's latency and a margin. Which pair that is, is told by the times of the exposures, never by counting frames,
-so that lost, late and queued frames can delay an image but never exchange two.
+projector's latency and a margin. The times of the exposures decide, never a count of frames, so that lost, late and
+queued frames can delay an image but never exchange two.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daemon.common.errors import DaemonError
-from daemon.live.acquisition.pairer import Pair
-from daemon.live.projection.latency_measurement import SETTLED_NS
+from daemon.live.items import Pair
+from daemon.live.projection.latency_measurement import MAX_LATENCY_NS
 from drivers.errors import DriverError
-from drivers.protocols import Clock, Projector
+from drivers.protocols import Clock, CountsShown, Projector, ProjectorInfo
 
 Image = NDArray[np.uint8]
 
@@ -28,27 +28,24 @@ _WAIT_S = 0.1
 
 
 class CaptureCancelledError(DaemonError):
-    """Somebody asked that no more images are shown."""
+    """The capture was cancelled."""
 
 
 class Pairs(Protocol):
-    """Where pairs come from, in the order of their exposures."""
+    """A queue of pairs in the order of their exposures."""
 
     def get(self, timeout_s: float) -> Pair | None:
         """The next pair, or None when none came in time."""
 
 
-def settling_ns(projector: Projector, refresh_hz: float, *, tolerance_ns: int) -> int:
+def settling_ns(info: ProjectorInfo, *, tolerance_ns: int) -> int:
     """How long after its flip an image is surely on the scene.
 
     Args:
-        projector: open; a driver that knows its latency tells it as ``latency_s``, None or no such attribute: unknown.
-        refresh_hz: of the projector, 0 if unknown.
-        tolerance_ns: how well the exposures' starts are known.
+        info: of the projector; tolerance_ns: how well the exposures' starts are known.
     """
-    latency_s = getattr(projector, "latency_s", None)
-    latency_ns = SETTLED_NS if latency_s is None else round(1e9 * latency_s)
-    period_ns = round(1e9 / refresh_hz) if refresh_hz > 0 else 0
+    latency_ns = MAX_LATENCY_NS if info.latency_s is None else round(1e9 * info.latency_s)
+    period_ns = round(1e9 / info.refresh_hz) if info.refresh_hz > 0 else 0
     return latency_ns + tolerance_ns + max(_LEAST_MARGIN_NS, round(_MARGIN_FRAMES * period_ns))
 
 
@@ -61,14 +58,15 @@ class ConfirmedCapture:
     """Shows images and waits for the pairs that show them; used by one thread.
 
     Args:
-        projector: open. pairs: those of its cameras.
+        projector, info: open. pairs: those of its cameras.
         settle_ns: see :func:`settling_ns`. patience_s: longest wait for a pair.
-        cancelled: asked again and again whether to give up.
+        cancelled: polled while waiting; True ends the capture.
     """
 
     def __init__(
         self,
         projector: Projector,
+        info: ProjectorInfo,
         pairs: Pairs,
         *,
         clock: Clock,
@@ -76,10 +74,10 @@ class ConfirmedCapture:
         patience_s: float = 5.0,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
-        if getattr(projector, "fixed_image", False):
+        if info.fixed_image:
             raise DriverError(
-                "the projector shows an image of its own and cannot be told to show another; calibrate from images "
-                "that were taken with it (--left, --right), or drive it through projector.driver: x11"
+                "the projector shows an image of its own and cannot show another; calibrate from images that were "
+                "taken with it (--left, --right), or drive it through projector.driver: x11"
             )
         self._projector, self._pairs, self._clock = projector, pairs, clock
         self._settle_ns, self._patience_ns, self._cancelled = settle_ns, round(1e9 * patience_s), cancelled
@@ -88,16 +86,15 @@ class ConfirmedCapture:
         self._restarts = self._count_restarts()
 
     def show(self, image: Image) -> None:
-        """Show an (H, W, 3) uint8 image from now on; one that is shown already is left alone.
+        """Show an (H, W, 3) uint8 image from now on; one that is shown already is not shown again.
 
         Raises:
-            DriverError: the projector cannot, or it had to be started again since the last image.
+            DriverError: the projector fails, or was started again since the last image.
         """
         if self._shown is None or not np.array_equal(image, self._shown):
             self._shown = None
-            self._projector.show(image)
+            flip = self._projector.show(image)
             returned_ns = self._clock.realtime_ns()
-            flip: Any = getattr(self._projector, "last_flip", None)
             self._lit_ns = max(returned_ns, flip.t_realtime_ns if flip is not None else 0) + self._settle_ns
             self._shown = image.copy()
         self._check()
@@ -106,7 +103,7 @@ class ConfirmedCapture:
         """The next pair whose exposures begin from now on and see the image that is shown.
 
         Raises:
-            DriverError: none came in time, or the projector failed. CaptureCancelledError: told to give up.
+            DriverError: none came in time, or the projector failed. CaptureCancelledError: it was cancelled.
         """
         if self._shown is None:
             raise DriverError("no image is shown; show() comes first")
@@ -124,31 +121,30 @@ class ConfirmedCapture:
                 self._check()
                 return pair
             early += 1
-        self.forget()  # a clock that was set back would otherwise hold up every later image too
+        self.reset()  # a clock that was set back would otherwise delay every later image too
         raise DriverError(
             f"no pair of images came within {self._patience_ns / 1e9:g} s ({early} were exposed too early); are both "
             "cameras triggered, and do their clocks agree?"
         )
 
     def each(self, images: Iterable[Image]) -> Iterator[Pair]:
-        """Show the images in turn; the pair of each as soon as it is there."""
+        """Show the images in turn; yield the pair of each."""
         for image in images:
             self.show(image)
             yield self.pair()
 
-    def forget(self) -> None:
-        """Somebody else may have shown an image; the next one is shown whatever it is."""
+    def reset(self) -> None:
+        """Show the next image even if it is the last one: another may have been shown in between."""
         self._shown = None
         self._restarts = self._count_restarts()
 
     def _check(self) -> None:
-        """A window that came back shows its last image again, but nobody knows what the cameras saw meanwhile."""
+        """Raise after a restart: the window shows its last image again, but what the cameras saw before is unknown."""
         problem, restarts = self._projector.problem(), self._count_restarts()
         if problem or restarts != self._restarts:
-            self.forget()
-            told = problem or "the projector's window was started again"
-            raise DriverError(f"{told}; what was captured meanwhile does not count, capture it again")
+            self.reset()
+            cause = problem or "the projector's window was started again"
+            raise DriverError(f"{cause}; what was captured meanwhile does not count, capture it again")
 
     def _count_restarts(self) -> int:
-        counted: Any = getattr(self._projector, "counted", None)
-        return int(counted.get("restarts", 0)) if counted is not None else 0
+        return self._projector.counted["restarts"] if isinstance(self._projector, CountsShown) else 0

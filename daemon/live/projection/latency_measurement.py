@@ -1,8 +1,8 @@
-"""How late a projector's light is: from the flip of an image to the first exposure that sees it.
+"""Measurement of a projector's latency: from the flip of an image to the first exposure that sees it.
 
 A black and a white image are shown in turn. The cameras go on being triggered; the first frame that is brighter than
 half way from dark to white saw the flash. The light came between the exposure before it and this one, so the triggers'
-period limits what can be told of a single flash; several flashes at unrelated moments narrow it down.
+period limits what a single flash shows; several flashes at unrelated moments narrow it down.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from drivers.errors import DriverError
 from drivers.protocols import Camera, Clock, Frame, Projector, Side
 
 _STEADY = 3
-"""Frames in a row of about the same brightness end a change of the image."""
+"""Frames in a row of about the same brightness that end a change of the image."""
 _SAME = 0.1
-"""What counts as the same brightness, as a share of the step from dark to white."""
-SETTLED_NS = 300_000_000
-"""No projector is later than this."""
+"""Tolerance of equal brightness, as a share of the step from dark to white."""
+MAX_LATENCY_NS = 300_000_000
+"""Upper bound of any projector's latency."""
 _LEAST_STEP_DN = 8.0
 _READ_S = 0.2
 _SHARE = np.s_[::4, ::4]
@@ -30,12 +30,12 @@ _SHARE = np.s_[::4, ::4]
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """What the flashes told.
+    """Result of the measurement.
 
     Args:
         ms: median of the middles between the last dark exposure and the first bright one, after the flip.
         earliest_ms, latest_ms: bounds that all flashes agree with; earliest above latest: they do not agree.
-        flashes: how many were seen; frames: ``ms`` in periods of the projector, 0 where its rate is unknown.
+        flashes: how many were shown; frames: ``ms`` in periods of the projector, 0 where its rate is unknown.
         dark, bright: mean counts of a frame.
     """
 
@@ -53,14 +53,12 @@ def measure_latency(
     projector: Projector,
     *,
     clock: Clock,
-    flip_ns: Callable[[], int | None] = lambda: None,
     flashes: int = 7,
     timeout_s: float = 5.0,
 ) -> Latency:
-    """Flash and look; opens the projector and the cameras, and closes them.
+    """Show flashes and measure the brightness; opens the projector and the cameras, and closes them.
 
     Args:
-        flip_ns: when the last image was out, CLOCK_REALTIME, if the driver knows; else when ``show`` came back.
         timeout_s: longest wait for a change of the image to be seen.
 
     Raises:
@@ -72,10 +70,10 @@ def measure_latency(
             camera.open()
         width, height = info.size
         black, white = (np.full((height, width, 3), level, np.uint8) for level in (0, 255))
-        looks = [_Look(side, camera, clock, timeout_s) for side, camera in cameras.items()]
+        meters = [_LightMeter(side, camera, clock, timeout_s) for side, camera in cameras.items()]
         for camera in cameras.values():
             camera.start()
-        found = _flash(looks, projector, (black, white), clock, flip_ns, flashes)
+        found = _flash(meters, projector, (black, white), clock, flashes)
     finally:
         for camera in cameras.values():
             camera.close()
@@ -94,11 +92,10 @@ def measure_latency(
 
 
 def _flash(
-    looks: list[_Look],
+    meters: list[_LightMeter],
     projector: Projector,
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
     clock: Clock,
-    flip_ns: Callable[[], int | None],
     flashes: int,
 ) -> list[tuple[float, float, float, float]]:
     """Bounds in ms, dark and bright counts of every flash and camera."""
@@ -106,16 +103,16 @@ def _flash(
     for _ in range(flashes):
         projector.show(images[0])
         shown_ns = clock.realtime_ns()
-        dark = [look.dark(shown_ns + SETTLED_NS) for look in looks]
-        projector.show(images[1])
-        flipped_ns = flip_ns() or clock.realtime_ns()
-        for look, level in zip(looks, dark, strict=True):
-            before_ns, after_ns, bright = look.brighter(level)
+        dark = [meter.dark(shown_ns + MAX_LATENCY_NS) for meter in meters]
+        flip = projector.show(images[1])
+        flipped_ns = clock.realtime_ns() if flip is None or flip.source == "unverified" else flip.t_realtime_ns
+        for meter, level in zip(meters, dark, strict=True):
+            before_ns, after_ns, bright = meter.brighter(level)
             found.append(((before_ns - flipped_ns) / 1e6, (after_ns - flipped_ns) / 1e6, level, bright))
     return found
 
 
-class _Look:
+class _LightMeter:
     """Mean brightness of one camera's frames."""
 
     def __init__(self, side: Side, camera: Camera, clock: Clock, timeout_s: float) -> None:

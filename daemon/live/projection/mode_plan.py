@@ -1,7 +1,8 @@
-"""What a multi-frame mode shows on this rig, and what measures it; the pipeline's part is loaded if one is wanted."""
+"""What a multi-frame mode shows on this rig, and its reconstructor; the pipeline's part is loaded when it is needed."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +11,20 @@ from numpy.typing import NDArray
 
 from daemon.common.errors import DaemonError
 from daemon.config.sequence import Sequencing
-from daemon.live.sets import SINGLE
+from daemon.live.items import SINGLE
 from pipeline.pattern.sequence import FrameSequence
-from pipeline.reconstruct.cloud import Cloud
 
 if TYPE_CHECKING:
     from daemon.rig.open_rig import Rig
     from pipeline.multi_frame.set_reconstructor import SetReconstructor
+
+
+@dataclass(frozen=True, slots=True)
+class ShownSequence:
+    """What a take stores of a sequence: its description, and the values of the metadata record ``fringed`` for it."""
+
+    pattern: Mapping[str, Any]
+    metadata: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +32,7 @@ class ModePlan:
     """A mode on a rig.
 
     Args:
-        mode: its name; sequence: the descriptions of its images.
+        mode: its name; sequence: the descriptions of its frames.
         images: as they are sent to the projector, (H, W, 3) uint8.
     """
 
@@ -32,30 +40,15 @@ class ModePlan:
     sequence: FrameSequence
     images: list[NDArray[np.uint8]]
 
-    def reconstructor(self, rig: Rig, **options: Any) -> SetMeasure:
-        """What measures the sets; options as of :class:`pipeline.multi_frame.set_reconstructor.SetReconstructor`."""
+    def reconstructor(self, rig: Rig, **options: Any) -> SetReconstructor:
+        """Of the mode's sets; options as of :class:`pipeline.multi_frame.set_reconstructor.SetReconstructor`."""
         from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
-        return SetMeasure(self.mode, SetReconstructor(rig.calibration, self.sequence, rig.volume, **options))
-
-
-class SetMeasure:
-    """A reconstructor of sets that tells which mode it is for."""
-
-    def __init__(self, mode: str, made: SetReconstructor) -> None:
-        self.mode, self._made = mode, made
-
-    def warm_up(self) -> None:
-        """Compile every kernel."""
-        self._made.warm_up()
-
-    def reconstruct(self, lefts: Any, rights: Any) -> Cloud:
-        """The cloud of a set."""
-        return self._made.reconstruct(lefts, rights)
+        return SetReconstructor(rig.calibration, self.sequence, rig.volume, **options)
 
 
 def make_plan(mode: str, config: Sequencing, rig: Rig) -> ModePlan | None:
-    """The plan of a mode, None for the single shot.
+    """Return the plan of a mode, None for the single shot.
 
     Raises:
         DaemonError: no such mode; PatternError: the projector cannot show such fringes.

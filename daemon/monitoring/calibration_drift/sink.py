@@ -50,6 +50,8 @@ class DriftMonitor:
         calibration, pattern, volume: as of the reconstruction; identity: of the calibration.
     """
 
+    heartbeat = None
+
     def __init__(
         self,
         config: Config,

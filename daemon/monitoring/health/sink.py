@@ -14,7 +14,7 @@ from typing import Any
 from daemon.common.clock import SystemClock
 from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import RigConfig
-from daemon.live.items import CloudItem, Item, PairItem
+from daemon.live.items import CloudItem, Item, Pair
 from daemon.monitoring.health.events import Event
 from daemon.monitoring.health.monitor import Monitor, number_or_none
 from daemon.monitoring.health.observe.clock_sync import ClockSync, clock_sync
@@ -45,6 +45,8 @@ class Health:
         DaemonError: the port of the metrics is not available.
     """
 
+    heartbeat = None
+
     def __init__(self, config: RigConfig, rig: Rig, base_dir: Path, *, clock: Clock | None = None) -> None:
         self._clock: Clock = clock or SystemClock()
         self._base_dir, health = base_dir, config.health
@@ -67,7 +69,7 @@ class Health:
     def offer(self, item: Item) -> bool:
         """Count a pair or a cloud; examine the illumination of some clouds."""
         now_ns = self._clock.monotonic_ns()
-        if isinstance(item, PairItem):
+        if isinstance(item, Pair):
             self.monitor.frames.pair(item, now_ns)
         elif isinstance(item, CloudItem):
             self.monitor.frames.cloud(item, now_ns)

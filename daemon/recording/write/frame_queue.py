@@ -6,9 +6,9 @@ import threading
 from collections import Counter, deque
 from collections.abc import Iterable
 
-from daemon.live.items import PairItem, UnpairedFrame
+from daemon.live.items import Pair, UnpairedFrame
 
-RawItem = PairItem | UnpairedFrame
+RawItem = Pair | UnpairedFrame
 
 
 class FrameQueue:

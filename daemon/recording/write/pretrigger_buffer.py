@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from daemon.live.items import PairItem
+from daemon.live.items import Pair
 from daemon.recording.write.frame_queue import RawItem
 
 MEGABYTE = 1_000_000
@@ -55,6 +55,6 @@ class PretriggerBuffer:
 
 def size_of(item: RawItem) -> int:
     """Return the bytes of an item's images."""
-    if isinstance(item, PairItem):
+    if isinstance(item, Pair):
         return item.left.image.nbytes + item.right.image.nbytes
     return item.frame.image.nbytes

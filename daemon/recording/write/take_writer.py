@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.common.errors import DaemonError
-from daemon.live.items import CloudItem, Item, PairItem
+from daemon.live.items import CloudItem, Item, Pair
 from daemon.recording.format.errors import TakeError
 from daemon.recording.format.part_names import CALIBRATION, PATTERN, RIG, VOLUME
 from daemon.recording.format.raw_image import ImageError
@@ -59,6 +59,8 @@ class TakeWriter:
     Raises:
         OSError: the file cannot be created. DaemonError: there is too little free space to begin.
     """
+
+    heartbeat = None
 
     def __init__(
         self,
@@ -295,7 +297,7 @@ class TakeWriter:
 
 
 def _frames(item: RawItem) -> tuple[Frame, ...]:
-    return (item.left, item.right) if isinstance(item, PairItem) else (item.frame,)
+    return (item.left, item.right) if isinstance(item, Pair) else (item.frame,)
 
 
 def _json(value: Mapping[str, Any]) -> bytes:

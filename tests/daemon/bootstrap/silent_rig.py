@@ -59,6 +59,7 @@ class Projector:
 class Devices:
     cameras: dict[str, Camera]
     projector: Projector
+    board: None = None
 
     def close(self) -> None:
         pass

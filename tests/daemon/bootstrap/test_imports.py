@@ -21,7 +21,7 @@ states = []
 def on_status(status):
     states.append(status["state"])
     if status["state"] == "running":
-        flag.ask()
+        flag.request()
 run.run_rig(path / "rig.yaml", flag=flag, on_status=on_status)
 heavy = ("rerun", "matplotlib", "sim", "pyarrow", "trimesh")
 solving = ("daemon.apps.calibration", *(f"pipeline.calibrate.{part}" for part in ("bundle", "targets", "color")))

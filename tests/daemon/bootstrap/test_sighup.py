@@ -20,7 +20,7 @@ pytestmark = PATIENT
 def test_a_request_waits_until_the_daemon_is_ready() -> None:
     done, ready = threading.Event(), [False]
     reloads = Reloads(done.set, ready=lambda: ready[0])
-    reloads.ask()
+    reloads.request()
     reloads.tick()
     assert not done.is_set()
     ready[0] = True
@@ -37,11 +37,11 @@ def test_requests_during_a_reload_are_merged_into_one() -> None:
         go_on.acquire()
 
     reloads = Reloads(reload, ready=lambda: True)
-    reloads.ask()
+    reloads.request()
     reloads.tick()
     assert begun.acquire(timeout=90)
     for _ in range(5):
-        reloads.ask()
+        reloads.request()
         reloads.tick()
     assert count == [1]
     go_on.release()
@@ -59,7 +59,7 @@ def test_a_failed_reload_is_reported_and_changes_nothing(caplog: pytest.LogCaptu
         raise ValueError("rig.yaml:3:1: no such key")
 
     reloads = Reloads(reload, ready=lambda: True)
-    reloads.ask()
+    reloads.request()
     with caplog.at_level(logging.ERROR, "fringed"):
         reloads.tick()
         thread = reloads._thread

@@ -25,7 +25,7 @@ def methods(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Methods]:
     tmp_path = tmp_path_factory.mktemp("rig")
     made = devices()
     service = Service(config(tmp_path), rig_of(made), {"stream": Collector()})
-    recorder = Recorder(service, tmp_path / "takes", lambda _: Collector())
+    recorder = Recorder(service.router, service.config, tmp_path / "takes", lambda _: Collector(), clock=service.clock)
     thread = threading.Thread(target=service.run)
     thread.start()
     wait_until(lambda: service.state()[0] is State.RUNNING, 60)
@@ -34,7 +34,7 @@ def methods(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Methods]:
         step(made)
     wait_until(lambda: service.worker.last is not None)
     yield Methods(service, recorder, path=tmp_path / "rig.yaml", base_dir=tmp_path)
-    service.ask_stop()
+    service.request_stop()
     thread.join(20)
 
 

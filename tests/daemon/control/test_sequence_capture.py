@@ -72,7 +72,7 @@ def running(path: Path) -> Iterator[Bench]:
         lambda file, pattern, least: open_capture(settings, rig, "s", file, pattern, min_free_bytes=least),
         directories=(path / "run", path / "takes"),
     )
-    recorder = Recorder(service, path / "takes", lambda _: Collector())
+    recorder = Recorder(service.router, service.config, path / "takes", lambda _: Collector(), clock=service.clock)
     calibrate = CalibrateMethods(service, capture)
     methods = Methods(service, recorder, path=None, base_dir=path, calibrate=calibrate)
     thread = threading.Thread(target=service.run)
@@ -82,7 +82,7 @@ def running(path: Path) -> Iterator[Bench]:
     thread.start()
     wait_until(lambda: service.state()[0] is State.RUNNING, 60)
     yield bench
-    service.ask_stop()
+    service.request_stop()
     thread.join(20)
     capture.close()
     assert not list((path / "run").iterdir()), "what was kept in memory goes with the daemon"

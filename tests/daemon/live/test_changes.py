@@ -61,7 +61,7 @@ def refused(running: Running, method: str, /, **params: object) -> RpcError:
         ("pairing.tolerance_us", 1500, lambda s: s.pairer._pairer.settings.tolerance_ns / 1000),
         ("pairing.resync_after", 5, lambda s: s.pairer._pairer.settings.resync_after),
         ("recording.min_free_mb", 17, lambda s: s.config.recording.min_free_mb),
-        ("stream.preview_hz", 0.5, lambda s: s.sinks["stream"].committed[-1][0].stream.preview_hz),
+        ("stream.preview_hz", 0.5, lambda s: s.router.sinks["stream"].committed[-1][0].stream.preview_hz),
         ("selfcheck.limits.column_px", 0.5, lambda s: s.config.selfcheck.limits.column_px),
         ("volume", {"near_mm": 1100, "far_mm": 1400}, lambda s: {"near_mm": s.rig.volume.near_mm, "far_mm": 1400.0}),
     ],
@@ -187,12 +187,14 @@ def test_takes_go_to_another_directory_after_a_reload(running: Running) -> None:
 
 def test_another_projected_image_needs_a_restart(running: Running) -> None:
     other = ColorFringe(size=running.service.rig.pattern.size, periods=7)
-    running.service.rig = replace(running.service.rig, pattern=other)
+    running.service.path.rig = replace(running.service.rig, pattern=other)
     try:
         running.write(f"pattern: {dict(running.devices.pattern)}\n")
         assert "pattern" in refused(running, "reload").as_object()["data"]["restart"]
     finally:
-        running.service.rig = replace(running.service.rig, pattern=color_fringe.from_mapping(running.devices.pattern))
+        running.service.path.rig = replace(
+            running.service.rig, pattern=color_fringe.from_mapping(running.devices.pattern)
+        )
 
 
 def test_a_sink_that_refuses_keeps_everything_as_it_was(running: Running) -> None:
@@ -252,7 +254,7 @@ def test_a_pause_that_comes_while_a_capture_ends_is_not_lost(running: Running) -
         ends.start()
         service.measure(False)
         ends.join()
-        assert service.state()[0] is State.PAUSED and not service.cameras["left"]._wanted.is_set()
+        assert service.state()[0] is State.PAUSED and not service.cameras["left"]._enabled.is_set()
         service.measure(True)
 
 
@@ -281,7 +283,7 @@ def test_a_change_that_waits_when_the_daemon_stops_fails_at_once(tmp_path: Path)
     waiting = threading.Thread(target=change)
     waiting.start()
     wait_until(lambda: len(running.service.worker._changes) == 1)
-    running.service.ask_stop()
+    running.service.request_stop()
     waiting.join(60)  # one that nobody takes over has other words after 20 s
     assert failures == ["the daemon is stopping; nothing was changed"]
     go.set()

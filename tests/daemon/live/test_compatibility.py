@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from daemon.live.acquisition.camera_status import CameraState, CameraStatus
 from daemon.live.compatibility import projector_problem, size_problem, timing_warnings
-from daemon.live.status import CameraState, CameraStatus
 from drivers.protocols import ProjectorInfo
 from sim.rig.layout import RigLayout
 

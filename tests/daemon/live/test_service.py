@@ -37,7 +37,7 @@ class Running:
         return self.service.state()[0]
 
     def stop(self) -> None:
-        self.service.ask_stop()
+        self.service.request_stop()
         self.thread.join(20)
         assert not self.thread.is_alive()
 
@@ -85,7 +85,7 @@ def test_a_camera_that_goes_away_degrades_the_daemon_and_comes_back_by_itself(ru
 
 
 def test_a_full_sink_loses_its_items_by_name_and_nobody_else_waits(running: Running) -> None:
-    running.service.add_sink("slow", Collector(full=True))
+    running.service.router.add_sink("slow", Collector(full=True))
     running.step(4)
     wait_until(lambda: len(running.sink.clouds) == 4)
     wait_until(lambda: running.service.drops["clouds_slow_busy"] == 4)
@@ -97,7 +97,7 @@ def test_a_sink_that_breaks_is_counted_and_harms_nobody(running: Running) -> Non
         def offer(self, item: Item) -> bool:  # noqa: ARG002 - the protocol's
             raise RuntimeError("broken")
 
-    running.service.add_sink("bad", Broken())
+    running.service.router.add_sink("bad", Broken())
     running.step(4)
     wait_until(lambda: len(running.sink.clouds) == 4)
     wait_until(lambda: running.service.drops["clouds_bad_failed"] == 4)
@@ -107,7 +107,8 @@ def test_a_sink_that_breaks_is_counted_and_harms_nobody(running: Running) -> Non
 def test_a_setting_that_changes_is_used_from_the_next_pair_on(running: Running) -> None:
     running.step(4)
     wait_until(lambda: len(running.sink.clouds) == 4)
-    running.service.apply(running.service.settings.with_overrides({"min_modulation": 100.0}))
+    service = running.service
+    service.change(service.config, service.rig, service.settings.with_overrides({"min_modulation": 100.0}), ())
     running.step(1)
     wait_until(lambda: len(running.sink.clouds) == 5)
     assert running.sink.clouds[-1].cloud.points == 0
@@ -142,14 +143,16 @@ def test_stopping_closes_sinks_and_devices_and_says_so(running: Running) -> None
 def test_stopping_while_starting_is_orderly(tmp_path: Path) -> None:
     made, sink = devices(), Collector()
     service = Service(config(tmp_path), rig_of(made), {"stream": sink})
-    service.ask_stop()
+    service.request_stop()
     service.run()
     assert sink.closed
 
 
 def test_a_take_is_a_sink_for_as_long_as_it_lasts(running: Running, tmp_path: Path) -> None:
     taken = Collector()
-    recorder = Recorder(running.service, tmp_path / "takes", lambda _: taken)
+    recorder = Recorder(
+        running.service.router, running.service.config, tmp_path / "takes", lambda _: taken, clock=running.service.clock
+    )
     assert recorder.start("a")["recording"] is True
     with pytest.raises(DaemonError, match="already"):
         recorder.start("b")

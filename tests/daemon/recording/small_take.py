@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from daemon.live.items import PairItem
+from daemon.live.items import Pair
 from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame
 from sim.render.render_pair import render_pair
@@ -44,7 +44,7 @@ def write(path: Path, images: Sequence[Images], *, first: int = 40, **options: A
             Frame(side, number, t_ns, t_ns + 10_000_000, "rgb8", image)
             for side, image in (("left", left), ("right", right))
         ]
-        assert recorder.offer(PairItem(*frames))
+        assert recorder.offer(Pair(*frames))
     recorder.close()
     assert "problem" not in recorder.status()
     return path

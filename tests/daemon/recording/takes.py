@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.live.items import PairItem, UnpairedFrame
+from daemon.live.items import Pair, UnpairedFrame
 from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame, Side
 
@@ -29,9 +29,9 @@ def frame(side: Side, number: int, *, encoding: str = "rgb8", size: tuple[int, i
     return Frame(side, number, t_ns, t_ns + late_ns, encoding, image)
 
 
-def pair(number: int, **options: Any) -> PairItem:
+def pair(number: int, **options: Any) -> Pair:
     """Both frames of a trigger."""
-    return PairItem(frame("left", number, **options), frame("right", number, **options))
+    return Pair(frame("left", number, **options), frame("right", number, **options))
 
 
 def lone(side: Side, number: int) -> UnpairedFrame:

@@ -29,7 +29,7 @@ RATE_HZ = 20
 
 
 class Rig:
-    """As much of a service as the recorder needs; time is the test's."""
+    """Router and clock for the recorder; time is the test's."""
 
     def __init__(self, recording: str = "") -> None:
         self.config: RigConfig = parse_rig(f"cameras: {{driver: sim}}\nrecording: {{{recording}}}\n")
@@ -47,7 +47,8 @@ class Rig:
 
 
 def recorder_of(rig: Rig, directory: Path, open_take: Callable[[Path], Any] | None = None) -> Recorder:
-    return Recorder(rig, directory, open_take or (lambda path: writer(path, queue=4)))  # type: ignore[arg-type]
+    make = open_take or (lambda path: writer(path, queue=4))
+    return Recorder(rig, rig.config, directory, make, clock=rig.clock)  # type: ignore[arg-type]
 
 
 def numbers(path: str) -> list[int]:
@@ -90,7 +91,7 @@ def test_the_limits_that_hold_now_are_the_configured_ones(tmp_path: Path) -> Non
     recorder = recorder_of(rig, tmp_path)
     rig.measures(recorder, 0, 100)
     assert recorder.status()["before"]["items"] > 60
-    rig.config = Rig().config
+    recorder.change(Rig().config, None)()  # type: ignore[arg-type]
     rig.measures(recorder, 100, 1)
     assert recorder.status() == {"recording": False}
 

@@ -11,7 +11,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from daemon.common.errors import DaemonError
-from daemon.live.items import CloudItem, PairItem
+from daemon.live.items import CloudItem, Pair
 from daemon.recording.format import raw_image
 from daemon.recording.format.errors import TakeError
 from daemon.recording.read.take_reader import TakePair, TakeReader
@@ -252,7 +252,7 @@ def test_what_was_written_is_synced_while_the_take_goes_on(tmp_path: Path, monke
 
 def test_an_image_that_cannot_be_recorded_costs_only_its_pair(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
-    wrong = PairItem(pair(1).left, frame("right", 1, encoding="mono8", size=(0, 7)))
+    wrong = Pair(pair(1).left, frame("right", 1, encoding="mono8", size=(0, 7)))
     status = write(path, [pair(0), wrong, pair(2)])
     assert status["dropped"] == {"refused": 1}
     assert "problem" not in status

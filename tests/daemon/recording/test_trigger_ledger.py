@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from daemon.common.clock import SystemClock
+from daemon.common.counters import Counters
 from daemon.live.acquisition.locked_pairer import LockedPairer
 from daemon.live.acquisition.pairer import FrameOutcome, PairingSettings
-from daemon.live.items import Item, PairItem, UnpairedFrame
+from daemon.live.items import Item, Pair, UnpairedFrame
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import Frame, Side
 from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
@@ -34,8 +35,9 @@ def played(sent: list[Sent], restarts: dict[int, tuple[Side, ...]] | None = None
     clock = Arrivals()
     pairer = LockedPairer(
         PairingSettings(),
-        paired=lambda pair: items.append(PairItem(pair.left, pair.right)),
-        lone=lambda frame: items.append(UnpairedFrame(frame)),
+        paired=items.append,
+        unpaired=lambda frame: items.append(UnpairedFrame(frame)),
+        drops=Counters(),
         clock=clock,
     )
     due = dict(restarts or {})
@@ -78,7 +80,7 @@ def test_counts_that_begin_anew_make_no_wrong_pair_and_the_numbers_go_on(tmp_pat
     pairs, _ = pairs_read(tmp_path / "take.mcap", items)
     assert [left for left, right in pairs] == [right for left, right in pairs]
     assert len(pairs) == 76
-    numbers = [item.left.trigger for item in items if isinstance(item, PairItem)]
+    numbers = [item.left.trigger for item in items if isinstance(item, Pair)]
     assert numbers == sorted(set(numbers))
 
 

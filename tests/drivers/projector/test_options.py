@@ -72,4 +72,4 @@ def test_without_a_display_the_option_is_named(monkeypatch: pytest.MonkeyPatch) 
 )
 def test_the_stored_latency_is_told_in_seconds(options: dict[str, Any], latency_s: float | None) -> None:
     projector = open_external({"size": [8, 8], **options}, HERE)
-    assert projector.latency_s == (None if latency_s is None else pytest.approx(latency_s))
+    assert projector.open().latency_s == (None if latency_s is None else pytest.approx(latency_s))

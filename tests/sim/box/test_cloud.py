@@ -41,7 +41,9 @@ def test_the_loop_costs_no_accuracy(make_box: Callable[..., Box], encoding: str)
     box = make_box(encoding=encoding)
     truth, _ = render_pair.truths(box.options.layout, box.stage.scene, box.options.layout.pattern())
     with Daemon(box) as daemon, closing(subscribe(daemon.stream, latest=False, timeout_s=30)) as clouds:
-        wait_until(lambda: "cloud/full" in daemon.service.sinks["stream"].status()["topics"], 30, "the subscription")
+        wait_until(
+            lambda: "cloud/full" in daemon.service.router.sinks["stream"].status()["topics"], 30, "the subscription"
+        )
         received = []
         for _ in range(PAIRS):
             index = daemon.step_until_pair()

@@ -9,16 +9,16 @@ from typing import Any, Self
 
 from daemon.apps.calibration.guided.capture import CapturedImages, Progress, no_progress
 from daemon.common.clock import SystemClock
+from daemon.common.counters import Counters
 from daemon.common.errors import DaemonError
 from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import RigConfig
 from daemon.live.acquisition.camera_thread import CameraThread
-from daemon.live.acquisition.locked_pairer import LockedPairer
-from daemon.live.acquisition.pairer import Pair, PairingSettings
+from daemon.live.acquisition.locked_pairer import LockedPairer, pairing_settings
+from daemon.live.items import Pair
 from daemon.live.projection.confirmed_capture import ConfirmedCapture, patience_s, settling_ns
-from daemon.rig.open_rig import next_pose
 from drivers.errors import DriverError
-from drivers.protocols import SIDES, Clock, Frame, Side
+from drivers.protocols import SIDES, Clock, Devices, Side
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.rig.calibration import Response
 
@@ -38,7 +38,7 @@ class CaptureFromDevices:
 
     def __init__(
         self,
-        devices: Any,
+        devices: Devices,
         config: RigConfig,
         *,
         response: Response | None = None,
@@ -47,26 +47,21 @@ class CaptureFromDevices:
     ) -> None:
         self._devices, self._response, clock = devices, response, clock or SystemClock()
         self._cameras: dict[Side, CameraThread] = {}
-        limits = PairingSettings(
-            tolerance_ns=round(1000 * config.pairing.tolerance_us),
-            max_wait_ns=round(1e6 * config.pairing.max_wait_ms),
-            resync_after=config.pairing.resync_after,
-        )
-        self._move = next_pose(devices)
+        limits = pairing_settings(config.pairing)
         self._pose: Any = None
         queue: LatestWinsQueue[Pair] = LatestWinsQueue(4)
-        pairer = LockedPairer(limits, paired=lambda pair: _put(queue, pair), lone=_drop, clock=clock)
+        pairer = LockedPairer(limits, paired=queue.put, unpaired=lambda _: None, drops=Counters(), clock=clock)
         try:
-            projector = devices.projector.open()
-            self._size: tuple[int, int] = projector.size
+            self._projector = devices.projector.open()
             self._open_cameras(pairer, clock)
-            settle_ns = settling_ns(devices.projector, projector.refresh_hz, tolerance_ns=limits.tolerance_ns)
+            settle_ns = settling_ns(self._projector, tolerance_ns=limits.tolerance_ns)
             self._confirmed = ConfirmedCapture(
                 devices.projector,
+                self._projector,
                 queue,
                 clock=clock,
                 settle_ns=settle_ns,
-                patience_s=patience_s(rendered=self._move is not None),
+                patience_s=patience_s(rendered=devices.board is not None),
                 cancelled=cancelled,
             )
         except BaseException:
@@ -84,7 +79,7 @@ class CaptureFromDevices:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) of the projector, pixels."""
-        return self._size
+        return self._projector.size
 
     def capture(self, sequence: FrameSequence, *, progress: Progress = no_progress) -> CapturedImages:
         """Capture a pair for each frame, see :class:`daemon.apps.calibration.guided.capture.ImageCapture`."""
@@ -101,7 +96,7 @@ class CaptureFromDevices:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user, whole sentences."""
-        if getattr(self._devices.projector, "latency_s", None) is not None:
+        if self._projector.latency_s is not None:
             return ()
         return (
             "the projector's latency is unknown, so every capture waits longer than necessary; "
@@ -111,19 +106,19 @@ class CaptureFromDevices:
     @property
     def has_hand(self) -> bool:
         """Whether a simulated hand, not a person, holds the board."""
-        return self._move is not None
+        return self._devices.board is not None
 
     def next_pose(self) -> bool:
         """Move the board to the simulated hand's next pose; False after the last pose, or without a simulated hand."""
-        if self._move is None:
+        if self._devices.board is None:
             return False
-        before, self._pose = self._pose, self._move()
+        before, self._pose = self._pose, self._devices.board.next_pose()
         return self._pose is None or self._pose != before
 
     def close(self) -> None:
         """Stop projecting and close the devices."""
         for camera in self._cameras.values():
-            camera.ask_stop()
+            camera.request_stop()
         for camera in self._cameras.values():
             camera.join(5.0)
         self._devices.projector.close()
@@ -136,7 +131,7 @@ class CaptureFromDevices:
                 self._devices.cameras[side],
                 deliver=pairer.receive,
                 started=pairer.camera_restarted,
-                changed=_unchanged,
+                changed=lambda: None,
                 clock=clock,
             )
             self._cameras[side].start()
@@ -150,16 +145,3 @@ class CaptureFromDevices:
         encodings = {side: camera.status.encoding for side, camera in self._cameras.items()}
         if len(set(encodings.values())) != 1:
             raise DaemonError(f"the cameras have the encodings {encodings}, expected the same one")
-
-
-def _put(queue: LatestWinsQueue[Pair], pair: Pair) -> None:
-    """Queue a pair; the pair that it displaces was not needed."""
-    queue.put(pair)
-
-
-def _drop(_: Frame) -> None:
-    """Ignore an unpaired frame."""
-
-
-def _unchanged() -> None:
-    """Ignore the cameras' changes of state."""

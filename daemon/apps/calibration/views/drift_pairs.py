@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.live.items import Item, PairItem
+from daemon.live import items
 from pipeline.calibrate.drift_correction import MOST_PAIRS, Pair
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.volume import Volume
@@ -53,14 +53,16 @@ def from_take(path: Path, progress: Callable[[int, int], None]) -> DriftPairs:
 class _PairSink:
     """A sink that keeps every third pair."""
 
+    heartbeat = None
+
     def __init__(self) -> None:
         self.pairs: list[Pair] = []
         self.encodings: set[str] = set()
         self.full = threading.Event()
         self._count = 0
 
-    def offer(self, item: Item) -> bool:
-        if isinstance(item, PairItem) and not self.full.is_set():
+    def offer(self, item: items.Item) -> bool:
+        if isinstance(item, items.Pair) and not self.full.is_set():
             self._count += 1
             if self._count % _STRIDE == 0:
                 self.pairs.append((item.left.image, item.right.image))  # type: ignore[arg-type]
@@ -107,7 +109,7 @@ def from_rig(path: Path, progress: Callable[[int, int], None], *, timeout_s: flo
             waited += 0.25
             progress(len(sink.pairs), MOST_PAIRS)
     finally:
-        service.ask_stop()
+        service.request_stop()
         thread.join(30.0)
     if failed:
         raise failed[0]

@@ -7,8 +7,8 @@ from typing import Any
 
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
+from daemon.live.acquisition.camera_status import CameraState, CameraStatus
 from daemon.live.compatibility import timing_warnings
-from daemon.live.status import CameraState, CameraStatus
 
 area = Area("timing")
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.live.items import CloudItem, PairItem
+from daemon.live.items import CloudItem, Pair
 from drivers.protocols import TRIGGER_MODULUS
 
 KEPT = 8192
@@ -39,7 +39,7 @@ class FrameStatistics:
         self._pairs: deque[_Pair] = deque(maxlen=KEPT)
         self._clouds: deque[_Cloud] = deque(maxlen=KEPT)
 
-    def pair(self, item: PairItem, now_ns: int) -> None:
+    def pair(self, item: Pair, now_ns: int) -> None:
         """Add a pair."""
         t_ns = item.left.t_exposure_ns
         self._pairs.append(_Pair(now_ns, item.left.trigger, t_ns, item.right.t_exposure_ns - t_ns))

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.bootstrap.systemd.journal import JournalHandler, begun_by_systemd, encode
+from daemon.bootstrap.systemd.journal import JournalHandler, encode, started_by_systemd
 
 
 class Journal:
@@ -61,7 +61,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 def log(tmp_path: Path) -> Iterator[logging.Logger]:
     logger = logging.getLogger("fringed.test-journal")
     logger.propagate = False
-    handler = JournalHandler(tmp_path / "journal", beside=Beside())
+    handler = JournalHandler(tmp_path / "journal", fallback=Beside())
     handler.fields.update(session="abc", device="rig-01")
     logger.addHandler(handler)
     yield logger
@@ -135,8 +135,8 @@ def test_encoded_records_are_read_back_unchanged(fields: dict[str, str]) -> None
 def test_systemd_is_detected_by_device_and_inode_of_standard_error(tmp_path: Path) -> None:
     handle = os.open(tmp_path / "stream", os.O_CREAT | os.O_WRONLY)
     there = os.fstat(handle)
-    assert begun_by_systemd({"JOURNAL_STREAM": f"{there.st_dev}:{there.st_ino}"}, handle)
-    assert not begun_by_systemd({"JOURNAL_STREAM": f"{there.st_dev}:{there.st_ino + 1}"}, handle)
-    assert not begun_by_systemd({}, handle)
+    assert started_by_systemd({"JOURNAL_STREAM": f"{there.st_dev}:{there.st_ino}"}, handle)
+    assert not started_by_systemd({"JOURNAL_STREAM": f"{there.st_dev}:{there.st_ino + 1}"}, handle)
+    assert not started_by_systemd({}, handle)
     os.close(handle)
-    assert not begun_by_systemd({"JOURNAL_STREAM": "1:2"}, handle)
+    assert not started_by_systemd({"JOURNAL_STREAM": "1:2"}, handle)

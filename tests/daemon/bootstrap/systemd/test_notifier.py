@@ -37,7 +37,7 @@ def test_an_abstract_address_works_too() -> None:
 def test_the_variables_are_taken_out_of_the_environment(manager: Manager) -> None:
     environ = manager.environment(watchdog_us=10_000_000) | {"WATCHDOG_PID": str(os.getpid()), "OTHER": "x"}
     notifier = Notifier.from_environment(environ)
-    assert environ == {"OTHER": "x"} and notifier.wanted and notifier.watchdog_s == 10.0
+    assert environ == {"OTHER": "x"} and notifier.active and notifier.watchdog_s == 10.0
     notifier.close()
 
 
@@ -61,7 +61,7 @@ def test_a_watchdog_for_another_process_or_of_invalid_time_is_ignored(environ: d
 @pytest.mark.parametrize("address", ["", "relative/path", "vsock:2:1234"])
 def test_without_a_manager_nothing_is_sent(address: str) -> None:
     notifier = Notifier.from_environment({"NOTIFY_SOCKET": address})
-    assert not notifier.wanted and not notifier.ready("x") and notifier.failed == 0
+    assert not notifier.active and not notifier.ready("x") and notifier.failed == 0
 
 
 def test_a_manager_that_has_ended_or_does_not_read_blocks_no_caller(tmp_path: Path, manager: Manager) -> None:

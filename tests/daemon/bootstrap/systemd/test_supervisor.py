@@ -81,7 +81,7 @@ def running(tmp_path: Path, manager: Manager) -> Iterator[Running]:
     wait_until(lambda: all(c["state"] == "acquiring" for c in service.status().as_dict()["cameras"].values()))
     yield running
     running.gate.set()
-    service.ask_stop()
+    service.request_stop()
     thread.join(60)
     supervisor.close()
     assert not thread.is_alive()
@@ -106,10 +106,10 @@ def test_ready_comes_with_the_first_cloud_and_not_before(running: Running) -> No
 
 
 def test_a_missing_trigger_is_reported_in_the_status(running: Running) -> None:
-    running.supervisor.told(running.service.status().as_dict())
+    running.supervisor.note_status(running.service.status().as_dict())
     assert "waiting for the trigger" in running.manager.wait_for("STATUS")
     measure(running)
-    running.supervisor.told(running.service.status().as_dict())
+    running.supervisor.note_status(running.service.status().as_dict())
     assert "clouds/s" in running.manager.wait_for("STATUS", "points")
 
 
@@ -138,7 +138,7 @@ def test_a_pipeline_that_hangs_stops_the_watchdog_messages(running: Running, cap
     assert "EXTEND_TIMEOUT_USEC" not in [key for message in running.manager.read() for key in message]
     running.gate.set()
     wait_until(running.fed)
-    wait_until(lambda: "life is proven again" in caplog.text)
+    wait_until(lambda: "the watchdog is fed again" in caplog.text)
 
 
 def hang(running: Running) -> None:
@@ -169,15 +169,15 @@ def test_a_camera_driver_that_hangs_stops_the_watchdog_messages(running: Running
     assert running.hanging.wait(60)
     running.clock.advance(11.0)
     wait_until(lambda: not running.fed())
-    running.supervisor.told(running.service.status().as_dict())
+    running.supervisor.note_status(running.service.status().as_dict())
     assert "camera right" in running.manager.wait_for("STATUS", "not alive")
 
 
 def test_a_sink_that_does_not_turn_stops_the_watchdog_messages(running: Running) -> None:
     from daemon.common.heartbeat import Heartbeat
 
-    sink = running.service.sinks["stream"]
-    sink.heartbeat = Heartbeat(running.clock.monotonic_ns)  # type: ignore[attr-defined]
+    sink = running.service.router.sinks["stream"]
+    sink.heartbeat = Heartbeat(running.clock.monotonic_ns)
     assert running.fed()
     sink.heartbeat.expect(-1.0)  # type: ignore[attr-defined]
     wait_until(lambda: not running.fed())

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.live.acquisition.pairer import Event, FrameOutcome, Lost, Pair, Pairer, PairingSettings, Resynced
+from daemon.live.acquisition.pairer import Event, FrameOutcome, Lost, Pairer, PairingSettings, Resynced
+from daemon.live.items import Pair
 from drivers.protocols import TRIGGER_MODULUS, Frame
 from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
 
@@ -131,7 +132,7 @@ def test_frames_before_the_other_camera_runs_are_named_so() -> None:
     pairer = Pairer()
     events = [event for k in range(60) for event in pairer.feed(_frame("left", k, k * PERIOD_NS, 1))]
     assert {event.outcome for event in events if isinstance(event, Lost)} <= {FrameOutcome.BEFORE_SYNC}
-    assert pairer.waiting <= pairer.settings.room
+    assert pairer.waiting <= pairer.settings.capacity
 
 
 def test_a_frame_that_lay_around_for_long_is_stale() -> None:
@@ -160,11 +161,11 @@ chance = st.sampled_from([0.0, 0.01, 0.1, 0.3])
     gone=st.sampled_from([0.0, 0.02]),
     extra=st.sampled_from([(), ("left",), ("right",), ("left", "right")]),
     start=st.sampled_from([0, 1, TRIGGER_MODULUS - 3]),
-    room=st.integers(1, 12),
+    capacity=st.integers(1, 12),
 )
-def test_any_storm_of_faults_keeps_both_laws(seed, chances, gone, extra, start, room) -> None:  # type: ignore[no-untyped-def]
+def test_any_storm_of_faults_keeps_both_laws(seed, chances, gone, extra, start, capacity) -> None:  # type: ignore[no-untyped-def]
     faults = Faults(*chances, blackout=0.02, gone=gone, extra_first=extra, start=start)
-    sent, pairer = storm(60, faults, seed), Pairer(PairingSettings(room=room))
+    sent, pairer = storm(60, faults, seed), Pairer(PairingSettings(capacity=capacity))
     check(sent, play(sent, pairer), pairer)
 
 
@@ -173,4 +174,4 @@ def test_no_reference_to_a_frame_is_kept_after_its_fate() -> None:
     for k in range(2000):
         pairer.feed(_frame("left", k, k * PERIOD_NS, 1))
     held = [guest for camera in pairer._cameras.values() for guest in camera.waiting]
-    assert len(held) <= pairer.settings.room and all(isinstance(guest.frame, Frame) for guest in held)
+    assert len(held) <= pairer.settings.capacity and all(isinstance(guest.frame, Frame) for guest in held)

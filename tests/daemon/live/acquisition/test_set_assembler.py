@@ -8,8 +8,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.live.acquisition.pairer import Pair, Pairer
-from daemon.live.acquisition.set_assembler import MOST_GAP_NS, SetAssembler
+from daemon.live.acquisition.pairer import Pairer
+from daemon.live.acquisition.set_assembler import MAX_GAP_NS, SetAssembler
+from daemon.live.items import Pair
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame
 
 MS = 1_000_000
@@ -56,7 +57,7 @@ def test_a_set_is_made_of_each_pass_that_lost_nothing_and_of_no_other(
 @given(
     frames=st.integers(2, 9),
     first=st.integers(0, TRIGGER_MODULUS - 1),
-    shots=st.lists(st.tuples(st.integers(-30, 30), st.integers(0, 200 * MOST_GAP_NS // 100)), max_size=150),
+    shots=st.lists(st.tuples(st.integers(-30, 30), st.integers(0, 200 * MAX_GAP_NS // 100)), max_size=150),
 )
 def test_whatever_comes_no_set_mixes_passes_and_no_pair_is_used_twice(
     frames: int, first: int, shots: list[Shot]
@@ -66,7 +67,7 @@ def test_whatever_comes_no_set_mixes_passes_and_no_pair_is_used_twice(
     for one in made:
         positions, times_ns = [p for p, _ in one], [t for _, t in one]
         assert positions[0] % frames == 0 and positions == list(range(positions[0], positions[0] + frames))
-        assert all(0 < b - a <= MOST_GAP_NS for a, b in itertools.pairwise(times_ns))
+        assert all(0 < b - a <= MAX_GAP_NS for a, b in itertools.pairwise(times_ns))
     used = [shot for one in made for shot in one]
     assert len(used) <= len(shots)
 

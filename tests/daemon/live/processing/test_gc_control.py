@@ -19,7 +19,7 @@ class Ring:
 @pytest.fixture
 def garbage() -> Iterator[GcControl]:
     made = GcControl()
-    made.hold(0.0)
+    made.take_over(0.0)
     yield made
     made.release()
     assert gc.isenabled() and gc.get_freeze_count() == 0
@@ -82,7 +82,7 @@ def test_every_pause_is_counted_with_its_length(garbage: GcControl) -> None:
     gc.collect()
     pauses.start()
     gc.collect()
-    garbage.hold(0.0)
+    garbage.take_over(0.0)
     pauses.stop()
     pauses.stop()
     gc.collect()
@@ -92,10 +92,10 @@ def test_every_pause_is_counted_with_its_length(garbage: GcControl) -> None:
 def test_what_was_there_is_frozen_and_may_go_after_the_next_hold(garbage: GcControl) -> None:
     ring = Ring()
     lost = weakref.ref(ring)
-    garbage.hold(1.0)
+    garbage.take_over(1.0)
     assert gc.get_freeze_count() > 0
     del ring
     gc.collect()
     assert lost() is not None
-    garbage.hold(2.0)
+    garbage.take_over(2.0)
     assert lost() is None

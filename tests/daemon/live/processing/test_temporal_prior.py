@@ -10,7 +10,7 @@ PERIOD_NS = 33_000_000
 
 
 @pytest.mark.parametrize(
-    ("seq", "periods", "stride", "follows"),
+    ("seq", "periods", "stride", "usable"),
     [
         (11, 1, 1, True),
         (14, 4, 1, True),
@@ -23,28 +23,28 @@ PERIOD_NS = 33_000_000
     ],
 )
 def test_a_pair_follows_the_last_one_if_little_time_has_passed(
-    seq: int, periods: int, stride: int, follows: bool
+    seq: int, periods: int, stride: int, usable: bool
 ) -> None:
-    sequel = TemporalPrior()
-    sequel.measured(10, 0, 1)
-    assert sequel.follows(seq, periods * PERIOD_NS, stride) is follows
+    prior = TemporalPrior()
+    prior.measured(10, 0, 1)
+    assert prior.usable(seq, periods * PERIOD_NS, stride) is usable
 
 
 def test_a_slow_trigger_counts_in_periods() -> None:
-    sequel = TemporalPrior()
-    sequel.measured(10, 0, 1)
-    assert sequel.follows(12, 2_000_000_000, 1) and not sequel.follows(15, 5_000_000_000, 1)
+    prior = TemporalPrior()
+    prior.measured(10, 0, 1)
+    assert prior.usable(12, 2_000_000_000, 1) and not prior.usable(15, 5_000_000_000, 1)
 
 
 def test_numbers_wrap() -> None:
-    sequel = TemporalPrior()
-    sequel.measured(2**32 - 1, 0, 1)
-    assert sequel.follows(0, PERIOD_NS, 1)
+    prior = TemporalPrior()
+    prior.measured(2**32 - 1, 0, 1)
+    assert prior.usable(0, PERIOD_NS, 1)
 
 
 def test_nothing_follows_at_the_start_and_after_a_change() -> None:
-    sequel = TemporalPrior()
-    assert not sequel.follows(0, 0, 1)
-    sequel.measured(0, 0, 1)
-    sequel.forget()
-    assert not sequel.follows(1, PERIOD_NS, 1)
+    prior = TemporalPrior()
+    assert not prior.usable(0, 0, 1)
+    prior.measured(0, 0, 1)
+    prior.reset()
+    assert not prior.usable(1, PERIOD_NS, 1)

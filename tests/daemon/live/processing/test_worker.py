@@ -12,8 +12,7 @@ import pytest
 
 from daemon.common.counters import Counters
 from daemon.config.rig_config import Pipeline
-from daemon.live.acquisition.pairer import Pair
-from daemon.live.items import CloudItem
+from daemon.live.items import CloudItem, Pair
 from daemon.live.processing.worker import Worker
 from drivers.protocols import Frame, Side
 from pipeline.common.errors import PipelineError
@@ -33,10 +32,14 @@ CLOUD = Cloud(
 
 @dataclass
 class Stub:
-    """Notes how it is called; an image of 1 is refused; ``gate`` holds it up."""
+    """Notes how it is called; an image of 1 is rejected; ``gate`` delays it."""
 
+    mode = "single"
     calls: list[tuple[int, bool]] = field(default_factory=list)
     gate: threading.Semaphore | None = None
+
+    def warm_up(self, *, strides: tuple[int, ...], use_prior: bool) -> None:
+        pass
 
     def reconstruct(self, left: Any, right: Any, *, stride: int = 1, use_prior: bool = False) -> Cloud:
         if self.gate is not None:
@@ -118,10 +121,10 @@ def test_dropped_pairs_bring_half_images_where_that_is_wanted(overload: str, str
         line.clock.now_ns += 33_000_000
         line.pair(seq, 33 * seq)
         if seq == 0:
-            wait_until(lambda: len(line.worker._box) == 0)
+            wait_until(lambda: len(line.worker._queue) == 0)
         if seq == 3:  # two were dropped; the next one is taken
             line.stub.gate.release()
-            wait_until(lambda: len(line.worker._box) == 0)
+            wait_until(lambda: len(line.worker._queue) == 0)
     line.pair(6, 33 * 6)
     for _ in range(2):
         line.stub.gate.release()

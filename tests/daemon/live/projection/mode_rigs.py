@@ -51,7 +51,7 @@ def _run(service: Service, sink: Collector, settings: RigConfig, path: Path) -> 
         wait_until(lambda: service.state()[0] in (State.RUNNING, State.DEGRADED) or not thread.is_alive(), 110)
         yield Running(service, sink, settings, path)
     finally:
-        service.ask_stop()
+        service.request_stop()
         thread.join(30)
         assert not thread.is_alive()
 
@@ -65,40 +65,31 @@ def rendered(path: Path, mode: str = "heterodyne", *, sequence: str = "{}", simu
         yield running
 
 
-class FlatSets:
+class FlatSets(FlatReconstructor):
     """Gives clouds without any point for sets, and keeps how bright their images are."""
 
     def __init__(self, mode: str, seen: list[list[int]]) -> None:
         self.mode, self._seen = mode, seen
 
-    def warm_up(self) -> None:
-        pass
-
-    def reconstruct(self, lefts: Any, rights: Any) -> Cloud:
+    def reconstruct(self, lefts: Any, rights: Any, **_: Any) -> Cloud:
         both = [{int(v) for image in pair for v in np.unique(image)} for pair in zip(lefts, rights, strict=True)]
         assert all(len(levels) == 1 for levels in both), "an image of a set shows one light"
         self._seen.append([levels.pop() for levels in both])
-        return FlatReconstructor().reconstruct(lefts[0], rights[0])
-
-
-class FlatPairs(FlatReconstructor):
-    """The same for pairs."""
-
-    def warm_up(self) -> None:
-        pass
+        return super().reconstruct(lefts[0], rights[0])
 
 
 class UnmeasuringService(Service):
     """The daemon without its pipeline, in any mode."""
 
-    def reconstructor(self, *_: Any) -> Any:
-        plan = self.mode_controller.plan
-        return FlatPairs() if plan is None else FlatSets(plan.mode, self.seen)
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        #: Brightness of the images of every set that was measured.
+        self.seen: list[list[int]] = []
+        self.path._reconstructor = self._flat  # type: ignore[method-assign]
 
-    @property
-    def seen(self) -> list[list[int]]:
-        """Brightness of the images of every set that was measured."""
-        return self.__dict__.setdefault("_seen", [])
+    def _flat(self, *_: Any) -> Any:
+        plan = self.mode_controller.plan
+        return FlatReconstructor() if plan is None else FlatSets(plan.mode, self.seen)
 
 
 @dataclass

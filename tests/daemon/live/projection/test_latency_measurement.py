@@ -10,7 +10,7 @@ import pytest
 
 from daemon.live.projection.latency_measurement import measure_latency
 from drivers.errors import DriverError
-from drivers.protocols import CameraHealth, CameraInfo, Frame, ProjectorInfo
+from drivers.protocols import CameraHealth, CameraInfo, Flip, Frame, ProjectorInfo
 
 NOW_NS = 1_700_000_000_000_000_000
 
@@ -24,7 +24,7 @@ class Bench:
         self.changes: list[tuple[int, int]] = [(0, 0)]
         self.triggers = 0
         self.cameras = {"left": BenchCamera(self), "right": BenchCamera(self)}
-        self.closed = 0
+        self.closed = self.flip_ago_ns = 0
 
     def realtime_ns(self) -> int:
         return self.now_ns
@@ -46,10 +46,15 @@ class Bench:
     def open(self) -> ProjectorInfo:
         return ProjectorInfo("bench", (32, 24), self.refresh_hz)
 
-    def show(self, image: Any) -> None:
+    def show(self, image: Any) -> Flip | None:
         assert image.shape == (24, 32, 3)
         self.pass_until(self.now_ns + 7_300_000)
         self.changes.append((self.now_ns + self.latency_ns, int(image[0, 0, 0])))
+        return (
+            Flip(self.now_ns - self.flip_ago_ns - NOW_NS, self.now_ns - self.flip_ago_ns, 1, "present")
+            if self.flip_ago_ns
+            else None
+        )
 
     def problem(self) -> str:
         return ""
@@ -109,7 +114,8 @@ def test_the_bounds_hold_the_truth_and_the_estimate_is_within_half_a_period(
 
 def test_a_driver_that_knows_the_flip_is_believed() -> None:
     bench = Bench(latency_ms=20.0, period_ms=2.0)
-    found = measured(bench, flip_ns=lambda: bench.now_ns - 4_000_000)
+    bench.flip_ago_ns = 4_000_000
+    found = measured(bench)
     assert found.ms == pytest.approx(24.0, abs=1.1)
 
 

@@ -15,7 +15,7 @@ from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.methods import Methods
 from daemon.control.rpc.protocol import RpcError
 from daemon.control.sequence_capture import Capture
-from daemon.live.items import PairItem
+from daemon.live.items import Pair
 from daemon.live.status import State
 from daemon.recording.recorder import Recorder
 from tests.daemon.live.projection.mode_rigs import Lit, lit
@@ -36,7 +36,9 @@ class Desk:
             ),
             directories=(path / "run", path / "takes"),
         )
-        self.recorder = recorder = Recorder(service, path / "takes", lambda _: Writing())
+        self.recorder = recorder = Recorder(
+            service.router, service.config, path / "takes", lambda _: Writing(), clock=service.clock
+        )
         calibrate = CalibrateMethods(service, self.capture)
         self.methods = Methods(service, recorder, path=None, base_dir=path, calibrate=calibrate)
 
@@ -128,7 +130,7 @@ def test_a_take_that_begins_in_the_past_holds_nothing_of_another_mode(desk: Desk
     desk.call("pattern.mode", name="heterodyne")
     sets = desk.bench.service.mode_controller.sets
     wait_until(lambda: desk.bench.service.mode_controller.sets >= sets + 2)
-    kept = [item.left for item in desk.recorder._before.last(60.0) if isinstance(item, PairItem)]
+    kept = [item.left for item in desk.recorder._before.last(60.0) if isinstance(item, Pair)]
     levels = desk.bench.levels
     assert len(kept) >= 2 * len(levels)
     assert [int(frame.image[0, 0, 0]) for frame in kept] == [levels[frame.trigger % len(levels)] for frame in kept]

@@ -32,11 +32,13 @@ def test_clouds_are_right_and_a_replay_of_the_take_gives_the_same_bit_for_bit(tm
         rig_file = tmp_path / "rig.yaml"
         rig_file.write_text("no matter")
         recorder = Recorder(
-            service,
+            service.router,
+            service.config,
             tmp_path / "takes",
             lambda take: open_take(
                 running.config, service.rig, "s", take, rig_file, shown=service.mode_controller.shown
             ),
+            clock=service.clock,
         )
         take = Path(str(recorder.start("sets")["file"]))
         newest = max((item.left.trigger for item in running.sink.pairs), default=-1)

@@ -10,11 +10,10 @@ from typing import Any
 import pytest
 
 from daemon.common.errors import DaemonError
-from daemon.live.acquisition.pairer import Pair
+from daemon.live.items import ImageSet, Pair
 from daemon.live.projection import sequence_player as driver_module
 from daemon.live.projection.confirmed_capture import ConfirmedCapture, settling_ns
 from daemon.live.projection.sequence_player import SequencePlayer
-from daemon.live.sets import ImageSet
 from drivers.errors import DriverError
 from tests.daemon.live.projection.virtual_time import MS, Bench, image, level
 from tools.waiting import wait_until
@@ -30,18 +29,21 @@ class Played:
         self.sets: list[ImageSet] = []
         self.seen: list[Pair] = []
         self.dropped = 0
-        self.driver = SequencePlayer(self._shooting, seen=self.seen.append, whole=self._whole, dropped=self._drop)
+        self.driver = SequencePlayer(
+            self._capture, confirmed=self.seen.append, complete=self._complete, dropped=self._drop
+        )
         self.before_get: Callable[[], None] = lambda: None
 
-    def _shooting(self, _: object, cancelled: Callable[[], bool]) -> ConfirmedCapture:
-        settle_ns = settling_ns(self.bench, 60.0, tolerance_ns=2 * MS)
-        return ConfirmedCapture(self.bench, self, clock=self.bench, settle_ns=settle_ns, cancelled=cancelled)
+    def _capture(self, _: object, cancelled: Callable[[], bool]) -> ConfirmedCapture:
+        info = self.bench.open()
+        settle_ns = settling_ns(info, tolerance_ns=2 * MS)
+        return ConfirmedCapture(self.bench, info, self, clock=self.bench, settle_ns=settle_ns, cancelled=cancelled)
 
     def get(self, timeout_s: float) -> Pair | None:
         self.before_get()
         return self.bench.get(timeout_s)
 
-    def _whole(self, one: ImageSet) -> None:
+    def _complete(self, one: ImageSet) -> None:
         self.sets.append(one)
         if len(self.sets) >= self.most:
             self.driver.hold(None)
@@ -168,7 +170,7 @@ def test_a_projector_that_hangs_is_told_to_who_wants_it(monkeypatch: pytest.Monk
         monkeypatch.setattr(made.bench, "show", hang)
         made.play()
         assert hanging.wait(30)
-        with pytest.raises(DaemonError, match="does not come back"):
+        with pytest.raises(DaemonError, match="does not return"):
             made.driver.hold(0.05)
         over.set()
         made.driver.hold(20.0)

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from daemon.common.counters import Counters
 from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.live.acquisition.locked_pairer import LockedPairer
-from daemon.live.acquisition.pairer import Pair, PairingSettings
-from drivers.protocols import SIDES, Frame, ProjectorInfo, Side
+from daemon.live.acquisition.pairer import PairingSettings
+from daemon.live.items import Pair
+from drivers.protocols import SIDES, Flip, Frame, ProjectorInfo, Side
 
 NOW_NS = 1_700_000_000_000_000_000
 MIXED = 255
 MS = 1_000_000
-
-
-@dataclass(frozen=True)
-class Flip:
-    t_realtime_ns: int
-    source: str = "present"
 
 
 class Bench:
@@ -60,11 +55,11 @@ class Bench:
         self.due: list[tuple[int, Frame]] = []
         self.box: LatestWinsQueue[Pair] = LatestWinsQueue(4)
         settings = PairingSettings(tolerance_ns=2 * MS, max_wait_ns=500 * MS)
-        self.pairer = LockedPairer(settings, paired=self.box.put, lone=lambda _: None, clock=self)
+        self.pairer = LockedPairer(settings, paired=self.box.put, unpaired=lambda _: None, drops=Counters(), clock=self)
         self.counted = {"restarts": 0}
         self.trouble = ""
         self.shown = 0
-        self.last_flip: Flip | None = None
+        self.fixed_image = False
 
     # Clock
     def realtime_ns(self) -> int:
@@ -75,14 +70,14 @@ class Bench:
 
     # Projector
     def open(self) -> ProjectorInfo:
-        return ProjectorInfo("bench", (4, 2), 60.0)
+        return ProjectorInfo("bench", (4, 2), 60.0, self.latency_s, self.fixed_image)
 
-    def show(self, image: Any) -> None:
+    def show(self, image: Any) -> Flip:
         self.shown += 1
         flip_ns = self.now_ns + round(MS * self.random.uniform(0, self.show_ms))
         self.changes.append((flip_ns + self.latency_ns, int(image[0, 0, 0])))
-        self.last_flip = Flip(flip_ns)
         self.pass_until(flip_ns + round(MS * self.random.uniform(0, self.show_ms)))
+        return Flip(flip_ns - NOW_NS, flip_ns, 0, "present")
 
     def problem(self) -> str:
         return self.trouble

@@ -22,7 +22,7 @@ def with_limit(tmp_path: Path) -> RigConfig:
 
 def test_other_limits_hold_from_the_next_check_on(tmp_path: Path) -> None:
     with running(tmp_path, PLANE) as (_, service, trigger):
-        check, fresh = cast(DriftMonitor, service.sinks["selfcheck"]), with_limit(tmp_path)
+        check, fresh = cast(DriftMonitor, service.router.sinks["selfcheck"]), with_limit(tmp_path)
         assessor = check._assessor
         service.change(fresh, service.rig, service.settings, [check.change(fresh, service.rig)])
         wait_until(lambda: check._pending is None)
@@ -33,7 +33,7 @@ def test_other_limits_hold_from_the_next_check_on(tmp_path: Path) -> None:
 
 def test_another_calibration_begins_a_reference_of_its_own(tmp_path: Path) -> None:
     with running(tmp_path, PLANE) as (_, service, trigger):
-        check, rig = cast(DriftMonitor, service.sinks["selfcheck"]), replace(service.rig, identity="sha256:11")
+        check, rig = cast(DriftMonitor, service.router.sinks["selfcheck"]), replace(service.rig, identity="sha256:11")
         assessor = check._assessor
         service.change(service.config, rig, service.settings, [check.change(service.config, rig)])
         wait_until(lambda: check._pending is None)

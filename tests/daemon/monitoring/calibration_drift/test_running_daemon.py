@@ -68,7 +68,7 @@ def running(tmp_path: Path, options: dict[str, Any]) -> Iterator[tuple[Any, Serv
         taken = check.status()["checked"]
         yield made, service, trigger
     finally:
-        service.ask_stop()
+        service.request_stop()
         thread.join(20)
         assert not thread.is_alive()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from daemon.config.health import Health as Config
 from daemon.config.health import HealthLimits
-from daemon.live.items import CloudItem, PairItem
+from daemon.live.items import CloudItem, Pair
 from drivers.protocols import Frame, Side
 from pipeline.reconstruct.cloud import Cloud
 
@@ -42,8 +42,8 @@ def frame(side: Side, seq: int, t_ns: int, image: Any = None) -> Frame:
     return Frame(side, seq % (1 << 32), t_ns, t_ns + 8_000_000, "rgb8", image)
 
 
-def pair(seq: int, t_ns: int, *, residual_ns: int = 0) -> PairItem:
-    return PairItem(frame("left", seq, t_ns), frame("right", seq, t_ns + residual_ns))
+def pair(seq: int, t_ns: int, *, residual_ns: int = 0) -> Pair:
+    return Pair(frame("left", seq, t_ns), frame("right", seq, t_ns + residual_ns))
 
 
 def cloud(seq: int, t_ns: int, *, latency_ms: float = 30.0, ms: dict[str, float] | None = None) -> CloudItem:

@@ -59,11 +59,11 @@ class HandImages:
 class HandDevices:
     cameras: Any
     projector: FreeProjector
-    trigger: Hand
+    board: Hand
     plain: RigDevices
 
     def close(self) -> None:
-        self.trigger.close()
+        self.board.close()
 
 
 def hand_devices(rate_hz: float = 200.0) -> HandDevices:

@@ -10,7 +10,7 @@ import pytest
 
 from daemon.apps.calibration.guided.capture_from_daemon import CaptureFromDaemon
 from daemon.common.errors import ControlError, DaemonError
-from daemon.live.items import PairItem
+from daemon.live.items import Pair
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame, Side
@@ -88,7 +88,7 @@ def test_a_file_with_fewer_images_than_requested_is_rejected(tmp_path: Path) -> 
     )
     sides: tuple[Side, Side] = ("left", "right")
     frames = [Frame(side, 3, 5, 6, "mono8", np.zeros((4, 4), np.uint8)) for side in sides]
-    writer.offer(PairItem(*frames))
+    writer.offer(Pair(*frames))
     writer.close()
     source, _ = connect({"job": 7, "of": 1, "outcome": "done", "file": str(path)})
     with pytest.raises(DaemonError, match="it contains 1 of 1 images, numbered from 3"):

@@ -84,14 +84,14 @@ def with_devices(tmp_path: Path, devices: HandDevices) -> Iterator[ImageCapture]
 def with_daemon(tmp_path: Path, devices: HandDevices) -> Iterator[ImageCapture]:
     settings = config(tmp_path, "recording: {min_free_mb: 10}\n")
     plain = replace(devices.plain, cameras=devices.cameras, projector=devices.projector)
-    rig = replace(rig_of(plain), next_pose=devices.trigger.next_pose)
+    rig = replace(rig_of(plain), board=devices.board)
     service: Service = UnmeasuringService(settings, rig, {"stream": Collector()})
     capture = Capture(
         service,
         lambda file, pattern, least: open_capture(settings, rig, "s", file, pattern, min_free_bytes=least),
         directories=(tmp_path, tmp_path / "takes"),
     )
-    recorder = Recorder(service, tmp_path / "takes", lambda _: Collector())
+    recorder = Recorder(service.router, service.config, tmp_path / "takes", lambda _: Collector(), clock=service.clock)
     methods = Methods(service, recorder, path=None, base_dir=tmp_path, calibrate=CalibrateMethods(service, capture))
     server = ControlServer(settings.control.endpoint, methods.table())
     server.start()
@@ -106,7 +106,7 @@ def with_daemon(tmp_path: Path, devices: HandDevices) -> Iterator[ImageCapture]:
         # The simulated cameras' image size differs from the calibration; pairs arrive nevertheless.
         wait_until(lambda: service.worker.clouds > clouds)
     finally:
-        service.ask_stop()
+        service.request_stop()
         thread.join(20)
         capture.close()
         server.close()
@@ -136,7 +136,7 @@ def test_a_session_runs_unattended_to_a_folder_that_can_be_solved(through: Any, 
     with through(tmp_path, devices) as source:
         sequence = short_sequence(source.size)
         outcome, display = guided(source, tmp_path / "session" / "board", sequence)
-    assert outcome.views == 3 and devices.trigger.moves == 2
+    assert outcome.views == 3 and devices.board.moves == 2
     assert display.updates[-1].session.state is State.DONE and not display.troubles
     assert (4, 4) in display.progress
     kept_views = CaptureFolder(tmp_path / "session" / "board")
@@ -164,7 +164,7 @@ def test_captured_views_are_kept_when_the_user_stops_the_session(tmp_path: Path)
     devices = hand_devices()
     with with_devices(tmp_path, devices) as source:
         outcome, _ = guided(
-            source, tmp_path / "s", camera_sequence(source.size), stopped=lambda: devices.trigger.moves >= 2
+            source, tmp_path / "s", camera_sequence(source.size), stopped=lambda: devices.board.moves >= 2
         )
     assert outcome.views == 2 and not outcome.complete
     assert len(list(CaptureFolder(tmp_path / "s").views(no_progress))) == 2
@@ -216,7 +216,7 @@ def test_plain_lines_and_bars_show_the_same_session(tmp_path: Path, capsys: pyte
             ("lines", stack.enter_context(PlainDisplay())),
             ("bars", stack.enter_context(ProgressDisplay())),
         ):
-            devices.trigger.pose = 0
+            devices.board.pose = 0
             guide(
                 source, BOARD, short_sequence(source.size), tmp_path / name, find=find, display=display,
                 clock=SystemClock(), limits=LIMITS,

@@ -1,0 +1,111 @@
+"""The frame path of a running daemon: its stages connected, and their change between two pairs."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Mapping
+
+from daemon.common.counters import Counters
+from daemon.config.rig_config import RigConfig
+from daemon.live.acquisition.camera_thread import CameraThread
+from daemon.live.acquisition.locked_pairer import LockedPairer, pairing_settings
+from daemon.live.items import Sink
+from daemon.live.processing.reconstructor_factory import make_reconstructor, warm_up
+from daemon.live.processing.worker import CloudReconstructor, Worker
+from daemon.live.projection.mode_controller import ModeController, ModeOutputs
+from daemon.live.router import Router
+from daemon.rig.open_rig import Rig
+from drivers.protocols import SIDES, Clock, Side
+from pipeline.common.settings import Settings
+
+log = logging.getLogger("fringed")
+
+_CHANGE_S = 20.0
+_MODE_S = 180.0  # the kernels of another mode may have to be compiled
+
+
+class FramePath:
+    """Everything between the cameras and the sinks; not started.
+
+    Args:
+        config, rig: at the start; :meth:`change` replaces them.
+        camera_changed: called whenever the state of a camera changes.
+    """
+
+    def __init__(
+        self,
+        config: RigConfig,
+        rig: Rig,
+        sinks: Mapping[str, Sink],
+        *,
+        camera_changed: Callable[[], None],
+        clock: Clock,
+    ) -> None:
+        self.config, self.rig, self._clock = config, rig, clock
+        self.settings = Settings().with_overrides(config.pipeline.settings)
+        self.drops = drops = Counters()
+        self.router = router = Router(sinks, drops)
+        self.worker = Worker(config.pipeline, emit=router.emit, drops=drops, clock=clock)
+        self.pairer = pairer = LockedPairer(
+            pairing_settings(config.pairing), paired=router.pair, unpaired=router.unpaired, drops=drops, clock=clock
+        )
+        outputs = ModeOutputs(router.emit, self.worker.offer, drops, lambda: pairer.counter_restarts)
+        self.mode_controller = ModeController(config, rig, outputs, clock=clock)
+        router.connect(self.mode_controller, self.worker.offer)
+        self.cameras: dict[Side, CameraThread] = {
+            side: CameraThread(
+                side,
+                rig.cameras[side],
+                deliver=pairer.receive,
+                started=pairer.camera_restarted,
+                changed=camera_changed,
+                clock=clock,
+            )
+            for side in SIDES
+        }
+
+    def warm_reconstructor(self) -> CloudReconstructor:
+        """Make a reconstructor with all kernels compiled, which takes up to a minute after an update."""
+        made = self._reconstructor(self.rig, self.settings)
+        warm_up(made, self.config.pipeline)
+        return made
+
+    def change(self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]) -> None:
+        """Apply all of this between two pairs, or nothing of it.
+
+        Args:
+            config, settings: checked, differing from what holds now in nothing that needs a restart.
+            rig: the same devices, perhaps another calibration or volume.
+            commits: quick, called between the same two pairs; see :class:`daemon.live.items.Changeable`.
+
+        Raises:
+            DaemonError: while stopping, or when the pipeline does not get to it; PipelineError.
+        """
+        timeout_s = _CHANGE_S if config.mode == self.mode_controller.mode else _MODE_S
+        with self.mode_controller.changing(config.mode):
+            self.worker.replace(lambda: self._apply(config, rig, settings, commits), timeout_s)
+
+    def _apply(
+        self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]
+    ) -> CloudReconstructor | None:
+        """In the pipeline's thread: first what can fail, then what cannot."""
+        made = None
+        before, after = ((c.pipeline.overload, c.pipeline.temporal_prior, c.mode) for c in (self.config, config))
+        other_kernels = rig is not self.rig or before != after
+        if settings != self.settings or other_kernels:
+            made = self._reconstructor(rig, settings)
+            if other_kernels:
+                warm_up(made, config.pipeline)
+        self.config, self.rig, self.settings = config, rig, settings
+        self.pairer.configure(pairing_settings(config.pairing))
+        self.worker.configure(config.pipeline)
+        for commit in commits:
+            try:
+                commit()
+            except Exception:  # one failure must not keep the rest from being done
+                log.exception("a change failed")
+        return made
+
+    def _reconstructor(self, rig: Rig, settings: Settings) -> CloudReconstructor:
+        encodings = [self.cameras[side].status.encoding for side in SIDES]
+        return make_reconstructor(self.config, rig, settings, encodings, self._clock, plan=self.mode_controller.plan)
