@@ -293,7 +293,7 @@ def test_pairs_survive_everything_that_happens_to_single_frames(make: Make, rig:
     exposure("right")  # the left one may be lost at any moment now
     lose(cameras["left"])
     rig[0].plug()
-    pairer.doubt("left")
+    pairer.camera_restarted("left")
     start(cameras["left"], rig[0])
     before = len(pairs)
     for _ in range(10):

@@ -115,7 +115,7 @@ def test_a_line_too_long_for_a_datagram_is_sent_as_a_file(journal: Journal, log:
 
 def test_without_a_journal_the_lines_go_to_the_fallback(log: logging.Logger) -> None:
     log.info("hello")
-    beside = handler_of(log)._beside
+    beside = handler_of(log)._fallback
     assert isinstance(beside, Beside) and beside.lines == ["hello"]
 
 
