@@ -79,7 +79,7 @@ def test_an_unknown_option_of_the_simulation_is_reported(tmp_path: Path) -> None
 
 def test_a_take_that_cannot_begin_is_reported_and_everything_is_closed(tmp_path: Path, stream: Stream) -> None:
     (tmp_path / "takes").write_text("no directory")
-    with pytest.raises(DaemonError, match="takes: cannot be made"):
+    with pytest.raises(DaemonError, match="takes: cannot be created"):
         run.run_rig(rig_file(tmp_path), record="x")
     assert stream.closed and not (tmp_path / "c").exists()
 

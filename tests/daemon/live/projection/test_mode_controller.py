@@ -82,8 +82,8 @@ def test_nothing_is_measured_under_a_plain_image(desk: Desk) -> None:
     desk.call("pattern.show", name="white")
     assert desk.bench.projector.level == 255 and desk.call("pattern.mode")["held"] == ["image"]
     shown = len(desk.bench.projector.shown)
-    triggers = desk.bench.service.desk.pairs
-    wait_until(lambda: desk.bench.service.desk.pairs > triggers + 20)
+    triggers = desk.bench.service.pairer.pairs
+    wait_until(lambda: desk.bench.service.pairer.pairs > triggers + 20)
     assert len(desk.bench.projector.shown) == shown
     desk.call("pattern.show", name="fringe")
     desk.bench.goes_on()
@@ -130,7 +130,7 @@ def test_a_take_that_begins_in_the_past_holds_nothing_of_another_mode(desk: Desk
     desk.call("pattern.mode", name="heterodyne")
     sets = desk.bench.service.mode_controller.sets
     wait_until(lambda: desk.bench.service.mode_controller.sets >= sets + 2)
-    kept = [item.left for item in desk.recorder._before.last(60.0) if isinstance(item, Pair)]
+    kept = [item.left for item in desk.recorder._pretrigger.last(60.0) if isinstance(item, Pair)]
     levels = desk.bench.levels
     assert len(kept) >= 2 * len(levels)
     assert [int(frame.image[0, 0, 0]) for frame in kept] == [levels[frame.trigger % len(levels)] for frame in kept]
