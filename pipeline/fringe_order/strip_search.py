@@ -8,16 +8,10 @@ import numpy as np
 
 from pipeline.common.jit import parallel, prange
 from pipeline.common.tile_math import TILE
-from pipeline.fringe_order.order_candidates import (
-    COST,
-    COST_IMPOSSIBLE,
-    INTEGER_SLOTS,
-    MOVE,
-    SLOTS,
-    apply_prior,
-    candidate_costs,
-    load_nodes,
-)
+
+from pipeline.fringe_order.order_candidates import (  # isort: skip
+    COST, COST_IMPOSSIBLE, INTEGER_SLOTS, MOVE, SLOTS, apply_prior, candidate_costs, load_nodes,
+)  # fmt: skip
 from pipeline.fringe_order.phase_links import row_links
 from pipeline.fringe_order.semi_global_aggregation import NONE, along_row
 
@@ -126,9 +120,8 @@ def search_rows(
                 for order in range(np.uint32(labels)):
                     flat_costs[base + order] = COST_IMPOSSIBLE
             for order in range(most):
-                candidate_costs(
-                    t, k, order, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture
-                )
+                candidate_costs(t, k, order, columns, linear, correction, extent, flat_other, width, height, axis, inv,
+                                texture)  # fmt: skip
                 for j in range(m):
                     node = np.uint32(part[j])
                     if order < flat_count[node]:

@@ -36,7 +36,7 @@ class Rotation:
 
     Args:
         device: ``left``, ``right`` or ``projector``.
-        turn_deg, sigma_deg: about its own x, y, z, degrees; unobservable components keep the prior's sigma.
+        angle_deg, sigma_deg: about its own x, y, z, degrees; unobservable components keep the prior's sigma.
         misfit: sum of squares of the unexplained changes, in standard deviations.
     """
 

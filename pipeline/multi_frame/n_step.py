@@ -34,7 +34,7 @@ class WrappedPhase:
         phase: radians, -pi..pi; any value where the amplitude is 0.
         amplitude: B, counts of an 8-bit image; mean: A, likewise.
         saturated: a sample is saturated; phase and amplitude are then wrong.
-        floor_factor, shot_factor: the variance of the phase is ``floor * floor_factor + gain * gain_factor`` for a
+        floor_factor, gain_factor: the variance of the phase is ``floor * floor_factor + gain * gain_factor`` for a
             noise of ``floor + gain * counts``.
         steps: number of images.
     """
@@ -169,15 +169,8 @@ def absolute_phase(
     valid = (sets[0].amplitude >= min_amplitude) & ~sets[0].saturated
     for last, current, one in zip(periods, periods[1:], sets[1:], strict=False):
         finer = one.sigma(noise)
-        absolute = unwrapped(
-            absolute,
-            sigma,
-            one.phase,
-            finer,
-            current / last,
-            certainty=certainty,
-            edge=last == 1 and last == periods[0],
-        )
+        edge = last == 1 and last == periods[0]
+        absolute = unwrapped(absolute, sigma, one.phase, finer, current / last, certainty=certainty, edge=edge)
         valid &= (one.amplitude >= min_amplitude) & ~one.saturated
         sigma = finer
     if periods[0] == 1:

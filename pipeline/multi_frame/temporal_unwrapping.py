@@ -181,15 +181,9 @@ def by_bits(
 
 @parallel
 def reject_moved(
-    order: Any,
-    phasor: Any,
-    amplitude: Any,
-    misfit: Any,
-    variance: Any,
-    min_amplitude: float,
-    limit: float,
+    order: Any, phasor: Any, amplitude: Any, misfit: Any, variance: Any, min_amplitude: float, limit: float,
     absolute_phase: Any,
-) -> int:
+) -> int:  # fmt: skip
     """Reject pixels whose images, and those of their neighbours, contradict each other, and count them.
 
     Contradictions of half of the lit pixels of a 5 x 5 window are due to motion; a border between two surfaces causes
