@@ -1,1 +1,1 @@
-"""What a rig needs of its machine, looked at one area after the other; never imported by the measuring daemon."""
+"""Checks of a machine and a rig, one area after the other; never imported by the measuring daemon."""

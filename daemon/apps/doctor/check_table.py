@@ -1,4 +1,4 @@
-"""The table of areas: what is looked at, in which order, and by which function."""
+"""The table of the checked areas, their order and their functions."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ class Check(msgspec.Struct, frozen=True):
 
     Args:
         area: its name. target: ``module:function`` of a function from a Subject to findings.
-        drivers: the drivers of cameras and projectors that need it; empty = every rig does.
-        needs_rig: whether there is nothing to look at without a rig.yaml.
-        timeout_s: after so long it is ended.
+        drivers: of cameras and projectors that need the check; empty = every rig does.
+        needs_rig: whether the check requires a rig.yaml.
+        timeout_s: longest duration.
     """
 
     area: str

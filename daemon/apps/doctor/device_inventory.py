@@ -1,4 +1,4 @@
-"""Every camera and projector output that can be seen, with what rig.yaml calls them by."""
+"""The connected cameras and projector outputs, with their keys in rig.yaml."""
 
 from __future__ import annotations
 
@@ -11,74 +11,74 @@ import msgspec
 
 from drivers.errors import DriverError
 
-Named = dict[str, Any]
+Device = dict[str, Any]
 
 
 class Inventory(msgspec.Struct):
-    """What was found.
+    """The connected devices.
 
     Args:
-        genicam, v4l2, outputs: each device with its keys; problems: what could not be looked at, and why.
+        genicam, v4l2, outputs: each device with its keys; problems: reasons for missing parts.
     """
 
-    genicam: list[Named] = []
-    v4l2: list[Named] = []
-    outputs: list[Named] = []
+    genicam: list[Device] = []
+    v4l2: list[Device] = []
+    outputs: list[Device] = []
     problems: list[str] = []
 
 
-def take(named: Sequence[Path] = (), display: str = "") -> Inventory:
-    """Look for everything; what fails is told and the rest is looked at all the same.
+def inventory(producers: Sequence[Path] = (), display: str = "") -> Inventory:
+    """List all devices; failures are reported and do not affect the other devices.
 
     Args:
-        named: GenTL producers; those of GENICAM_GENTL64_PATH if none is named. display: an X display.
+        producers: GenTL producers; those of GENICAM_GENTL64_PATH if empty. display: an X display.
     """
     found = Inventory()
-    for producer in _producers(named, found.problems):
-        found.genicam += _tried(f"producer {producer}", lambda p=producer: _genicam(p), found.problems)  # type: ignore[misc]
-    found.v4l2 += _tried("V4L2", _v4l2, found.problems)
-    found.outputs += _tried("outputs", lambda: _outputs(display), found.problems)
+    for producer in _producers(producers, found.problems):
+        found.genicam += _discovered(f"producer {producer}", lambda p=producer: _genicam(p), found.problems)  # type: ignore[misc]
+    found.v4l2 += _discovered("V4L2", _v4l2, found.problems)
+    found.outputs += _discovered("outputs", lambda: _outputs(display), found.problems)
     return found
 
 
-def _producers(named: Sequence[Path], problems: list[str]) -> list[Path]:
+def _producers(paths: Sequence[Path], problems: list[str]) -> list[Path]:
     from drivers.genicam.options import producers
 
     try:
-        return producers([str(path) for path in named], Path.cwd())
+        return producers([str(path) for path in paths], Path.cwd())
     except (ValueError, OSError) as error:
         problems.append(f"GenICam: {error}")
         return []
 
 
-def _tried(what: str, look: Callable[[], list[Named]], problems: list[str]) -> list[Named]:
+def _discovered(what: str, discover: Callable[[], list[Device]], problems: list[str]) -> list[Device]:
     try:
-        return look()
+        return discover()
     except (DriverError, OSError) as error:
         problems.append(f"{what}: {error}")
         return []
 
 
-def _genicam(producer: Path) -> list[Named]:
+def _genicam(producer: Path) -> list[Device]:
     from drivers.genicam import discover
 
     return [{**msgspec.structs.asdict(camera), "producer": str(producer)} for camera in discover([producer])]
 
 
-def _v4l2() -> list[Named]:
+def _v4l2() -> list[Device]:
     from drivers.v4l2 import discover
 
     return [{**asdict(camera), "device": camera.path} for camera in discover()]
 
 
-def _outputs(display: str) -> list[Named]:
+def _outputs(display: str) -> list[Device]:
     from drivers.projector import outputs
 
     return [msgspec.structs.asdict(output) for output in outputs(display) if output.connected]
 
 
 def lines(found: Inventory) -> Iterator[tuple[str, bool]]:
-    """The printed lines, and whether each is a heading. The keys of rig.yaml stand as they are written there."""
+    """The printed lines, and whether each is a heading; keys are printed as rig.yaml expects them."""
     yield "GenICam cameras   cameras.driver: genicam", True
     for camera in found.genicam:
         title = " ".join(part for part in (camera["vendor"], camera["model"]) if part)
@@ -91,11 +91,11 @@ def lines(found: Inventory) -> Iterator[tuple[str, bool]]:
         yield _joined(camera["card"], camera["driver"], camera["bus"], camera["node"]), False
         yield from _keys(camera, "device")
         if camera["serial"]:
-            yield f"      device: {camera['serial']}   (its serial number, the same)", False
+            yield f"      device: {camera['serial']}   (serial number, equivalent)", False
         for offer in camera["formats"]:
             yield f"      format: {offer['fourcc']}   size: {_sizes(offer)}", False
         if camera["problem"]:
-            yield f"      cannot be used: {camera['problem']}", False
+            yield f"      not usable: {camera['problem']}", False
     yield from _nothing(found.v4l2)
     yield "Projector outputs projector.driver: x11", True
     for output in found.outputs:
@@ -103,31 +103,31 @@ def lines(found: Inventory) -> Iterator[tuple[str, bool]]:
     yield from _nothing(found.outputs)
 
 
-def _output(output: Named) -> Iterator[tuple[str, bool]]:
+def _output(output: Device) -> Iterator[tuple[str, bool]]:
     native, size = output["preferred_size"], output["size"]
-    words = [f"native {_pixels(native)}" if native else "native size unknown"]
-    words += ["primary"] if output["primary"] else []
-    words += ["switched off"] if not any(size) else []
-    words += [f"rotated {output['rotation']}"] if output["rotation"] != "normal" else []
-    words += ["scaled"] if output["scaled"] else []
-    words += {True: ["gamma linear"], False: ["gamma NOT linear"], None: []}[output["gamma_identity"]]
-    yield _joined(output["edid_name"] or "connected", *words), False
+    parts = [f"native {_pixels(native)}" if native else "native size unknown"]
+    parts += ["primary"] if output["primary"] else []
+    parts += ["switched off"] if not any(size) else []
+    parts += [f"rotated {output['rotation']}"] if output["rotation"] != "normal" else []
+    parts += ["scaled"] if output["scaled"] else []
+    parts += {True: ["gamma linear"], False: ["gamma NOT linear"], None: []}[output["gamma_identity"]]
+    yield _joined(output["edid_name"] or "connected", *parts), False
     rate = f"   refresh_hz: {output['refresh_hz']:.3f}" if output["refresh_hz"] else ""
     yield f"      output: {output['name']}   size: [{size[0]}, {size[1]}]{rate}", False
 
 
-def _keys(device: Named, *names: str) -> Iterator[tuple[str, bool]]:
-    told = [f"{name}: {_quoted(str(device[name]))}" for name in names if device[name]]
-    yield f"      {'   '.join(told) or 'it tells nothing to name it by'}", False
+def _keys(device: Device, *names: str) -> Iterator[tuple[str, bool]]:
+    keys = [f"{name}: {_quoted(str(device[name]))}" for name in names if device[name]]
+    yield f"      {'   '.join(keys) or 'no serial number, name or model'}", False
 
 
 def _quoted(text: str) -> str:
-    """As YAML wants it: serial numbers of digits are texts."""
+    """Quote a value for YAML where necessary, such as a serial number of digits."""
     plain = text.replace("-", "").replace("_", "").replace("/", "").replace(".", "").replace(":", "")
     return text if plain.isalnum() and not plain.isdigit() and not text[0].isdigit() else f'"{text}"'
 
 
-def _nothing(devices: list[Named]) -> Iterator[tuple[str, bool]]:
+def _nothing(devices: list[Device]) -> Iterator[tuple[str, bool]]:
     if not devices:
         yield "   none", False
 
@@ -140,7 +140,7 @@ def _pixels(size: Sequence[int]) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-def _sizes(offer: Named) -> str:
-    shown = [f"[{width}, {height}]" for width, height in offer["sizes"][:8]]
+def _sizes(offer: Device) -> str:
+    sizes = [f"[{width}, {height}]" for width, height in offer["sizes"][:8]]
     more = ", ..." if len(offer["sizes"]) > 8 else ""
-    return (" to " if offer["stepwise"] else ", ").join(shown) + more
+    return (" to " if offer["stepwise"] else ", ").join(sizes) + more

@@ -1,4 +1,4 @@
-"""The machine as its files tell: /proc, /sys, /dev and /etc under a root that tests can move, and the environment."""
+"""The machine's state from /proc, /sys, /dev and /etc under a root that tests replace, and from the environment."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class Program:
 
     @property
     def is_daemon(self) -> bool:
-        """Whether it looks like a daemon of this project."""
+        """Whether the command line is that of a daemon of this project."""
         return "fringed" in self.command and " run" in self.command
 
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """What can be read without asking anybody.
+    """Access to the machine's files.
 
     Args:
-        root: where proc, sys, dev and etc are; environ: the environment.
+        root: directory of proc, sys, dev and etc; environ: the environment.
     """
 
     root: Path = Path("/")
@@ -44,7 +44,7 @@ class Machine:
         return self.root / name.lstrip("/")
 
     def text(self, name: str | Path) -> str:
-        """The content of a file, stripped; empty where there is none or it may not be read."""
+        """The content of a file, stripped; empty if it is missing or unreadable."""
         try:
             with (self.path(name) if isinstance(name, str) else name).open("rb") as file:
                 return file.read(MAX_BYTES).decode(errors="replace").strip()
@@ -52,14 +52,14 @@ class Machine:
             return ""
 
     def number(self, name: str | Path) -> int | None:
-        """The whole number in a file, None where there is none."""
+        """The integer in a file, None without one."""
         try:
             return int(self.text(name))
         except ValueError:
             return None
 
     def entries(self, pattern: str) -> list[Path]:
-        """The files that fit a pattern below the root, in order; bounded."""
+        """The files below the root that match a pattern, sorted, at most 4096."""
         try:
             found = sorted(self.root.glob(pattern.lstrip("/")))
         except OSError:
@@ -68,17 +68,17 @@ class Machine:
 
     def programs(self) -> Iterator[Program]:
         """Every running program that has a name."""
-        for place in self.entries("/proc/[0-9]*"):
-            name = self.text(place / "comm")
-            if name and place.name.isdigit():
-                yield Program(int(place.name), name, self.text(place / "cmdline").replace("\0", " ").strip())
+        for directory in self.entries("/proc/[0-9]*"):
+            name = self.text(directory / "comm")
+            if name and directory.name.isdigit():
+                yield Program(int(directory.name), name, self.text(directory / "cmdline").replace("\0", " ").strip())
 
     def program(self, pid: int) -> Program | None:
-        """The program of a process id, None if it is gone or hidden."""
+        """The program of a process id, None if it has ended or is hidden."""
         name = self.text(f"/proc/{pid}/comm")
         command = self.text(f"/proc/{pid}/cmdline").replace("\0", " ").strip()
         return Program(pid, name, command) if name else None
 
     def may_use(self, path: Path) -> bool:
-        """Whether this user may read and write a file."""
+        """Whether this user can read and write a file."""
         return os.access(path, os.R_OK | os.W_OK)

@@ -1,4 +1,4 @@
-"""The findings as text for a person, and as JSON for a program."""
+"""The findings as text and as JSON."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ MARKS: dict[Level, str] = {"ok": "ok", "note": "-", "warning": "warning", "probl
 COLOURS: dict[Level, str] = {"ok": "green", "note": "bright_black", "warning": "yellow", "problem": "red"}
 
 Line = tuple[str, str, Level, str]
-"""Area, mark, level and text of a printed line; the first two are empty in lines that go on."""
+"""Area, mark, level and text of a printed line; the first two are empty in continuation lines."""
 
 _AREA, _MARK = 12, 9
 
+SKIPPED = "not needed", "needs a rig.yaml"
+"""Names of the findings of areas that were not checked; the text combines them in one line."""
 
-UNSEEN = "not needed", "needs a rig.yaml"
-"""Names of the findings of areas that were not looked at; a person reads all of them in one line."""
 
-
-def unseen(findings: Sequence[Finding]) -> list[Finding]:
-    """One finding for all the areas that were not looked at, for each reason."""
+def skipped(findings: Sequence[Finding]) -> list[Finding]:
+    """One finding for each reason, with all areas that were not checked for it."""
     reasons: dict[str, list[str]] = {}
     for finding in findings:
-        if finding.name in UNSEEN:
+        if finding.name in SKIPPED:
             reasons.setdefault(finding.text, []).append(finding.area)
-    return [Finding("left out", "areas", "note", f"{why}: {', '.join(areas)}") for why, areas in reasons.items()]
+    return [Finding("left out", "areas", "note", f"{reason}: {', '.join(areas)}") for reason, areas in reasons.items()]
 
 
 def lines(findings: Sequence[Finding]) -> Iterator[Line]:
@@ -44,17 +43,17 @@ def lines(findings: Sequence[Finding]) -> Iterator[Line]:
             yield "", "", finding.level, ("   " if i else "-> ") + text
 
 
-def laid_out(line: Line) -> tuple[str, str, str]:
-    """Area and mark filled up to their columns, and the text."""
+def columns(line: Line) -> tuple[str, str, str]:
+    """Area and mark padded to their columns, and the text."""
     area, mark, _, text = line
     return area.ljust(_AREA), mark.ljust(_MARK), text
 
 
 def verdict(findings: Sequence[Finding]) -> str:
-    """The last line."""
+    """The summary line."""
     number = counts(findings)
     if not number["problem"] and not number["warning"]:
-        return "nothing is wrong"
+        return "no problems, no warnings"
     return f"{_count(number['problem'], 'problem')}, {_count(number['warning'], 'warning')}"
 
 
@@ -70,7 +69,7 @@ def as_json(findings: Sequence[Finding], rig: Path | None) -> dict[str, Any]:
 
 def _wrapped(text: str, indent: int = 0) -> list[str]:
     width = WIDTH - _AREA - _MARK - indent
-    # Commands must stay as they are: nothing is broken inside a word.
+    # Commands stay intact: lines break only at spaces.
     return textwrap.wrap(" ".join(text.split()), width, break_long_words=False, break_on_hyphens=False) or [""]
 
 

@@ -1,4 +1,4 @@
-"""Run the checks in a process of their own: one that crashes or hangs becomes a finding, and the others go on."""
+"""Run the checks in a process of their own: a crash or a hang becomes a finding, and the other checks continue."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Self
 
 import msgspec
 
-from daemon.apps.doctor.check_process import Done, Job
+from daemon.apps.doctor.check_process import AreaResult, Job
 from daemon.apps.doctor.check_table import AREAS, Check
 from daemon.apps.doctor.finding import Finding
 from drivers import child_process
@@ -27,53 +27,51 @@ START_S = 60.0
 _MAX_LINE = 1 << 20
 
 
-def examine(
+def run_checks(
     rig: Path | None = None,
     *,
     checks: Sequence[Check] = AREAS,
     root: Path = Path("/"),
     on_area: Callable[[list[Finding]], None] = lambda _: None,
 ) -> list[Finding]:
-    """Look at everything, in order.
+    """Run all checks in order.
 
     Args:
-        rig: a rig.yaml; None = the machine in general. root: where /proc, /sys, /dev and /etc begin.
-        on_area: is told the findings of each area as soon as they are there.
+        rig: a rig.yaml; None = the machine in general. root: of /proc, /sys, /dev and /etc.
+        on_area: called with the findings of each area as soon as they are complete.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     pending = list(checks)
     while pending:
         job = Job(tuple(pending), str(rig.resolve()) if rig is not None else "", str(root))
-        with _Worker(job) as worker:
-            if worker.next(START_S) is None:
-                text = f"the checks cannot be started: {worker.end()}"
-                found.append(
-                    Finding("doctor", "start", "problem", text, "mend the installation: pip install 'fringed[rig]'")
-                )
-                on_area(found[-1:])
-                return found
+        with _CheckProcess(job) as process:
+            if process.next(START_S) is None:
+                text, remedy = f"the checks cannot start: {process.end()}", "install again: pip install 'fringed[rig]'"
+                findings.append(Finding("doctor", "start", "problem", text, remedy))
+                on_area(findings[-1:])
+                return findings
             while pending:
                 check = pending.pop(0)
-                done = worker.next(check.timeout_s)
-                findings = [broken(check, worker.end())] if done is None else list(done.findings)
-                found += findings
-                on_area(findings)
-                if done is None:
+                result = process.next(check.timeout_s)
+                new = [failed_check(check, process.end())] if result is None else list(result.findings)
+                findings += new
+                on_area(new)
+                if result is None:
                     break
-    return found
+    return findings
 
 
-def broken(check: Check, why: str) -> Finding:
-    """The finding in place of a check that gave no answer."""
+def failed_check(check: Check, reason: str) -> Finding:
+    """The finding for a check without a result."""
     remedy = (
-        f"restart what the area {check.area} asks (device, X server, disk, vendor's library); "
-        f"then look at it alone with: fringed doctor --only {check.area}"
+        f"restart what the area {check.area} uses (device, X server, disk, vendor's library); "
+        f"then repeat this check with: fringed doctor --only {check.area}"
     )
-    return Finding(check.area, "check", "problem", f"the check gave no answer: {why}", remedy)
+    return Finding(check.area, "check", "problem", f"the check gave no result: {reason}", remedy)
 
 
-class _Worker:
-    """The process with the checks."""
+class _CheckProcess:
+    """The process that runs the checks."""
 
     def __init__(self, job: Job) -> None:
         self._reading, writing = os.pipe()
@@ -87,9 +85,9 @@ class _Worker:
             raise
         finally:
             os.close(writing)
-        self._prints = child_process.OutputReader(self._process, log, "doctor-prints")
-        self._text = b""
-        self._late = False
+        self._output = child_process.OutputReader(self._process, log, "doctor-prints")
+        self._buffer = b""
+        self._timed_out = False
         self._ended = ""
 
     def __enter__(self) -> Self:
@@ -98,31 +96,31 @@ class _Worker:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._late = self._late or kind is not None  # Ctrl-C waits for nobody
+        self._timed_out = self._timed_out or kind is not None  # no waiting after Ctrl-C
         self.end()
         os.close(self._reading)
 
-    def next(self, timeout_s: float) -> Done | None:
-        """The next answer, None if there is none in time or the process has ended."""
+    def next(self, timeout_s: float) -> AreaResult | None:
+        """The next result, None after the time-out or the end of the process."""
         deadline = time.monotonic() + timeout_s
         poll = select.poll()
         poll.register(self._reading, select.POLLIN)
-        while b"\n" not in self._text:
+        while b"\n" not in self._buffer:
             if not poll.poll(max(deadline - time.monotonic(), 0) * 1000):
-                self._late = True
+                self._timed_out = True
                 return None
             part = os.read(self._reading, 65536)
-            if not part or len(self._text) > _MAX_LINE:
+            if not part or len(self._buffer) > _MAX_LINE:
                 return None
-            self._text += part
-        line, _, self._text = self._text.partition(b"\n")
+            self._buffer += part
+        line, _, self._buffer = self._buffer.partition(b"\n")
         try:
-            return msgspec.json.decode(line, type=Done)
+            return msgspec.json.decode(line, type=AreaResult)
         except (msgspec.MsgspecError, ValueError):
             return None
 
     def _await_end(self) -> None:
-        """Give it the time to end by itself, without taking its exit status."""
+        """Wait up to two seconds for the end of the process, without collecting its exit status."""
         handle = os.pidfd_open(self._process.pid)
         try:
             select.select([handle], [], [], 2.0)
@@ -130,19 +128,19 @@ class _Worker:
             os.close(handle)
 
     def end(self) -> str:
-        """End the process and all that it started; says how it ended. May be called twice."""
+        """End the process and its descendants; return how it ended. Repeated calls are allowed."""
         if self._ended:
             return self._ended
-        if not self._late:
+        if not self._timed_out:
             self._await_end()
-        # The process has not been waited for yet, so that its number and its group still belong to it.
+        # Its exit status is not collected yet, so its process id and group still belong to it.
         with suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, signal.SIGKILL)  # with whatever it has started
+            os.killpg(self._process.pid, signal.SIGKILL)
         with suppress(ProcessLookupError):
             os.kill(self._process.pid, signal.SIGKILL)
         status = self._process.wait()
-        self._prints.join(1.0)
+        self._output.join(1.0)
         how = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        said = f"{how}; {self._prints.text()}"[:600] if self._prints.text() else how
-        self._ended = "it did not come to an end in time" if self._late else said
+        output = f"{how}; {self._output.text()}"[:600] if self._output.text() else how
+        self._ended = "it did not end in time" if self._timed_out else output
         return self._ended

@@ -1,30 +1,35 @@
-"""What the checks look at: the machine, and the rig if one is named; what several of them ask is asked once."""
+"""The checked machine and rig; values that several checks need are read once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from daemon.apps.doctor.machine import Machine
 from daemon.config.rig_config import RigConfig
 from drivers.errors import DriverError
+from drivers.genicam.options import Options as GenicamOptions
+from drivers.projector.options import ExternalOptions, ProjectorOptions, read
 from drivers.protocols import SIDES, Side
+from drivers.v4l2.options import Options as V4l2Options
 
 if TYPE_CHECKING:
     from daemon.rig.calibration_file import CalibrationFile
     from drivers.genicam import CameraFound
     from drivers.projector import OutputFound
+    from sim.devices.options import SimOptions
 
 Size = tuple[int, int]
+CameraOptions: TypeAlias = GenicamOptions | V4l2Options
 
 
 class Subject:
     """A machine with or without a rig.
 
     Args:
-        path: of the rig.yaml, None without one; config: what it says, None where it cannot be read.
+        path: of the rig.yaml, None without one; config: its contents, None if it is unreadable.
     """
 
     def __init__(self, machine: Machine, path: Path | None = None, config: RigConfig | None = None) -> None:
@@ -33,7 +38,7 @@ class Subject:
 
     @property
     def drivers(self) -> set[str]:
-        """The drivers that the rig names; nothing without a rig."""
+        """The drivers that the rig names; empty without a rig."""
         if self.config is None:
             return set()
         projector = self.config.projector
@@ -44,28 +49,28 @@ class Subject:
         return driver in self.drivers
 
     def options(self, side: Side) -> dict[str, Any]:
-        """The plain options of a camera."""
-        return {} if self.config is None else getattr(self.config.cameras, side)
+        """The unchecked options of a camera."""
+        if self.config is None:
+            return {}
+        return self.config.cameras.left if side == "left" else self.config.cameras.right
 
     @cached_property
-    def cameras(self) -> dict[Side, Any]:
-        """The checked options of the cameras, without those that are wrong (the area rig tells them)."""
+    def cameras(self) -> dict[Side, CameraOptions]:
+        """The valid options of the cameras; invalid ones are reported by the area rig."""
         if self.config is None or self.config.cameras.driver not in ("genicam", "v4l2"):
             return {}
         parse = options_parser(self.config.cameras.driver)
-        found: dict[Side, Any] = {}
+        cameras: dict[Side, CameraOptions] = {}
         for side in SIDES:
             try:
-                found[side] = parse(side, self.options(side))
+                cameras[side] = parse(side, self.options(side))
             except ValueError:
                 continue
-        return found
+        return cameras
 
     @cached_property
-    def projector(self) -> Any:
-        """The checked options of the projector, None where there are none or wrong ones."""
-        from drivers.projector.options import ExternalOptions, ProjectorOptions, read
-
+    def projector(self) -> ProjectorOptions | ExternalOptions | None:
+        """The options of the projector, None if they are missing or invalid."""
         section = self.config.projector if self.config is not None else None
         if section is None or section.driver not in ("x11", "external"):
             return None
@@ -77,8 +82,8 @@ class Subject:
             return None
 
     @cached_property
-    def simulation(self) -> Any:
-        """The options of the simulated rig, None for another one."""
+    def simulation(self) -> SimOptions | None:
+        """The options of a simulated rig, None for other rigs."""
         if self.config is None or self.config.cameras.driver != "sim":
             return None
         from sim.devices.options import from_mapping
@@ -90,12 +95,12 @@ class Subject:
 
     @cached_property
     def producers(self) -> list[Path]:
-        """The GenTL producers of the environment and of rig.yaml that are there."""
+        """The existing GenTL producers of the environment and of rig.yaml."""
         from drivers.genicam.options import producers
 
         found: dict[Path, None] = {}
-        named = [camera.producer for camera in self.cameras.values()] if self.uses("genicam") else [None]
-        for producer in named:
+        named = [camera.producer for camera in self.cameras.values() if isinstance(camera, GenicamOptions)]
+        for producer in named if self.uses("genicam") else [None]:
             try:
                 found.update(dict.fromkeys(producers(producer, self.base_dir, self.machine.environ)))
             except (ValueError, OSError):
@@ -103,8 +108,8 @@ class Subject:
         return list(found)
 
     @cached_property
-    def looked(self) -> dict[Path, list[CameraFound] | str]:
-        """The cameras of each producer, or why it tells none."""
+    def cameras_by_producer(self) -> dict[Path, list[CameraFound] | str]:
+        """The cameras of each producer, or the reason for a failure."""
         from drivers.genicam import discover
 
         found: dict[Path, list[CameraFound] | str] = {}
@@ -117,24 +122,29 @@ class Subject:
 
     @property
     def genicam(self) -> list[CameraFound]:
-        """Every GenICam camera that is seen."""
-        return [camera for cameras in self.looked.values() if not isinstance(cameras, str) for camera in cameras]
+        """All connected GenICam cameras."""
+        return [
+            camera
+            for cameras in self.cameras_by_producer.values()
+            if not isinstance(cameras, str)
+            for camera in cameras
+        ]
 
     @cached_property
     def outputs(self) -> list[OutputFound]:
-        """The outputs of the rig's display, or the environment's; DriverError if it cannot be read."""
+        """The outputs of the rig's display, or the environment's; DriverError if it is unreadable."""
         from drivers.projector import outputs
 
-        return outputs(self.projector.display if self.uses("x11") and self.projector is not None else "")
+        return outputs(self.projector.display if isinstance(self.projector, ProjectorOptions) else "")
 
     @cached_property
     def refresh_hz(self) -> float:
-        """Refresh rate of the projector, 0 where it cannot be known."""
+        """Refresh rate of the projector, 0 if unknown."""
         from drivers.projector.found import find
 
         if self.projector is None:
             return 0.0
-        if self.uses("x11"):
+        if isinstance(self.projector, ProjectorOptions):
             try:
                 output = find(self.outputs, self.projector.output)
             except DriverError:
@@ -145,7 +155,7 @@ class Subject:
 
     @cached_property
     def calibration(self) -> CalibrationFile | None:
-        """The calibration that rig.yaml names, None if it names none; PipelineError if it cannot be used."""
+        """The calibration that rig.yaml names, None if it names none; PipelineError if it is unusable."""
         from daemon.rig.calibration_file import read_calibration
 
         if self.config is None or self.config.calibration is None:
@@ -153,7 +163,7 @@ class Subject:
         return read_calibration(self.config.path(self.config.calibration, self.base_dir))
 
 
-def options_parser(driver: str) -> Callable[[Side, dict[str, Any]], Any]:
+def options_parser(driver: str) -> Callable[[Side, dict[str, Any]], CameraOptions]:
     """The function that checks the options of a camera driver."""
     if driver == "genicam":
         from drivers.genicam.options import parse

@@ -1,4 +1,4 @@
-"""``fringed devices``: cameras and projector outputs, with what rig.yaml calls them by."""
+"""``fringed devices``: cameras and projector outputs, with their keys in rig.yaml."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def main(
     ] = None,
     display: Annotated[str, typer.Option(help="X display such as :0.", show_default="DISPLAY")] = "",
 ) -> None:
-    """List cameras and projector outputs, with the keys that name them in rig.yaml; no open camera is disturbed."""
+    """List cameras and projector outputs with their keys in rig.yaml; cameras in use are not disturbed."""
     import json
 
     import msgspec
@@ -25,12 +25,12 @@ def main(
 
     for path in producer or ():
         if not path.is_file():
-            raise FileNotFoundError(f"there is no GenTL producer {path}")
-    found = device_inventory.take(tuple(path.resolve() for path in producer or ()), display)
+            raise FileNotFoundError(f"GenTL producer {path}: the file does not exist")
+    inventory = device_inventory.inventory(tuple(path.resolve() for path in producer or ()), display)
     if as_json:
-        typer.echo(json.dumps(msgspec.to_builtins(found), indent=2))
+        typer.echo(json.dumps(msgspec.to_builtins(inventory), indent=2))
         return
-    for text, heading in device_inventory.lines(found):
+    for text, heading in device_inventory.lines(inventory):
         typer.echo(typer.style(text, bold=heading))
-    for problem in found.problems:
+    for problem in inventory.problems:
         typer.echo(f"note: {problem}", err=True)

@@ -1,1 +1,1 @@
-"""Checks of cameras, and of the libraries, buses and rights that they need."""
+"""Checks of cameras, and of the libraries, buses and permissions that they need."""

@@ -1,32 +1,32 @@
-"""How the cameras' images come to the machine: which kinds of transport there are, and how much comes."""
+"""The cameras' transport and data rate."""
 
 from __future__ import annotations
 
 from daemon.apps.doctor.subject import Size, Subject
+from drivers.genicam.options import Options as GenicamOptions
 from drivers.protocols import SIDES, Side
+from drivers.v4l2.options import Options as V4l2Options
 from pipeline.common.errors import PipelineError
 
 _BYTES = {"rgb": 3.0, "bgr": 3.0, "yuyv": 2.0, "uyvy": 2.0, "y16": 2.0, "mjpg": 3.0}
 
 
-def wanted(subject: Subject, kind: str) -> bool | None:
-    """Whether a transport (``GEV``, ``U3V``) is used here; None where no camera tells."""
+def transport_used(subject: Subject, kind: str) -> bool | None:
+    """Whether a connected camera uses a transport (``GEV``, ``U3V``); None if no camera reports its transport."""
     kinds = {camera.transport.upper() for camera in subject.genicam} - {"", "CUSTOM", "MIXED"}
     return kind in kinds if kinds else (False if subject.genicam else None)
 
 
 def image_size(subject: Subject, side: Side) -> Size | None:
-    """(width, height) of a camera's images as far as the files tell."""
+    """(width, height) of a camera's images, None if the files do not determine it."""
     if subject.simulation is not None:
         width, height = subject.simulation.layout.camera_size
         return int(width), int(height)
     options = subject.cameras.get(side)
-    roi = getattr(options, "roi", None)
-    if roi is not None:
-        return int(roi.width), int(roi.height)
-    size = getattr(options, "size", None)
-    if size is not None:
-        return int(size[0]), int(size[1])
+    if isinstance(options, GenicamOptions) and options.roi is not None:
+        return options.roi.width, options.roi.height
+    if isinstance(options, V4l2Options) and options.size is not None:
+        return options.size
     try:
         file = subject.calibration
     except PipelineError:
@@ -35,14 +35,12 @@ def image_size(subject: Subject, side: Side) -> Size | None:
 
 
 def pixel_bytes(subject: Subject, side: Side) -> float:
-    """Bytes a pixel as the camera sends them; 1, as Bayer images have, where nothing is said."""
+    """Bytes per pixel on the transport; 1, as of Bayer images, if the format is unknown."""
     options = subject.cameras.get(side)
-    name = (
-        subject.simulation.encoding
-        if subject.simulation is not None
-        else (getattr(options, "pixel_format", None) or getattr(options, "format", None) or "")
-    )
-    name = name.lower()
+    name: str | None = subject.simulation.encoding if subject.simulation is not None else None
+    if options is not None:
+        name = options.pixel_format if isinstance(options, GenicamOptions) else options.format
+    name = (name or "").lower()
     if name.endswith(("10p", "12p", "10packed", "12packed")):
         return 1.5
     if name.endswith(("10", "12", "14", "16")):
@@ -51,7 +49,7 @@ def pixel_bytes(subject: Subject, side: Side) -> float:
 
 
 def frame_bytes(subject: Subject) -> list[int]:
-    """Bytes of a left and of a right image; empty where a size is not known."""
+    """Bytes of a left and of a right image; empty if a size is unknown."""
     sizes = [image_size(subject, side) for side in SIDES]
     return [
         round(size[0] * size[1] * pixel_bytes(subject, side))
@@ -61,14 +59,13 @@ def frame_bytes(subject: Subject) -> list[int]:
 
 
 def rate_hz(subject: Subject) -> float:
-    """Pairs a second as far as rig.yaml tells, 0 where a wire sets the rate."""
+    """Pairs per second according to rig.yaml, 0 if an external trigger determines the rate."""
     if subject.simulation is not None:
         return float(subject.simulation.rate_hz)
     rates = []
     for options in subject.cameras.values():
-        trigger = getattr(options, "trigger", None)
-        if getattr(trigger, "source", "") == "software":
-            rates.append(trigger.rate_hz)  # type: ignore[union-attr]
-        elif getattr(options, "frame_rate_hz", None):
-            rates.append(options.frame_rate_hz)
+        if isinstance(options, V4l2Options):
+            rates.append(options.frame_rate_hz or 0.0)
+        elif options.trigger.source == "software":
+            rates.append(options.trigger.rate_hz)
     return float(max(rates, default=0.0))

@@ -1,4 +1,4 @@
-"""What a shared library is made for and which others it needs, read from its ELF header without loading it.
+"""The processor and the dependencies of a shared library, read from its ELF header without loading it.
 
 Source: Tool Interface Standard, Executable and Linking Format, and its 64-bit extension.
 """
@@ -18,19 +18,19 @@ _MAX_HEADERS, _MAX_ENTRIES, _MAX_NAME = 256, 4096, 256
 
 
 class ElfError(ValueError):
-    """Not a shared library, or a broken one."""
+    """Not a shared library, or a damaged one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """A shared library: the processor it is for, and the libraries that it needs by name."""
+    """A shared library: its processor, and the names of the libraries that it needs."""
 
     machine: str
     needed: tuple[str, ...]
 
     @property
     def fits(self) -> bool:
-        """Whether this machine's processor runs it."""
+        """Whether it is built for this machine's processor."""
         return self.machine == {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
 
 
@@ -38,7 +38,7 @@ def read(path: Path) -> Library:
     """Read a library's header.
 
     Raises:
-        ElfError: not a library, or cut short. OSError: it cannot be read.
+        ElfError: not a library, or truncated. OSError: it is unreadable.
     """
     with path.open("rb") as file:
         if path.stat().st_size < 64:
@@ -47,14 +47,14 @@ def read(path: Path) -> Library:
             try:
                 return _parse(data, path)
             except (struct.error, IndexError, ValueError) as error:
-                raise ElfError(str(error) if isinstance(error, ElfError) else f"{path} is cut short") from error
+                raise ElfError(str(error) if isinstance(error, ElfError) else f"{path} is truncated") from error
 
 
 def _parse(data: mmap.mmap, path: Path) -> Library:
     if data[:4] != b"\x7fELF":
         raise ElfError(f"{path} is no shared library")
     if data[5] != 1:
-        raise ElfError(f"{path} is for a big-endian processor")
+        raise ElfError(f"{path} is built for a big-endian processor")
     number = struct.unpack_from("<H", data, 18)[0]
     machine = MACHINES.get(number, f"processor {number}")
     if data[4] != 2:
@@ -82,8 +82,8 @@ def _needed(data: mmap.mmap, loads: list[tuple[int, int, int]], dynamic: tuple[i
             table = next(
                 (value - address + offset for address, offset, size in loads if 0 <= value - address < size), 0
             )
-    found = []
+    libraries = []
     for name in names:
         end = data.find(b"\0", table + name, table + name + _MAX_NAME)
-        found.append(data[table + name : end].decode(errors="replace") if end > 0 else "")
-    return tuple(found)
+        libraries.append(data[table + name : end].decode(errors="replace") if end > 0 else "")
+    return tuple(libraries)

@@ -1,13 +1,13 @@
-"""GenICam cameras: those that are seen, and whether rig.yaml's two are among them."""
+"""GenICam cameras: the connected ones, and rig.yaml's two among them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
 from drivers.genicam import CameraFound
+from drivers.genicam.options import Options
 from drivers.protocols import Side
 
 area = Area("cameras")
@@ -16,61 +16,63 @@ _LIST = "compare with: fringed devices"
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """Every camera of every producer, then left and right."""
-    for path, cameras in subject.looked.items():
+    """Check every producer, then the left and the right camera."""
+    for path, cameras in subject.cameras_by_producer.items():
         if isinstance(cameras, str):
-            remedy = f"try the vendor's own viewer; if that fails too, install the producer {path} anew"
-            yield area.trouble("look", f"{path.name}: {cameras}", remedy, certain=subject.uses("genicam"))
-    seen = subject.genicam
+            remedy = f"try the vendor's viewer; if that fails too, reinstall the producer {path}"
+            yield area.graded("look", f"{path.name}: {cameras}", remedy, certain=subject.uses("genicam"))
+    connected = subject.genicam
     if not subject.uses("genicam"):
-        for camera in seen:
-            yield area.ok("seen", told(camera))
-        if not seen:
-            yield area.note("seen", "no GenICam camera is seen")
+        for camera in connected:
+            yield area.ok("seen", describe(camera))
+        if not connected:
+            yield area.note("seen", "no GenICam camera is connected")
         return
     matched: dict[Side, CameraFound] = {}
     for side, options in subject.cameras.items():
-        yield from matching(side, options, [camera for camera in seen if fits(camera, options)], seen, matched)
+        if isinstance(options, Options):
+            yield from camera_findings(side, options, connected, matched)
     yield from pair(matched)
-    for camera in seen:
+    for camera in connected:
         if camera not in matched.values():
-            yield area.note("other", f"not in rig.yaml: {told(camera)}")
+            yield area.note("other", f"not in rig.yaml: {describe(camera)}")
 
 
-def fits(camera: CameraFound, options: Any) -> bool:
-    """Whether a camera is one that the options mean."""
-    wanted = (options.serial, camera.serial), (options.model, camera.model), (options.user_name, camera.user_name)
-    return all(value is None or value == has for value, has in wanted)
+def fits(camera: CameraFound, options: Options) -> bool:
+    """Whether the options select a camera."""
+    pairs = (options.serial, camera.serial), (options.model, camera.model), (options.user_name, camera.user_name)
+    return all(value is None or value == actual for value, actual in pairs)
 
 
-def matching(
-    side: Side, options: Any, found: list[CameraFound], seen: list[CameraFound], matched: dict[Side, CameraFound]
+def camera_findings(
+    side: Side, options: Options, connected: list[CameraFound], matched: dict[Side, CameraFound]
 ) -> Iterator[Finding]:
-    """One camera of the rig; the camera that fits is put into ``matched``."""
-    keys = ("serial", "model", "user_name")
-    wanted = ", ".join(f"{key} {getattr(options, key)}" for key in keys if getattr(options, key) is not None)
+    """Check one camera of the rig; the selected camera is added to ``matched``."""
+    keys = {"serial": options.serial, "model": options.model, "user_name": options.user_name}
+    selection = ", ".join(f"{key} {value}" for key, value in keys.items() if value is not None)
+    found = [camera for camera in connected if fits(camera, options)]
     name = f"camera {side}"
     if not found:
-        there = "; ".join(told(camera) for camera in seen) or "none is seen"
-        remedy = f"plug it in and power it, or correct cameras.{side}.serial; {_LIST}"
-        yield area.problem(name, f"{name} ({wanted}) is not there; {there}", remedy)
+        others = "; ".join(describe(camera) for camera in connected) or "no camera is connected"
+        remedy = f"connect and power it, or correct cameras.{side}.serial; {_LIST}"
+        yield area.problem(name, f"{name} ({selection}) is not connected; {others}", remedy)
     elif len(found) > 1:
         serials = ", ".join(camera.serial or "?" for camera in found)
-        remedy = f"name it by cameras.{side}.serial; {_LIST}"
-        yield area.problem(name, f"{name} ({wanted}) fits {len(found)} cameras: {serials}", remedy)
+        remedy = f"select it by cameras.{side}.serial; {_LIST}"
+        yield area.problem(name, f"{name} ({selection}) selects {len(found)} cameras: {serials}", remedy)
     else:
         matched[side] = found[0]
         if found[0].access in ("free", "unknown"):
-            yield area.ok(name, f"{side}: {told(found[0])}")
+            yield area.ok(name, f"{side}: {describe(found[0])}")
         else:
-            text = f"{side}: {told(found[0])}, but it is {found[0].access}"
+            text = f"{side}: {describe(found[0])}, but it is {found[0].access}"
             yield area.warning(
-                name, text, "end the program that holds it (vendor's viewer, or a daemon: fringed status)"
+                name, text, "end the program that uses it (vendor's viewer, or a daemon: fringed status)"
             )
 
 
 def pair(matched: dict[Side, CameraFound]) -> Iterator[Finding]:
-    """What the two of them make together."""
+    """Check the combination of both cameras."""
     if len(matched) < 2:
         return
     left, right = matched["left"], matched["right"]
@@ -78,15 +80,15 @@ def pair(matched: dict[Side, CameraFound]) -> Iterator[Finding]:
         remedy = "give cameras.left.serial and cameras.right.serial the serials of two cameras"
         yield area.problem("pair", f"left and right are the same camera, {left.serial}", remedy)
     elif left.model != right.model:
-        text = f"left is a {left.model}, right a {right.model}: their triggers and read-outs take different times"
+        text = f"left is a {left.model}, right a {right.model}: their triggers and read-outs have different durations"
         yield area.warning("pair", text, "use two cameras of one model, or compare their exposure delays")
     elif left.version != right.version:
         text = f"left has firmware {left.version or 'unknown'}, right {right.version or 'unknown'}"
         yield area.warning("firmware", text, "bring both to the same firmware with the vendor's tool")
 
 
-def told(camera: CameraFound) -> str:
-    """A camera in one line."""
+def describe(camera: CameraFound) -> str:
+    """Format a camera as one line."""
     parts = [" ".join(part for part in (camera.vendor, camera.model) if part) or "camera", camera.serial or "no serial"]
     parts += [f'"{camera.user_name}"'] if camera.user_name else []
     parts += [f"firmware {camera.version}"] if camera.version else []

@@ -1,4 +1,4 @@
-"""The GenICam library: installed, and loadable beside this Python; told without loading it here."""
+"""The GenICam library: installed, and loadable by this Python, checked in another process."""
 
 from __future__ import annotations
 
@@ -21,25 +21,27 @@ _TIMEOUT_S = 45.0
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """Packages, their shared libraries, and an import in another process."""
+    """Check the packages, their shared libraries, and their import in another process."""
     certain = subject.uses("genicam")
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         text = f"no Python package {' and '.join(missing)}: GenICam cameras cannot be used"
-        yield area.trouble("packages", text, "pip install 'fringed[rig]'", certain=certain)
+        yield area.graded("packages", text, "pip install 'fringed[rig]'", certain=certain)
         return
-    yield judged(needed_python(package_dir("genicam")), ask([sys.executable, "-c", _IMPORT], _TIMEOUT_S), certain)
+    yield import_finding(
+        needed_python(package_dir("genicam")), ask([sys.executable, "-c", _IMPORT], _TIMEOUT_S), certain
+    )
 
 
 def package_dir(name: str) -> Path:
-    """Where a package lies, found without importing it."""
+    """The directory of a package, determined without importing it."""
     spec = importlib.util.find_spec(name)
-    places = list(spec.submodule_search_locations or ()) if spec is not None else []
-    return Path(places[0]) if places else Path()
+    locations = list(spec.submodule_search_locations or ()) if spec is not None else []
+    return Path(locations[0]) if locations else Path()
 
 
 def needed_python(directory: Path) -> str:
-    """The interpreter's shared library that a package's own libraries are linked with, empty if none."""
+    """The interpreter's shared library against which a package's libraries are linked, empty if none."""
     for path in sorted(directory.glob("*.so"))[:64]:
         try:
             names = elf.read(path).needed
@@ -51,14 +53,14 @@ def needed_python(directory: Path) -> str:
     return ""
 
 
-def judged(library: str, tried: Answer, certain: bool) -> Finding:
-    """What the attempt to import it says."""
-    if tried.status == 0:
+def import_finding(library: str, attempt: Answer, certain: bool) -> Finding:
+    """The finding for the attempted import."""
+    if attempt.status == 0:
         versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES)
-        return area.ok("import", f"{versions} load{f'; {library} is there' if library else ''}")
-    if library and library in tried.err:
+        return area.ok("import", f"{versions} load{f'; {library} is installed' if library else ''}")
+    if library and library in attempt.err:
         package = library.partition(".so")[0]
-        text = f"the genicam package needs {library}, which this machine does not have"
-        return area.trouble("libpython", text, f"sudo apt install {package}", certain=certain)
+        text = f"the genicam package needs {library}, which is not installed"
+        return area.graded("libpython", text, f"sudo apt install {package}", certain=certain)
     remedy = f"pip install --force-reinstall genicam harvesters; then try: {sys.executable} -c '{_IMPORT}'"
-    return area.trouble("import", f"the GenICam library does not load: {tried.why}", remedy, certain=certain)
+    return area.graded("import", f"the GenICam library does not load: {attempt.why}", remedy, certain=certain)

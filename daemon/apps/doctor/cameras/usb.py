@@ -1,4 +1,4 @@
-"""USB3 Vision cameras: memory that the kernel lends them, and the speed of the socket they are plugged into."""
+"""USB3 Vision cameras: the kernel's memory limit for transfers, and the speed of their ports."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _SUPER_SPEED = 5000
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """Memory, then every USB3 Vision camera on the bus."""
+    """Check the memory limit, then every USB3 Vision camera on the bus."""
     found = devices(subject)
-    used = data_rate.wanted(subject, "U3V")
+    used = data_rate.transport_used(subject, "U3V")
     if not found and used is False:
-        yield area.note("cameras", "no USB3 Vision camera is seen")
+        yield area.note("cameras", "no USB3 Vision camera is connected")
         return
     yield memory(subject, certain=bool(found) or used is True or subject.uses("genicam"))
     for device in found:
@@ -29,7 +29,7 @@ def check(subject: Subject) -> Iterator[Finding]:
         name = subject.machine.text(device / "product") or device.name
         if speed is not None and speed < _SUPER_SPEED:
             text = f"{name} runs at {speed} Mbit/s, USB3 Vision needs {_SUPER_SPEED}"
-            yield area.warning("speed", text, "use a USB 3 socket of the PC itself and a USB 3 cable")
+            yield area.warning("speed", text, "use a USB 3 port of the PC itself and a USB 3 cable")
         elif speed is not None:
             yield area.ok("speed", f"{name} runs at {speed} Mbit/s")
 
@@ -45,16 +45,16 @@ def devices(subject: Subject) -> list[Path]:
 
 
 def memory(subject: Subject, *, certain: bool) -> Finding:
-    """The kernel's limit on memory for USB transfers, against what the buffers of both cameras take."""
+    """Compare the kernel's memory limit for USB transfers with the buffers of both cameras."""
     limit = subject.machine.number(MEMORY)
     if limit is None:
-        return area.note("memory", "the kernel tells no limit on memory for USB transfers (no USB here?)")
+        return area.note("memory", "the kernel reports no memory limit for USB transfers (no USB host?)")
     frames, buffers = data_rate.frame_bytes(subject), [camera.buffers for camera in subject.cameras.values()]
     need = sum(size * count for size, count in zip(frames, buffers, strict=False)) / 1e6
     if limit == 0 or limit >= max(need, 1 if need else _RECOMMENDED_MB):
-        return area.ok("memory", f"usbfs_memory_mb is {limit or 'without limit'}")
-    wanted = max(_RECOMMENDED_MB, round(need * 1.25))
-    said = f"the buffers of both cameras take {need:.0f}" if need else f"two cameras need about {_RECOMMENDED_MB}"
-    remedy = f"echo {wanted} | sudo tee {MEMORY}; for good: usbcore.usbfs_memory_mb={wanted} on the kernel command line"
-    text = f"usbfs_memory_mb is {limit}, {said}: USB3 Vision cameras would lose frames"
+        return area.ok("memory", f"usbfs_memory_mb is {limit or 'unlimited'}")
+    recommended = max(_RECOMMENDED_MB, round(need * 1.25))
+    use = f"the buffers of both cameras take {need:.0f}" if need else f"two cameras need about {_RECOMMENDED_MB}"
+    remedy = f"echo {recommended} | sudo tee {MEMORY}; permanently: kernel option usbcore.usbfs_memory_mb={recommended}"
+    text = f"usbfs_memory_mb is {limit}, {use}: USB3 Vision cameras would lose frames"
     return area.warning("memory", text, remedy) if certain else area.note("memory", text, remedy)

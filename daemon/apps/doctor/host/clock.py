@@ -1,4 +1,4 @@
-"""The machine's clock: clouds carry its time, so it should be that of the other machines."""
+"""The machine's clock: clouds are stamped with its time, so it must agree with other machines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _REMEDY = "sudo apt install chrony (or: sudo timedatectl set-ntp true), and let 
 
 
 def check(subject: Subject) -> Iterator[Finding]:  # noqa: ARG001 - every check has it
-    """Ask chrony, else systemd, else the kernel; say nothing against a machine where nobody tells."""
+    """Query chrony, else systemd, else the kernel; without an answer the finding is a note."""
     if there("chronyc"):
         answer = ask(["chronyc", "-c", "tracking"], 5.0)
         if answer.status == 0:
@@ -28,33 +28,30 @@ def check(subject: Subject) -> Iterator[Finding]:  # noqa: ARG001 - every check 
         if answer.status == 0 and answer.out in ("yes", "no"):
             yield systemd(answer.out)
             return
-    told = clock_sync.kernel()
-    yield (
-        area.note("clock", "neither chrony nor systemd tells whether the clock is synchronised")
-        if told is None
-        else (judged(told))
-    )
+    sync = clock_sync.kernel()
+    unknown = area.note("clock", "neither chrony nor systemd reports whether the clock is synchronised")
+    yield unknown if sync is None else sync_finding(sync)
 
 
 def chrony(text: str) -> Finding:
-    """From the line of comma-separated values of ``chronyc -c tracking``."""
-    told = clock_sync.chrony(text)
-    return area.note("clock", f"chrony's answer is not understood: {text[:80]}") if told is None else judged(told)
+    """The finding for the comma-separated line of ``chronyc -c tracking``."""
+    sync = clock_sync.chrony(text)
+    return area.note("clock", f"chrony's answer cannot be parsed: {text[:80]}") if sync is None else sync_finding(sync)
 
 
-def judged(told: ClockSync) -> Finding:
-    """From what chrony or the kernel tells."""
-    if not told.synchronised:
-        return area.warning("clock", f"the clock is not synchronised with any server ({told.source})", _REMEDY)
-    offset_ms = abs(told.offset_ms or 0.0)
+def sync_finding(sync: ClockSync) -> Finding:
+    """The finding for the state that chrony or the kernel reports."""
+    if not sync.synchronised:
+        return area.warning("clock", f"the clock is not synchronised with any server ({sync.source})", _REMEDY)
+    offset_ms = abs(sync.offset_ms or 0.0)
     if offset_ms > _LATE_MS:
         remedy = "wait a few minutes, or: sudo chronyc makestep (not while measuring)"
         return area.warning("clock", f"the clock is {offset_ms:.1f} ms off", remedy)
-    return area.ok("clock", f"synchronised ({told.source}), {1e3 * offset_ms:.0f} us off")
+    return area.ok("clock", f"synchronised ({sync.source}), {1e3 * offset_ms:.0f} us off")
 
 
 def systemd(text: str) -> Finding:
-    """From systemd's yes or no."""
+    """The finding for systemd's answer, yes or no."""
     if text == "yes":
         return area.ok("clock", "synchronised (systemd)")
     return area.warning("clock", "the clock is not synchronised with any server", _REMEDY)

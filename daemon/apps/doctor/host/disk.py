@@ -1,4 +1,4 @@
-"""The disk of the recordings: room, and a short measurement of how fast it writes."""
+"""The disk of the recordings: free space, and a short measurement of its write speed."""
 
 from __future__ import annotations
 
@@ -24,43 +24,47 @@ _ELSEWHERE = "set recording.dir to a directory on another disk"
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """Directory, room, speed."""
+    """Check directory, free space and write speed."""
     config = subject.config
     directory = config.path(config.recording.dir, subject.base_dir) if config is not None else Path.cwd()
-    above = existing(directory)
-    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
-        yield area.problem("directory", f"{directory} cannot be written", f"sudo chown $USER {above}, or {_ELSEWHERE}")
+    parent = existing(directory)
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        yield area.problem("directory", f"{directory} is not writable", f"sudo chown $USER {parent}, or {_ELSEWHERE}")
         return
-    stats = os.statvfs(above)
+    stats = os.statvfs(parent)
     free_mb = stats.f_bavail * stats.f_frsize / 1e6
     keep_mb = float(config.recording.min_free_mb) if config is not None else 0.0
     pair_mb, rate = sum(data_rate.frame_bytes(subject)) / 1e6, data_rate.rate_hz(subject)
     yield room(directory, free_mb, keep_mb, pair_mb * rate)
     if free_mb < 64:
         return
-    yield speed(measure(above, min(MAX_BYTES, int(free_mb * 1e6 / 20))), pair_mb, rate)
+    yield speed(measure(parent, min(MAX_BYTES, int(free_mb * 1e6 / 20))), pair_mb, rate)
 
 
 def room(directory: Path, free_mb: float, keep_mb: float, need_mb_s: float) -> Finding:
-    """Free space above recording.min_free_mb, in seconds of recording where the rate is known."""
+    """Check the free space above recording.min_free_mb, as a duration of recording if the rate is known."""
     usable = free_mb - keep_mb
     text = f"{directory}: {free_mb / 1e3:.1f} GB free"
     if usable <= 0:
-        text += f", less than recording.min_free_mb ({keep_mb:.0f}): nothing would be recorded"
+        text += f", less than recording.min_free_mb ({keep_mb:.0f}): recording would not start"
         return area.problem("room", text, f"delete old takes, or {_ELSEWHERE}")
-    lasts = usable / need_mb_s if need_mb_s > 0 else None
-    if lasts is not None:
-        text += f", at least {_duration(lasts)} of recording"
-    if (lasts is not None and lasts < _MIN_RECORDING_S) or (lasts is None and usable < _LITTLE_MB):
+    duration_s = usable / need_mb_s if need_mb_s > 0 else None
+    if duration_s is not None:
+        text += f", at least {_duration(duration_s)} of recording"
+    if usable < _LITTLE_MB if duration_s is None else duration_s < _MIN_RECORDING_S:
         return area.warning("room", text, f"delete old takes, or {_ELSEWHERE}")
     return area.ok("room", text)
 
 
 def speed(mb_s: float, pair_mb: float, rate_hz: float) -> Finding:
-    """Speed against what two cameras send, without compression."""
+    """Compare the write speed with the uncompressed data rate of two cameras."""
     text = f"writes {mb_s:.0f} MB/s"
     if pair_mb <= 0 or mb_s <= 0:
-        return area.ok("speed", text) if mb_s > 0 else area.note("speed", "too slow or too full to measure")
+        return (
+            area.ok("speed", text)
+            if mb_s > 0
+            else area.note("speed", "the disk is too slow or too full for the measurement")
+        )
     if rate_hz > 0:
         text += f"; {rate_hz:g} pairs/s of {pair_mb:.1f} MB are {pair_mb * rate_hz:.0f} MB/s before compression"
     else:
@@ -71,7 +75,7 @@ def speed(mb_s: float, pair_mb: float, rate_hz: float) -> Finding:
 
 
 def measure(directory: Path, limit: int) -> float:
-    """MB/s of writing with fsync to a file that nobody sees; it ends after ``limit`` bytes or three seconds."""
+    """Measure MB/s of writing with fsync to an unnamed file, for up to ``limit`` bytes or three seconds."""
     block = memoryview(os.urandom(_BLOCK))  # some file systems would compress zeros
     written = 0
     with tempfile.TemporaryFile(dir=directory, prefix=".fringed-doctor-", buffering=0) as file:

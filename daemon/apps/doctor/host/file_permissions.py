@@ -1,4 +1,4 @@
-"""Whether other users of this machine could read or change what belongs to the rig."""
+"""Permissions of the rig's files: other users must not read keys or change files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ area = Area("files")
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """The rig file, the calibration, the takes and the keys."""
+    """Check the rig file, the calibration, the takes and the keys."""
     config = subject.config
     if config is None:
-        yield area.note("files", "no rig.yaml, so there are no files of a rig to look at")
+        yield area.note("files", "no rig.yaml, so no files to check")
         return
     named = {"rig file": subject.path, "takes": subject.base_dir / Path(config.recording.dir).expanduser()}
     if config.calibration is not None:
@@ -31,7 +31,7 @@ def check(subject: Subject) -> Iterator[Finding]:
 
 
 def changeable(what: str, path: Path) -> Finding:
-    """A file or directory that only its owner and its group should change."""
+    """Check a file or directory that only its owner and its group may change."""
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
         return area.warning(what, f"{path} can be changed by every user (mode {mode:04o})", f"chmod o-w {path}")
@@ -39,10 +39,10 @@ def changeable(what: str, path: Path) -> Finding:
 
 
 def keys(directory: Path) -> Finding:
-    """The keys for other machines."""
+    """Check the keys for other machines."""
     store = KeyStore(directory)
     if not store.readable():
-        return area.note("keys", f"{directory} can only be read by the service's user")
+        return area.note("keys", f"{directory} is readable only by the service's user")
     try:
         store.server()
         authorized = store.authorized()

@@ -1,4 +1,4 @@
-"""The installed service, if there is one: its user, groups, directories, interpreter; and how it runs."""
+"""The installed service: user, groups, directories, interpreter and state."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ area = Area("service")
 
 _UNIT = f"/etc/systemd/system/{SERVICE}"
 _GROUPS = "video", "render", "plugdev"
-_AGAIN = "sudo fringed install, from the checkout or environment that it was installed with"
+_REINSTALL = "sudo fringed install, from the checkout or environment of the first installation"
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """Nothing but a note where it is not installed."""
+    """Check the installed service; a note if there is none."""
     machine = subject.machine
     unit = machine.text(_UNIT)
     if not unit:
@@ -29,7 +29,9 @@ def check(subject: Subject) -> Iterator[Finding]:
     yield program(machine, unit)
     number = entry(machine, "passwd", USER)
     if number is None:
-        yield area.problem("user", f"there is no user {USER}", f"sudo systemd-sysusers fringed.conf, or {_AGAIN}")
+        yield area.problem(
+            "user", f"the user {USER} does not exist", f"sudo systemd-sysusers fringed.conf, or {_REINSTALL}"
+        )
         return
     yield groups(machine)
     yield from rights(machine)
@@ -38,18 +40,18 @@ def check(subject: Subject) -> Iterator[Finding]:
 
 
 def program(machine: Machine, unit: str) -> Finding:
-    """Whether what the unit starts is there."""
+    """Check the program that the unit starts."""
     line = next((line for line in unit.splitlines() if line.startswith("ExecStart=")), "ExecStart=")
     name = line.partition("=")[2].split(" ")[0] or str(PREFIX)
     env = Path(name).parent.parent / "env/bin/python"
     for path in (name, str(env)):
         if not machine.path(path).exists():
-            return area.problem("program", f"{path} is not there", _AGAIN)
-    return area.ok("program", f"{name}")
+            return area.problem("program", f"{path} does not exist", _REINSTALL)
+    return area.ok("program", name)
 
 
 def groups(machine: Machine) -> Finding:
-    """Whether the service may use cameras and graphics card."""
+    """Check the service's groups for cameras and graphics card."""
     missing = [name for name in _GROUPS if USER not in members(machine, name)]
     if missing:
         remedy = f"sudo usermod -aG {','.join(missing)} {USER}; sudo systemctl restart fringed"
@@ -58,18 +60,18 @@ def groups(machine: Machine) -> Finding:
 
 
 def rights(machine: Machine) -> Iterator[Finding]:
-    """Modes and owners, against the table of the installation; one finding when all is as promised."""
+    """Compare modes and owners with the table of the installation; one finding if all agree."""
     wrong = 0
     for place in (*DIRECTORIES, CONFIG_FILES):
         if place.path.is_relative_to(PREFIX):
-            continue  # the prefix can be another one
+            continue  # the prefix is an option of the installation
         try:
             status = machine.path(str(place.path)).stat()
         except PermissionError:
             continue
         except OSError:
             wrong += 1
-            yield area.warning("rights", f"{place.path} is not there", _AGAIN)
+            yield area.warning("rights", f"{place.path} does not exist", _REINSTALL)
             continue
         owner, group = entry(machine, "passwd", place.owner), entry(machine, "group", place.group)
         if status.st_uid != owner or status.st_gid != group or stat.S_IMODE(status.st_mode) & ~place.mode:
@@ -78,25 +80,25 @@ def rights(machine: Machine) -> Iterator[Finding]:
             remedy = f"sudo chown {place.owner}:{place.group} {place.path}; sudo chmod {place.mode:04o} {place.path}"
             yield area.warning("rights", text, remedy)
     if not wrong:
-        yield area.ok("rights", "configuration and data have the modes and owners that they should have")
+        yield area.ok("rights", "configuration and data have the modes and owners of the installation")
 
 
 def running() -> Finding:
-    """What systemd says of it."""
+    """Report the state from systemd."""
     names = ("ActiveState", "StatusText", "NRestarts", "Result")
     answer = ask(["systemctl", "show", SERVICE, *(f"--property={name}" for name in names)], 10.0)
-    said = dict(line.partition("=")[::2] for line in answer.out.splitlines())
-    state = said.get("ActiveState", "")
+    values = dict(line.partition("=")[::2] for line in answer.out.splitlines())
+    state = values.get("ActiveState", "")
     if not state:
-        return area.note("state", "systemd does not tell how it runs")
-    text = f"{state}, started again {said.get('NRestarts', '?')} times; {said.get('StatusText') or 'no status line'}"
+        return area.note("state", "systemd does not report the service's state")
+    text = f"{state}, {values.get('NRestarts', '?')} restarts; {values.get('StatusText') or 'no status line'}"
     if state == "failed":
-        return area.warning("state", f"{text} ({said.get('Result')})", "journalctl -u fringed -n 50")
+        return area.warning("state", f"{text} ({values.get('Result')})", "journalctl -u fringed -n 50")
     return area.ok("state", text)
 
 
 def entry(machine: Machine, table: str, name: str) -> int | None:
-    """The number of a user (``passwd``) or a group (``group``), None where there is none."""
+    """The id of a user (``passwd``) or a group (``group``), None if it does not exist."""
     fields = _line(machine, table, name)
     if len(fields) > 2 and fields[2].isdigit():
         return int(fields[2])
@@ -104,7 +106,7 @@ def entry(machine: Machine, table: str, name: str) -> int | None:
 
 
 def members(machine: Machine, group: str) -> list[str]:
-    """Who is in a group by /etc/group."""
+    """The members of a group in /etc/group."""
     fields = _line(machine, "group", group)
     return fields[3].split(",") if len(fields) > 3 else []
 

@@ -1,4 +1,4 @@
-"""The projector's output: an X server that answers, the right mode, a linear gamma table, and nothing that meddles."""
+"""The projector's output: the X server, the mode, the gamma table, and programs that interfere with the image."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from daemon.apps.doctor.subject import Subject
 from daemon.common.run_program import ask
 from drivers.errors import DriverError
 from drivers.projector.found import OutputFound, absent, bent, find, unfit
-from drivers.projector.options import named_display
+from drivers.projector.options import ProjectorOptions, named_display
 
 area = Area("display")
 
-MEDDLERS = {
+INTERFERING = {
     "redshift": "colours the screen at night",
     "gammastep": "colours the screen at night",
-    "xscreensaver": "covers the image when nobody types",
-    "light-locker": "covers the image when nobody types",
-    "xss-lock": "covers the image when nobody types",
-    "gnome-screensav": "covers the image when nobody types",
+    "xscreensaver": "covers the image without keyboard input",
+    "light-locker": "covers the image without keyboard input",
+    "xss-lock": "covers the image without keyboard input",
+    "gnome-screensav": "covers the image without keyboard input",
 }
-"""Programs that spoil the image, by their short names; what they do."""
+"""Programs that interfere with the image, by short name, with their effect."""
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """Server, output, surroundings."""
+    """Check server, output and other programs."""
     certain = subject.uses("x11")
+    options = subject.projector if isinstance(subject.projector, ProjectorOptions) else None
     try:
         outputs = subject.outputs
-        name = named_display(subject.projector.display if certain and subject.projector is not None else "")
+        name = named_display(options.display if options is not None else "")
     except DriverError as error:
         remedy = (
             "start an X server and set DISPLAY (or projector.options.display) to it, such as :0; see docs/projector.md"
@@ -43,78 +44,73 @@ def check(subject: Subject) -> Iterator[Finding]:
         else:
             yield area.note("server", str(error), remedy)
         return
-    lit = [output for output in outputs if output.lit]
-    yield area.ok("server", f"X display {name} answers; outputs: {', '.join(map(shown, lit)) or 'none is switched on'}")
-    if certain and subject.projector is not None:
-        yield from output_findings(outputs, subject.projector)
+    active = ", ".join(describe(output) for output in outputs if output.lit)
+    yield area.ok("server", f"X display {name} answers; outputs: {active or 'none is active'}")
+    if options is not None:
+        yield from output_findings(outputs, options)
     yield from surroundings(subject, name)
 
 
-def output_findings(outputs: list[OutputFound], options: object) -> Iterator[Finding]:
-    """Whether the rig's output can show the pattern pixel by pixel."""
-    wanted = str(getattr(options, "output", ""))
-    missing = absent(outputs, wanted)
-    output = find(outputs, wanted)
+def output_findings(outputs: list[OutputFound], options: ProjectorOptions) -> Iterator[Finding]:
+    """Check whether the rig's output can show the pattern pixel by pixel."""
+    missing = absent(outputs, options.output)
+    output = find(outputs, options.output)
     if missing or output is None:
-        yield area.problem("output", *_remedy(missing, "plug the projector in; compare with: fringed devices"))
+        yield area.problem("output", *_remedy(missing, "connect the projector; compare with: fringed devices"))
         return
-    native = getattr(options, "mode", "native") == "native"
-    wrong = unfit(
-        output, native=native, size=getattr(options, "size", None), refresh_hz=getattr(options, "refresh_hz", None)
-    )
+    wrong = unfit(output, native=options.mode == "native", size=options.size, refresh_hz=options.refresh_hz)
     if wrong:
-        yield area.problem("mode", *_remedy(wrong, "choose that mode with xrandr, or correct projector.options"))
+        yield area.problem("mode", *_remedy(wrong, "set that mode with xrandr, or correct projector.options"))
     else:
-        yield area.ok(
-            "mode", f"{shown(output)}, {'its own resolution' if output.preferred_size == output.size else 'as asked'}"
-        )
-    curved = bent(output)
-    if curved and getattr(options, "gamma", "check") == "check":
-        yield area.problem("gamma", *_remedy(curved, "set projector.options.gamma to reset"))
-    elif curved:
-        yield area.note("gamma", f"the gamma table of {output.name} is not linear; it is made so while measuring")
+        fit = "its native resolution" if output.preferred_size == output.size else "as configured"
+        yield area.ok("mode", f"{describe(output)}, {fit}")
+    nonlinear = bent(output)
+    if nonlinear and options.gamma == "check":
+        yield area.problem("gamma", *_remedy(nonlinear, "set projector.options.gamma to reset"))
+    elif nonlinear:
+        yield area.note("gamma", f"the gamma table of {output.name} is not linear; it is linearised while measuring")
     else:
-        yield area.ok(
-            "gamma", "the gamma table is linear" if output.gamma_identity else "the output has no gamma table"
-        )
+        linear = "the gamma table is linear" if output.gamma_identity else "the output has no gamma table"
+        yield area.ok("gamma", linear)
     if not output.refresh_hz:
-        yield area.warning(
-            "refresh", "the refresh rate is unknown", "set projector.options.refresh_hz to the projector's"
-        )
+        remedy = "set projector.options.refresh_hz to the projector's"
+        yield area.warning("refresh", "the refresh rate is unknown", remedy)
     for note in output.notes:
         yield area.note("output", note)
 
 
 def surroundings(subject: Subject, name: str) -> Iterator[Finding]:
-    """Compositor, screen saver, power saving, Wayland, programs that meddle."""
+    """Check compositor, screen saver, power saving, Wayland and interfering programs."""
     certain = subject.uses("x11")
-    screen = look(name)
+    screen = read_screen(name)
     if screen.problem:
-        yield area.note("surroundings", f"cannot be told: {screen.problem}")
+        yield area.note("surroundings", f"unknown: {screen.problem}")
     if subject.machine.environ.get("XDG_SESSION_TYPE") == "wayland":
-        text = "the session is Wayland: X programs reach the screen through its compositor, flips cannot be trusted"
-        yield _judged("wayland", text, 'choose an "Xorg" session at login', certain)
+        text = "the session is Wayland: its compositor shows X programs, so the times of flips are unreliable"
+        yield _graded("wayland", text, 'choose an "Xorg" session at login', certain)
     if screen.compositor:
-        text = "a compositing manager runs: it may show images a frame late"
-        yield _judged(
-            "compositor", text, "switch compositing off in the desktop's settings, or use a bare X server", certain
+        text = "a compositing manager runs, which may delay images by a frame"
+        yield _graded(
+            "compositor",
+            text,
+            "disable compositing in the desktop's settings, or use an X server without a desktop",
+            certain,
         )
     if screen.blank_after_s or screen.dpms:
-        ways = [f"the screen saver comes after {screen.blank_after_s} s"] if screen.blank_after_s else []
-        ways += ["DPMS may switch monitors off"] if screen.dpms else []
-        yield area.note(
-            "saver", f"{' and '.join(ways)}; both are held off while measuring", f"DISPLAY={name} xset s off -dpms"
-        )
+        causes = [f"the screen saver starts after {screen.blank_after_s} s"] if screen.blank_after_s else []
+        causes += ["DPMS may switch monitors off"] if screen.dpms else []
+        text = f"{' and '.join(causes)}; both are suspended while measuring"
+        yield area.note("saver", text, f"DISPLAY={name} xset s off -dpms")
     for program in subject.machine.programs():
-        if program.name in MEDDLERS:
-            text = f"{program} {MEDDLERS[program.name]}"
-            yield _judged("meddler", text, f"end it and take it out of the autostart: kill {program.pid}", certain)
+        if program.name in INTERFERING:
+            text = f"{program} {INTERFERING[program.name]}"
+            yield _graded("meddler", text, f"end it and remove it from the autostart: kill {program.pid}", certain)
     if not (screen.problem or screen.compositor or screen.blank_after_s or screen.dpms):
         yield area.ok("surroundings", "no compositor, no screen saver, no power saving")
 
 
-def look(name: str) -> Screen:
-    """The display's settings, read by another process."""
+def read_screen(name: str) -> Screen:
+    """Read the display's settings in another process."""
     answer = ask([sys.executable, "-m", "daemon.apps.doctor.rig.display_process", name], 15.0)
     try:
         return msgspec.json.decode(answer.out, type=Screen)
@@ -122,17 +118,17 @@ def look(name: str) -> Screen:
         return Screen(problem=answer.why)
 
 
-def shown(output: OutputFound) -> str:
-    """An output in a few words."""
+def describe(output: OutputFound) -> str:
+    """Format an output with its mode."""
     rate = f"@{output.refresh_hz:.2f}" if output.refresh_hz else ""
     return f"{output.name} {output.size[0]}x{output.size[1]}{rate}"
 
 
 def _remedy(text: str, otherwise: str) -> tuple[str, str]:
-    """A driver's message, split into what is and what to do."""
-    what, _, todo = text.partition("; ")
-    return (what, todo) if todo.startswith(("run:", "set ")) else (text, otherwise)
+    """Split a driver's message into problem and remedy."""
+    problem, _, todo = text.partition("; ")
+    return (problem, todo) if todo.startswith(("run:", "set ")) else (text, otherwise)
 
 
-def _judged(name: str, text: str, remedy: str, certain: bool) -> Finding:
+def _graded(name: str, text: str, remedy: str, certain: bool) -> Finding:
     return area.warning(name, text, remedy) if certain else area.note(name, text, remedy)

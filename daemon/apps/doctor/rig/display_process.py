@@ -1,8 +1,8 @@
-"""Programs beside the image on an X display.
+"""Settings of an X display that affect the image.
 
 ``python -m daemon.apps.doctor.rig.display_process DISPLAY`` writes them as JSON.
 
-A process of its own, as Xlib ends the process on errors that it cannot tell.
+A process of its own, because Xlib ends the process on some errors.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Screen(msgspec.Struct, frozen=True):
     Args:
         compositor: whether a compositing manager owns the screen.
         blank_after_s: of the screen saver, 0 = never; dpms: whether the server switches monitors off by itself.
-        problem: why nothing could be read.
+        problem: the reason for missing settings.
     """
 
     compositor: bool = False
@@ -31,7 +31,7 @@ class Screen(msgspec.Struct, frozen=True):
 
 
 def read(display: str) -> Screen:
-    """Ask the server."""
+    """Read the settings from the server."""
     from drivers.projector.xlib import Connection, catch_errors, xext
 
     try:

@@ -1,14 +1,15 @@
-"""Exposures against the projector's period: any other than a whole number of periods weighs its colours by chance."""
+"""Exposures and the projector's period: a fraction of a period weights the colours unevenly."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from daemon.apps.doctor.finding import Area, Finding
-from daemon.apps.doctor.subject import Subject
+from daemon.apps.doctor.subject import CameraOptions, Subject
 from daemon.live.acquisition.camera_status import CameraState, CameraStatus
 from daemon.live.compatibility import timing_warnings
+from drivers.genicam.options import Options as GenicamOptions
+from drivers.protocols import Side
 
 area = Area("timing")
 
@@ -17,47 +18,45 @@ _V4L2_UNIT_US = 100.0
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """The exposures that rig.yaml sets, and the refresh rate of the projector."""
+    """Compare the exposures of rig.yaml with the projector's refresh rate."""
     exposures = {side: exposure_us(options) for side, options in subject.cameras.items()}
     for side, exposure in exposures.items():
         if exposure <= 0:
-            text = f"rig.yaml sets no exposure of camera {side}: it is what the camera was left with"
+            text = f"rig.yaml sets no exposure of camera {side}, the camera keeps its previous one"
             yield area.warning(
                 "exposure", text, f"set {_key(subject, side)} to a whole number of the projector's periods"
             )
-    yield from judged(subject.refresh_hz, exposures)
+    yield from exposure_findings(subject.refresh_hz, exposures)
 
 
-def exposure_us(options: Any) -> float:
-    """The exposure that a camera's options ask for, microseconds, 0 if none."""
-    asked = getattr(options, "exposure_us", None)
-    if asked is not None:
-        return float(asked)
-    controls = getattr(options, "controls", {})
-    value = next((controls[name] for name in _V4L2_EXPOSURES if name in controls), 0)
+def exposure_us(options: CameraOptions) -> float:
+    """The exposure in a camera's options, microseconds, 0 if none."""
+    if isinstance(options, GenicamOptions):
+        return options.exposure_us or 0.0
+    value = next((options.controls[name] for name in _V4L2_EXPOSURES if name in options.controls), 0)
     return float(value) * _V4L2_UNIT_US if isinstance(value, int) else 0.0
 
 
-def judged(refresh_hz: float, exposures: dict[Any, float]) -> Iterator[Finding]:
-    """Whether the exposures suit the rate and each other."""
+def exposure_findings(refresh_hz: float, exposures: dict[Side, float]) -> Iterator[Finding]:
+    """Compare the exposures with the refresh rate and with each other."""
     known = {side: exposure for side, exposure in exposures.items() if exposure > 0}
     if len(set(known.values())) > 1:
         text = " and ".join(f"{side} {exposure:.0f} us" for side, exposure in known.items())
-        yield area.warning("exposure", f"the cameras expose for different times: {text}", "set both to one exposure")
+        yield area.warning("exposure", f"the cameras have different exposures: {text}", "set both to the same exposure")
     if refresh_hz <= 0:
         remedy = "set projector.options.refresh_hz to the projector's frame rate"
-        yield area.note(
-            "refresh", "the projector's refresh rate is unknown, exposures cannot be compared with it", remedy
-        )
+        yield area.note("refresh", "the projector's refresh rate is unknown, so the exposures are not checked", remedy)
         return
-    cameras = {side: CameraStatus(CameraState.CLOSED, exposure_us=exposure) for side, exposure in known.items()}
+    cameras = {str(side): CameraStatus(CameraState.CLOSED, exposure_us=us) for side, us in known.items()}
     wrong = timing_warnings(refresh_hz, cameras)
     for text in wrong:
-        what, _, _ = text.partition("; ")
-        side = what.split()[1]
+        problem, _, _ = text.partition("; ")
+        side: Side = "left" if problem.split()[1] == "left" else "right"
         periods = max(1, round(known[side] * refresh_hz / 1e6))
         whole = periods * 1e6 / refresh_hz
-        yield area.warning("exposure", what, f"expose for {whole:.0f} us, {periods} whole period{'s'[: periods > 1]}")
+        yield area.warning(
+            "exposure", problem, f"expose for {whole:.0f} us, {periods} whole period{'s'[: periods > 1]}"
+        )
     if known and not wrong:
         longest = max(known.values())
         yield area.ok(
@@ -66,5 +65,5 @@ def judged(refresh_hz: float, exposures: dict[Any, float]) -> Iterator[Finding]:
 
 
 def _key(subject: Subject, side: str) -> str:
-    own = "exposure_us" if subject.uses("genicam") else f"controls.{_V4L2_EXPOSURES[0]}"
-    return f"cameras.{side}.{own}"
+    key = "exposure_us" if subject.uses("genicam") else f"controls.{_V4L2_EXPOSURES[0]}"
+    return f"cameras.{side}.{key}"

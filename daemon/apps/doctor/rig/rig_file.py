@@ -1,4 +1,4 @@
-"""The rig.yaml itself: every mistake in it, those in the drivers' options too."""
+"""The rig.yaml: all its errors, including those in the drivers' options."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ area = Area("rig")
 
 
 def read_leniently(path: Path) -> tuple[RigConfig | None, list[str]]:
-    """The rig as far as it can be understood, and every mistake.
+    """The rig, if it can be parsed, and all errors.
 
-    A file that is named and not there, say, is a mistake, but no reason not to look at the cameras.
+    Some errors, such as a missing file, do not prevent the checks of the cameras.
     """
     try:
         return load_rig(path), []
@@ -39,18 +39,18 @@ def read_leniently(path: Path) -> tuple[RigConfig | None, list[str]]:
 
 
 def check(subject: Subject) -> Iterator[Finding]:
-    """Tell the mistakes, or what rig it is."""
+    """Report the errors, or a summary of the rig."""
     if subject.path is None:
         return
     _, problems = read_leniently(subject.path)
     remedy = f"change that line of {subject.path.name}; see: fringed check {subject.path}"
     if not subject.path.is_file():
-        remedy = "name a rig.yaml that is there; examples/rig.yaml is one to begin with"
+        remedy = "give an existing rig.yaml; examples/rig.yaml is a template"
     for text in problems:
         yield area.problem("file", text, remedy)
     config = subject.config
     if config is None:
-        yield area.note("file", "the rest is looked at as if there were no rig.yaml")
+        yield area.note("file", "the other checks run as without a rig.yaml")
         return
     wrong = list(option_problems(subject))
     for text in wrong:
@@ -63,7 +63,7 @@ def check(subject: Subject) -> Iterator[Finding]:
 
 
 def option_problems(subject: Subject) -> Iterator[str]:
-    """What the drivers say of their options."""
+    """Errors that the drivers report about their options."""
     config = subject.config
     if config is None:
         return

@@ -1,4 +1,4 @@
-"""Checks that behave badly, and one that does not."""
+"""Checks that fail in different ways, and one that succeeds."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def well(_: Subject) -> Iterator[Finding]:
 
 
 def raises(_: Subject) -> Iterator[Finding]:
-    yield area.ok("before", "seen before it failed")
+    yield area.ok("before", "found before the failure")
     raise KeyError("Exposure")
 
 
 def hangs(_: Subject) -> Iterator[Finding]:
-    # A program that is left hanging below the check must go as well; its number is told through a file.
+    # A hanging child of the check must end too; its process id is passed through a file.
     child = subprocess.Popen(["sleep", "1000"])
     Path(os.environ["SICK_CHILD"]).write_text(str(child.pid))
     threading.Event().wait()
@@ -39,7 +39,7 @@ def crashes(_: Subject) -> Iterator[Finding]:
 
 
 def prints(_: Subject) -> Iterator[Finding]:
-    os.write(1, b"a vendor's library talks\n" * 20_000)
+    os.write(1, b"output of a vendor's library\n" * 20_000)
     yield area.ok("prints", "done")
 
 

@@ -1,4 +1,4 @@
-"""Emulated cameras and an X server for the doctor to look at."""
+"""Emulated cameras and an X server for the doctor's checks."""
 
 from __future__ import annotations
 

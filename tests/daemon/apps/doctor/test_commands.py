@@ -1,4 +1,4 @@
-"""The commands as a user runs them, on emulated cameras, a real X server and this machine."""
+"""The commands on emulated cameras, a real X server and this machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daemon.apps.doctor.check_table import AREAS
 from daemon.apps.doctor.subject import Subject
 from sim.box.xserver import XServer
 from sim.gentl.cable import Cable
-from tests.daemon.apps.doctor import made_machines
+from tests.daemon.apps.doctor import fake_machines
 
 Fringed = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -32,7 +32,7 @@ def sim_rig(directory: Path) -> Path:
 
 
 def hardware_rig(directory: Path, producer: Path, display: str, *, right: str = "A2") -> Path:
-    made_machines.known(directory)
+    fake_machines.write_rig_files(directory)
     camera = f"producer: '{producer}', exposure_us: 16683.4, pixel_format: BayerRG8"
     path = directory / "rig.yaml"
     path.write_text(
@@ -40,7 +40,7 @@ def hardware_rig(directory: Path, producer: Path, display: str, *, right: str = 
         f"  right: {{serial: {right}, {camera}}}\n"
         f"projector: {{driver: x11, options: {{output: DUMMY1, display: '{display}', refresh_hz: 59.94}}}}\n"
         f"stream: {{endpoints: ['ipc://{directory}/s']}}\ncontrol: {{endpoint: 'ipc://{directory}/c'}}\n"
-        "recording: {min_free_mb: 0}\n" + made_machines.FILES
+        "recording: {min_free_mb: 0}\n" + fake_machines.FILES
     )
     path.write_text(path.read_text().replace("user_name: '', ", ""))
     return path
@@ -52,9 +52,9 @@ def findings(report: dict[str, Any], area: str) -> list[dict[str, str]]:
 
 def test_a_simulated_rig_is_healthy_and_the_json_has_its_shape(fringed: Fringed, tmp_path: Path) -> None:
     rig = sim_rig(tmp_path)
-    done = fringed("doctor", str(rig), "--json")
-    report = json.loads(done.stdout)
-    assert done.returncode == 0 and report["healthy"] is True, done.stdout + done.stderr
+    process = fringed("doctor", str(rig), "--json")
+    report = json.loads(process.stdout)
+    assert process.returncode == 0 and report["healthy"] is True, process.stdout + process.stderr
     assert set(report) == {"rig", "healthy", "counts", "findings"} and report["rig"] == str(rig)
     assert list(report["counts"]) == ["ok", "note", "warning", "problem"] and report["counts"]["problem"] == 0
     assert all(set(finding) == {"area", "name", "level", "text", "remedy"} for finding in report["findings"])
@@ -63,83 +63,87 @@ def test_a_simulated_rig_is_healthy_and_the_json_has_its_shape(fringed: Fringed,
         assert [finding["text"] for finding in findings(report, area)] == ["not needed with sim"]
 
 
-def test_what_is_not_needed_takes_one_line(fringed: Fringed, tmp_path: Path) -> None:
-    done = fringed("doctor", str(sim_rig(tmp_path)))
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("not needed") == 1 and "\x1b" not in done.stdout
-    assert all(len(line) <= 110 for line in done.stdout.splitlines() if "://" not in line)
+def test_areas_that_are_not_needed_take_one_line(fringed: Fringed, tmp_path: Path) -> None:
+    process = fringed("doctor", str(sim_rig(tmp_path)))
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert process.stdout.count("not needed") == 1 and "\x1b" not in process.stdout
+    assert all(len(line) <= 110 for line in process.stdout.splitlines() if "://" not in line)
 
 
 def test_a_rig_of_emulated_cameras_and_an_x_server(
     fringed: Fringed, tmp_path: Path, producer: Path, cables: tuple[Cable, Cable], server: XServer
 ) -> None:
     assert cables[0] is not cables[1]
-    done = fringed("doctor", str(hardware_rig(tmp_path, producer, server.display)), "--json")
-    report = json.loads(done.stdout)
+    process = fringed("doctor", str(hardware_rig(tmp_path, producer, server.display)), "--json")
+    report = json.loads(process.stdout)
     for area, text in (
         ("library", "harvesters"),
         ("producers", str(producer)),
         ("cameras", "left: Fringed FringedCam, A1, firmware"),
         ("cameras", "right: Fringed FringedCam, A2, firmware"),
-        ("display", "DUMMY1 320x256@59.94, its own resolution"),
+        ("display", "DUMMY1 320x256@59.94, its native resolution"),
         ("display", "the gamma table is linear"),
         ("timing", "16683 us are 1.00 periods of 59.9"),
     ):
-        assert any(text in f["text"] and f["level"] == "ok" for f in findings(report, area)), (area, text, done.stdout)
-    # The simulated calibration belongs to other cameras and another projector, which must be told.
+        assert any(text in f["text"] and f["level"] == "ok" for f in findings(report, area)), (
+            area,
+            text,
+            process.stdout,
+        )
+    # The simulated calibration belongs to other cameras and another projector, which must be reported.
     problems = [finding["text"] for finding in report["findings"] if finding["level"] == "problem"]
-    assert done.returncode == 1 and any("the calibration was made with sim-left" in text for text in problems)
+    assert process.returncode == 1 and any("the calibration was made with sim-left" in text for text in problems)
     assert {finding["area"] for finding in report["findings"] if finding["level"] == "problem"} == {"calibration"}
 
 
-def test_a_camera_that_is_not_there_is_told_with_those_that_are(
+def test_a_missing_camera_is_reported_with_the_connected_ones(
     tmp_path: Path, producer: Path, cables: tuple[Cable, Cable]
 ) -> None:
     cables[1].unplug()
-    made_machines.known(tmp_path)
-    rig = made_machines.genicam(f"{{serial: A1, producer: '{producer}'}}", f"{{serial: A2, producer: '{producer}'}}")
-    subject = made_machines.subject(tmp_path, rig=rig)
+    fake_machines.write_rig_files(tmp_path)
+    rig = fake_machines.genicam(f"{{serial: A1, producer: '{producer}'}}", f"{{serial: A2, producer: '{producer}'}}")
+    subject = fake_machines.subject(tmp_path, rig=rig)
     found = list(genicam_cameras.check(subject))
     assert [(finding.name, finding.level) for finding in found] == [("camera left", "ok"), ("camera right", "problem")]
     assert "A1" in found[1].text
 
 
-def test_the_environments_producer_is_found_and_loads(
+def test_the_environments_producer_is_detected_and_loads(
     tmp_path: Path, producer: Path, cables: tuple[Cable, Cable]
 ) -> None:
     assert len(cables) == 2
-    subject = made_machines.subject(tmp_path, environ={"GENICAM_GENTL64_PATH": str(producer.parent)})
+    subject = fake_machines.subject(tmp_path, environ={"GENICAM_GENTL64_PATH": str(producer.parent)})
     assert [finding.level for finding in genicam_producers.check(subject)] == ["ok"]
     assert [finding.level for finding in genicam_cameras.check(subject)] == ["ok", "ok"]
 
 
 def test_the_genicam_library_of_this_machine(tmp_path: Path, producer: Path) -> None:
-    assert producer.is_file()  # a machine without the library does not get here
-    (found,) = genicam_library.check(made_machines.subject(tmp_path))
+    assert producer.is_file()  # the fixture skips machines without the library
+    (found,) = genicam_library.check(fake_machines.subject(tmp_path))
     library = genicam_library.needed_python(genicam_library.package_dir("genicam"))
     assert library.startswith("libpython3.")
     assert (found.level, library in found.text) in {("ok", True), ("warning", True)}
 
 
-def test_an_x_server_that_is_not_there_is_a_problem_of_rigs_that_need_it(tmp_path: Path) -> None:
+def test_a_missing_x_server_is_a_problem_of_rigs_that_need_it(tmp_path: Path) -> None:
     from daemon.apps.doctor.rig import display
 
-    made_machines.known(tmp_path)
-    rig = made_machines.genicam().replace(
+    fake_machines.write_rig_files(tmp_path)
+    rig = fake_machines.genicam().replace(
         "external, options: {size: [160, 128], refresh_hz: 60.0}", "x11, options: {output: A}"
     )
-    subject = made_machines.subject(tmp_path, rig=rig.replace("output: A", "output: A, display: ':4711'"))
+    subject = fake_machines.subject(tmp_path, rig=rig.replace("output: A", "output: A, display: ':4711'"))
     (found,) = display.check(subject)
     assert found.level == "problem" and ":4711" in found.text
 
 
-def test_programs_that_meddle_with_the_image_are_named(
+def test_programs_that_interfere_with_the_image_are_named(
     tmp_path: Path, server: XServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from daemon.apps.doctor.rig import display
 
     monkeypatch.setenv("DISPLAY", server.display)
-    machine = made_machines.machine(tmp_path, {"/proc/12/comm": "redshift"}, {"XDG_SESSION_TYPE": "wayland"})
+    machine = fake_machines.machine(tmp_path, {"/proc/12/comm": "redshift"}, {"XDG_SESSION_TYPE": "wayland"})
     found = list(display.check(Subject(machine)))
     assert [finding.name for finding in found] == ["server", "wayland", "meddler", "surroundings"]
     assert "kill 12" in found[2].remedy
@@ -160,15 +164,15 @@ def test_devices_lists_what_rig_yaml_needs(
     assert report["outputs"][1]["refresh_hz"] == pytest.approx(59.94, abs=0.03)
 
 
-def test_devices_without_any_tells_why_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_inventory_without_devices_reports_the_reasons(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
     monkeypatch.delenv("DISPLAY", raising=False)
-    found = device_inventory.take()
+    found = device_inventory.inventory()
     assert found.genicam == [] and found.outputs == [] and len(found.problems) == 2
     assert [text for text, heading in device_inventory.lines(found) if not heading].count("   none") >= 2
 
 
-def test_serial_numbers_of_digits_are_printed_as_texts() -> None:
+def test_serial_numbers_of_digits_are_quoted() -> None:
     assert [device_inventory._quoted(text) for text in ("A1", "40012345", "my cam", "0x1F")] == [
         "A1",
         '"40012345"',
@@ -177,6 +181,6 @@ def test_serial_numbers_of_digits_are_printed_as_texts() -> None:
     ]
 
 
-def test_an_area_that_does_not_exist_is_wrong_usage(fringed: Fringed) -> None:
-    done = fringed("doctor", "--only", "diks")
-    assert done.returncode == 2 and "disk" in done.stderr
+def test_an_unknown_area_is_a_usage_error(fringed: Fringed) -> None:
+    process = fringed("doctor", "--only", "diks")
+    assert process.returncode == 2 and "disk" in process.stderr

@@ -1,4 +1,4 @@
-"""The doctor tells of files of a rig that others could change, and of keys that cannot be used."""
+"""The doctor reports files of a rig that other users can change, and unusable keys."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def found(subject: Subject) -> dict[str, str]:
     return {finding.name: finding.level for finding in check(subject)}
 
 
-def test_a_rig_with_proper_files_is_well(subject: Subject) -> None:
+def test_a_rig_with_correct_permissions_is_ok(subject: Subject) -> None:
     assert found(subject) == {"rig file": "ok", "takes": "ok", "keys": "ok"}
 
 
 @pytest.mark.parametrize(("name", "path"), [("rig file", "rig.yaml"), ("takes", "takes")])
-def test_what_everybody_can_change_is_told(subject: Subject, name: str, path: str) -> None:
+def test_world_writable_files_are_reported(subject: Subject, name: str, path: str) -> None:
     (subject.base_dir / path).chmod(0o777)
     assert found(subject)[name] == "warning"
 

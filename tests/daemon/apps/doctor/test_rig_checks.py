@@ -21,8 +21,8 @@ from drivers.projector.options import ProjectorOptions, read
 from drivers.v4l2 import CameraFound as VideoFound
 from drivers.v4l2.device import PixelFormatFound
 from sim.rig.layout import RigLayout
-from tests.daemon.apps.doctor import made_machines
-from tests.daemon.apps.doctor.made_machines import by_name, levels
+from tests.daemon.apps.doctor import fake_machines
+from tests.daemon.apps.doctor.fake_machines import by_name, levels
 
 
 def camera(serial: str, **changes: str) -> CameraFound:
@@ -30,23 +30,22 @@ def camera(serial: str, **changes: str) -> CameraFound:
     return CameraFound(**(values | {"serial": serial, "access": "free"} | changes))
 
 
-def matched(seen: list[CameraFound], left: dict[str, Any], right: dict[str, Any]) -> list[Any]:
+def matched(connected: list[CameraFound], left: dict[str, Any], right: dict[str, Any]) -> list[Any]:
     from drivers.genicam.options import parse
 
     found: list[Any] = []
     pair: dict[Any, CameraFound] = {}
     for side, options in (("left", parse("left", left)), ("right", parse("right", right))):
-        fitting = [each for each in seen if genicam_cameras.fits(each, options)]
-        found += genicam_cameras.matching(side, options, fitting, seen, pair)  # type: ignore[arg-type]
+        found += genicam_cameras.camera_findings(side, options, connected, pair)  # type: ignore[arg-type]
     return found + list(genicam_cameras.pair(pair))
 
 
-def test_a_rig_with_mistakes_is_looked_at_all_the_same(tmp_path: Path) -> None:
+def test_a_rig_file_with_errors_is_checked_nevertheless(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
-    path.write_text(made_machines.genicam("{serial: 4}", "{serial: A2, exposure: 3}"))
+    path.write_text(fake_machines.genicam("{serial: 4}", "{serial: A2, exposure: 3}"))
     config, problems = rig_file.read_leniently(path)
     assert config is not None and len(problems) == 3 and all("there is no file" in text for text in problems)
-    subject = made_machines.subject(tmp_path)
+    subject = fake_machines.subject(tmp_path)
     subject.path, subject.config = path, config
     found = list(rig_file.check(subject))
     assert levels(found) == ["problem"] * 5
@@ -54,7 +53,7 @@ def test_a_rig_with_mistakes_is_looked_at_all_the_same(tmp_path: Path) -> None:
     assert "cameras.right.exposure" in found[4].text
 
 
-def test_a_file_that_is_no_rig_leaves_the_machine(tmp_path: Path) -> None:
+def test_a_file_that_is_no_rig_gives_errors_and_no_rig(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text("camera: 5")
     config, problems = rig_file.read_leniently(path)
@@ -62,12 +61,12 @@ def test_a_file_that_is_no_rig_leaves_the_machine(tmp_path: Path) -> None:
     assert rig_file.read_leniently(tmp_path / "none.yaml")[1][0].endswith("No such file or directory")
 
 
-def test_a_library_that_misses_the_interpreters_is_told_with_its_package() -> None:
+def test_a_missing_interpreter_library_is_reported_with_its_package() -> None:
     missing = Answer(1, err="ImportError: libpython3.11.so.1.0: cannot open shared object file: No such file")
-    found = genicam_library.judged("libpython3.11.so.1.0", missing, certain=True)
+    found = genicam_library.import_finding("libpython3.11.so.1.0", missing, certain=True)
     assert found.level == "problem" and found.remedy == "sudo apt install libpython3.11"
-    assert genicam_library.judged("", Answer(-11), certain=False).level == "warning"
-    assert genicam_library.judged("", Answer(None), certain=True).text.endswith("does not come to an end")
+    assert genicam_library.import_finding("", Answer(-11), certain=False).level == "warning"
+    assert genicam_library.import_finding("", Answer(None), certain=True).text.endswith("does not come to an end")
 
 
 def test_elf_headers_are_read_without_loading() -> None:
@@ -77,7 +76,7 @@ def test_elf_headers_are_read_without_loading() -> None:
     assert library.fits and "libc.so.6" in library.needed
 
 
-def test_files_that_are_no_libraries_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_libraries_are_rejected(tmp_path: Path) -> None:
     whole = Path(os.path.realpath("/proc/self/exe")).read_bytes()
     (tmp_path / "cut").write_bytes(whole[:80])
     (tmp_path / "text").write_bytes(b"x" * 100)
@@ -88,7 +87,7 @@ def test_files_that_are_no_libraries_are_refused(tmp_path: Path) -> None:
         assert genicam_producers.producer(tmp_path / name, certain=True).level == "problem"
 
 
-def test_a_producer_for_another_processor_and_one_that_does_not_load(tmp_path: Path) -> None:
+def test_a_producer_for_another_processor_and_one_that_does_not_load_are_problems(tmp_path: Path) -> None:
     import numpy._core._multiarray_umath as compiled
 
     data = bytearray(Path(compiled.__file__).read_bytes())
@@ -96,103 +95,105 @@ def test_a_producer_for_another_processor_and_one_that_does_not_load(tmp_path: P
     data[18] = other
     (tmp_path / "other.cti").write_bytes(data)
     assert elf.MACHINES[other] in genicam_producers.producer(tmp_path / "other.cti", certain=True).text
-    # A library all right, but no producer: the GenTL functions are missing.
+    # A valid library, but no producer: the GenTL functions are missing.
     found = genicam_producers.producer(Path(compiled.__file__), certain=True)
     assert found.level == "problem" and "GCInitLib" in found.text and "ldd" in found.remedy
 
 
-def test_directories_of_the_environment_that_are_not_there(tmp_path: Path) -> None:
+def test_missing_directories_of_the_environment_are_reported(tmp_path: Path) -> None:
     environ = {"GENICAM_GENTL64_PATH": f"{tmp_path}/none:{tmp_path}"}
-    found = list(genicam_producers.check(made_machines.subject(tmp_path, environ=environ)))
+    found = list(genicam_producers.check(fake_machines.subject(tmp_path, environ=environ)))
     assert levels(found) == ["warning", "warning", "note"]
 
 
-def test_cameras_that_fit() -> None:
+def test_matching_cameras_are_ok() -> None:
     found = matched([camera("A1"), camera("A2")], {"serial": "A1"}, {"serial": "A2"})
     assert levels(found) == ["ok", "ok"] and "firmware 1" in found[0].text
 
 
 @pytest.mark.parametrize(
-    ("seen", "right", "level", "word"),
+    ("connected", "right", "level", "text"),
     [
-        ([camera("A1")], {"serial": "A2"}, "problem", "is not there"),
-        ([camera("A1"), camera("A2"), camera("A3")], {"model": "M"}, "problem", "fits 3 cameras"),
+        ([camera("A1")], {"serial": "A2"}, "problem", "is not connected"),
+        ([camera("A1"), camera("A2"), camera("A3")], {"model": "M"}, "problem", "selects 3 cameras"),
         ([camera("A1"), camera("A2")], {"serial": "A1"}, "problem", "the same camera"),
         ([camera("A1"), camera("A2", version="2")], {"serial": "A2"}, "warning", "firmware"),
         ([camera("A1"), camera("A2", model="N")], {"serial": "A2"}, "warning", "right a N"),
         ([camera("A1"), camera("A2", access="in use")], {"serial": "A2"}, "warning", "in use"),
     ],
 )
-def test_cameras_that_do_not_fit(seen: list[CameraFound], right: dict[str, Any], level: str, word: str) -> None:
-    wrong = [finding for finding in matched(seen, {"serial": "A1"}, right) if finding.level != "ok"]
-    assert [finding.level for finding in wrong] == [level] and word in wrong[0].text
+def test_mismatching_cameras_are_reported(
+    connected: list[CameraFound], right: dict[str, Any], level: str, text: str
+) -> None:
+    wrong = [finding for finding in matched(connected, {"serial": "A1"}, right) if finding.level != "ok"]
+    assert [finding.level for finding in wrong] == [level] and text in wrong[0].text
 
 
 @pytest.mark.parametrize(
-    ("options", "level", "word"),
+    ("options", "level", "text"),
     [
         ({"device": "S7", "format": "YUYV", "size": [640, 480]}, "ok", "S7"),
         ({"device": "/dev/video0"}, "ok", "Cam"),
-        ({"device": "S8"}, "problem", "is not there"),
+        ({"device": "S8"}, "problem", "is not connected"),
         ({"device": "S7", "format": "RGGB"}, "problem", "does not offer RGGB"),
         ({"device": "S7", "size": [800, 600]}, "problem", "does not offer 800x600"),
     ],
 )
-def test_v4l2_cameras(options: dict[str, Any], level: str, word: str) -> None:
+def test_v4l2_cameras(options: dict[str, Any], level: str, text: str) -> None:
     from drivers.v4l2.options import from_mapping
 
     offers = (PixelFormatFound("YUYV", "", ((640, 480), (1280, 720))),)
-    seen = [VideoFound("/dev/v4l/by-id/x", "/dev/video0", "Cam", "uvcvideo", "usb-1", "S7", offers)]
-    (found,) = v4l2_cameras.matching("left", from_mapping("left", options), seen, {})
-    assert found.level == level and word in found.text
+    connected = [VideoFound("/dev/v4l/by-id/x", "/dev/video0", "Cam", "uvcvideo", "usb-1", "S7", offers)]
+    (found,) = v4l2_cameras.camera_findings("left", from_mapping("left", options), connected, {})
+    assert found.level == level and text in found.text
 
 
-def test_calibration_pattern_and_volume_that_fit(tmp_path: Path) -> None:
-    made_machines.known(tmp_path)
+def test_matching_calibration_pattern_and_volume_are_ok(tmp_path: Path) -> None:
+    fake_machines.write_rig_files(tmp_path)
     found = list(
         calibration.check(
-            made_machines.subject(tmp_path, rig=made_machines.genicam("{user_name: L}", "{user_name: R}"))
+            fake_machines.subject(tmp_path, rig=fake_machines.genicam("{user_name: L}", "{user_name: R}"))
         )
     )
     assert {finding.level for finding in found if finding.name != "age"} == {"ok"}, found
     assert [finding.name for finding in found] == ["file", "age", "pattern", "volume", "layout"]
 
 
-def test_a_calibration_of_other_cameras_is_told(tmp_path: Path) -> None:
-    made_machines.known(tmp_path)
+def test_a_calibration_of_other_cameras_is_reported(tmp_path: Path) -> None:
+    fake_machines.write_rig_files(tmp_path)
     data = yaml.safe_load((tmp_path / "calibration.yaml").read_text())
     data["cameras"]["left"]["serial"] = "B7"
     (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(data))
-    rig = made_machines.genicam("{serial: A1, roi: {width: 64, height: 48}}", "{user_name: R}")
-    wrong = by_name(calibration.check(made_machines.subject(tmp_path, rig=rig)), "camera left")
+    rig = fake_machines.genicam("{serial: A1, roi: {width: 64, height: 48}}", "{user_name: R}")
+    wrong = by_name(calibration.check(fake_machines.subject(tmp_path, rig=rig)), "camera left")
     assert levels(wrong) == ["problem", "problem"] and "64 x 48" in wrong[0].text and "B7" in wrong[1].text
 
 
-def test_a_broken_calibration_does_not_hide_the_pattern(tmp_path: Path) -> None:
-    made_machines.known(tmp_path)
+def test_an_unreadable_calibration_does_not_hide_the_pattern(tmp_path: Path) -> None:
+    fake_machines.write_rig_files(tmp_path)
     (tmp_path / "calibration.yaml").write_text("cameras: {")
-    found = list(calibration.check(made_machines.subject(tmp_path, rig=made_machines.genicam())))
+    found = list(calibration.check(fake_machines.subject(tmp_path, rig=fake_machines.genicam())))
     assert [(finding.name, finding.level) for finding in found] == [("file", "problem"), ("pattern", "ok")]
 
 
-def test_a_pattern_of_another_projector_and_a_volume_nobody_sees(tmp_path: Path) -> None:
-    made_machines.known(tmp_path)
+def test_a_pattern_of_another_projector_and_a_volume_out_of_view_are_reported(tmp_path: Path) -> None:
+    fake_machines.write_rig_files(tmp_path)
     (tmp_path / "volume.json").write_text('{"near_mm": 20.0, "far_mm": 40.0}')
-    rig = made_machines.genicam().replace("[160, 128]", "[1920, 1080]")
-    found = list(calibration.check(made_machines.subject(tmp_path, rig=rig)))
+    rig = fake_machines.genicam().replace("[160, 128]", "[1920, 1080]")
+    found = list(calibration.check(fake_machines.subject(tmp_path, rig=rig)))
     assert by_name(found, "pattern")[0].level == "problem" and by_name(found, "volume")[0].level == "warning"
 
 
-def test_a_projector_in_the_middle_is_told_with_a_better_place(tmp_path: Path) -> None:
+def test_a_projector_in_the_middle_is_reported_with_a_better_position(tmp_path: Path) -> None:
     layout = replace(RigLayout().scaled(0.125), projector_fraction=0.5)
-    made_machines.known(tmp_path)
+    fake_machines.write_rig_files(tmp_path)
     write_calibration(tmp_path / "calibration.yaml", layout.calibration())
-    (finding,) = by_name(calibration.check(made_machines.subject(tmp_path, rig=made_machines.genicam())), "layout")
+    (finding,) = by_name(calibration.check(fake_machines.subject(tmp_path, rig=fake_machines.genicam())), "layout")
     assert finding.level == "warning" and "0.382" in finding.remedy, finding
 
 
 def test_the_age_of_a_calibration(tmp_path: Path) -> None:
-    made_machines.known(tmp_path)
+    fake_machines.write_rig_files(tmp_path)
     file = read_calibration(tmp_path / "calibration.yaml")
     stamp = datetime.fromisoformat(str(file.mapping["created"]))
     made = stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
@@ -201,16 +202,16 @@ def test_the_age_of_a_calibration(tmp_path: Path) -> None:
 
 
 def test_exposures_are_whole_numbers_of_periods() -> None:
-    assert levels(exposure_timing.judged(60.0, {"left": 16666.7, "right": 16666.7})) == ["ok"]
-    wrong = list(exposure_timing.judged(60.0, {"left": 10000.0, "right": 10000.0}))
+    assert levels(exposure_timing.exposure_findings(60.0, {"left": 16666.7, "right": 16666.7})) == ["ok"]
+    wrong = list(exposure_timing.exposure_findings(60.0, {"left": 10000.0, "right": 10000.0}))
     assert levels(wrong) == ["warning", "warning"] and "16667 us" in wrong[0].remedy
-    assert levels(exposure_timing.judged(0.0, {"left": 1.0, "right": 2.0})) == ["warning", "note"]
+    assert levels(exposure_timing.exposure_findings(0.0, {"left": 1.0, "right": 2.0})) == ["warning", "note"]
 
 
-def test_an_exposure_that_is_not_set_is_a_warning(tmp_path: Path) -> None:
-    made_machines.known(tmp_path)
-    subject = made_machines.subject(
-        tmp_path, rig=made_machines.genicam("{serial: A1}", "{serial: A2, exposure_us: 16666.7}")
+def test_a_missing_exposure_is_a_warning(tmp_path: Path) -> None:
+    fake_machines.write_rig_files(tmp_path)
+    subject = fake_machines.subject(
+        tmp_path, rig=fake_machines.genicam("{serial: A1}", "{serial: A2, exposure_us: 16666.7}")
     )
     found = list(exposure_timing.check(subject))
     assert levels(found) == ["warning", "ok"] and "cameras.left.exposure_us" in found[0].remedy
@@ -218,13 +219,13 @@ def test_an_exposure_that_is_not_set_is_a_warning(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "size"), [("BayerRG8", 1), ("BayerRG12p", 1.5), ("Mono12", 2), ("RGB8", 3)])
 def test_the_bytes_of_an_image(tmp_path: Path, name: str, size: float) -> None:
-    made_machines.known(tmp_path)
+    fake_machines.write_rig_files(tmp_path)
     side = f"{{serial: A, pixel_format: {name}, roi: {{width: 100, height: 10}}}}"
-    subject = made_machines.subject(tmp_path, rig=made_machines.genicam(side, side))
+    subject = fake_machines.subject(tmp_path, rig=fake_machines.genicam(side, side))
     assert data_rate.frame_bytes(subject) == [1000 * size, 1000 * size] and data_rate.rate_hz(subject) == 0.0
 
 
-def test_an_output_in_the_wrong_mode_or_with_a_bent_gamma_table() -> None:
+def test_an_output_in_the_wrong_mode_or_with_a_nonlinear_gamma_table() -> None:
     options = read(ProjectorOptions, {"output": "HDMI-1"})
     good = OutputFound(
         name="HDMI-1",
@@ -245,5 +246,5 @@ def test_an_output_in_the_wrong_mode_or_with_a_bent_gamma_table() -> None:
         ("refresh", "warning"),
     ]
     assert "xrandr --output HDMI-1 --mode 912x1140" in found[0].remedy
-    (gone,) = display.output_findings([], options)
-    assert gone.level == "problem" and "no such output" in gone.text
+    (missing,) = display.output_findings([], options)
+    assert missing.level == "problem" and "no such output" in missing.text

@@ -1,4 +1,4 @@
-"""Machines made of files: a fake /proc, /sys, /dev and /etc, and rigs to go with them."""
+"""Fake machines: files of /proc, /sys, /dev and /etc, and their rigs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.daemon.rigs import devices
 
 
 def machine(root: Path, files: Mapping[str, str] | None = None, environ: Mapping[str, str] | None = None) -> Machine:
-    """A machine whose files hold these texts."""
+    """A machine whose files contain these texts."""
     for name, text in (files or {}).items():
         path = root / name.lstrip("/")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -28,31 +28,31 @@ def machine(root: Path, files: Mapping[str, str] | None = None, environ: Mapping
 def subject(
     root: Path, files: Mapping[str, str] | None = None, rig: str = "", environ: Mapping[str, str] | None = None
 ) -> Subject:
-    """Such a machine, with the rig of a text if there is one."""
-    made = machine(root, files, environ)
+    """Such a machine, with a rig if ``rig`` is given."""
+    fake = machine(root, files, environ)
     if not rig:
-        return Subject(made)
+        return Subject(fake)
     path = root / "rig.yaml"
     path.write_text(rig)
-    return Subject(made, path, parse_rig(rig, base_dir=root))
+    return Subject(fake, path, parse_rig(rig, base_dir=root))
 
 
-def known(directory: Path) -> None:
-    """Calibration, pattern and volume of the simulated rig as files."""
-    made = devices()
+def write_rig_files(directory: Path) -> None:
+    """Write calibration, pattern and volume of the simulated rig."""
+    rig = devices()
     try:
-        (directory / "calibration.yaml").write_text(yaml.safe_dump(dict(made.calibration)))
-        (directory / "pattern.json").write_text(json.dumps(dict(made.pattern), default=list))
-        (directory / "volume.json").write_text(json.dumps(dict(made.volume)))
+        (directory / "calibration.yaml").write_text(yaml.safe_dump(dict(rig.calibration)))
+        (directory / "pattern.json").write_text(json.dumps(dict(rig.pattern), default=list))
+        (directory / "volume.json").write_text(json.dumps(dict(rig.volume)))
     finally:
-        made.close()
+        rig.close()
 
 
 FILES = "calibration: calibration.yaml\npattern: pattern.json\nvolume: volume.json\n"
 
 
 def genicam(left: str = "{serial: A1}", right: str = "{serial: A2}", more: str = "") -> str:
-    """A rig of GenICam cameras and a projector that others drive."""
+    """A rig of GenICam cameras and an external projector."""
     return (
         f"cameras: {{driver: genicam, left: {left}, right: {right}}}\n"
         "projector: {driver: external, options: {size: [160, 128], refresh_hz: 60.0}}\n" + FILES + more
