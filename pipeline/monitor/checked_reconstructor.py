@@ -31,6 +31,11 @@ class CheckedReconstructor:
         )  # fmt: skip
         self._since_scan = 0
 
+    @property
+    def encoding(self) -> str:
+        """Encoding of the raw images."""
+        return self.inner.encoding
+
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """As of the reconstructor."""
         self.inner.warm_up(strides=strides, use_prior=use_prior)

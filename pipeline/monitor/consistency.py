@@ -28,12 +28,14 @@ from pipeline.rig.volume import Volume
 
 LIMITS: dict[str, tuple[tuple[float, float], str]] = {
     "column_offset": ((0.012, 0.030), "degrees of the projector"),
-    "column_x": ((0.0020, 0.0034), "degrees of the projector, middle to edge"),
-    "column_y": ((0.0013, 0.0040), "degrees of the projector, middle to edge"),
-    "column_scatter": ((0.020, 0.035), "rad of the fringe's phase"),
-    "epipolar": ((0.005, 0.012), "degrees of the right camera"),
-    "epipolar_x": ((0.0021, 0.0042), "degrees of the right camera, middle to edge"),
-    "epipolar_y": ((0.0042, 0.0084), "degrees of the right camera, middle to edge"),
+    "column_x": ((0.006, 0.010), "degrees of the projector, middle to edge"),
+    "column_y": ((0.0025, 0.0050), "degrees of the projector, middle to edge"),
+    "column_scatter": ((0.025, 0.035), "rad of the fringe's phase"),
+    "epipolar": ((0.014, 0.025), "degrees of the right camera"),
+    "epipolar_x": ((0.030, 0.050), "degrees of the right camera, middle to edge"),
+    "epipolar_y": ((0.020, 0.040), "degrees of the right camera, middle to edge"),
+    "left_roll": ((0.020, 0.033), "degrees"),
+    "right_roll": ((0.020, 0.033), "degrees"),
     "order_cost": ((0.50, 0.60), "of the cost of unrelated phases"),
     "scanned_offset": ((np.inf, 0.0), "degrees of the projector"),
 }
@@ -42,6 +44,7 @@ SIGMAS = 4.0
 """A reading is beyond a limit when it is so by this many of its standard deviations."""
 _LEAST_PATCHES = 16
 _CLEARLY_LESS = 0.85
+_LEAST_SHARE = 0.05
 
 
 class ConsistencyCheck:
@@ -105,9 +108,35 @@ class ConsistencyCheck:
                     out[name] = Reading(
                         float(texture[0][k]) * self._camera_deg, float(texture[1][k]) * self._camera_deg
                     )
+        out |= self._rolls(out)
         weights = np.array([1 / (s * s + _SURFACE_PX**2) for _, s in across])
         mean = float(weights @ [v for v, _ in across] / weights.sum())
         out["epipolar"] = Reading(mean * self._camera_deg, float(weights.sum() ** -0.5) * self._camera_deg)
+        return out
+
+    def _rolls(self, readings: dict[str, Reading]) -> dict[str, Reading]:
+        """Turn of each camera about its optical axis, as far as column residual and epipolar displacement agree on it.
+
+        A turn by a displaces the image by a times the distance from the middle: across the epipolar lines at the left
+        and right edge, along them, and so in the column, at the top and bottom edge. Lens errors do one of the two.
+        """
+        across, along = readings.get("epipolar_x"), readings["column_y"]
+        if across is None:
+            return {}
+        out, share = {}, self._baseline_share()
+        for name, camera, part, sign in (
+            ("right_roll", self.calibration.right, share, 1.0),
+            ("left_roll", self.calibration.left, 1.0 - share, -1.0),
+        ):
+            if abs(part) < _LEAST_SHARE:
+                continue
+            half = 0.5 * np.array(camera.size) / np.diag(camera.matrix)[:2]
+            one = Reading(sign * across.value / half[self._first], across.sigma / half[self._first])
+            two = Reading(
+                along.value / (half[1 - self._first] * part), along.sigma / (half[1 - self._first] * abs(part))
+            )
+            if one.value * two.value > 0:
+                out[name] = min(one, two, key=lambda reading: abs(reading.value))
         return out
 
     def _scanned(self, scan: ColumnScan) -> dict[str, Reading]:
@@ -128,10 +157,13 @@ class ConsistencyCheck:
                 )
         if "epipolar" in beyond:
             return f"a camera is turned about its horizontal axis by {beyond['epipolar']:.2f} degrees"
-        right, left = self.calibration.right, self.calibration.left
-        if "epipolar_x" in beyond:
-            angle = beyond["epipolar_x"] / (0.5 * right.size[0] / right.matrix[0, 0])
-            return f"a camera is turned about its optical axis by {angle:.2f} degrees"
+        for side in ("right", "left"):
+            if f"{side}_roll" in beyond:
+                angle = beyond[f"{side}_roll"]
+                return f"the {side} camera is turned about its optical axis by {angle:.2f} degrees"
+        left = self.calibration.left
+        if "epipolar_x" in beyond or "epipolar_y" in beyond:
+            return "a camera is turned about its optical axis, or its lens differs from the calibrated one"
         if "column_y" in beyond:
             angle = beyond["column_y"] / (0.5 * left.size[1] / left.matrix[1, 1])
             return f"the projector is turned about its optical axis by {angle:.2f} degrees"
@@ -145,7 +177,7 @@ class ConsistencyCheck:
         """Distance left camera to projector over the distance of the cameras."""
         left, right = self.calibration.left.centre, self.calibration.right.centre
         share = (self.calibration.projector.centre - left) @ (right - left) / ((right - left) @ (right - left))
-        return max(abs(float(share)), 0.05)
+        return max(abs(float(share)), _LEAST_SHARE)
 
 
 _SURFACE_PX = 0.02  # what slopes and textures alone make of the epipolar displacement

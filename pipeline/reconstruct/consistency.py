@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,11 @@ class Consistency:
     readings: dict[str, Reading] = field(default_factory=dict)
     findings: tuple[str, ...] = ()
     cause: str = ""
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values: verdict, reason, and value and sigma of each reading."""
+        readings = {name: [round(one.value, 5), round(one.sigma, 5)] for name, one in self.readings.items()}
+        return {"verdict": self.verdict, "reason": self.reason, "readings": readings}
 
     @property
     def reason(self) -> str:

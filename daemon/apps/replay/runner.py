@@ -12,8 +12,9 @@ from daemon.apps.replay.take_items import Sets, Shot, pairs_of
 from daemon.live.processing.temporal_prior import TemporalPrior
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
-from pipeline.common.errors import PipelineError
+from pipeline.common.errors import CalibrationError, PipelineError
 from pipeline.common.settings import Settings
+from pipeline.monitor.checked_reconstructor import CheckedReconstructor, Policy
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.reconstructor import Reconstructor
@@ -21,12 +22,16 @@ from pipeline.reconstruct.reconstructor import Reconstructor
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One reconstruction of a pair; ``ms`` by stage, ``total_ms`` as seen from outside."""
+    """One reconstruction of a pair; ``ms`` by stage, ``total_ms`` as seen from outside.
+
+    ``consistency``: verdict, reason and readings of the calibration check, None where it is off or a set was measured.
+    """
 
     sequence: int
     points: int
     total_ms: float
     ms: dict[str, float]
+    consistency: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +63,7 @@ class Replay:
         settings: of the pipeline; threads: 0 = all.
         calibration: file to use instead of the one that is attached.
         use_prior: begin a pair with the surface of the one before where that is close in time, as a live run does.
+        calibration_check: what becomes of pairs that contradict the calibration, see ``CheckedReconstructor``.
     """
 
     take: TakeReader
@@ -65,6 +71,7 @@ class Replay:
     threads: int = 0
     calibration: Path | None = None
     use_prior: bool = False
+    calibration_check: Policy = "withhold"
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
     _made: Any = None
@@ -104,6 +111,7 @@ class Replay:
         shots = pairs_of(self.take, progress) if self._sets is None else self._sets.shots(progress)
         for shot in shots:
             pair = shot.pair
+            self._check_size(shot)
             reconstructor = self._reconstructor(pair.encoding, sequence)
             runs: list[Run] = []
             use_prior = self.use_prior and prior.usable(pair.sequence, pair.t_ns, 1)
@@ -131,7 +139,9 @@ class Replay:
         }
         calibration, volume = self.calibration_file.calibration, self.take.volume()
         if sequence is None:
-            single = Reconstructor(calibration, self.take.pattern(), volume, **options)
+            single = CheckedReconstructor(
+                Reconstructor(calibration, self.take.pattern(), volume, **options), self.calibration_check
+            )
             single.warm_up(use_prior=self.use_prior)
             self._made = single
         else:
@@ -140,6 +150,19 @@ class Replay:
             self._made = SetReconstructor(calibration, sequence, volume, **options)
             self._made.warm_up()
         return self._made
+
+    def _check_size(self, shot: Shot) -> None:
+        """Refuse a calibration of another image size before any table is built."""
+        calibration = self.calibration_file.calibration
+        for side, image, device in (
+            ("left", shot.lefts[0], calibration.left), ("right", shot.rights[0], calibration.right)
+        ):  # fmt: skip
+            size = (image.shape[1], image.shape[0])
+            if size != device.size:
+                raise CalibrationError(
+                    f"cameras.{side}.size is {list(device.size)}, the recording's {side} images are {list(size)}; use "
+                    "the calibration of the rig that recorded them"
+                )
 
 
 def _timed(reconstructor: Any, shot: Shot, sequence: FrameSequence | None, *, use_prior: bool) -> tuple[Cloud, Run]:
@@ -150,4 +173,7 @@ def _timed(reconstructor: Any, shot: Shot, sequence: FrameSequence | None, *, us
         cloud = reconstructor.reconstruct(shot.lefts, shot.rights)
     total_ms = (time.perf_counter_ns() - start_ns) / 1e6
     stages = {name: round(ms, 3) for name, ms in cloud.ms.items()}
-    return cloud, Run(shot.pair.sequence, cloud.points, round(total_ms, 3), stages)
+    found = cloud.consistency
+    return cloud, Run(
+        shot.pair.sequence, cloud.points, round(total_ms, 3), stages, None if found is None else found.as_mapping()
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
@@ -35,6 +36,7 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "settings": changed,
         "threads": replay.threads,
         "follow": replay.use_prior,
+        "calibration_check": _verdicts(replay, runs),
         **sets,
         "pairs": len(runs) + len(replay.failures) if sequence is None else counts.pairs,
         "clouds": len(runs),
@@ -45,6 +47,17 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "failed": [dataclasses.asdict(failure) for failure in replay.failures],
         "problems": replay.take.problems,
         "per_pair": [dataclasses.asdict(run) for run in runs],
+    }
+
+
+def _verdicts(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
+    """Policy, number of runs by verdict, and the first reason of an inconsistent one."""
+    found = [run.consistency for run in runs if run.consistency is not None]
+    reasons = [one["reason"] for one in found if one["verdict"] == "inconsistent"]
+    return {
+        "policy": replay.calibration_check,
+        **Counter(one["verdict"] for one in found),
+        **({"reason": reasons[0]} if reasons else {}),
     }
 
 

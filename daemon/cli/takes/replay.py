@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
 import typer
 from typer.core import TyperCommand
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from daemon.apps.replay.runner import Replay, Result, Run
 
 _VIEWER = "viewer"
+INCONSISTENT = 3
+"""Exit status of a replay with pairs that contradict the calibration."""
 
 
 class ReplayCommand(TyperCommand):
@@ -50,6 +52,9 @@ def main(
     use_prior: Annotated[
         bool, typer.Option("--follow", help="Begin each pair with the surface before it, as a live run does.")
     ] = False,
+    calibration_check: Annotated[
+        str, typer.Option(help="Pairs that contradict the calibration: withhold their points, warn, or off.")
+    ] = "withhold",
     rerun: Annotated[str | None, typer.Option(metavar="[FILE.rrd]", help="Show the clouds, or save for Rerun.")] = None,
     expect: Annotated[
         Path | None, typer.Option(help="Compare with this golden file; exit status 1 if it moved.")
@@ -59,7 +64,8 @@ def main(
     """Reconstruct a recorded take.
 
     The same take gives bit-identical clouds on the same machine, with any number of threads. A take that was cut off
-    is replayed up to the cut. To measure how fast it goes: --no-output --repeat 100.
+    is replayed up to the cut. To measure how fast it goes: --no-output --repeat 100. Exit status 3: pairs contradict
+    the calibration, and their clouds have no points.
     """
     from daemon.apps.export.cloud_files import KINDS
     from daemon.apps.replay import golden
@@ -67,6 +73,7 @@ def main(
     from daemon.cli.options.set_option import parsed_settings
     from daemon.common.errors import DaemonError
     from daemon.recording.read.take_reader import TakeReader
+    from pipeline.monitor.checked_reconstructor import Policy
 
     if kind not in KINDS:
         raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
@@ -74,17 +81,41 @@ def main(
         if not no_output:
             raise DaemonError("nothing to do with the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
         out = Path()
+    if calibration_check not in get_args(Policy):
+        raise DaemonError(
+            f"--calibration-check is {calibration_check!r}, expected one of: {', '.join(get_args(Policy))}"
+        )
     expected = golden.load(expect) if expect is not None else None
     cell = _cell(expected, bless)
     with TakeReader(take) as reader:
         settings = parsed_settings(set_ or [])
         replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, use_prior=use_prior)
+        replay.calibration_check = cast(Policy, calibration_check)
         runs, figures = _replay(replay, None if no_output else out, kind, repeat, rerun, cell)
         _tell(replay, runs, out)
         if bless is not None:
             _bless(bless, figures, replay)
         if expected is not None and not _as_expected(expected, figures):
             raise typer.Exit(1)
+        _report_consistency(replay, runs)
+
+
+def _report_consistency(replay: Replay, runs: list[Run]) -> None:
+    """Print what contradicts the calibration, and end with status 3 where clouds were withheld."""
+    bad = [run for run in runs if run.consistency is not None and run.consistency["verdict"] == "inconsistent"]
+    if not bad:
+        return
+    withheld = replay.calibration_check == "withhold"
+    consequence = ": their clouds have no points" if withheld else ""
+    reason = (bad[0].consistency or {}).get("reason", "")
+    typer.echo(
+        f"{len(bad)} of {len(runs)} reconstructions contradict the calibration{consequence}. First: pair "
+        f"{bad[0].sequence}: {reason}. Calibrate the rig again, or give the calibration of its present state by "
+        "--calibration.",
+        err=True,
+    )
+    if withheld:
+        raise typer.Exit(INCONSISTENT)
 
 
 def _cell(expected: Golden | None, bless: Path | None) -> int:
