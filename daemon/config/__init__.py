@@ -1,4 +1,4 @@
-"""rig.yaml: its model, and reading it with every mistake told at its line and column."""
+"""rig.yaml: its model, and a reader that reports every mistake with line and column."""
 
 from daemon.config.load import load_rig, parse_rig
 from daemon.config.rig_config import RigConfig

@@ -1,4 +1,4 @@
-"""What a schema cannot say of rig.yaml: addresses, names of drivers and settings, files that must be there."""
+"""Checks of rig.yaml beyond its schema: addresses, names of drivers and settings, files that must exist."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from urllib.parse import urlsplit
 
 from daemon.config.driver_table import CAMERAS, PROJECTORS, RIGS
 from daemon.config.security import key_problems
-from daemon.config.yaml_source import Path_
+from daemon.config.yaml_source import KeyPath
 from pipeline.common.errors import PipelineError
 from pipeline.common.settings import Settings
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
 
-Found = Iterator[tuple[Path_, str]]
+Problems = Iterator[tuple[KeyPath, str]]
 
 
-def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = True) -> Found:
-    """Every mistake of meaning, with the path of the value; values of a wrong type are left to the schema.
+def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = True) -> Problems:
+    """Yield every semantic mistake with the path of its value; values of a wrong type are left to the schema.
 
     Args:
-        complete: whether calibration, pattern and volume must be there; a rig that is to be calibrated has none yet.
+        complete: whether calibration, pattern and volume are required; a rig before its calibration has none.
     """
     yield from _drivers(data)
     yield from _missing(data) if complete else ()
@@ -42,7 +42,7 @@ def _section(data: dict[str, Any], name: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _drivers(data: dict[str, Any]) -> Found:
+def _drivers(data: dict[str, Any]) -> Problems:
     known = {"cameras": [*RIGS, *CAMERAS], "projector": [*RIGS, *PROJECTORS]}
     for name, drivers in known.items():
         driver = _section(data, name).get("driver")
@@ -57,15 +57,15 @@ def _drivers(data: dict[str, Any]) -> Found:
             yield (), f"{missing}; the cameras {cameras!r} need one of: {', '.join(PROJECTORS)}"
 
 
-def _missing(data: dict[str, Any]) -> Found:
+def _missing(data: dict[str, Any]) -> Problems:
     cameras = _section(data, "cameras").get("driver")
     if cameras != "sim" and (cameras in RIGS or cameras in CAMERAS):
         for name in ("calibration", "pattern", "volume"):
             if data.get(name) is None:
-                yield (), f"{name} is missing; only the simulated rig knows its own"
+                yield (), f"{name} is missing; only the simulated rig has its own"
 
 
-def _settings(data: dict[str, Any]) -> Found:
+def _settings(data: dict[str, Any]) -> Problems:
     settings = _section(data, "pipeline").get("settings")
     for key, value in settings.items() if isinstance(settings, dict) else ():
         if not isinstance(value, bool | int | float):
@@ -76,15 +76,15 @@ def _settings(data: dict[str, Any]) -> Found:
             yield ("pipeline", "settings", key), str(error)
 
 
-def _cpus(data: dict[str, Any]) -> Found:
+def _cpus(data: dict[str, Any]) -> Problems:
     value = _section(data, "pipeline").get("cpus")
     cpus: list[Any] = value if isinstance(value, list) else []
     for i, cpu in enumerate(cpus):
         if cpu in cpus[:i]:
-            yield ("pipeline", "cpus", i), f"processor {cpu} stands here twice"
+            yield ("pipeline", "cpus", i), f"processor {cpu} is listed twice"
 
 
-def _addresses(data: dict[str, Any]) -> Found:
+def _addresses(data: dict[str, Any]) -> Problems:
     stream, control = _section(data, "stream"), _section(data, "control")
     keys = isinstance(_section(data, "security").get("keys"), str)
     missing = _missing_for_others("stream", stream, keys=keys)
@@ -107,14 +107,14 @@ def _texts(values: Any) -> Iterator[tuple[int, str]]:
 
 
 def _missing_for_others(service: str, section: dict[str, Any], *, keys: bool) -> str:
-    """What else the file needs before other machines may connect, "" when nothing."""
-    switch = section.get("allow_remote") is True
-    wanted = ([] if switch else [f"{service}.allow_remote: true"]) + ([] if keys else ["security.keys"])
-    return f"set {' and '.join(wanted)}" if wanted else ""
+    """Return the settings that the file lacks before other machines may connect, "" when none."""
+    allowed = section.get("allow_remote") is True
+    missing = ([] if allowed else [f"{service}.allow_remote: true"]) + ([] if keys else ["security.keys"])
+    return f"set {' and '.join(missing)}" if missing else ""
 
 
 def endpoint_problem(endpoint: str, *, missing: str) -> str | None:
-    """What is wrong with a ZeroMQ address, or None; ``missing``: what it needs if other machines can reach it."""
+    """Return the problem of a ZeroMQ address, or None; ``missing``: settings it needs if other machines reach it."""
     if endpoint.startswith("ipc://"):
         length = len(endpoint.removeprefix("ipc://").encode())
         if not 0 < length <= 107:
@@ -129,20 +129,20 @@ def endpoint_problem(endpoint: str, *, missing: str) -> str | None:
 
 
 def remote_problem(endpoint: str, *, missing: str) -> str | None:
-    """The same for an address that is meant for other machines."""
+    """Return the problem of an address for other machines, or None."""
     if _tcp_host(endpoint) is None:
         return f"{endpoint!r} is not an address for other machines; write tcp://0.0.0.0:5556"
     return f"{endpoint!r} is for other machines: {missing}" if missing else None
 
 
 def for_others(endpoint: str) -> bool:
-    """Whether an address can be reached by other machines."""
+    """Return whether other machines can reach an address."""
     host = _tcp_host(endpoint)
     return host is not None and not is_local(host)
 
 
 def _tcp_host(endpoint: str) -> str | None:
-    """The host of ``tcp://HOST:PORT``, port ``*`` for any free one; None where it is not of this form."""
+    """Return the host of ``tcp://HOST:PORT``, port ``*`` for any free one; None for another form."""
     text = f"{endpoint[:-1]}0" if endpoint.startswith("tcp://") and endpoint.endswith(":*") else endpoint
     try:
         parts = urlsplit(text)
@@ -154,14 +154,14 @@ def _tcp_host(endpoint: str) -> str | None:
 
 
 def is_local(host: str) -> bool:
-    """Whether a host is this machine and nobody else's."""
+    """Return whether a host is this machine only."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
 
 
-def _files(data: dict[str, Any], base_dir: Path) -> Found:
+def _files(data: dict[str, Any], base_dir: Path) -> Problems:
     for name in ("calibration", "pattern", "volume"):
         value = data.get(name)
         if isinstance(value, str) and not (base_dir / Path(value).expanduser()).is_file():
@@ -173,14 +173,14 @@ def _files(data: dict[str, Any], base_dir: Path) -> Found:
             yield ("pattern",), str(error)
 
 
-def _volume(data: dict[str, Any]) -> Found:
+def _volume(data: dict[str, Any]) -> Problems:
     volume = _section(data, "volume")
     near, far = volume.get("near_mm"), volume.get("far_mm")
     if isinstance(near, int | float) and isinstance(far, int | float) and near >= far:
         yield ("volume", "far_mm"), f"volume.far_mm {far} must be larger than near_mm {near}"
 
 
-def _recording(data: dict[str, Any]) -> Found:
+def _recording(data: dict[str, Any]) -> Problems:
     recording = _section(data, "recording")
     for key in ("keep_mb", "keep_s"):
         value = recording.get(key)
@@ -188,8 +188,8 @@ def _recording(data: dict[str, Any]) -> Found:
             yield ("recording", key), f"recording.{key} removes old parts, which needs recording.endless: true"
 
 
-def _mode(data: dict[str, Any]) -> Found:
-    """A multi-frame mode needs a projector that shows more than one image."""
+def _mode(data: dict[str, Any]) -> Problems:
+    """Check that the projector of a multi-frame mode can show more than one image."""
     mode, projector = data.get("mode", "single"), _section(data, "projector").get("driver")
     if mode == "single" or not isinstance(mode, str):
         return
@@ -204,9 +204,9 @@ def _mode(data: dict[str, Any]) -> Found:
         yield (
             ("mode",),
             (
-                f"mode {mode}: projector.driver external cannot be told to show an image; let it hold them and set "
+                f"mode {mode}: projector.driver external does not show images on request; store them in it and set "
                 "sequence.display: stored, or use projector.driver: x11"
             ),
         )
     elif projector == "x11" and stored:
-        yield ("sequence", "display"), "sequence.display: projector.driver x11 holds no images; set driven"
+        yield ("sequence", "display"), "sequence.display: projector.driver x11 stores no images; set driven"

@@ -1,4 +1,4 @@
-"""``health:`` in rig.yaml: how closely the daemon watches itself, and what it calls ill."""
+"""``health:`` in rig.yaml: rates and limits of the health monitoring."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class HealthLimits(Section):
-    """What is told when it goes beyond; ``null`` = not judged. ``least_``: told when it falls below."""
+    """Limits beyond which an event is raised; ``null`` = not judged. ``least_``: raised below the limit."""
 
     least_pair_rate_hz: Annotated[Positive | None, Field(description="Pairs a second.")] = None
     least_cloud_rate_hz: Annotated[Positive | None, Field(description="Clouds a second.")] = None
@@ -21,10 +21,10 @@ class HealthLimits(Section):
         Positive | None, Field(description="99 % of the clouds are finished so long after the start of exposure, ms.")
     ] = 500.0
     dropped_share: Annotated[Share | None, Field(description="Pairs that were dropped unmeasured, share.")] = 0.2
-    lone_share: Annotated[Share | None, Field(description="Frames that are in no pair, share.")] = 0.05
+    lone_share: Annotated[Share | None, Field(description="Unpaired frames, share.")] = 0.05
     refused_hz: Annotated[
         Annotated[float, Field(ge=0, le=1e6)] | None,
-        Field(description="Items a second that recorder, stream or self-check could not take."),
+        Field(description="Items a second that recorder, stream or self-check refused."),
     ] = 0.0
     pairing_residual_us: Annotated[
         Positive | None, Field(description="Right minus left start of exposure, median, microseconds.")
@@ -32,7 +32,7 @@ class HealthLimits(Section):
     trigger_jitter_us: Annotated[
         Positive | None, Field(description="Standard deviation of the trigger interval, microseconds.")
     ] = None
-    saturated_share: Annotated[Share | None, Field(description="Clipped samples of the worst channel, share.")] = 0.05
+    saturated_share: Annotated[Share | None, Field(description="Saturated samples of the worst channel, share.")] = 0.05
     least_modulation: Annotated[
         Annotated[float, Field(gt=0, le=127)] | None,
         Field(description="Fringe amplitude of the weakest channel where there is light, counts."),
@@ -41,26 +41,32 @@ class HealthLimits(Section):
     temperature_c: Annotated[
         Annotated[float, Field(gt=0, le=150)] | None, Field(description="Temperature of a camera, degrees Celsius.")
     ] = 70.0
-    least_disk_free_gb: Annotated[Positive | None, Field(description="Room where takes are written, GB.")] = 5.0
+    least_disk_free_gb: Annotated[Positive | None, Field(description="Free space where takes are written, GB.")] = 5.0
     clock_offset_ms: Annotated[Positive | None, Field(description="The clock against its time servers, ms.")] = 10.0
-    clock_synchronised: Annotated[bool, Field(description="Whether a clock that nobody sets right is told.")] = False
+    clock_synchronised: Annotated[
+        bool, Field(description="Whether a clock that is not synchronised raises an event.")
+    ] = False
     calibration_age_d: Annotated[Positive | None, Field(description="Days since the calibration.")] = 90.0
     memory_mb: Annotated[Positive | None, Field(description="Memory of the daemon, MB.")] = None
 
 
 class Health(Section):
-    """How the daemon watches itself."""
+    """Health monitoring of the daemon."""
 
-    enabled: Annotated[bool, Field(description="Watch rate, latency, drops, light, disk, clock.")] = True
-    looks_hz: Annotated[float, Field(ge=0, le=2, description="Pairs a second whose light is looked at; 0 = none.")] = (
-        2.0
-    )
-    window_s: Annotated[int, Field(ge=2, le=60, description="Seconds over which is judged.")] = 5
+    enabled: Annotated[bool, Field(description="Monitor rate, latency, drops, light, disk, clock.")] = True
+    looks_hz: Annotated[float, Field(ge=0, le=2, description="Pairs a second whose light is examined; 0 = none.")] = 2.0
+    window_s: Annotated[int, Field(ge=2, le=60, description="Seconds over which quantities are evaluated.")] = 5
     raise_s: Annotated[
         float,
-        Field(ge=0, le=3600, description="Seconds beyond before it is told; over window_s, one outlier is not told."),
+        Field(
+            ge=0,
+            le=3600,
+            description="Seconds beyond the limit before an event; above window_s, one outlier raises none.",
+        ),
     ] = 8.0
-    clear_s: Annotated[float, Field(ge=0, le=3600, description="Seconds well within before it is taken back.")] = 10.0
+    clear_s: Annotated[
+        float, Field(ge=0, le=3600, description="Seconds well within the limit before an event is cleared.")
+    ] = 10.0
     margin: Annotated[float, Field(ge=0, le=0.9, description="How far within its limit is well within, share.")] = 0.1
     history_h: Annotated[float, Field(ge=0.1, le=72, description="Hours of minutes kept in memory.")] = 12.0
     metrics_port: Annotated[

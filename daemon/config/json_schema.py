@@ -12,13 +12,13 @@ COMMITTED = Path(__file__).parents[2] / "schema" / "fringed.schema.json"
 
 
 def schema() -> dict[str, Any]:
-    """The schema; no default in it depends on this machine."""
+    """Return the schema; no default in it depends on this machine."""
     title = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return title | RigConfig.model_json_schema()
 
 
 def text() -> str:
-    """The schema as it stands in the repository."""
+    """Return the schema as text, as committed in the repository."""
     return json.dumps(schema(), indent=2) + "\n"
 
 

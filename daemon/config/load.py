@@ -1,4 +1,4 @@
-"""Read rig.yaml: all mistakes at once, each with file:line:column and, for a mistyped key, what was meant."""
+"""Reader of rig.yaml: all mistakes at once, each with file:line:column and, for a mistyped key, a suggestion."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pydantic import BaseModel, ValidationError
 from daemon.common.errors import ConfigError
 from daemon.config.checks import semantic_problems
 from daemon.config.rig_config import RigConfig
-from daemon.config.yaml_source import Path_, Source, read_yaml
+from daemon.config.yaml_source import KeyPath, Source, read_yaml
 
 MAX_BYTES = 1 << 20
 _BRANCHES = ("path", "inline", "bool", "int", "float")
 
 
 def load_rig(path: Path, *, complete: bool = True) -> RigConfig:
-    """The rig of a file.
+    """Read the rig of a file.
 
     Args:
-        complete: whether calibration, pattern and volume must be there; a rig that is to be calibrated has none yet.
+        complete: whether calibration, pattern and volume are required; a rig before its calibration has none.
 
     Raises:
         ConfigError: with every mistake, one line each.
-        OSError: when the file cannot be read.
+        OSError: the file cannot be read.
     """
     size = path.stat().st_size
     if size > MAX_BYTES:
@@ -42,20 +42,20 @@ def load_rig(path: Path, *, complete: bool = True) -> RigConfig:
 
 
 def _in_state_directory(config: RigConfig) -> RigConfig:
-    """As a service may not write beside rig.yaml, what it writes goes below systemd's STATE_DIRECTORY there."""
+    """Place what a service writes below systemd's STATE_DIRECTORY, as it may not write beside rig.yaml."""
     state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if not state:
         return config
     sections = {name: getattr(config, name) for name in ("recording", "selfcheck")}
-    placed = {
+    moved = {
         name: section.model_copy(update={"dir": str(Path(state) / Path(section.dir).expanduser())})
         for name, section in sections.items()
     }
-    return config.model_copy(update=placed)
+    return config.model_copy(update=moved)
 
 
 def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None, complete: bool = True) -> RigConfig:
-    """The rig of a YAML text; ``name`` stands in the messages, relative paths are looked for in ``base_dir``."""
+    """Parse the rig of a YAML text; messages begin with ``name``, relative paths start at ``base_dir``."""
     source = read_yaml(text)
     config = _validated(source, base_dir or Path(), complete=complete)
     if source.problems or config is None:
@@ -65,15 +65,15 @@ def parse_rig(text: str, *, name: str = "rig.yaml", base_dir: Path | None = None
 
 
 def check_rig(data: dict[str, Any], *, base_dir: Path) -> RigConfig:
-    """The rig of plain values, which no file holds: the same rules, messages without a place."""
-    source = Source(data, places=dict.fromkeys(_paths(data), (1, 1)))
+    """Validate plain values by the rules of rig.yaml; messages have no line."""
+    source = Source(data, positions=dict.fromkeys(_paths(data), (1, 1)))
     config = _validated(source, base_dir, complete=True)
     if source.problems or config is None:
         raise ConfigError(sorted({problem.message for problem in source.problems}))
     return config
 
 
-def _paths(value: Any, above: Path_ = ()) -> Iterator[Path_]:
+def _paths(value: Any, above: KeyPath = ()) -> Iterator[KeyPath]:
     yield above
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in inner:
@@ -81,7 +81,7 @@ def _paths(value: Any, above: Path_ = ()) -> Iterator[Path_]:
 
 
 def _validated(source: Source, base_dir: Path, *, complete: bool) -> RigConfig | None:
-    """The rig of a source; what is wrong is added to its problems."""
+    """Return the rig of a source; add its mistakes to the source's problems."""
     config: RigConfig | None = None
     if source.data is not None or not source.problems:
         try:
@@ -90,30 +90,30 @@ def _validated(source: Source, base_dir: Path, *, complete: bool) -> RigConfig |
             _translate(error, source)
         if isinstance(source.data, dict):
             for path, message in semantic_problems(source.data, base_dir, complete=complete):
-                source.complain(path, message)
+                source.add_problem(path, message)
     return config
 
 
 def _translate(error: ValidationError, source: Source) -> None:
     for item in error.errors(include_url=False):
         if item["loc"][-1:] in (("bool",), ("int",)):
-            continue  # branches of a union that ends with float: one complaint is enough
+            continue  # branches of a union that ends with float: one problem is enough
         path = _real_path(item["loc"], source)
         dotted = ".".join(str(part) for part in path) or "the file"
         if item["type"] == "extra_forbidden":
-            source.complain(path, f"unknown key {path[-1]!r}{_meant(path)}", key=True)
+            source.add_problem(path, f"unknown key {path[-1]!r}{_suggestion(path)}", key=True)
         elif item["type"] == "missing":
-            source.complain(path[:-1], f"{dotted} is missing")
+            source.add_problem(path[:-1], f"{dotted} is missing")
         else:
-            shown = "" if isinstance(item["input"], dict | list) else f", got {item['input']!r:.60}"
-            source.complain(path, f"{dotted}: {_lower(item['msg'])}{shown}{_number_hint(item)}")
+            value = "" if isinstance(item["input"], dict | list) else f", got {item['input']!r:.60}"
+            source.add_problem(path, f"{dotted}: {_lower(item['msg'])}{value}{_number_hint(item)}")
 
 
-def _real_path(loc: tuple[int | str, ...], source: Source) -> Path_:
-    """The location without the names of union branches, which are not in the file; the last part always stays."""
-    path: Path_ = ()
+def _real_path(loc: tuple[int | str, ...], source: Source) -> KeyPath:
+    """Return the location without the names of union branches, which are not in the file; keep the last part."""
+    path: KeyPath = ()
     for i, part in enumerate(loc):
-        if (*path, part) in source.places or (
+        if (*path, part) in source.positions or (
             i == len(loc) - 1 and part not in ("path", "inline", "bool", "int", "float")
         ):
             path = (*path, part)
@@ -125,7 +125,7 @@ def _lower(message: str) -> str:
 
 
 def _number_hint(item: Any) -> str:
-    """YAML 1.1 reads 1e3 as text: say so."""
+    """Return a hint where a number such as 1e3 is text in YAML 1.1."""
     if not isinstance(item["input"], str) or item["type"] not in ("float_type", "int_type"):
         return ""
     try:
@@ -135,13 +135,13 @@ def _number_hint(item: Any) -> str:
     return f" as text; write {value:g} without quotes or exponent"
 
 
-def _meant(path: Path_) -> str:
-    known = list(_fields(path[:-1]))
-    near = difflib.get_close_matches(str(path[-1]), known, n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; known here: {', '.join(known)}"
+def _suggestion(path: KeyPath) -> str:
+    keys = list(_fields(path[:-1]))
+    near = difflib.get_close_matches(str(path[-1]), keys, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; known here: {', '.join(keys)}"
 
 
-def _fields(path: Path_) -> Iterator[str]:
+def _fields(path: KeyPath) -> Iterator[str]:
     model: type[BaseModel] | None = RigConfig
     for part in path:
         field = model.model_fields.get(str(part)) if model else None

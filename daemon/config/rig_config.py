@@ -1,4 +1,4 @@
-"""The shape of rig.yaml. Strict: no text is taken for a number, no unknown key is passed over."""
+"""The model of rig.yaml. Strict: text is not converted to numbers, unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from daemon.config.sequence import Mode, Sequencing
 
 
 class Device(Section):
-    """What this rig calls itself."""
+    """Identity of the rig."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$", description="Name in every message.")] = (
         "rig-01"
@@ -38,13 +38,15 @@ class Projector(Section):
 
 
 class Pairing(Section):
-    """How left and right frames are brought together."""
+    """Pairing of left and right frames."""
 
     tolerance_us: Annotated[float, Field(gt=0, le=1e6, description="Largest difference of the exposures' starts.")] = (
         2000.0
     )
     max_wait_ms: Annotated[float, Field(gt=0, le=60000, description="How long a frame waits for its partner.")] = 500.0
-    resync_after: Annotated[int, Field(ge=2, le=100, description="Sightings before another count is believed.")] = 3
+    resync_after: Annotated[
+        int, Field(ge=2, le=100, description="Frames before another trigger count is accepted.")
+    ] = 3
 
 
 class Volume(Section):
@@ -58,20 +60,19 @@ class Pipeline(Section):
     """The reconstruction."""
 
     threads: Annotated[int, Field(ge=0, le=256, description="Worker threads; 0 = all.")] = 0
-    queue: Annotated[int, Field(ge=1, le=16, description="Pairs that wait; the oldest is dropped for a new one.")] = 1
+    queue: Annotated[int, Field(ge=1, le=16, description="Pairs that wait; a new one replaces the oldest.")] = 1
     overload: Annotated[
         Literal["skip", "half"],
-        Field(description="Pairs come too fast: skip some, or measure every second pixel until there is room again."),
+        Field(description="Pairs come too fast: skip some, or measure every second pixel until the load falls."),
     ] = "skip"
     temporal_prior: Annotated[
-        bool, Field(description="Begin a pair with the surface of the one before: faster on a live stream.")
+        bool, Field(description="Start a pair from the surface of the one before: faster on a live stream.")
     ] = True
     cpus: Annotated[
         list[Annotated[int, Field(ge=0, le=4095)]],
         Field(
             max_length=256,
-            description="Processors of the pipeline alone, everything else is kept off them; empty = all share all. "
-            "For PCs with four or more.",
+            description="Processors reserved for the pipeline; empty = none. For PCs with four or more.",
         ),
     ] = []
     settings: Annotated[dict[str, bool | int | float], Field(description="Changes to the pipeline's defaults.")] = {}
@@ -92,7 +93,7 @@ class Stream(Section):
 class Control(Section):
     """The control socket."""
 
-    endpoint: Annotated[str, Field(description="Where requests are answered.")] = Field(
+    endpoint: Annotated[str, Field(description="Address of the control socket.")] = Field(
         default_factory=ipc_endpoints.control_endpoint
     )
     remote: Annotated[list[str], Field(max_length=8, description="Addresses for other machines, with keys only.")] = []
@@ -100,7 +101,7 @@ class Control(Section):
 
 
 class Recording(Section):
-    """Where and how takes are written."""
+    """Directory and limits of takes."""
 
     dir: Annotated[str, Field(min_length=1, description="Directory of the takes.")] = "takes"
     max_part_mb: Annotated[int, Field(ge=16, le=1_000_000, description="Size at which a new part begins.")] = 2048
@@ -109,32 +110,34 @@ class Recording(Section):
     queue: Annotated[int, Field(ge=2, le=1000, description="Pairs that wait for the disk.")] = 60
     before_s: Annotated[
         float,
-        Field(ge=0, le=3600, description="Seconds kept in memory, for takes that begin before they are asked for."),
+        Field(ge=0, le=3600, description="Seconds kept in memory, for takes that begin before their start."),
     ] = 0.0
     before_mb: Annotated[
-        int, Field(ge=1, le=1_000_000, description="Memory that before_s takes at most; it then keeps less.")
+        int, Field(ge=1, le=1_000_000, description="Memory limit of before_s, which then keeps less.")
     ] = 1024
     sync: Annotated[
         Literal["chunk", "1s", "none"],
-        Field(description="What is written is brought to the disk after each pair, each second, or when a part ends."),
+        Field(
+            description="When takes are synchronised with the disk: after each pair, each second, or when a part ends."
+        ),
     ] = "1s"
     retry_s: Annotated[
-        float, Field(ge=0.1, le=60, description="How often a take that the disk interrupted tries to go on.")
+        float, Field(ge=0.1, le=60, description="How often a take that the disk interrupted tries to resume.")
     ] = 1.0
     endless: Annotated[
-        bool, Field(description="Remove the oldest parts of the running take instead of stopping for lack of room.")
+        bool, Field(description="Remove the oldest parts of the running take instead of stopping for lack of space.")
     ] = False
     keep_mb: Annotated[
         int, Field(ge=0, le=1_000_000_000, description="Endless: size of the take at most; 0 = up to min_free_mb.")
     ] = 0
     keep_s: Annotated[
         float,
-        Field(ge=0, le=1e8, description="Endless: parts older than this go, seconds; 0 = as old as there is room."),
+        Field(ge=0, le=1e8, description="Endless: parts older than this are removed, seconds; 0 = no limit."),
     ] = 0.0
 
 
 class SelfCheckLimits(Section):
-    """Changes since the reference was learned that are reported."""
+    """Reported changes since the reference was learned."""
 
     column_px: Annotated[
         float, Field(gt=0, le=10, description="Trinocular residual: observed minus expected projector column, pixels.")
@@ -157,8 +160,8 @@ class SelfCheckLimits(Section):
 class SelfCheck(Section):
     """The continuous check of the calibration from ordinary pairs."""
 
-    enabled: Annotated[bool, Field(description="Watch whether the calibration still fits.")] = True
-    rate_hz: Annotated[float, Field(gt=0, le=20, description="Pairs that are looked at, a second, at most.")] = 5.0
+    enabled: Annotated[bool, Field(description="Monitor whether the calibration still fits.")] = True
+    rate_hz: Annotated[float, Field(gt=0, le=20, description="Examined pairs a second, at most.")] = 5.0
     dir: Annotated[str, Field(min_length=1, description="Directory of its references and its history.")] = "selfcheck"
     limits: SelfCheckLimits = SelfCheckLimits()
 
@@ -180,7 +183,7 @@ PathOrPattern = Annotated[
 
 
 class RigConfig(Section):
-    """Everything `fringed run` needs to know of a rig."""
+    """Configuration of a rig for `fringed run`."""
 
     device: Device = Device()
     cameras: Cameras
@@ -201,5 +204,5 @@ class RigConfig(Section):
     security: Security = Security()
 
     def path(self, name: str, base_dir: Path) -> Path:
-        """A path of the file; relative ones start at the directory of rig.yaml."""
+        """Resolve a path of the file; relative ones start at the directory of rig.yaml."""
         return base_dir / Path(name).expanduser()

@@ -1,4 +1,4 @@
-"""What every part of rig.yaml is: strict, closed to unknown keys, never changed once read."""
+"""Base of every section of rig.yaml: strict, closed to unknown keys, immutable."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Section(BaseModel):
-    """A part of rig.yaml."""
+    """A section of rig.yaml."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)

@@ -1,4 +1,4 @@
-"""How many images make a cloud, and how they come onto the scene."""
+"""``mode`` and ``sequence:`` in rig.yaml: the images of a cloud and their projection."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Sequencing(Section):
     display: Annotated[
         Literal["driven", "stored"],
         Field(
-            description="driven: the daemon shows each image and waits for a pair that has surely seen it. stored: "
-            "the projector holds the images, and each trigger shows the next one."
+            description="driven: the daemon shows each image and waits for a pair exposed under it. stored: "
+            "the projector stores the images, and each trigger shows the next one."
         ),
     ] = "driven"
     first_trigger: Annotated[

@@ -1,4 +1,4 @@
-"""Change one value of a YAML text that a person wrote: comments, order and layout stay."""
+"""Change of one value in a YAML text; comments, order and layout stay."""
 
 from __future__ import annotations
 
@@ -7,47 +7,47 @@ import re
 from typing import Any
 
 from daemon.common.errors import DaemonError
-from daemon.config.yaml_source import Path_, read_yaml
+from daemon.config.yaml_source import KeyPath, read_yaml
 
 
-def with_value(text: str, path: Path_, value: float) -> str:
-    """The text with a number at a path of keys; the key is put first in its section if it is not there yet.
+def with_value(text: str, path: KeyPath, value: float) -> str:
+    """Return the text with a number set at a path of keys; a new key is inserted first in its section.
 
     Raises:
-        DaemonError: the section is not there, or the text is laid out in a way that this does not understand.
+        DaemonError: the section does not exist, or its layout is not supported.
     """
     source = read_yaml(text)
     above, key = path[:-1], path[-1]
     section = source.data
     for name in above:
         section = section.get(name) if isinstance(section, dict) else None
-    if not isinstance(section, dict) or (not section and above not in source.places):
+    if not isinstance(section, dict) or (not section and above not in source.positions):
         raise DaemonError(f"there is no section {'.'.join(map(str, above))} to put {key} into")
-    wanted = copy.deepcopy(source.data)
-    target = wanted
+    expected = copy.deepcopy(source.data)
+    target = expected
     for name in above:
         target = target[name]
     target[key] = value
     changed = (
-        _replaced(text, source.places[path], value) if key in section else _inserted(text, source, above, value, key)
+        _replaced(text, source.positions[path], value) if key in section else _inserted(text, source, above, value, key)
     )
-    if read_yaml(changed).data != wanted:
+    if read_yaml(changed).data != expected:
         raise DaemonError(
             f"{'.'.join(map(str, path))} cannot be set by itself in this file; write {key}: {value:g} there"
         )
     return changed
 
 
-def _replaced(text: str, place: tuple[int, int], value: float) -> str:
+def _replaced(text: str, position: tuple[int, int], value: float) -> str:
     lines = text.splitlines(keepends=True)
-    line, column = place[0] - 1, place[1] - 1
+    line, column = position[0] - 1, position[1] - 1
     lines[line] = lines[line][:column] + re.sub(r"^[^\s,}#]+", f"{value:g}", lines[line][column:])
     return "".join(lines)
 
 
-def _inserted(text: str, source: Any, above: Path_, value: float, key: str | int) -> str:
+def _inserted(text: str, source: Any, above: KeyPath, value: float, key: str | int) -> str:
     lines = text.splitlines(keepends=True)
-    row, column = source.places[above]
+    row, column = source.positions[above]
     line = lines[row - 1]
     if line[column - 1 : column] == "{":
         more = "" if line[column:].lstrip().startswith("}") else ", "

@@ -1,4 +1,4 @@
-"""YAML to plain JSON values, with the place of every key and value, and no surprises: no duplicate keys, no dates."""
+"""YAML parsed to plain JSON values with the position of every key and value; duplicate keys and dates are errors."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 import yaml
 
-Path_ = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 MAX_NODES = 20_000
 MAX_DEPTH = 32
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One mistake: where (line and column start at 1) and what."""
+    """One mistake: its position (line and column from 1) and a message."""
 
     line: int
     column: int
@@ -24,24 +24,24 @@ class Problem:
 
 @dataclass(slots=True)
 class Source:
-    """The values of a YAML text and where each stands."""
+    """The values of a YAML text and their positions."""
 
     data: Any = None
-    places: dict[Path_, tuple[int, int]] = field(default_factory=dict)
-    keys: dict[Path_, tuple[int, int]] = field(default_factory=dict)
+    positions: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
+    keys: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
 
-    def place(self, path: Path_, *, key: bool = False) -> tuple[int, int]:
-        """Line and column of a value (or of its key), else of the nearest thing around it."""
+    def position(self, path: KeyPath, *, key: bool = False) -> tuple[int, int]:
+        """Return line and column of a value (or of its key), else of the nearest enclosing value."""
         for length in range(len(path), -1, -1):
-            table = self.keys if key and length == len(path) else self.places
+            table = self.keys if key and length == len(path) else self.positions
             if path[:length] in table:
                 return table[path[:length]]
         return (1, 1)
 
-    def complain(self, path: Path_, message: str, *, key: bool = False) -> None:
+    def add_problem(self, path: KeyPath, message: str, *, key: bool = False) -> None:
         """Add a problem at a path."""
-        self.problems.append(Problem(*self.place(path, key=key), message))
+        self.problems.append(Problem(*self.position(path, key=key), message))
 
 
 def read_yaml(text: str) -> Source:
@@ -70,9 +70,9 @@ class _Walk:
         self.constructor = yaml.SafeLoader("")
         self.nodes = 0
 
-    def value(self, node: yaml.Node, path: Path_) -> Any:
-        place = (node.start_mark.line + 1, node.start_mark.column + 1)
-        self.source.places[path] = place
+    def value(self, node: yaml.Node, path: KeyPath) -> Any:
+        position = (node.start_mark.line + 1, node.start_mark.column + 1)
+        self.source.positions[path] = position
         self.nodes += 1
         if len(path) > MAX_DEPTH or self.nodes > MAX_NODES:
             raise yaml.YAMLError(f"more than {MAX_NODES} values or {MAX_DEPTH} levels")
@@ -82,35 +82,35 @@ class _Walk:
             return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
         return self.scalar(node, path)
 
-    def mapping(self, node: yaml.MappingNode, path: Path_) -> dict[str, Any]:
+    def mapping(self, node: yaml.MappingNode, path: KeyPath) -> dict[str, Any]:
         out: dict[str, Any] = {}
         for key_node, value_node in node.value:
-            place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            position = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != "tag:yaml.org,2002:str":
-                shown = getattr(key_node, "value", "")
-                self.source.problems.append(Problem(*place, f"the key {shown!r:.40} is not plain text; quote it"))
+                text = f"the key {key_node.value!r:.40} is not plain text; quote it"
+                self.source.problems.append(Problem(*position, text))
                 continue
             key = key_node.value
             if key in out:
                 first = self.source.keys[(*path, key)][0]
                 self.source.problems.append(
-                    Problem(*place, f"the key {key!r} stands here twice, first in line {first}")
+                    Problem(*position, f"the key {key!r} is defined twice, first in line {first}")
                 )
                 continue
-            self.source.keys[(*path, key)] = place
+            self.source.keys[(*path, key)] = position
             out[key] = self.value(value_node, (*path, key))
         return out
 
-    def scalar(self, node: yaml.Node, path: Path_) -> Any:
+    def scalar(self, node: yaml.Node, path: KeyPath) -> Any:
         try:
             value = self.constructor.construct_object(node, deep=True)
         except (yaml.YAMLError, ValueError) as error:
-            self.source.complain(path, f"cannot be read: {' '.join(str(error).split()):.120}")
+            self.source.add_problem(path, f"cannot be read: {' '.join(str(error).split()):.120}")
             return None
         if isinstance(value, float) and not math.isfinite(value):
-            self.source.complain(path, f"{node.value} is not a finite number")
+            self.source.add_problem(path, f"{node.value} is not a finite number")
             return None
         if isinstance(value, bool | int | float | str) or value is None:
             return value
-        self.source.complain(path, f"{node.value!r:.60} reads as a {type(value).__name__}; put it in quotes")
+        self.source.add_problem(path, f"{node.value!r:.60} reads as a {type(value).__name__}; put it in quotes")
         return None

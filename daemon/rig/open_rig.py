@@ -43,7 +43,7 @@ class OptionsError(ConfigError):
     def located(self, path: Path) -> ConfigError:
         """The same error with its line and column in the rig file."""
         source = read_yaml(path.read_text(encoding="utf-8"))
-        line, column = source.place(self.path, key=self.path in source.keys)
+        line, column = source.position(self.path, key=self.path in source.keys)
         return ConfigError([f"{path}:{line}:{column}: {self.message}"])
 
 

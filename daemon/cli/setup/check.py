@@ -93,7 +93,7 @@ def _with_line(path: Path, message: str) -> str:
     key = _KEY.match(text)
     if text == message or key is None:
         return message
-    line, column = read_yaml(path.read_text(encoding="utf-8")).place(tuple(key.group().split(".")), key=True)
+    line, column = read_yaml(path.read_text(encoding="utf-8")).position(tuple(key.group().split(".")), key=True)
     return f"{path}:{line}:{column}: {text}"
 
 

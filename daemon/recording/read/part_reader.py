@@ -68,7 +68,7 @@ class PartReader:
             self.close()
             raise
         if self.index.problem:
-            self.complain(self.index.problem)
+            self.add_problem(self.index.problem)
 
     def close(self) -> None:
         """Close the file."""
@@ -96,7 +96,7 @@ class PartReader:
                     if frame is not None:
                         yield frame, FrameLocation(location, offset)
             except DamageError as error:
-                self.complain(f"damaged at byte {location.offset}: {error}")
+                self.add_problem(f"damaged at byte {location.offset}: {error}")
 
     def frame_at(self, location: FrameLocation) -> Frame | None:
         """Read one frame again; None if that fails."""
@@ -110,7 +110,7 @@ class PartReader:
         try:
             return mcap_chunks.load(self._file, location)
         except DamageError as error:
-            self.complain(f"damaged at byte {location.offset}: {error}; its frames are left out")
+            self.add_problem(f"damaged at byte {location.offset}: {error}; its frames are left out")
             return None
         except OSError as error:
             raise TakeError(f"{self.path}: byte {location.offset}: {error}") from error
@@ -122,7 +122,7 @@ class PartReader:
         try:
             image = decode(message.data)
         except ImageError as error:
-            self.complain(f"damaged at byte {location.offset}: {side} image {message.sequence}: {error}")
+            self.add_problem(f"damaged at byte {location.offset}: {side} image {message.sequence}: {error}")
             return None
         return Frame(side, message.sequence, message.publish_ns, message.log_ns, image.encoding, image.image)
 
@@ -130,7 +130,7 @@ class PartReader:
         """Return the camera of a channel; None for channels of other topics."""
         channel = self.index.channels.get(channel_id)
         if channel is None:
-            self.complain(f"damaged at byte {location.offset}: channel {channel_id} is not described")
+            self.add_problem(f"damaged at byte {location.offset}: channel {channel_id} is not described")
             return None
         side = _TOPICS.get(channel.topic)
         if side is None:
@@ -151,12 +151,12 @@ class PartReader:
                 elif (record := Metadata.parse(content)).name == "fringed":
                     self.metadata = record.values
             except DamageError as error:
-                self.complain(f"damaged at byte {location.offset}: {error}")
+                self.add_problem(f"damaged at byte {location.offset}: {error}")
         version = self.metadata.get("version", VERSION)
         if version != VERSION:
             raise TakeError(f"{self.path}: take version {version!r:.20}, this program reads version {VERSION}")
 
-    def complain(self, problem: str) -> None:
+    def add_problem(self, problem: str) -> None:
         """Add a problem, once."""
         if len(self.problems) < _MAX_PROBLEMS and problem not in self.problems:
             self.problems.append(problem)

@@ -230,7 +230,7 @@ class _Matcher:
             return None
         left, right = (frame, partner) if frame.side == "left" else (partner, frame)
         if left.encoding != right.encoding:
-            self._part.complain(f"pair {left.trigger}: {left.encoding} on the left, {right.encoding} on the right")
+            self._part.add_problem(f"pair {left.trigger}: {left.encoding} on the left, {right.encoding} on the right")
             self._counts.unpaired.update(("left", "right"))
             return None
         self._counts.pairs += 1

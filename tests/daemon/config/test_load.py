@@ -1,4 +1,4 @@
-"""rig.yaml: every mistake at once, at its line and column, in words."""
+"""rig.yaml: every mistake at once, with line, column and a message."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_the_example_is_valid() -> None:
     load_rig(Path(__file__).parents[3] / "examples" / "rig.yaml")
 
 
-def test_all_mistakes_are_told_at_once_each_with_its_place() -> None:
+def test_all_mistakes_are_reported_at_once_each_with_its_position() -> None:
     found = problems(
         "camras: {}\n"
         "cameras:\n"
@@ -45,11 +45,11 @@ def test_all_mistakes_are_told_at_once_each_with_its_place() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "empty"),
         ("cameras: {driver: sim\n", "YAML syntax"),
-        (GOOD + "cameras: {driver: sim}\n", "stands here twice, first in line 1"),
+        (GOOD + "cameras: {driver: sim}\n", "defined twice, first in line 1"),
         (GOOD + "device: {name: 2020-01-01}\n", "reads as a date"),
         (GOOD + "stream: {allow_remote: 1}\n", "valid boolean"),
         (GOOD + "recording: {max_part_mb: 64.0}\n", "valid integer"),
@@ -67,20 +67,20 @@ def test_all_mistakes_are_told_at_once_each_with_its_place() -> None:
         (GOOD + "pattern: {kind: stripes}\n", "stripes"),
         (GOOD + "pipeline: {overload: third}\n", "'skip' or 'half'"),
         (GOOD + "pipeline: {temporal_prior: 1}\n", "valid boolean"),
-        (GOOD + "pipeline: {cpus: [2, 3, 2]}\n", "processor 2 stands here twice"),
+        (GOOD + "pipeline: {cpus: [2, 3, 2]}\n", "processor 2 is listed twice"),
         (GOOD + "pipeline: {cpus: [-1]}\n", "greater than or equal to 0"),
     ],
 )
-def test_a_mistake_is_told_in_words(text: str, told: str) -> None:
-    assert any(told in problem for problem in problems(text))
+def test_a_mistake_has_its_message(text: str, message: str) -> None:
+    assert any(message in problem for problem in problems(text))
 
 
-def test_remote_addresses_need_a_clear_yes() -> None:
+def test_remote_addresses_need_an_explicit_setting() -> None:
     stream = "stream: {endpoints: ['tcp://0.0.0.0:5555']%s}\n"
-    assert any("set stream.allow_remote: true and security.keys" in told for told in problems(GOOD + stream % ""))
-    assert any("set security.keys" in told for told in problems(GOOD + stream % ", allow_remote: true"))
+    assert any("set stream.allow_remote: true and security.keys" in message for message in problems(GOOD + stream % ""))
+    assert any("set security.keys" in message for message in problems(GOOD + stream % ", allow_remote: true"))
     control = "control: {remote: ['tcp://0.0.0.0:5556']}\n"
-    assert any("set control.allow_remote: true and security.keys" in told for told in problems(GOOD + control))
+    assert any("set control.allow_remote: true and security.keys" in message for message in problems(GOOD + control))
 
 
 def test_a_bomb_of_aliases_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""One value of a file that a person wrote: everything else stays byte for byte."""
+"""Change of one value in a file: everything else stays byte for byte."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from daemon.config.yaml_edit import with_value
 
 KEY = ("projector", "options", "latency_ms")
 BLOCK = (
-    "# mine\nprojector:\n  driver: x11 # the window\n  options:\n    output: HDMI-1   # left of the desk\n"
+    "# mine\nprojector:\n  driver: x11 # the window\n  options:\n    output: HDMI-1   # left of the bench\n"
     "{more}device: {{name: a}}\n"
 )
 
@@ -39,7 +39,7 @@ def test_only_the_value_changes(text: str) -> None:
     ]
 
 
-def test_what_is_not_there_or_not_understood_is_told() -> None:
+def test_missing_sections_and_unsupported_layouts_are_reported() -> None:
     with pytest.raises(DaemonError, match=r"no section projector\.options"):
         with_value("device: {name: a}\n", KEY, 1.0)
     anchored = "a: &x {output: A}\nprojector: {options: *x}\n"

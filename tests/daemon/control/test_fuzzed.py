@@ -1,4 +1,4 @@
-"""Ten thousand messages from a grammar: nothing dies, nothing changes but by a valid wish, memory stays flat."""
+"""Ten thousand messages from a grammar: nothing fails, settings change by valid requests only, memory is constant."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def messages(draw: st.DrawFn) -> list[bytes]:
 
 
 class Fuzzed:
-    """A running daemon, its control socket, and one who sends."""
+    """A running daemon, its control socket, and a client."""
 
     def __init__(self, path: Path) -> None:
         self.running = warmed(path)
@@ -85,7 +85,7 @@ class Fuzzed:
         self.socket = self.context.socket(zmq.DEALER)
         self.socket.connect(self.server.endpoint)
         self.sent, self.asked = 0, 0
-        self.wished: dict[str, list[Any]] = {}
+        self.requested: dict[str, list[Any]] = {}
         self.first = self.leaves()
 
     def leaves(self) -> dict[str, Any]:
@@ -95,11 +95,11 @@ class Fuzzed:
     def send(self, parts: list[bytes]) -> None:
         self.socket.send_multipart(parts)
         self.sent += 1
-        for path, value in _wishes(parts[-1]):
-            self.wished.setdefault(path, []).append(value)
+        for path, value in _requests(parts[-1]):
+            self.requested.setdefault(path, []).append(value)
 
     def settle(self) -> None:
-        """Until everything that was sent has been dealt with; what is answered is proper."""
+        """Wait until every message has been served; every response is valid."""
         self.asked += 1
         name, asked = f"settle {self.asked}", 0
         hello = json.dumps({"jsonrpc": "2.0", "id": name, "method": "hello"}).encode()
@@ -119,13 +119,13 @@ class Fuzzed:
                 return
 
     def check(self) -> None:
-        """Only what was wished for has changed, and every value is one that rig.yaml takes."""
+        """Check that only requested settings have changed, to values that are valid in rig.yaml."""
         service = self.running.service
         now = self.leaves()
         assert now.keys() == self.first.keys()
         for path, value in now.items():
             if value != self.first[path]:
-                assert is_live(path) and value in self.wished.get(path, []), path
+                assert is_live(path) and value in self.requested.get(path, []), path
         check_rig(service.config.model_dump(mode="json"), base_dir=self.running.path)
 
     def close(self) -> None:
@@ -134,7 +134,7 @@ class Fuzzed:
         self.running.stop()
 
 
-def _wishes(data: bytes) -> Iterator[tuple[str, Any]]:
+def _requests(data: bytes) -> Iterator[tuple[str, Any]]:
     try:
         parsed = json.loads(data)
     except (ValueError, RecursionError):
@@ -161,7 +161,7 @@ def resident_bytes() -> int:
 
 
 def variations(parts: list[bytes]) -> Iterator[list[bytes]]:
-    """The message, and what becomes of it on a bad day: cut, turned bits, doubled, with other bytes in its midst."""
+    """The message, intact or damaged: cut, with flipped bits, repeated, or with other bytes inserted."""
     yield parts
     chance = random.Random(parts[-1])
     for _ in range(VARIATIONS - 1):

@@ -1,4 +1,4 @@
-"""What can be asked of a running daemon, and what it refuses."""
+"""The RPC methods of a running daemon, and what they refuse."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def call(methods: Methods, method: str, /, **params: object) -> object:
     return methods.table()[method](params)
 
 
-def test_hello_tells_who_answers(methods: Methods) -> None:
+def test_hello_identifies_the_daemon(methods: Methods) -> None:
     hello = methods.hello({})
     assert hello["program"] == "fringed" and hello["device"] == "rig-01" and "status" in hello["methods"]
 
@@ -64,7 +64,7 @@ def test_what_cannot_be_set_is_refused_with_its_path(methods: Methods, path: str
     assert caught.value.path == path
 
 
-def test_get_refuses_what_is_not_there(methods: Methods) -> None:
+def test_get_refuses_unknown_settings(methods: Methods) -> None:
     with pytest.raises(RpcError, match="no setting"):
         call(methods, "get", path="pipeline.nothing.deeper")
 

@@ -1,4 +1,4 @@
-"""Captures through a running daemon: right images, bounded, and measuring goes on afterwards whatever happened."""
+"""Captures through a running daemon: right images, bounds, and measuring that resumes after any outcome."""
 
 from __future__ import annotations
 
@@ -107,9 +107,9 @@ def test_each_pair_of_the_take_shows_its_frame_and_nothing_of_it_is_measured(ben
     bench.sink.items.clear()
     job = bench.call("calibrate.capture", frames=bench.frames(*levels), pairs=2, name="five")
     assert job["frames"] == 5
-    told = bench.ended()
-    assert told["outcome"] == "done" and (told["done"], told["of"]) == (10, 10)
-    with TakeReader(Path(told["file"])) as take:
+    status = bench.ended()
+    assert status["outcome"] == "done" and (status["done"], status["of"]) == (10, 10)
+    with TakeReader(Path(status["file"])) as take:
         assert take.whole and take.metadata["first_pattern_sequence"] == "0"
         sequence = json.loads(take.attachments["pattern.json"])
         assert sequence["name"] == "five" and [f["color"][0] for f in sequence["frames"]] == levels
@@ -122,7 +122,7 @@ def test_each_pair_of_the_take_shows_its_frame_and_nothing_of_it_is_measured(ben
     assert shown == {bench.fringe}, "sinks get pairs under the fringe alone"
 
 
-def test_while_it_holds_the_status_says_why_nothing_is_measured_and_the_last_image_stays(bench: Bench) -> None:
+def test_while_it_holds_the_status_gives_the_reason_and_the_last_image_stays(bench: Bench) -> None:
     first = bench.call("calibrate.capture", frames=bench.frames(77), hold_s=30)["job"]
     bench.ended()
     assert bench.call("calibrate.status")["state"] == "holding"
@@ -150,13 +150,13 @@ def test_one_capture_at_a_time_and_it_can_be_cancelled(bench: Bench) -> None:
     with pytest.raises(RpcError, match=f"capture {job} is running"):
         bench.call("calibrate.capture", frames=bench.frames(1))
     bench.call("calibrate.cancel")
-    told = bench.ended()
-    assert told["outcome"] == "cancelled" and told["file"] is None
+    status = bench.ended()
+    assert status["outcome"] == "cancelled" and status["file"] is None
     bench.measures_again()
     assert not list(bench.path.glob("*/*.partial"))
 
 
-def test_a_capture_whose_client_died_is_given_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_capture_whose_client_died_is_cancelled(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capture_module, "ABANDONED_S", 0.2)
     bench.call("calibrate.capture", frames=bench.frames(*range(1, 201)), pairs=4)
     wait_until(lambda: bench.service.state()[0] is State.PAUSED)
@@ -164,11 +164,11 @@ def test_a_capture_whose_client_died_is_given_up(bench: Bench, monkeypatch: pyte
     assert bench.call("calibrate.status")["outcome"] == "cancelled"
 
 
-def test_a_projector_that_fails_ends_the_capture_with_its_words(bench: Bench) -> None:
+def test_a_failing_projector_ends_the_capture_with_its_message(bench: Bench) -> None:
     bench.projector.trouble = "no image: the cable is out"
     bench.call("calibrate.capture", frames=bench.frames(1, 2))
-    told = bench.ended()
-    assert told["outcome"] == "failed" and "the cable is out" in told["problem"]
+    status = bench.ended()
+    assert status["outcome"] == "failed" and "the cable is out" in status["problem"]
     wait_until(lambda: bench.service.state()[0] is not State.PAUSED)
     bench.projector.trouble = ""
     bench.call("pattern.show", name="fringe")
@@ -259,7 +259,7 @@ def test_a_daemon_that_stops_in_the_middle_of_a_capture_stops_and_leaves_nothing
     with running(tmp_path) as bench:
         bench.call("calibrate.capture", frames=bench.frames(*range(1, 201)), pairs=4)
         wait_until(lambda: bench.call("calibrate.status")["done"] > 3)
-    told = bench.capture.status()
-    assert told["outcome"] in ("cancelled", "failed") and told["state"] == "idle"
+    status = bench.capture.status()
+    assert status["outcome"] in ("cancelled", "failed") and status["state"] == "idle"
     assert not list(tmp_path.glob("*/*.partial"))
     assert bench.service.state()[0] is State.STOPPING

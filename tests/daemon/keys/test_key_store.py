@@ -1,4 +1,4 @@
-"""Key files and the list of those that may connect: whole or not at all, and secrets stay secret."""
+"""Key files and the list of authorised keys: complete or refused, and secrets stay secret."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_key_comes_back_from_its_files_as_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda text: text.replace("name: laptop", "name: ../x"), "k:2: a name has"),
         (lambda text: text.replace("public: ", "public: x"), "k:3: the public key is not"),
@@ -49,11 +49,11 @@ def test_a_key_comes_back_from_its_files_as_it_was(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_mistake_in_a_key_file_is_told_with_its_line_and_without_the_secret(change: object, told: str) -> None:
+def test_a_mistake_in_a_key_file_is_reported_with_its_line_and_without_the_secret(change: object, message: str) -> None:
     key = new_key("laptop")
     with pytest.raises(KeyFileError) as caught:
         parse_key(change(key.text(secret=True)), "k")  # type: ignore[operator]
-    assert told in str(caught.value) and key.secret not in str(caught.value)
+    assert message in str(caught.value) and key.secret not in str(caught.value)
 
 
 def test_a_secret_that_others_can_read_is_refused(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_any_text_is_a_key_or_an_error_of_ours(text: str) -> None:
 
 @settings(max_examples=200, deadline=None, derandomize=True, database=None)
 @given(st.binary(min_size=32, max_size=32))
-def test_z85_is_known_by_the_bytes_that_it_stands_for(data: bytes) -> None:
+def test_z85_is_recognised_by_the_bytes_it_encodes(data: bytes) -> None:
     from zmq.utils import z85
 
     text = z85.encode(data).decode()
@@ -87,7 +87,7 @@ def entry(name: str, control: str = "view") -> Entry:
     return Entry(name, "view", authorized_keys.role("control", control), new_key(name).public)
 
 
-def test_a_key_is_allowed_changed_and_revoked_and_comments_stay(tmp_path: Path) -> None:
+def test_a_key_is_authorised_changed_and_revoked_and_comments_stay(tmp_path: Path) -> None:
     store = KeyStore(tmp_path / "keys")
     store.make_server()
     first, second = entry("laptop"), entry("bench", "operate")
@@ -116,7 +116,7 @@ def test_the_same_key_under_two_names_is_refused_and_the_list_stays(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "message"),
     [
         ("laptop view view", ":1: 3 fields"),
         ("laptop see view " + "0" * 40, ":1: 'see' is no role on stream; there are none, view"),
@@ -125,10 +125,10 @@ def test_the_same_key_under_two_names_is_refused_and_the_list_stays(tmp_path: Pa
         (".x view view " + "0" * 40, ":1: the name"),
     ],
 )
-def test_a_mistake_in_the_list_is_told_with_its_line(line: str, told: str) -> None:
+def test_a_mistake_in_the_list_is_reported_with_its_line(line: str, message: str) -> None:
     with pytest.raises(DaemonError) as caught:
         authorized_keys.parse(line + "\n", "allowed")
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_list_that_others_can_change_is_not_used(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_secrets_are_for_the_owner_or_for_the_group_that_the_directory_is_shared
         "allowed": secret,
         "server.pub": 0o644,
     }
-    assert store.make_server() == store.server()  # never made anew
+    assert store.make_server() == store.server()  # never created again
 
 
 def test_the_command_makes_allows_lists_and_revokes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,7 +173,7 @@ def test_the_command_makes_allows_lists_and_revokes(tmp_path: Path, capsys: pyte
     assert read_key(public).public in capsys.readouterr().out
     assert run(["keys", "new", "laptop", "--to", str(tmp_path)]) == 1
     assert run(["keys", "allow", str(public), "--control", "boss", "--dir", keys]) == 1
-    assert "is there already" in (told := capsys.readouterr().err) and "'boss' is no role" in told
+    assert "is there already" in (message := capsys.readouterr().err) and "'boss' is no role" in message
     assert run(["keys", "revoke", "laptop", "--dir", keys]) == 0
     assert run(["keys", "list", "--dir", keys]) == 0
     assert "nobody may connect" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""A disk that does what a test tells it: full, broken, read-only, gone, or hanging, below the recorder's own calls."""
+"""A disk with faults set by a test: full, broken, read-only, gone, or hanging, below the recorder's own calls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _QUIET = {"full": {"fdatasync", "fsync", "ftruncate", "lseek", "unlink"}, "reado
 
 
 class Disk:
-    """Stands where the recorder's modules have ``os``; everything that is not told to fail goes through.
+    """Stands where the recorder's modules have ``os``; calls without a fault pass through.
 
     Args:
         mode: ``ok``, ``full`` (a part of what is written still fits), ``io``, ``readonly``, ``gone`` or ``hang``.
@@ -40,7 +40,7 @@ class Disk:
         self._go.set()
 
     def hang(self) -> None:
-        """Nobody comes back from now on."""
+        """Let every call hang from now on."""
         self._go.clear()
         self.mode = "hang"
 

@@ -34,7 +34,7 @@ def pair(number: int, **options: Any) -> Pair:
     return Pair(frame("left", number, **options), frame("right", number, **options))
 
 
-def lone(side: Side, number: int) -> UnpairedFrame:
+def unpaired(side: Side, number: int) -> UnpairedFrame:
     """A frame without its partner."""
     return UnpairedFrame(frame(side, number))
 

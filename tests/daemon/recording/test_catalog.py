@@ -17,7 +17,7 @@ from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.repair import repair
 from sim.rig import rig_files
 from tests.daemon.recording.small_take import CALIBRATION, LAYOUT
-from tests.daemon.recording.takes import lone, pair, write, writer
+from tests.daemon.recording.takes import pair, unpaired, write, writer
 from tools.waiting import wait_until
 
 
@@ -37,14 +37,14 @@ def cut(path: Path, at: int) -> Path:
 
 @pytest.fixture
 def takes(tmp_path: Path) -> Path:
-    """Three takes and some garbage."""
+    """Three takes and some invalid files."""
     good(tmp_path / "a.mcap", [pair(n) for n in range(12)], max_part_bytes=20_000)
-    good(tmp_path / "b.mcap", [pair(500), lone("right", 501)], session="another")
+    good(tmp_path / "b.mcap", [pair(500), unpaired("right", 501)], session="another")
     good(tmp_path / "c.mcap", [pair(n) for n in range(900, 905)])
     cut(tmp_path / "c.mcap", -2000)
     (tmp_path / "noise.mcap").write_bytes(np.random.default_rng(1).bytes(3000))
     (tmp_path / "empty.mcap").write_bytes(b"")
-    (tmp_path / "a_part002_notes.txt").write_text("not looked at")
+    (tmp_path / "a_part002_notes.txt").write_text("not read")
     return tmp_path
 
 
@@ -52,7 +52,7 @@ def by_name(listing: Listing) -> dict[str, Any]:
     return {take.name: take for take in listing.takes}
 
 
-def test_takes_are_told_from_their_ends(takes: Path) -> None:
+def test_takes_are_listed_from_their_indexes(takes: Path) -> None:
     listing = scan(takes)
     found = by_name(listing)
     assert sorted(found) == ["a", "b", "c"]
@@ -65,7 +65,7 @@ def test_takes_are_told_from_their_ends(takes: Path) -> None:
 
 
 def test_the_count_without_an_index_is_the_count_with_it(tmp_path: Path) -> None:
-    write(tmp_path / "a.mcap", [pair(1), lone("left", 2), pair(3)])
+    write(tmp_path / "a.mcap", [pair(1), unpaired("left", 2), pair(3)])
     (whole,) = scan(tmp_path).takes
     with TakeReader(tmp_path / "a.mcap") as take:
         end = take.parts[0].index.data[-1].end
@@ -193,7 +193,7 @@ def run(directory: Path, *arguments: str) -> int:
         return 1
 
 
-def test_the_command_tells_by_its_exit_status(takes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_exit_status_of_the_command(takes: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(takes) == 0
     out, err = capsys.readouterr()
     assert "whole" in out and "unfinished" in out
@@ -210,6 +210,6 @@ def test_the_command_tells_by_its_exit_status(takes: Path, capsys: pytest.Captur
 
 def test_the_command_prints_json(takes: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(takes, "list", "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [take["name"] for take in told["takes"]] == ["a", "b", "c"]
-    assert sorted(told["garbage"]) == ["empty.mcap", "noise.mcap"]
+    report = json.loads(capsys.readouterr().out)
+    assert [take["name"] for take in report["takes"]] == ["a", "b", "c"]
+    assert sorted(report["garbage"]) == ["empty.mcap", "noise.mcap"]

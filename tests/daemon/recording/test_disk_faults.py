@@ -83,7 +83,7 @@ def test_without_a_disk_what_does_not_fit_is_dropped_and_counted(tmp_path: Path,
     assert not status["recording"] and "No such device" in status["problem"]
 
 
-def test_a_hanging_disk_is_told_and_nobody_waits_for_it(
+def test_a_hanging_disk_is_reported_and_blocks_no_other_thread(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("daemon.recording.write.take_writer.HUNG_S", 0.05)
@@ -245,7 +245,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     where = tmp_path / "disk"
     where.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(where)], capture_output=True).returncode:
-        reason = "this machine lets nobody mount"
+        reason = "mounting is not permitted on this machine"
         pytest.fail(reason) if os.environ.get("CI") else pytest.skip(reason)
     yield where
     while subprocess.run(["umount", "-l", str(where)], capture_output=True).returncode == 0:

@@ -22,7 +22,7 @@ from daemon.recording.read.take_reader import TakeReader
 from daemon.recording.recorder import Recorder
 from daemon.recording.write.pretrigger_buffer import PretriggerBuffer, size_of
 from daemon.recording.write.take_writer import TakeWriter
-from tests.daemon.recording.takes import lone, pair, writer
+from tests.daemon.recording.takes import pair, unpaired, writer
 from tools.waiting import wait_until
 
 RATE_HZ = 20
@@ -109,7 +109,7 @@ def test_the_ring_never_holds_more_than_its_seconds_and_bytes(
     ring = PretriggerBuffer(lambda: (seconds, most), lambda: now[0])
     for number, (step_ns, alone) in enumerate(steps):
         now[0] += step_ns
-        item = lone("left", number) if alone else pair(number)
+        item = unpaired("left", number) if alone else pair(number)
         offered.append((now[0], item))
         ring.add(item)
         status = ring.status()
@@ -162,7 +162,7 @@ def test_a_read_only_directory_is_named(tmp_path: Path) -> None:
     assert not recorder.recording
 
 
-def test_the_takes_of_the_directory_are_told(tmp_path: Path) -> None:
+def test_the_takes_of_the_directory_are_listed(tmp_path: Path) -> None:
     rig = Rig()
     recorder = recorder_of(rig, tmp_path / "takes")
     assert recorder.takes()["takes"] == []
@@ -172,12 +172,12 @@ def test_the_takes_of_the_directory_are_told(tmp_path: Path) -> None:
     assert running["state"] == "writing"
     recorder.stop()
     (tmp_path / "takes" / "x.mcap").write_bytes(os.urandom(100))
-    told = recorder.takes()
-    assert [(take["state"], take["frames"]) for take in told["takes"]] == [("whole", [3, 3])]
-    assert list(told["garbage"]) == ["x.mcap"]
+    report = recorder.takes()
+    assert [(take["state"], take["frames"]) for take in report["takes"]] == [("whole", [3, 3])]
+    assert list(report["garbage"]) == ["x.mcap"]
 
 
-def test_the_status_tells_it_in_a_line(tmp_path: Path) -> None:
+def test_the_status_has_a_line_for_it(tmp_path: Path) -> None:
     rig = Rig("before_s: 1")
     recorder = recorder_of(rig, tmp_path)
     rig.measures(recorder, 0, 10)

@@ -17,7 +17,7 @@ from daemon.recording.format.errors import TakeError
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.recording.write.part_writer import PartWriter, _schema
 from tests.daemon.recording import independent_reader
-from tests.daemon.recording.takes import CALIBRATION, SIZE, frame, lone, pair, write, writer
+from tests.daemon.recording.takes import CALIBRATION, SIZE, frame, pair, unpaired, write, writer
 from tools.waiting import wait_until
 
 
@@ -58,7 +58,7 @@ def test_what_was_written_is_read(tmp_path: Path, encoding: str, compression: st
 
 def test_an_independent_reader_reads_it(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
-    write(path, [pair(4_294_967_295), pair(0), lone("right", 1)])
+    write(path, [pair(4_294_967_295), pair(0), unpaired("right", 1)])
     read = independent_reader.read(path)
     assert read["schemas"] == ["foxglove.RawImage"]
     assert (
@@ -81,9 +81,9 @@ def test_an_independent_reader_reads_it(tmp_path: Path) -> None:
 
 def test_pairs_come_whatever_the_order_and_double_frames_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
-    rights = [lone("right", n) for n in range(30)]
-    lefts = [lone("left", n) for n in range(29, -1, -1)]
-    write(path, [*rights, *lefts, lone("left", 3), lone("right", 3), lone("left", 99)])
+    rights = [unpaired("right", n) for n in range(30)]
+    lefts = [unpaired("left", n) for n in range(29, -1, -1)]
+    write(path, [*rights, *lefts, unpaired("left", 3), unpaired("right", 3), unpaired("left", 99)])
     with TakeReader(path) as take:
         pairs = list(take.pairs())
         assert [p.sequence for p in pairs] == list(range(29, -1, -1))
@@ -286,7 +286,7 @@ def test_a_slow_disk_drops_and_counts(tmp_path: Path) -> None:
 
 
 class FullPart(PartWriter):
-    """A disk that is full after two pairs; ``ends`` tells whether the index still finds room."""
+    """A disk that is full after two pairs; ``ends``: whether there is room for the index."""
 
     ends = True
 
@@ -302,7 +302,7 @@ class FullPart(PartWriter):
 
 
 @pytest.mark.parametrize(("ends", "name"), [(True, "take.mcap"), (False, "take.mcap.partial")])
-def test_a_full_disk_is_told_and_what_was_written_stays(
+def test_a_full_disk_is_reported_and_what_was_written_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: bool, name: str
 ) -> None:
     monkeypatch.setattr(FullPart, "ends", ends)

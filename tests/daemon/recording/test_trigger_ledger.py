@@ -15,7 +15,7 @@ from daemon.live.items import Item, Pair, UnpairedFrame
 from daemon.recording.read.take_reader import TakeReader
 from drivers.protocols import Frame, Side
 from tests.daemon.live.acquisition.trigger_storm import PERIOD_NS, Faults, Sent, _frame, storm
-from tests.daemon.recording.takes import frame, lone, pair, write, writer
+from tests.daemon.recording.takes import frame, pair, unpaired, write, writer
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 
@@ -30,7 +30,7 @@ class Arrivals(SystemClock):
 
 
 def played(sent: list[Sent], restarts: dict[int, tuple[Side, ...]] | None = None) -> tuple[list[Item], LockedPairer]:
-    """What a recorder is offered when these frames come; restarts: cameras started anew before an exposure."""
+    """What a recorder is offered when these frames come; restarts: cameras restarted before an exposure."""
     items: list[Item] = []
     clock = Arrivals()
     pairer = LockedPairer(
@@ -52,7 +52,7 @@ def played(sent: list[Sent], restarts: dict[int, tuple[Side, ...]] | None = None
 
 
 def imaged(sent: list[Sent]) -> list[Sent]:
-    """The same frames, each image telling its exposure."""
+    """The same frames, each image encoding its exposure."""
     out = []
     for item in sent:
         image = np.full((1, 8), item.exposure % 251, np.uint8)
@@ -68,7 +68,7 @@ def pairs_read(path: Path, items: list[Item]) -> tuple[list[tuple[int, int]], di
         return [(int(p.left[0, 0]), int(p.right[0, 0])) for p in take.pairs()], status["dropped"]
 
 
-def test_counts_that_begin_anew_make_no_wrong_pair_and_the_numbers_go_on(tmp_path: Path) -> None:
+def test_restarted_counters_make_no_wrong_pair_and_the_numbers_continue(tmp_path: Path) -> None:
     """Both cameras counted to 40, the right one lost frames; then both begin at zero, and the left one loses some."""
     sent = [
         Sent(_frame(side, k if k < 40 else k - 40, k * PERIOD_NS, 1), k)
@@ -84,7 +84,7 @@ def test_counts_that_begin_anew_make_no_wrong_pair_and_the_numbers_go_on(tmp_pat
     assert numbers == sorted(set(numbers))
 
 
-def test_a_lone_frame_carries_the_common_count(tmp_path: Path) -> None:
+def test_an_unpaired_frame_carries_the_common_count(tmp_path: Path) -> None:
     """The right camera counted one frame more; where the left one lost a frame, it stands under the left number."""
     sent = [Sent(_frame("right", 0, -PERIOD_NS * 3 // 2, 1), 250)]
     sent += [
@@ -140,7 +140,7 @@ def test_a_number_with_another_exposure_is_not_written(tmp_path: Path) -> None:
 
 def test_halves_of_a_pair_are_not_spread_over_two_parts(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
-    status = write(path, [lone("left", 0), pair(1), pair(2), pair(3), lone("right", 0)], max_part_bytes=12_000)
+    status = write(path, [unpaired("left", 0), pair(1), pair(2), pair(3), unpaired("right", 0)], max_part_bytes=12_000)
     assert len(status["files"]) > 1
     assert status["dropped"] == {"partner_in_earlier_part": 1}
 

@@ -28,8 +28,8 @@ def addresses(pid: int) -> set[tuple[str, int]]:
             fields = line.split()
             if fields[3] == _LISTEN and f"socket:[{fields[9]}]" in own:
                 address, _, port = fields[1].partition(":")
-                words = [bytes.fromhex(address[i : i + 8])[::-1] for i in range(0, len(address), 8)]
-                found.add((str(ipaddress.ip_address(b"".join(words))), int(port, 16)))
+                groups = [bytes.fromhex(address[i : i + 8])[::-1] for i in range(0, len(address), 8)]
+                found.add((str(ipaddress.ip_address(b"".join(groups))), int(port, 16)))
     return found
 
 

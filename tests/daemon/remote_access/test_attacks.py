@@ -1,4 +1,4 @@
-"""Whatever is sent to the open ports: nothing gets in, nothing dies, clouds flow, and the memory stays as it is."""
+"""Attacks on the open ports: nothing is accepted, nothing fails, clouds flow, and memory stays constant."""
 
 from __future__ import annotations
 
@@ -37,29 +37,29 @@ def unharmed(shared: World) -> Iterator[None]:
 
 
 def recorded(shared: World, key: Key) -> bytes:
-    """Everything that a client said while it operated once."""
+    """Everything that a client sent while it operated once."""
     with closing(Tap(shared.ports()[1])) as tap:
         with rude(shared, zmq.DEALER, key, tap.endpoint) as client:
             client.send(request("set", value="recorded"))
             assert client.poll(60_000)
-        return tap.said[0]
+        return tap.sent[0]
 
 
-def test_what_was_recorded_is_worth_nothing_when_it_is_played_again(shared: World) -> None:
-    said = recorded(shared, shared.operator)
+def test_recorded_messages_have_no_effect_when_replayed(shared: World) -> None:
+    sent = recorded(shared, shared.operator)
     assert shared.called == [("set", {"value": "recorded"})]
-    assert b"recorded" not in said
+    assert b"recorded" not in sent
     before = shared.refused("control_handshake")
     for _ in range(3):
-        talk(shared.ports()[1], said)
+        talk(shared.ports()[1], sent)
     wait_until(lambda: shared.refused("control_handshake") >= before + 3)
     assert len(shared.called) == 1
 
 
 def test_messages_that_were_recorded_do_not_fit_into_another_connection(shared: World) -> None:
     """An attacker who has a key of its own, and the bytes of a stranger's message."""
-    said = recorded(shared, shared.operator)
-    first, port = len(said), shared.ports()[1]
+    sent = recorded(shared, shared.operator)
+    first, port = len(sent), shared.ports()[1]
     shared.called.clear()
 
     with (
@@ -67,7 +67,7 @@ def test_messages_that_were_recorded_do_not_fit_into_another_connection(shared: 
         ControlClient(tap.endpoint, timeout_s=60, keys=shared.keys(shared.viewer)) as client,
     ):
         client.call("status")
-        talk(port, tap.said[0] + said[first // 2 :])
+        talk(port, tap.sent[0] + sent[first // 2 :])
     assert [name for name, _ in shared.called] == ["status"]
 
 
@@ -90,9 +90,9 @@ def test_a_bit_that_was_flipped_on_the_way_changes_nothing_that_is_done(shared: 
                 # Again and again: a length that was changed makes the other side wait for more.
                 with suppress(zmq.Again):
                     client.send(request("set", value=value), zmq.NOBLOCK)
-                # ZeroMQ does not always hang up on what it refuses, but it tells.
-                told = shared.refused("control_handshake") > refused
-                return bool(tap.closed_by_server or told or len(shared.called) > before)
+                # ZeroMQ does not always close the connection that it refuses, but it counts it.
+                counted = shared.refused("control_handshake") > refused
+                return bool(tap.closed_by_server or counted or len(shared.called) > before)
 
             wait_until(decided)
     shared.operate()  # whatever was on its way has been done before it
@@ -124,7 +124,7 @@ def test_a_message_that_never_ends_is_not_kept(shared: World) -> None:
                     pass
 
 
-def test_random_bytes_get_nowhere(shared: World) -> None:
+def test_random_bytes_have_no_effect(shared: World) -> None:
     rng = random.Random(11)
     for number in range(120):
         begin = rng.choice([b"", GREETING, GREETING[:12], b"GET / HTTP/1.1\r\n\r\n", b"\x16\x03\x01"])
@@ -134,7 +134,7 @@ def test_random_bytes_get_nowhere(shared: World) -> None:
     assert not shared.called
 
 
-def test_connections_that_say_nothing_are_few_and_end(shared: World) -> None:
+def test_silent_connections_are_limited_and_ended(shared: World) -> None:
     with ExitStack() as held:
         silent = 0
 
@@ -156,8 +156,8 @@ def test_connections_that_say_nothing_are_few_and_end(shared: World) -> None:
 def test_subscriptions_of_any_length_and_odd_messages_do_not_reach_the_daemon(shared: World) -> None:
     before = shared.refused("stream_request")
     with rude(shared, zmq.XSUB, shared.viewer, shared.stream) as client:
-        for said in (b"\1" + b"x" * 65, b"\2what", b"", b"\1" + b"y" * 3000):
-            client.send(said)
+        for sent in (b"\1" + b"x" * 65, b"\2what", b"", b"\1" + b"y" * 3000):
+            client.send(sent)
         client.send(b"\1cloud/full")
         assert client.poll(60_000)
         wait_until(lambda: shared.refused("stream_request") >= before + 2)
@@ -173,7 +173,7 @@ def test_requests_of_many_parts_are_refused(shared: World) -> None:
     assert not shared.called
 
 
-# Requests as a grammar: proper ones, nearly proper ones, and what only looks like them.
+# Requests as a grammar: valid ones, nearly valid ones, and others of similar form.
 _scalars = st.sampled_from([None, True, False, 0, -1, 1.5, 2**63, "", "x", "é\u0000", "set", "a" * 300])
 _values = st.recursive(
     _scalars,

@@ -1,4 +1,4 @@
-"""Who gets through the gate: allowed keys, as far as their roles go, and nobody else."""
+"""Access through the gate: authorised keys within their roles, and no others."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from tests.daemon.remote_access.world import World, pause_for, request, rude
 from tools.waiting import wait_until
 
 pytestmark = pytest.mark.timeout(400)
-SHORT_S = 1.0  # for those who must not get in; whoever may is waited for with patience
+SHORT_S = 1.0  # for clients that must be refused; accepted ones get a long time-out
 
 
-def test_allowed_keys_see_and_operate(shared: World) -> None:
+def test_authorised_keys_read_and_operate(shared: World) -> None:
     shared.lives()
     assert shared.gate.status()["keys"] == 2
 
 
-def test_a_view_key_may_look_and_nothing_else(shared: World) -> None:
+def test_a_view_key_may_only_read(shared: World) -> None:
     before = shared.refused("control_role")
     with shared.client(shared.viewer) as client:
         assert client.call("status") == "done"
@@ -51,7 +51,7 @@ def test_the_refusal_of_a_role_has_its_code(shared: World) -> None:
     assert answer["error"]["code"] == -32001 and answer["id"] == 1
 
 
-def test_a_key_that_is_not_allowed_neither_sees_nor_operates(shared: World) -> None:
+def test_a_key_that_is_not_authorised_neither_reads_nor_operates(shared: World) -> None:
     shared.called.clear()
     assert not shared.sees(shared.stranger, timeout_s=SHORT_S)
     with shared.client(shared.stranger, timeout_s=SHORT_S) as client:
@@ -64,7 +64,7 @@ def test_a_key_that_is_not_allowed_neither_sees_nor_operates(shared: World) -> N
     assert "not allowed" in shared.gate.status()["last_refused"]
 
 
-def test_no_key_gets_nowhere(shared: World) -> None:
+def test_a_client_without_a_key_is_refused(shared: World) -> None:
     before = shared.refused("control_handshake")
     shared.called.clear()
     with shared.client(None, timeout_s=SHORT_S) as client:
@@ -76,7 +76,7 @@ def test_no_key_gets_nowhere(shared: World) -> None:
     assert not shared.called
 
 
-def test_a_password_gets_nowhere(shared: World) -> None:
+def test_a_password_is_refused(shared: World) -> None:
     before = shared.refused("control_handshake")
     shared.called.clear()
     with zmq.Context() as context, context.socket(zmq.DEALER) as client:
@@ -89,7 +89,7 @@ def test_a_password_gets_nowhere(shared: World) -> None:
     assert not shared.called
 
 
-def test_a_client_that_takes_another_for_the_daemon_does_not_speak_to_it(shared: World) -> None:
+def test_a_client_sends_nothing_to_a_server_with_another_key(shared: World) -> None:
     shared.called.clear()
     impostor = new_key("impostor")
     assert not shared.sees(shared.viewer, timeout_s=SHORT_S, server=impostor)
@@ -98,8 +98,8 @@ def test_a_client_that_takes_another_for_the_daemon_does_not_speak_to_it(shared:
     assert not shared.called
 
 
-def test_a_key_without_its_secret_gets_nowhere(shared: World) -> None:
-    """The public half of an allowed key is known to everybody."""
+def test_a_key_without_its_secret_is_refused(shared: World) -> None:
+    """The public half of an authorised key is not secret."""
     thief = new_key("thief")
     with zmq.Context() as context, context.socket(zmq.DEALER) as client:
         client.setsockopt(zmq.LINGER, 0)
@@ -123,7 +123,7 @@ def test_a_key_for_the_stream_alone_does_not_reach_control(shared: World) -> Non
     shared.revoke("screen")
 
 
-def test_a_key_that_is_allowed_later_gets_in_without_a_restart_of_anything(shared: World) -> None:
+def test_a_key_that_is_authorised_later_is_accepted_without_a_restart(shared: World) -> None:
     key = new_key("late")
     with shared.client(key) as client, closing(subscribe(shared.stream, keys=shared.keys(key), timeout_s=60)) as stream:
         refused = shared.refused("control_key")
@@ -179,7 +179,7 @@ def test_a_role_that_is_taken_away_counts_at_the_next_request(shared: World) -> 
     shared.revoke("demoted")
 
 
-def test_a_mistake_in_the_list_changes_nothing_and_is_told(own: World) -> None:
+def test_a_mistake_in_the_list_changes_nothing_and_is_reported(own: World) -> None:
     path = own.store.directory / "allowed"
     good = path.read_text()
     path.write_text(good + "nonsense\n")
@@ -199,7 +199,7 @@ def test_a_new_server_key_is_used_at_once(own: World) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
-def test_a_gate_that_dies_is_started_again_at_the_same_addresses(own: World, number: int) -> None:
+def test_a_gate_that_dies_is_restarted_at_the_same_addresses(own: World, number: int) -> None:
     own.lives()
     addresses = own.stream, own.control_at
     os.kill(own.gate.pid, number)
@@ -219,8 +219,8 @@ def test_a_gate_that_hangs_is_replaced(own: World, monkeypatch: pytest.MonkeyPat
     own.operate()
 
 
-def test_a_gate_that_is_too_large_begins_anew(shared: World) -> None:
-    order = GateConfig(
+def test_a_gate_beyond_its_memory_limit_disconnects_its_clients(shared: World) -> None:
+    gate_config = GateConfig(
         stream=["tcp://127.0.0.1:*"],
         control=[],
         source=shared.publisher.endpoints[0],
@@ -228,12 +228,12 @@ def test_a_gate_that_is_too_large_begins_anew(shared: World) -> None:
         roles={},
         memory_mb=1,
     )
-    with closing(RemoteGate(order, shared.store)) as gate:
+    with closing(RemoteGate(gate_config, shared.store)) as gate:
         wait_until(lambda: gate.status()["cut"].get("stream_memory"))
 
 
-def test_keys_do_no_harm_on_the_way_that_needs_none(shared: World) -> None:
-    """A user whose environment names keys still speaks to the daemon of this machine."""
+def test_keys_have_no_effect_on_local_connections(shared: World) -> None:
+    """A user whose environment names keys still reaches the daemon of this machine."""
     local = shared.control.endpoint, shared.publisher.endpoints[0]
     with ControlClient(local[0], timeout_s=60, keys=shared.keys(shared.stranger)) as client:
         assert client.call("status") == "done"
@@ -254,8 +254,8 @@ def test_a_stop_of_the_whole_group_leaves_the_gate_to_its_daemon(own: World) -> 
     own.lives()
 
 
-def test_an_address_that_is_taken_is_told(shared: World) -> None:
-    order = GateConfig(
+def test_an_address_in_use_is_reported(shared: World) -> None:
+    gate_config = GateConfig(
         stream=[shared.stream],
         control=[],
         source=shared.publisher.endpoints[0],
@@ -263,11 +263,11 @@ def test_an_address_that_is_taken_is_told(shared: World) -> None:
         roles={},
     )
     with pytest.raises(DaemonError, match="stream: cannot bind"):
-        RemoteGate(order, shared.store)
+        RemoteGate(gate_config, shared.store)
 
 
-def test_keys_that_are_missing_are_told(shared: World, tmp_path: Path) -> None:
-    order = GateConfig(stream=["tcp://127.0.0.1:*"], control=[], source="", target="", roles={})
+def test_missing_keys_are_reported(shared: World, tmp_path: Path) -> None:
+    gate_config = GateConfig(stream=["tcp://127.0.0.1:*"], control=[], source="", target="", roles={})
     with pytest.raises(DaemonError, match="fringed keys server"):
-        RemoteGate(order, KeyStore(tmp_path))
+        RemoteGate(gate_config, KeyStore(tmp_path))
     shared.lives()

@@ -1,4 +1,4 @@
-"""A daemon as its users have it: reached from elsewhere with keys, and its files closed to others."""
+"""A running daemon, reached from other machines with keys, its files closed to others."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Running:
             return False
 
     def remote(self) -> dict[str, Any]:
-        """What the status tells of other machines."""
+        """The status of the remote access."""
         return dict(self.status()["sinks"]["remote"])
 
     def port(self, service: str) -> int:
@@ -93,16 +93,16 @@ def running(tmp_path_factory: pytest.TempPathFactory, fringed: Fringed) -> Itera
     made.log.close()
 
 
-def test_a_screen_elsewhere_sees_the_status_and_the_clouds(running: Running) -> None:
+def test_a_remote_viewer_gets_the_status_and_the_clouds(running: Running) -> None:
     endpoint = f"tcp://127.0.0.1:{running.control}"
-    told = running.remotely("screen", "status", "--endpoint", endpoint, "--json", "--timeout", "60")
-    assert told.returncode == 0, told.stderr
-    assert json.loads(told.stdout)["sinks"]["remote"]["keys"] == 2
+    done = running.remotely("screen", "status", "--endpoint", endpoint, "--json", "--timeout", "60")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["sinks"]["remote"]["keys"] == 2
     heard = running.remotely("screen", "listen", f"tcp://127.0.0.1:{running.stream}", "--count", "2", "--seconds", "60")
     assert heard.returncode == 0, heard.stderr
 
 
-def test_it_may_not_operate_and_the_status_tells_that_it_tried(running: Running) -> None:
+def test_it_may_not_operate_and_the_status_counts_the_attempt(running: Running) -> None:
     endpoint = f"tcp://127.0.0.1:{running.control}"
     before = running.status()["recorder"]
     refused = running.remotely("screen", "record", "stop", "--endpoint", endpoint)
@@ -114,7 +114,7 @@ def test_it_may_not_operate_and_the_status_tells_that_it_tried(running: Running)
     assert running.remotely("boss", "start", "--endpoint", endpoint, "--timeout", "60").returncode == 0
 
 
-def test_it_listens_where_rig_yaml_says_and_nowhere_else(running: Running) -> None:
+def test_it_listens_at_the_addresses_of_rig_yaml_only(running: Running) -> None:
     assert listening_addresses.addresses(running.process.pid) == {
         ("0.0.0.0", running.stream),
         ("0.0.0.0", running.control),
@@ -151,7 +151,7 @@ def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) ->
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in family))
 
 
-def test_a_daemon_whose_key_is_missing_says_so_with_the_line_of_the_file(tmp_path: Path, fringed: Fringed) -> None:
+def test_a_missing_key_is_reported_with_the_line_of_the_file(tmp_path: Path, fringed: Fringed) -> None:
     (tmp_path / "rig.yaml").write_text(RIG.format(tmp=tmp_path))
     done = fringed("run", str(tmp_path / "rig.yaml"))
     assert done.returncode == 1 and "rig.yaml:11:18: security.keys" in done.stderr and "keys server" in done.stderr

@@ -39,12 +39,12 @@ def code(domain: bytes, public: str, *, mechanism: bytes = b"CURVE") -> bytes:
     ],
     ids=lambda value: getattr(value, "name", None),
 )
-def test_a_key_gets_in_where_the_list_says_so(key: Key, domain: bytes, expected: bytes) -> None:
+def test_a_key_is_accepted_where_the_list_authorises_it(key: Key, domain: bytes, expected: bytes) -> None:
     assert code(domain, key.public) == expected
 
 
 @pytest.mark.parametrize("mechanism", [b"NULL", b"PLAIN", b"GSSAPI", b""])
-def test_no_other_mechanism_gets_in(mechanism: bytes) -> None:
+def test_no_other_mechanism_is_accepted(mechanism: bytes) -> None:
     assert code(b"control", OPERATOR.public, mechanism=mechanism) == b"400"
 
 

@@ -1,4 +1,4 @@
-"""A stream, a control socket and a gate before them, as a daemon has them; and what an attacker does to it."""
+"""A stream, a control socket and their gate, as in a daemon, and tools of an attacker."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class World:
         }
         self.control = ControlServer(f"ipc://{folder}/control", methods)
         self.control.start()
-        order = GateConfig(
+        gate_config = GateConfig(
             stream=["tcp://127.0.0.1:*"],
             control=["tcp://127.0.0.1:*"],
             source=publisher.endpoints[0],
@@ -57,7 +57,7 @@ class World:
             roles={name: str(method.role) for name, method in methods.items()},
             connections=CONNECTIONS,
         )
-        self.gate = RemoteGate(order, self.store)
+        self.gate = RemoteGate(gate_config, self.store)
         self._done = threading.Event()
         self._sender = threading.Thread(target=self._send, daemon=True)
         self._sender.start()
@@ -162,11 +162,11 @@ def rude(world: World, kind: int, key: Key | None, endpoint: str) -> Iterator[zm
 
 
 class Tap:
-    """Stands between a client and a port: keeps what the client says, may change one byte of each connection."""
+    """A proxy between a client and a port: records what the client sends, may change one byte of each connection."""
 
     def __init__(self, port: int, *, flip: int | None = None) -> None:
         self._port, self._flip = port, flip
-        self.said: list[bytes] = []
+        self.sent: list[bytes] = []
         self.closed_by_server = 0
         self._closing = False
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -187,16 +187,16 @@ class Tap:
                 return
             with suppress(OSError):
                 server = socket.create_connection(("127.0.0.1", self._port))
-                self.said.append(b"")
-                number = len(self.said) - 1
+                self.sent.append(b"")
+                number = len(self.sent) - 1
                 threading.Thread(target=self._up, args=(client, server, number), daemon=True).start()
                 threading.Thread(target=self._down, args=(client, server), daemon=True).start()
 
     def _up(self, client: socket.socket, server: socket.socket, number: int) -> None:
         with suppress(OSError):
             while data := client.recv(65536):
-                begin = len(self.said[number])
-                self.said[number] += data
+                begin = len(self.sent[number])
+                self.sent[number] += data
                 if self._flip is not None and begin <= self._flip < begin + len(data):
                     changed = bytearray(data)
                     changed[self._flip - begin] ^= 0x10
@@ -217,7 +217,7 @@ class Tap:
 
 
 def talk(port: int, data: bytes, *, wait_s: float = PATIENCE_S) -> bytes:
-    """Say something to a port as bare bytes, then listen until the other side hangs up."""
+    """Send bare bytes to a port, then receive until the other side closes the connection."""
     heard = b""
     with socket.create_connection(("127.0.0.1", port)) as raw:
         raw.settimeout(wait_s)

@@ -1,4 +1,4 @@
-"""What may wait is answered beside the rest: a hanging disk holds up nobody who asks for the status."""
+"""Slow requests are executed in the background: a hanging disk does not delay requests for the status."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tools.waiting import wait_until
 
 
 class Slow:
-    """A method that waits until it is let go."""
+    """A method that waits until it is released."""
 
     def __init__(self) -> None:
         self.go = threading.Event()
@@ -47,8 +47,8 @@ def server(tmp_path: Path, slow: Slow) -> Iterator[ControlServer]:
     made.close()
 
 
-class Asking:
-    """A client that need not wait for one answer before the next request."""
+class PipelinedClient:
+    """A client that sends requests without waiting for responses."""
 
     def __init__(self, server: ControlServer) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -68,13 +68,13 @@ class Asking:
 
 
 @pytest.fixture
-def client(server: ControlServer) -> Iterator[Asking]:
-    made = Asking(server)
+def client(server: ControlServer) -> Iterator[PipelinedClient]:
+    made = PipelinedClient(server)
     yield made
     made.close()
 
 
-def test_quick_requests_are_answered_while_a_slow_one_waits(client: Asking, slow: Slow) -> None:
+def test_quick_requests_are_served_while_a_slow_one_waits(client: PipelinedClient, slow: Slow) -> None:
     client.send(1, "slow")
     client.send(2, "quick")
     assert client.answer() == {"jsonrpc": "2.0", "id": 2, "result": "quick"}
@@ -82,7 +82,7 @@ def test_quick_requests_are_answered_while_a_slow_one_waits(client: Asking, slow
     assert client.answer()["id"] == 1
 
 
-def test_more_slow_requests_than_there_is_room_for_are_busy(client: Asking, slow: Slow) -> None:
+def test_slow_requests_beyond_the_capacity_are_busy(client: PipelinedClient, slow: Slow) -> None:
     client.send(0, "slow")
     wait_until(lambda: slow.calls == 1)
     for i in range(1, CAPACITY + 3):
@@ -94,7 +94,9 @@ def test_more_slow_requests_than_there_is_room_for_are_busy(client: Asking, slow
     assert [client.answer()["id"] for _ in range(CAPACITY + 1)] == list(range(CAPACITY + 1))
 
 
-def test_who_waits_when_the_daemon_stops_is_told(client: Asking, slow: Slow, server: ControlServer) -> None:
+def test_waiting_requests_are_refused_when_the_daemon_stops(
+    client: PipelinedClient, slow: Slow, server: ControlServer
+) -> None:
     client.send(1, "slow")
     wait_until(lambda: slow.calls == 1)
     client.send(2, "slow")
@@ -104,17 +106,17 @@ def test_who_waits_when_the_daemon_stops_is_told(client: Asking, slow: Slow, ser
     closing.start()
     wait_until(lambda: not server._background.submit(Job("late", lambda: None, lambda: None)))
     slow.go.set()
-    told = {one["id"]: one for one in (client.answer(), client.answer())}
-    assert told[1]["result"] == "slow" and told[2]["error"]["code"] == FAILED
+    responses = {one["id"]: one for one in (client.answer(), client.answer())}
+    assert responses[1]["result"] == "slow" and responses[2]["error"]["code"] == FAILED
     closing.join(30)
 
 
-def test_a_job_that_fails_does_not_end_the_lane() -> None:
-    lane, done = BackgroundExecutor(), threading.Event()
-    lane.start()
-    assert lane.submit(Job("bad", lambda: [][0], lambda: None))
-    assert lane.submit(Job("good", done.set, lambda: None))
-    assert done.wait(30) and lane.close(30)
+def test_a_failing_job_does_not_end_the_executor() -> None:
+    executor, done = BackgroundExecutor(), threading.Event()
+    executor.start()
+    assert executor.submit(Job("bad", lambda: [][0], lambda: None))
+    assert executor.submit(Job("good", done.set, lambda: None))
+    assert done.wait(30) and executor.close(30)
 
 
 METHODS = {
@@ -134,7 +136,7 @@ def rpc(method: str, request_id: object = 1, **more: object) -> dict[str, object
     return {"jsonrpc": "2.0", "id": request_id, "method": method} | more
 
 
-def test_a_viewer_may_look_and_not_touch() -> None:
+def test_a_viewer_may_read_and_not_operate() -> None:
     assert asked(rpc("look"), Role.VIEW)["result"] == {}
     assert asked(rpc("touch"), Role.VIEW)["error"]["code"] == FORBIDDEN
     assert asked(rpc("touch"))["result"] == "touched"
@@ -145,7 +147,7 @@ def test_parameters_by_position_are_those_by_name() -> None:
     assert asked(rpc("look", params=[1]))["result"] == {"a": 1}
 
 
-def test_a_batch_is_answered_in_one_and_notifications_in_it_are_not() -> None:
+def test_a_batch_has_one_response_without_its_notifications() -> None:
     silent = {"jsonrpc": "2.0", "method": "touch"}
     answers = asked([rpc("look", 1), silent, 7, rpc("nothing", 2)])
     assert [(one["id"], one.get("error", {}).get("code")) for one in answers] == [
@@ -157,20 +159,20 @@ def test_a_batch_is_answered_in_one_and_notifications_in_it_are_not() -> None:
     assert asked([rpc("look")] * (MAX_BATCH + 1))["error"]["code"] == -32600
 
 
-def test_a_notification_is_not_answered_whatever_becomes_of_it() -> None:
+def test_a_notification_has_no_response_even_when_it_fails() -> None:
     assert asked({"jsonrpc": "2.0", "method": "nothing"}) is None
 
 
-def test_an_answer_has_a_bound_and_is_proper_json() -> None:
+def test_a_response_is_bounded_and_valid_json() -> None:
     assert asked(rpc("much"))["error"]["code"] == -32603
     assert asked(rpc("unknown"))["result"] == {"value": [None, 1.0]}
 
 
 @pytest.mark.parametrize("request_id", [True, [1], {}])
-def test_an_id_is_a_text_or_a_number(request_id: object) -> None:
+def test_an_id_is_a_string_or_a_number(request_id: object) -> None:
     assert asked(rpc("look", request_id))["error"]["code"] == -32600
 
 
 def test_a_number_that_is_not_finite_is_no_json() -> None:
-    response = respond(b'{"jsonrpc": "2.0", "id": 1e999, "method": "look"}', METHODS)
+    response = respond(b'{"jsonrpc": "2.0", "id": 1e999, "method": "status"}', METHODS)
     assert response is not None and json.loads(response)["error"]["code"] == -32700

@@ -1,4 +1,4 @@
-"""Control: every request gets its answer, and nothing that is sent harms the daemon."""
+"""Control: every request gets its response, and no message harms the daemon."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def alive(server: ControlServer) -> None:
         assert client.call("echo", a=1) == {"a": 1}
 
 
-def test_a_request_is_answered(server: ControlServer) -> None:
+def test_a_request_has_a_response(server: ControlServer) -> None:
     alive(server)
 
 
@@ -74,13 +74,13 @@ def test_what_is_not_a_request_gets_its_error(message: bytes, code: int) -> None
     assert json.loads(respond(message, METHODS) or b"{}")["error"]["code"] == code
 
 
-def test_a_notification_is_not_answered() -> None:
+def test_a_notification_has_no_response() -> None:
     assert respond(b'{"jsonrpc": "2.0", "method": "echo"}', METHODS) is None
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.binary(max_size=200))
-def test_any_bytes_get_a_proper_answer_or_none(message: bytes) -> None:
+def test_any_bytes_get_a_valid_response_or_none(message: bytes) -> None:
     response = respond(message, METHODS)
     assert response is None or json.loads(response)["jsonrpc"] == "2.0"
 
@@ -98,7 +98,7 @@ def test_a_plain_req_socket_works_too(server: ControlServer) -> None:
     [[b"x" * 100_000_000], [b"garbage"], [b""], [b"a", b"b", b"c", b"d"], [b"{}"] * 2000],
     ids=["100 MB", "garbage", "nothing", "four parts", "many parts"],
 )
-def test_nothing_that_is_sent_harms_the_daemon(server: ControlServer, parts: list[bytes]) -> None:
+def test_no_message_harms_the_daemon(server: ControlServer, parts: list[bytes]) -> None:
     with zmq.Context() as context, context.socket(zmq.DEALER) as rude:
         rude.setsockopt(zmq.LINGER, 0)
         rude.connect(server.endpoint)
@@ -130,7 +130,7 @@ def test_a_socket_file_that_a_dead_daemon_left_is_taken_over(tmp_path: Path) -> 
     again.close()
 
 
-def test_the_client_says_when_no_daemon_is_there(tmp_path: Path) -> None:
+def test_the_client_reports_a_missing_daemon(tmp_path: Path) -> None:
     with (
         ControlClient(f"ipc://{tmp_path}/none", timeout_s=0.1) as client,
         pytest.raises(ControlError, match="no daemon"),
@@ -138,6 +138,6 @@ def test_the_client_says_when_no_daemon_is_there(tmp_path: Path) -> None:
         client.call("status")
 
 
-def test_the_client_tells_the_daemons_own_words(server: ControlServer) -> None:
+def test_the_client_reports_the_daemons_message(server: ControlServer) -> None:
     with ControlClient(server.endpoint) as client, pytest.raises(ControlError, match="too large"):
         client.call("refuse")
