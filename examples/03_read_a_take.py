@@ -1,7 +1,7 @@
 """Read a recorded take in Python: `python examples/03_read_a_take.py TAKE.mcap`.
 
 Prints what the take carries, then the brightness of both images of every pair, and how many points it gives.
-A take that was cut off or damaged is read as far as it is sound; what is wrong with it is told at the end.
+A take that was cut off or damaged is read up to the damage; its problems are printed at the end.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ with TakeReader(Path(sys.argv[1])) as take:
         brightness = f"left {pair.left.mean():.1f}, right {pair.right.mean():.1f} counts"
         print(f"pair {pair.sequence}: {pair.encoding} {pair.left.shape}, {brightness}, {cloud.points} points")
 
-    lone, double = take.counts.unpaired.total(), take.counts.duplicates.total()
-    print(f"{take.counts.pairs} pairs, {lone} frames without a partner, {double} double ones")
+    unpaired, double = take.counts.unpaired.total(), take.counts.duplicates.total()
+    print(f"{take.counts.pairs} pairs, {unpaired} frames without a partner, {double} double ones")
     for problem in take.problems:
         print(f"problem: {problem}")
