@@ -13,6 +13,7 @@ from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.volume import Volume
 from tests.daemon import rigs
 from tests.daemon.live.publishing import clouds
+from tools.waiting import wait_until
 
 OLD, NEW = "sha256:00", "sha256:11"
 
@@ -29,7 +30,7 @@ def test_the_meta_data_come_before_the_first_cloud_of_the_new_calibration(tmp_pa
         reader.connect(made.endpoints[0])
         for topic in (b"meta/", b"cloud/full"):
             reader.setsockopt(zmq.SUBSCRIBE, topic)
-        clouds.until(lambda: made.wants("cloud/full") and made.wants("meta/rays"), 30)
+        wait_until(lambda: made.wants("cloud/full") and made.wants("meta/rays"), 30)
         got: list[tuple[str, dict[str, Any], list[bytes]]] = []
 
         def receive(until: str, times: int, identity: str = "") -> None:

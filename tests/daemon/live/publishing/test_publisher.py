@@ -27,6 +27,7 @@ from fringed.losses import Losses
 from fringed.receiver import Receiver
 from tests.daemon import rigs
 from tests.daemon.live.publishing import clouds
+from tools.waiting import wait_until
 
 WAIT_S = 8.0
 
@@ -36,7 +37,7 @@ def open_files() -> int:
 
 
 def connected(made: Publisher, topic: str = "cloud/full") -> None:
-    clouds.until(lambda: made.wants(topic))
+    wait_until(lambda: made.wants(topic))
 
 
 def message(receiver: Receiver) -> wire.Message:
@@ -63,9 +64,9 @@ def test_a_cloud_arrives_bit_for_bit(kind: str, tmp_path: Path) -> None:
 def test_the_depth_topic_gives_the_same_points() -> None:
     with clouds.publisher() as made, subscribe(made.endpoints[0], topic="cloud/depth", timeout_s=WAIT_S) as stream:
         connected(made, "cloud/depth")
-        clouds.until(lambda: clouds.sent(made, "meta/rays"))
+        wait_until(lambda: clouds.sent(made, "meta/rays"))
         item = clouds.item(5)
-        clouds.until(lambda: made.offer(item) and _here(stream))
+        wait_until(lambda: made.offer(item) and _here(stream))
         cloud = next(stream)
     np.testing.assert_allclose(cloud.xyz, item.cloud.xyz, atol=0.004)
     assert cloud.gray is None and cloud.sigma is None
@@ -77,8 +78,8 @@ def test_half_clouds_say_so_and_lie_on_every_second_ray(topic: str) -> None:
         connected(made, topic)
         item = clouds.half(5)
         if topic == "cloud/depth":
-            clouds.until(lambda: clouds.sent(made, "meta/rays"))
-            clouds.until(lambda: made.offer(item) and _here(stream))
+            wait_until(lambda: clouds.sent(made, "meta/rays"))
+            wait_until(lambda: made.offer(item) and _here(stream))
         else:
             made.offer(item)
         cloud = next(stream)
@@ -96,7 +97,7 @@ def test_the_latency_of_publishing_begins_when_both_frames_are_here() -> None:
         right = replace(item.right, t_host_ns=clock.now_ns - 5_000_000)
         made.offer(replace(item, left=left, right=right))
         message(receiver)
-        clouds.until(lambda: made.status()["latency_ms"])
+        wait_until(lambda: made.status()["latency_ms"])
         assert made.status()["latency_ms"]["max"] == made.status()["latency_ms"]["p999"] == 5.0
 
 
@@ -159,9 +160,9 @@ def test_gaps_in_the_numbers_are_losses() -> None:
 
 def test_a_subscriber_that_never_reads_holds_nobody_up() -> None:
     with clouds.publisher() as made, Receiver(made.endpoints[0], ["cloud/"], queue=1) as stuck:
-        clouds.until(lambda: made.wants("cloud/full"))
+        wait_until(lambda: made.wants("cloud/full"))
         with subscribe(made.endpoints[0], timeout_s=WAIT_S) as reading:
-            clouds.until(lambda: len(made.status()["topics"]) == 2)
+            wait_until(lambda: len(made.status()["topics"]) == 2)
             for seq in range(60):
                 clouds.send(made, clouds.item(seq, size=(256, 205)))
                 assert next(reading).header.seq == seq
@@ -186,7 +187,7 @@ def test_offering_never_waits_and_overtaken_clouds_are_counted(monkeypatch: pyte
         assert made.status()["dropped"] == 2
         assert made.offer(UnpairedFrame(clouds.frame("left", 1, "rgb8", clouds.SIZE)))
         go_on.set()
-        clouds.until(lambda: clouds.sent(made, "cloud/full") == 2)
+        wait_until(lambda: clouds.sent(made, "cloud/full") == 2)
     assert not made.offer(clouds.item(3)), "closed: refused"
 
 
@@ -207,7 +208,7 @@ def test_a_topic_is_left_when_the_last_listener_leaves() -> None:
     with clouds.publisher() as made:
         with subscribe(made.endpoints[0]):
             connected(made)
-        clouds.until(lambda: not made.wants("cloud/full"))
+        wait_until(lambda: not made.wants("cloud/full"))
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8", "mono8", "mono16"])
@@ -261,7 +262,7 @@ def test_the_client_reconnects_to_a_daemon_that_was_restarted(tmp_path: Path) ->
         for session in ("first", "second"):
             with clouds.publisher(endpoint, session=session) as made:
                 # ZeroMQ subscribes anew only while its owner is waiting for messages, as a reader is.
-                clouds.until(lambda made=made: _wants(made, stream))
+                wait_until(lambda made=made: _wants(made, stream))
                 made.offer(clouds.item(7))
                 assert next(stream).header.session == session
         assert stream.lost == 0, "another session starts its numbers anew"
@@ -331,8 +332,8 @@ def test_a_taken_port_is_named_and_nothing_is_left_open() -> None:
         assert not made.endpoints[0].endswith(":0")
         with pytest.raises(DaemonError, match="cannot bind"), clouds.publisher(made.endpoints[0]):
             pass
-    clouds.until(lambda: threading.active_count() == threads)
-    clouds.until(lambda: open_files() <= files)
+    wait_until(lambda: threading.active_count() == threads)
+    wait_until(lambda: open_files() <= files)
 
 
 def test_the_daemon_opens_it_from_its_configuration(tmp_path: Path) -> None:
