@@ -1,4 +1,4 @@
-"""Counting what happens, from any thread: events by name, rates over the last seconds, percentiles."""
+"""Counters for any thread: events by name, rates over the last seconds, percentiles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Counters:
 
 
 class Rate:
-    """Events a second over a window that slides."""
+    """Events per second over a sliding window."""
 
     def __init__(self, window_s: float = 3.0) -> None:
         self._window_ns = round(window_s * 1e9)
@@ -40,7 +40,7 @@ class Rate:
         self._first_ns: int | None = None
 
     def note(self, now_ns: int) -> None:
-        """An event happened; the time is monotonic."""
+        """Note an event; the time is monotonic."""
         with self._lock:
             self._first_ns = now_ns if self._first_ns is None else self._first_ns
             self._times.append(now_ns)
@@ -58,7 +58,7 @@ class Rate:
 
 
 class Percentiles:
-    """The last values, and how they are spread.
+    """The last values and their distribution.
 
     Args:
         size: values that are kept; half an hour at 10 a second, ten minutes at 30.
@@ -78,13 +78,13 @@ class Percentiles:
     def summary(self) -> dict[str, float]:
         """p50, p95, p99, p999 (99.9 %), max and last; empty before the first value."""
         with self._lock:
-            known = min(self._count, len(self._values))
-            if not known:
+            size = min(self._count, len(self._values))
+            if not size:
                 return {}
-            values, last = self._values[:known].copy(), self._values[(self._count - 1) % len(self._values)]
-        places = {name: min(known - 1, int(share * known)) for name, share in _SHARES}
-        values.partition([*places.values(), known - 1])
-        at = {name: values[place] for name, place in places.items()} | {"max": values[-1], "last": last}
+            values, last = self._values[:size].copy(), self._values[(self._count - 1) % len(self._values)]
+        indices = {name: min(size - 1, int(share * size)) for name, share in _SHARES}
+        values.partition([*indices.values(), size - 1])
+        at = {name: values[index] for name, index in indices.items()} | {"max": values[-1], "last": last}
         return {name: round(float(value), 3) for name, value in at.items()}
 
 

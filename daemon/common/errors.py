@@ -1,4 +1,4 @@
-"""What can go wrong in the daemon and its commands, each with a name to catch."""
+"""Errors of the daemon and its commands."""
 
 from __future__ import annotations
 

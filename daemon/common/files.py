@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files: written whole or not at all, read with a limit to their size, closed to other users."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def sync_directory(directory: Path) -> None:
-    """Make names that were just given or changed survive a power cut."""
+    """Make new or changed names in a directory survive a power cut."""
     handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)
@@ -39,8 +39,33 @@ def sync_directory(directory: Path) -> None:
         os.close(handle)
 
 
+def read_at_most(path: Path, limit: int, error: type[Exception]) -> bytes:
+    """Read a file of at most ``limit`` bytes; anything else raises ``error``, which names the file."""
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(limit + 1)
+    except OSError as problem:
+        raise error(f"{path}: {problem.strerror or problem}") from problem
+    if len(data) > limit:
+        raise error(f"{path}: larger than {limit} bytes; this is not the file that is expected here")
+    return data
+
+
+def existing_parent(path: Path) -> Path:
+    """Return the path itself, or the nearest directory above it that exists."""
+    path = path.absolute()
+    while not path.exists() and path != path.parent:
+        path = path.parent
+    return path
+
+
+def restrict_umask() -> None:
+    """Create files from now on for the user, readable by the group, closed to everyone else."""
+    os.umask(os.umask(0o027) | 0o027)
+
+
 def _mode(path: Path) -> int:
-    """Permissions of the file that is replaced; for a new one what any program here would give it."""
+    """Permissions of the file that is replaced, or those that the umask gives a new one."""
     try:
         return path.stat().st_mode & 0o7777
     except FileNotFoundError:

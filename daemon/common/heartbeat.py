@@ -1,4 +1,4 @@
-"""A thread's word that it will be back in time: what a frozen thread cannot keep."""
+"""A heartbeat with a deadline: a thread that hangs misses it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class Heartbeat:
-    """Set by one thread at every turn of its loop, looked at by another; no lock, a number is exchanged.
+    """Set by one thread at every turn of its loop, read by another; no lock, a number is exchanged.
 
     Args:
         now_ns: monotonic time.
@@ -18,14 +18,14 @@ class Heartbeat:
         self._due_ns: int | None = None
 
     def expect(self, within_s: float) -> None:
-        """Promise the next sign within so many seconds."""
+        """Set the deadline of the next turn, seconds from now."""
         self._due_ns = self._now_ns() + round(1e9 * within_s)
 
     def rest(self) -> None:
-        """Promise nothing more: the thread comes to its end."""
+        """Set no deadline any more: the thread ends."""
         self._due_ns = None
 
     def overdue_s(self) -> float:
-        """For how long the promise has been broken, seconds; 0 while it is kept."""
+        """Seconds since the deadline was missed; 0 while it is kept."""
         due_ns = self._due_ns
         return 0.0 if due_ns is None else max(0.0, (self._now_ns() - due_ns) / 1e9)

@@ -1,4 +1,4 @@
-"""The page around the sections: head, style, tables; well-formed XML, so that machines can read it."""
+"""HTML pages: head, style, cards, tables; well-formed XML, so that programs can parse them."""
 
 from __future__ import annotations
 
@@ -78,12 +78,12 @@ def card(one: Card) -> str:
 def table(
     head: Sequence[str], rows: Iterable[Sequence[str]], *, text: Iterable[int] = (), out: Iterable[int] = ()
 ) -> str:
-    """A table; ``text`` are the columns of words, ``out`` the rows in red."""
-    words, red = set(text), set(out)
+    """A table; ``text``: columns of text, ``out``: rows in red."""
+    textual, red = set(text), set(out)
 
     def cells(tag: str, row: Sequence[str]) -> str:
         return "".join(
-            f'<{tag} class="text">{escape(cell)}</{tag}>' if n in words else f"<{tag}>{escape(cell)}</{tag}>"
+            f'<{tag} class="text">{escape(cell)}</{tag}>' if n in textual else f"<{tag}>{escape(cell)}</{tag}>"
             for n, cell in enumerate(row)
         )
 

@@ -1,4 +1,4 @@
-"""Where the sockets live: the service's runtime directory, the user's, or a private one in /tmp."""
+"""Directories and addresses of the sockets: the service's runtime directory, the user's, or a private one in /tmp."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SERVICE = Path("/run/fringed")  # RuntimeDirectory= of fringed.service
 
 
 def runtime_dir() -> Path:
-    """The directory for sockets; not made yet. systemd's RUNTIME_DIRECTORY, else XDG_RUNTIME_DIR, else /tmp."""
+    """The directory for sockets, which may not exist yet: RUNTIME_DIRECTORY, else XDG_RUNTIME_DIR, else /tmp."""
     service = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if service:
         return Path(service)
@@ -33,7 +33,7 @@ def control_endpoint() -> str:
 
 
 def found_control_endpoint() -> str:
-    """Where a program looks for a daemon: this user's, or the service's where only that is there."""
+    """The control endpoint of this user's daemon, or of the service where only that exists."""
     own = control_endpoint()
     service = _SERVICE / "control"
     with suppress(OSError):
@@ -43,18 +43,18 @@ def found_control_endpoint() -> str:
 
 
 def runtime_beside(endpoint: str) -> Path | None:
-    """The directory of an ipc endpoint, where other short-lived files of the same daemon may be; None without one."""
+    """The directory of an ipc endpoint, for other short-lived files of the same daemon; None without one."""
     return Path(endpoint.removeprefix("ipc://")).parent if endpoint.startswith("ipc://") else None
 
 
 def share_ipc(endpoint: str) -> None:
-    """Let the group of a socket's directory connect; ZeroMQ leaves it to the umask, which would shut the group out."""
+    """Let the group of a socket's directory connect; ZeroMQ uses the umask, which would exclude the group."""
     if endpoint.startswith("ipc://"):
         Path(endpoint.removeprefix("ipc://")).chmod(0o660)
 
 
 def prepare_ipc(endpoint: str) -> None:
-    """Make the directory of an ipc endpoint, for this user alone; refuses one that belongs to somebody else."""
+    """Create the directory of an ipc endpoint, for this user alone; rejects one that belongs to another user."""
     if not endpoint.startswith("ipc://"):
         return
     directory = Path(endpoint.removeprefix("ipc://")).parent

@@ -1,4 +1,4 @@
-"""A bounded queue in which the freshest wins: putting never waits, and what is pushed out is handed back."""
+"""A bounded queue in which the newest wins: putting never waits, and what is pushed out is returned."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ class LatestWinsQueue(Generic[T]):
             return pushed_out
 
     def get(self, timeout_s: float) -> T | None:
-        """The oldest item, or None when none came in time or the box is closed and empty."""
+        """The oldest item, or None when none came in time or the queue is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
             return self._items.popleft() if self._items else None
 
     def clear(self) -> None:
-        """Forget what is inside."""
+        """Remove all items."""
         with self._changed:
             self._items.clear()
 
     def close(self) -> list[T]:
-        """Take no more; returns what was still inside."""
+        """Take no more; returns the items that were left."""
         with self._changed:
             self._closed = True
             left = list(self._items)

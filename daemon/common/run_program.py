@@ -1,4 +1,4 @@
-"""Ask another program, with a limit to how long and how much it may talk."""
+"""Run another program with a limit to its time and its output."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ MAX_BYTES = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """What it said. ``status`` is None where it took too long, negative where a signal ended it."""
+class ProgramResult:
+    """Output and exit status; ``status`` is None after a time-out, negative where a signal ended it."""
 
     status: int | None
     out: str = ""
     err: str = ""
 
     @property
-    def why(self) -> str:
-        """Why there is no good answer, in a few words."""
+    def problem(self) -> str:
+        """Why it failed, in a few words."""
         if self.status is None:
-            return "it does not come to an end"
+            return "it does not end"
         if self.status < 0:
             return f"it is ended by {signal.Signals(-self.status).name}"
         last = self.err.splitlines()[-1:] or self.out.splitlines()[-1:]
         return last[0][:400] if last else f"exit status {self.status}"
 
 
-def there(program: str) -> bool:
+def is_installed(program: str) -> bool:
     """Whether a program is installed."""
     return shutil.which(program) is not None
 
 
-def ask(command: Sequence[str], timeout_s: float, environ: Mapping[str, str] | None = None) -> Answer:
+def run_program(command: Sequence[str], timeout_s: float, environ: Mapping[str, str] | None = None) -> ProgramResult:
     """Run a program without a shell; OSError where it cannot be started."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         try:
@@ -55,4 +55,4 @@ def ask(command: Sequence[str], timeout_s: float, environ: Mapping[str, str] | N
         for file in (out, err):
             file.seek(0)
             texts.append(file.read(MAX_BYTES).decode(errors="replace").strip())
-    return Answer(status, *texts)
+    return ProgramResult(status, *texts)

@@ -1,4 +1,4 @@
-"""A wish to stop that a signal handler may set.
+"""A request to stop that a signal handler may set.
 
 ``threading.Event`` takes a lock that the interrupted thread may hold at that very moment, and then both wait for ever.
 """
@@ -19,7 +19,7 @@ class StopEvent:
         weakref.finalize(self, os.close, self._fd)
 
     def set(self) -> None:
-        """Wake everybody who waits, now and later."""
+        """Wake all waiting threads, now and later."""
         if not self._set:
             self._set = True
             os.eventfd_write(self._fd, 1)
@@ -29,10 +29,10 @@ class StopEvent:
         return self._set
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until it is set, at most so long; whether it is."""
+        """Wait until it is set, or for ``timeout_s``; whether it is set."""
         if not self._set:
             poll = select.poll()
-            # Nobody reads the counter, so the descriptor stays ready for everyone.
+            # The counter is never read, so the descriptor stays ready for every thread.
             poll.register(self._fd, select.POLLIN)
             poll.poll(max(0, round(1000 * timeout_s)))
         return self._set

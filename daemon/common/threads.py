@@ -1,7 +1,7 @@
 """Threads as the operating system sees them: their names, and the processors that they run on.
 
-Linux hands both down: a thread that is made has the name and the processors of the one that makes it. numba's workers
-are made by the pipeline's thread and so follow it.
+A new thread inherits both from the thread that starts it: numba's workers, which the pipeline's thread starts, run on
+its processors.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _MAX_NAME = 15  # characters that Linux keeps
 
 
 def ids() -> set[int]:
-    """The numbers of all threads of this process, those of libraries too."""
+    """Kernel ids of all threads of this process, those of libraries included."""
     return {int(task.name) for task in _TASKS.iterdir()}
 
 
@@ -29,11 +29,11 @@ def name(thread: int, text: str) -> None:
 
 
 def pin(threads: Iterable[int], cpus: Iterable[int]) -> None:
-    """Let threads run on these processors alone; OSError when none of them is there."""
-    wanted = frozenset(cpus)
+    """Let threads run on these processors alone; OSError when none of them exists."""
+    allowed = frozenset(cpus)
     for thread in threads:
         with suppress(ProcessLookupError):
-            os.sched_setaffinity(thread, wanted)
+            os.sched_setaffinity(thread, allowed)
 
 
 def available() -> frozenset[int]:
@@ -41,23 +41,23 @@ def available() -> frozenset[int]:
     return frozenset(os.sched_getaffinity(0))
 
 
-def _told(thread: threading.Thread) -> str:
-    """Its name, or its kind where a library gave it none."""
+def _name_of(thread: threading.Thread) -> str:
+    """Its name, or its class where a library gave it none."""
     plain = re.fullmatch(r"Thread-\d+", thread.name)
     return type(thread).__name__ if plain else thread.name
 
 
 class ThreadNamer:
-    """Gives every thread of Python its own name; Python up to 3.13 keeps names to itself."""
+    """Gives every Python thread its name in the kernel, which Python does only from 3.14 on."""
 
     def __init__(self, main: str) -> None:
         self._main = main
         self._named: set[tuple[int, str]] = set()
 
     def update(self) -> None:
-        """Name those that are new since the last call."""
+        """Name the threads that are new since the last call."""
         now = {
-            (thread.native_id, self._main if thread is threading.main_thread() else _told(thread))
+            (thread.native_id, self._main if thread is threading.main_thread() else _name_of(thread))
             for thread in threading.enumerate()
             if thread.native_id is not None
         }

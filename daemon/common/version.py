@@ -1,4 +1,4 @@
-"""Which version of the project this is."""
+"""The installed version."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the devices suit each other and the files: sizes, and exposures against the projector's period."""
+"""Compatibility of devices and files: sizes, and exposures against the projector's period."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _WHOLE = 0.01
 
 
 def size_problem(camera: Side, size: tuple[int, int], calibration: Calibration) -> str:
-    """Why the images of a camera cannot be measured with a calibration, or nothing."""
-    known = (calibration.left if camera == "left" else calibration.right).size
-    if not any(size) or tuple(size) == tuple(known):
+    """Why a camera's images do not fit the calibration; empty where they do."""
+    calibrated = (calibration.left if camera == "left" else calibration.right).size
+    if not any(size) or tuple(size) == tuple(calibrated):
         return ""
     return (
-        f"camera {camera} sends {size[0]} x {size[1]} pixels, the calibration is for {known[0]} x {known[1]}; "
-        f"set its region to that size or calibrate again"
+        f"camera {camera} sends {size[0]} x {size[1]} pixels, "
+        f"the calibration is for {calibrated[0]} x {calibrated[1]}; set its region to that size or calibrate again"
     )
 
 
 def projector_problem(projector: ProjectorInfo, pattern: ColorFringe) -> str:
-    """Why a projector cannot show a pattern pixel by pixel, or nothing."""
+    """Why a projector cannot show a pattern pixel by pixel; empty where it can."""
     if tuple(projector.size) == tuple(pattern.size):
         return ""
     return (
@@ -35,21 +35,21 @@ def projector_problem(projector: ProjectorInfo, pattern: ColorFringe) -> str:
 
 
 def timing_warnings(refresh_hz: float, cameras: Mapping[str, CameraStatus]) -> list[str]:
-    """What to say of exposures that are no whole number of the projector's periods.
+    """Warnings about exposures that are no whole number of the projector's periods.
 
-    A projector makes its colours one after the other, so that any other exposure weighs them by chance. Nothing is said
-    where the refresh rate or the exposure is unknown.
+    A projector shows its colours one after the other, so that any other exposure weights them by chance. There is no
+    warning where the refresh rate or the exposure is unknown.
     """
     if refresh_hz <= 0:
         return []
     period_us = 1e6 / refresh_hz
-    found = []
+    warnings = []
     for side, camera in cameras.items():
         periods = camera.exposure_us / period_us
         whole = max(1, round(periods))
         if camera.exposure_us > 0 and abs(periods - whole) > _WHOLE:
-            found.append(
+            warnings.append(
                 f"camera {side} exposes for {camera.exposure_us:.0f} us, which is {periods:.3f} periods of the "
                 f"projector ({refresh_hz:.3f} Hz); {whole * period_us:.0f} us are {whole}"
             )
-    return found
+    return warnings

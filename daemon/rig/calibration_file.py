@@ -1,4 +1,4 @@
-"""calibration.yaml: read with places in its errors, identified by its bytes, written whole."""
+"""calibration.yaml: read with line numbers in its errors, identified by its bytes, written whole."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from daemon.common.bounded import read_at_most
-from daemon.common.files import write_atomically
+from daemon.common.files import read_at_most, write_atomically
 from pipeline.common.errors import CalibrationError
 from pipeline.rig import calibration as model
 from pipeline.rig.calibration import Calibration, Cameras
@@ -29,7 +28,7 @@ class CalibrationFile:
     """A calibration with the file it came from.
 
     Args:
-        identity: ``sha256:`` and the digest of ``data``; it travels with every cloud.
+        identity: ``sha256:`` and the digest of ``data``; part of every cloud's header.
         data: the file byte for byte; mapping: its plain content, unknown keys included.
     """
 
@@ -41,7 +40,7 @@ class CalibrationFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CamerasFile:
-    """The same of a file that may have no projector yet."""
+    """The same for a file that may have no projector yet."""
 
     cameras: Cameras
     identity: str
@@ -59,7 +58,7 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 
 def parse_calibration(data: bytes, name: str) -> CalibrationFile:
-    """The calibration in the bytes of a file; ``name`` is what errors call it.
+    """The calibration in the bytes of a file; ``name`` stands for it in errors.
 
     Raises:
         CalibrationError: syntax as ``name:line:column``, content as ``name: key``.
@@ -69,7 +68,7 @@ def parse_calibration(data: bytes, name: str) -> CalibrationFile:
 
 
 def created_at(mapping: Mapping[str, Any]) -> datetime | None:
-    """When a calibration was made by its own date, None where it does not tell."""
+    """The date in a calibration file, None where it has none."""
     created = mapping.get("created")
     try:
         stamp = created if isinstance(created, datetime) else datetime.fromisoformat(str(created))
@@ -84,7 +83,7 @@ def read_cameras(path: Path) -> CamerasFile:
 
 
 def parse_cameras(data: bytes, name: str) -> CamerasFile:
-    """What :func:`parse_calibration` does, for a file whose projector may be missing."""
+    """The same as :func:`parse_calibration` for a file whose projector may be missing."""
     mapping = load_mapping(data, name)
     return CamerasFile(_named(name, lambda: model.cameras_from_mapping(mapping)), identity(data), data, mapping)
 
@@ -114,9 +113,9 @@ def write_calibration(
     """Write a calibration file, whole or not at all.
 
     Args:
-        created: when it was measured; now if not told.
+        created: when it was measured; now if None.
         quality: free: rms errors, number of views.
-        keep: mapping of the file that this one replaces; the keys that this program does not know are kept.
+        keep: mapping of the file that this one replaces; its unknown keys are kept.
     """
     data = calibration_bytes(calibration, created=created, quality=quality, keep=keep)
     file = parse_calibration(data, str(path))
@@ -154,7 +153,7 @@ def _keep_unknown(new: dict[str, Any], old: Mapping[str, Any]) -> None:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe, and refuses a key that is written twice, which YAML would silently let win."""
+    """Safe, and rejects duplicate keys, of which YAML would silently use the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Any] = set()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daemon.common.bounded import read_at_most
+from daemon.common.files import read_at_most
 from pipeline.common.errors import PatternError, PipelineError
 from pipeline.pattern.color_fringe import ColorFringe, from_mapping
 from pipeline.pattern.sequence import FrameSequence
@@ -26,16 +26,16 @@ def read_pattern(path: Path) -> ColorFringe:
 
 
 def parse_pattern(data: bytes, name: str) -> ColorFringe:
-    """The pattern in the bytes of a file; ``name`` is what errors call it."""
+    """The pattern in the bytes of a file; ``name`` stands for it in errors."""
     return _named(name, PatternError, lambda: from_mapping(_object(data, name, PatternError)))
 
 
 def parse_sequence(data: bytes, name: str) -> FrameSequence | None:
-    """The sequence in the bytes of a file, None where it holds a single pattern; ``name`` is what errors call it."""
-    found = _object(data, name, PatternError)
-    if found.get("kind") != "sequence":
+    """The sequence in the bytes of a file, None where it holds a single pattern; ``name`` stands for it in errors."""
+    values = _object(data, name, PatternError)
+    if values.get("kind") != "sequence":
         return None
-    return _named(name, PatternError, lambda: sequence_from_mapping(found))
+    return _named(name, PatternError, lambda: sequence_from_mapping(values))
 
 
 def read_volume(path: Path) -> Volume:
@@ -44,7 +44,7 @@ def read_volume(path: Path) -> Volume:
 
 
 def parse_volume(data: bytes, name: str) -> Volume:
-    """The measuring volume in the bytes of a file; ``name`` is what errors call it."""
+    """The measuring volume in the bytes of a file; ``name`` stands for it in errors."""
     return _named(name, PipelineError, lambda: _volume(_object(data, name, PipelineError)))
 
 

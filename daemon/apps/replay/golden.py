@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.common.bounded import read_at_most
 from daemon.common.errors import DaemonError
-from daemon.common.files import write_atomically
+from daemon.common.files import read_at_most, write_atomically
 
 VERSION = 1
 CELL = 32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from daemon.cli.calibrate import board, check, exchange, refine, steps
-from daemon.common.modes import keep_from_others
+from daemon.common.files import restrict_umask
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
@@ -13,7 +13,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=N
 @app.callback()
 def _root() -> None:
     """Calibrate cameras, projector and colours from images of a board, and check a calibration."""
-    keep_from_others()
+    restrict_umask()
 
 
 app.command("board")(board.main)

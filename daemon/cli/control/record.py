@@ -91,9 +91,9 @@ def direct(
     from daemon.bootstrap.run import StopFlag, run_rig
     from daemon.bootstrap.systemd.logging_setup import log_events
     from daemon.cli.options.progress import rendering
-    from daemon.common.modes import keep_from_others
+    from daemon.common.files import restrict_umask
 
-    keep_from_others()
+    restrict_umask()
     log_events()
     with StopFlag().on_signals() as flag, rendering() as progress:
         timer: list[threading.Timer] = []

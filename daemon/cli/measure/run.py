@@ -25,9 +25,9 @@ def main(
     from daemon.bootstrap.systemd.logging_setup import log_events
     from daemon.cli.options.progress import rendering
     from daemon.common.errors import ConfigError
-    from daemon.common.modes import keep_from_others
+    from daemon.common.files import restrict_umask
 
-    keep_from_others()
+    restrict_umask()
     log_events(logging.DEBUG if verbose else logging.INFO)
     supervised = "NOTIFY_SOCKET" in os.environ
     with StopFlag().on_signals() as flag, rendering() as progress:

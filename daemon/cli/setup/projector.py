@@ -187,8 +187,8 @@ def read_png(path: Path) -> NDArray[np.uint8]:
     import cv2
     import numpy as np
 
-    from daemon.common.bounded import read_at_most
     from daemon.common.errors import DaemonError
+    from daemon.common.files import read_at_most
 
     data = read_at_most(path, PNG_LIMIT, DaemonError)
     # Images that were compressed with losses are refused: their pixels are no longer those that were meant.
@@ -225,8 +225,8 @@ def _projector(
 
 def _section(rig: Path) -> tuple[str, dict[str, Any]]:
     """Driver and options of the projector section; the rest of the file may be unfinished."""
-    from daemon.common.bounded import read_at_most
     from daemon.common.errors import ConfigError, DaemonError
+    from daemon.common.files import read_at_most
     from daemon.config.yaml_source import read_yaml
 
     source = read_yaml(read_at_most(rig, RIG_LIMIT, DaemonError).decode("utf-8", errors="replace"))

@@ -1,1 +1,1 @@
-"""The pieces of the point-cloud stream on the daemon's side."""
+"""The point-cloud stream, on the daemon's side."""

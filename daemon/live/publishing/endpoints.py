@@ -1,4 +1,4 @@
-"""Binding the stream's socket: private directories, left-over socket files, free ports."""
+"""Binding of the stream's socket: private directories, stale socket files, free ports."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def bind_all(publisher: zmq.Socket[Any], endpoints: Iterable[str]) -> list[str]:
     """Bind every endpoint; returns them with the ports that ``*`` or 0 became.
 
     Raises:
-        DaemonError: an endpoint that is taken or not possible.
+        DaemonError: an endpoint that is in use or not possible.
     """
     return [_bind(publisher, endpoint) for endpoint in endpoints]
 
 
 def remove_files(endpoints: Iterable[str]) -> None:
-    """Remove the socket files of endpoints that are closed, if no other daemon has taken them meanwhile."""
+    """Remove the socket files of closed endpoints, unless another daemon uses them by now."""
     for endpoint in endpoints:
         if endpoint.startswith("ipc://"):
             with suppress(DaemonError, OSError):
@@ -52,9 +52,9 @@ def _bind(publisher: zmq.Socket[Any], endpoint: str) -> str:
 
 
 def _clear(path: Path, endpoint: str) -> None:
-    """Remove the socket file of a daemon that died; one that answers is left alone.
+    """Remove the socket file of a daemon that died; raise if a daemon answers.
 
-    ZeroMQ itself would take over the file of a living daemon without a word.
+    ZeroMQ itself would replace the file of a running daemon without an error.
     """
     if len(str(path).encode()) > _MAX_IPC_BYTES:
         raise DaemonError(f"stream: the path of {endpoint} is longer than {_MAX_IPC_BYTES} bytes; choose a shorter one")

@@ -1,4 +1,4 @@
-"""What is said on the stream: clouds, meta data, status and log as frames of messages."""
+"""Messages of the stream: clouds, metadata, status and log as ZeroMQ frames."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Frames = list[Any]
 
 _LOG_CHARACTERS = 500  # up to six bytes each as JSON
 _DEPTH_STEP_MM = 0.005  # far below the noise; coarser only where a cloud is deeper than 327 mm
-_DEPTH_STEPS = 65534  # from 1 to 65535; 0 is unknown
+_DEPTH_STEPS = 65534  # from 1 to 65535; 0 is invalid
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Who speaks; stands in every header."""
+    """The source of a message; part of every header."""
 
     device: str
     session: str
@@ -49,7 +49,7 @@ def depth(origin: Origin, item: CloudItem) -> Frames:
 
 
 def quantised(z: NDArray[np.float32]) -> tuple[NDArray[np.uint16], float, float]:
-    """Depth as uint16 with scale and offset, mm: z = stored * scale + offset; 0 = unknown."""
+    """Depth as uint16 with scale and offset, mm: z = stored * scale + offset; 0 = invalid."""
     depth = np.array(z, dtype=np.float32, order="C")  # a copy, worked on in place
     least, most = float(np.fmin.reduce(depth, axis=None)), float(np.fmax.reduce(depth, axis=None))
     if not np.isfinite(least):

@@ -1,4 +1,4 @@
-"""``preview``: both images as JPEG, and the left one's modulation with clipped pixels marked."""
+"""``preview``: both images as JPEG, and the left one's modulation with saturated pixels marked."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Image = NDArray[np.uint8]
 def preview(origin: Origin, item: CloudItem) -> Frames:
     """Parts ``left``, ``right`` and ``overlay``, each the bytes of a JPEG file."""
     height, width = item.left.image.shape[:2]
-    images = {"left": shown(item.left), "right": shown(item.right), "overlay": overlay(item)}
+    images = {"left": displayed(item.left), "right": displayed(item.right), "overlay": overlay(item)}
     header = wire.Header(
         kind="preview", seq=item.seq, t_ns=item.t_ns, data={"width": width, "height": height}, **origin.keys()
     )
@@ -37,8 +37,8 @@ def preview(origin: Origin, item: CloudItem) -> Frames:
     return wire.encode("preview", header, {name: _jpeg(p) for name, p in images.items()}, rows=rows)
 
 
-def shown(frame: Frame) -> Image:
-    """The image for the eye: (H, W) or (H, W, 3) uint8, BGR. Only here is a mosaic interpolated."""
+def displayed(frame: Frame) -> Image:
+    """The image for display, a mosaic interpolated: (H, W) or (H, W, 3) uint8, BGR."""
     image: NDArray[Any] = frame.image
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
@@ -48,7 +48,7 @@ def shown(frame: Frame) -> Image:
 
 
 def overlay(item: CloudItem) -> Image:
-    """Modulation of the left image as brightness, clipped pixels red; (H, W, 3) uint8, BGR."""
+    """Modulation of the left image as brightness, saturated pixels red; (H, W, 3) uint8, BGR."""
     image: NDArray[Any] = item.left.image
     bright = np.minimum(item.cloud.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
     if bright.shape != image.shape[:2]:  # measured with fewer pixels

@@ -1,8 +1,8 @@
-"""The publisher: one thread that owns the XPUB socket and never makes the measuring wait.
+"""The publisher: one thread that owns the XPUB socket and never delays the live path.
 
-Producers put what they have into slots (clouds and status: one slot, the freshest wins; log lines: a short queue) and
-wake the thread. A topic is put together only while somebody subscribes to it. Who comes late gets the ``meta/``
-messages at once.
+Producers put their data into slots (clouds and status: one slot, the newest wins; log lines: a short queue) and wake
+the thread. A message is made only while its topic has subscribers. A new subscriber gets the ``meta/`` messages at
+once.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class Publisher:
 
     Args:
         endpoints: to bind; port ``*`` or 0 becomes a free one, see :attr:`endpoints`.
-        device, session, identity: stand in every header, the last as ``calibration``.
+        device, session, identity: in every header, the last as ``calibration``.
         calibration: gives the rays of the left camera; calibration_data: the bytes of its file.
         config: of the rig, plain values.
-        preview_hz: images a second, at most 10; 0 = none.
+        preview_hz: previews per second, at most 10; 0 = none.
 
     Raises:
         DaemonError: an endpoint that cannot be bound.
@@ -78,7 +78,7 @@ class Publisher:
             config=config,
             t_ns=self._clock.realtime_ns(),
         )
-        self._retell: set[str] = set()
+        self._republish: set[str] = set()
         self._preview_ns = _period_ns(preview_hz)
         self._preview_due_ns = 0
         # Re-entrant: a signal handler that logs may interrupt the very thread that holds it.
@@ -123,7 +123,7 @@ class Publisher:
         return True
 
     def change(self, config: RigConfig, rig: Rig) -> Callable[[], None]:
-        """Prepare to tell other ``meta/`` messages; clouds carry the calibration that they were made with."""
+        """Prepare other ``meta/`` messages; clouds carry the calibration that they were made with."""
         origin = Origin(self._origin.device, self._origin.session, rig.identity)
         retained = messages.retained(
             origin,
@@ -133,7 +133,7 @@ class Publisher:
             t_ns=self._clock.realtime_ns(),
         )
 
-        # Only what is new: a burst of messages must fit into a subscriber's queue.
+        # Only changed messages: a burst must fit into a subscriber's queue.
         new = {topic for topic, frames in retained.items() if _differs(frames, self._retained[topic])}
         if origin != self._origin:
             new |= set(retained) - {"meta/schema"}
@@ -141,7 +141,7 @@ class Publisher:
         def commit() -> None:
             with self._lock:
                 self._origin, self._retained = origin, retained
-                self._retell |= new
+                self._republish |= new
                 self._preview_ns = _period_ns(config.stream.preview_hz)
                 self._wake()
 
@@ -153,14 +153,14 @@ class Publisher:
             self._status = status
             self._wake()
 
-    def wants(self, topic: str) -> bool:
-        """Whether anybody subscribes to a topic now."""
+    def has_subscribers(self, topic: str) -> bool:
+        """Whether a topic has subscribers now."""
         return any(topic.encode().startswith(prefix) for prefix in tuple(self._prefixes))
 
     def status(self) -> dict[str, Any]:
-        """Where it is bound, what was sent by topic, clouds that were overtaken before they were sent.
+        """Endpoints, messages sent by topic, clouds replaced by newer ones before they were sent.
 
-        ``latency_ms``: from the arrival of the pair's second frame to the handing over of its cloud to ZeroMQ.
+        ``latency_ms``: from the arrival of the pair's second frame to the call that sends its cloud.
         """
         values: dict[str, Any] = {
             "endpoints": self.endpoints,
@@ -173,7 +173,7 @@ class Publisher:
         return values | ({"problem": "; ".join(problems)} if problems else {})
 
     def close(self) -> None:
-        """Send what waits and unbind; may be called twice."""
+        """Send what is queued and unbind; may be called twice."""
         logging.getLogger("fringed").removeHandler(self._handler)
         with self._lock:
             self._closing = True
@@ -181,7 +181,7 @@ class Publisher:
         self._thread.join(_JOIN_S)
 
     def _wake(self) -> None:
-        """With the lock held, so that the file cannot be closed, and its number used anew, meanwhile."""
+        """With the lock held, so that the descriptor cannot be closed, and its number reused, meanwhile."""
         if self._wake_fd >= 0:
             os.eventfd_write(self._wake_fd, 1)
 
@@ -191,7 +191,7 @@ class Publisher:
             self._wake()
 
     def _run(self) -> None:
-        with suppress(Exception):  # the first message tells what is wrong
+        with suppress(Exception):  # the first message reports the error
             _load_codecs()
         poller = zmq.Poller()
         poller.register(self._socket, zmq.POLLIN)
@@ -222,23 +222,23 @@ class Publisher:
         self._wake_fd = -1
 
     def _serve_subscriptions(self) -> None:
-        """Note who wants what; send each retained topic at most once, however many ask at the same time."""
-        asked: set[str] = set()
+        """Note the subscriptions; send each retained topic at most once, however many subscribe at the same time."""
+        requested: set[str] = set()
         while (prefix := self._next_subscription()) is not None:
-            asked |= {topic for topic in self._retained if topic.encode().startswith(prefix)}
-        for topic in sorted(asked):
+            requested |= {topic for topic in self._retained if topic.encode().startswith(prefix)}
+        for topic in sorted(requested):
             self._send(topic, self._retained[topic])
 
     def _next_subscription(self) -> bytes | None:
-        """The prefix of a new subscription (one that fits nothing for other words), None when nothing waits."""
+        """The prefix of a new subscription (one without any topic for other messages), None when nothing waits."""
         try:
-            said = self._socket.recv(zmq.NOBLOCK)
+            message = self._socket.recv(zmq.NOBLOCK)
         except zmq.Again:
             return None
-        prefix = said[1:]
-        if said[:1] == b"\0":
+        prefix = message[1:]
+        if message[:1] == b"\0":
             self._prefixes.discard(prefix)
-        elif said[:1] == b"\1" and len(prefix) <= _MAX_PREFIX_BYTES and len(self._prefixes) < _MAX_PREFIXES:
+        elif message[:1] == b"\1" and len(prefix) <= _MAX_PREFIX_BYTES and len(self._prefixes) < _MAX_PREFIXES:
             self._prefixes.add(prefix)
             return prefix
         return b"\xff"
@@ -246,49 +246,49 @@ class Publisher:
     def _send_waiting(self) -> None:
         with self._lock:
             cloud, self._cloud = self._cloud, None
-            retell, self._retell = self._retell, set()
+            republish, self._republish = self._republish, set()
             status, self._status = self._status, None
             lines = list(self._lines)
             self._lines.clear()
         old = cloud is not None and cloud[1] is not self._origin
         if cloud is not None and old:
             self._send_cloud(*cloud)
-        for topic in sorted(topic for topic in retell if self.wants(topic)):
+        for topic in sorted(topic for topic in republish if self.has_subscribers(topic)):
             self._send(topic, self._retained[topic])
         if cloud is not None and not old:
             self._send_cloud(*cloud)
         if status is not None:
             self._status_count += 1
-            self._send_if_wanted("status", lambda: messages.status(self._origin, status, seq=self._status_count))
+            self._send_if_subscribed("status", lambda: messages.status(self._origin, status, seq=self._status_count))
         for t_ns, level, logger, text in lines:
             self._line_count += 1
-            self._send_if_wanted("log", lambda line=(t_ns, level, logger, text): self._line(*line))  # type: ignore[misc]
+            self._send_if_subscribed("log", lambda line=(t_ns, level, logger, text): self._line(*line))  # type: ignore[misc]
 
     def _send_cloud(self, item: CloudItem, origin: Origin) -> None:
-        out = False
+        sent = False
         for topic, make in (("cloud/full", messages.full), ("cloud/depth", messages.depth)):
-            if self._send_if_wanted(topic, lambda make=make: make(origin, item)) and not out:  # type: ignore[misc]
-                out = True
+            if self._send_if_subscribed(topic, lambda make=make: make(origin, item)) and not sent:  # type: ignore[misc]
+                sent = True
                 self._latency_ms.note((self._clock.realtime_ns() - item.t_arrived_ns) / 1e6)
         now_ns = self._clock.monotonic_ns()
-        if self._preview_ns is not None and now_ns >= self._preview_due_ns and self.wants("preview"):
+        if self._preview_ns is not None and now_ns >= self._preview_due_ns and self.has_subscribers("preview"):
             self._preview_due_ns = now_ns + self._preview_ns
             from daemon.live.publishing.preview import preview
 
-            self._send_if_wanted("preview", lambda: preview(origin, item))
+            self._send_if_subscribed("preview", lambda: preview(origin, item))
 
     def _line(self, t_ns: int, level: str, logger: str, text: str) -> Frames:
         return messages.log(self._origin, seq=self._line_count, t_ns=t_ns, level=level, logger=logger, text=text)
 
-    def _send_if_wanted(self, topic: str, make: Callable[[], Frames]) -> bool:
-        """Whether it went out. A message that cannot be made must not silence the others: the status tells of it."""
-        if not self.wants(topic):
+    def _send_if_subscribed(self, topic: str, make: Callable[[], Frames]) -> bool:
+        """Whether it was sent. A message that cannot be made must not stop the others: the status reports it."""
+        if not self.has_subscribers(topic):
             return False
         try:
             frames = make()
         except Exception as error:
             if topic not in self._problems:
-                log.exception("cannot put %s together", topic)
+                log.exception("%s cannot be made", topic)
             self._problems[topic] = str(error)
             return False
         self._problems.pop(topic, None)
@@ -301,7 +301,7 @@ class Publisher:
 
 
 def _differs(a: Frames, b: Frames) -> bool:
-    """Whether two messages carry other data, whatever their headers say."""
+    """Whether two messages carry different data, headers aside."""
     return [bytes(part) for part in a[2:]] != [bytes(part) for part in b[2:]]
 
 
@@ -310,12 +310,12 @@ def _period_ns(preview_hz: float) -> int | None:
 
 
 def _load_codecs() -> None:
-    """Load what depth and preview need before the first of them is wanted: it takes half a second."""
+    """Import what depth and preview need before the first of them is made: it takes half a second."""
     import blosc2
 
     import daemon.live.publishing.preview  # noqa: F401
 
-    # One chunk is packed in a millisecond; more threads would only get in the way of the measuring.
+    # One chunk is compressed in a millisecond; more threads would only slow down the pipeline.
     blosc2.set_nthreads(1)
 
 

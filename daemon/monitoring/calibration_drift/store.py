@@ -15,9 +15,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from daemon.common.bounded import read_at_most
 from daemon.common.errors import DaemonError
-from daemon.common.files import write_atomically
+from daemon.common.files import read_at_most, write_atomically
 from daemon.monitoring.calibration_drift.verdicts import Reference
 
 log = logging.getLogger("fringed.selfcheck")

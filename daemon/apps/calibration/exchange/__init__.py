@@ -8,7 +8,7 @@ from pathlib import Path
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.exchange import kalibr, opencv, ros
 from daemon.apps.calibration.exchange.common import ImportedCameras, NamedFile
-from daemon.common.bounded import read_at_most
+from daemon.common.files import read_at_most
 from pipeline.rig.calibration import Cameras
 
 LIMIT = 4 << 20

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_size import image_size
-from daemon.common.bounded import read_at_most
+from daemon.common.files import read_at_most
 
 Image = NDArray[Any]
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.apps.calibration.errors import KeptError
-from daemon.common.bounded import read_at_most
-from daemon.common.files import write_atomically
+from daemon.common.files import read_at_most, write_atomically
 from daemon.rig.calibration_file import SIZE_LIMIT, CamerasFile, calibration_bytes, parse_cameras
 from pipeline.common.errors import CalibrationError
 from pipeline.rig.calibration import Calibration, Cameras

@@ -11,7 +11,7 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import MOST_IMAGES, Image, as_raw, matching, read_image
 from daemon.apps.calibration.views.take_source import TakeSource
 from daemon.apps.calibration.views.view import Progress, Source, View, described_sequence
-from daemon.common.bounded import read_at_most
+from daemon.common.files import read_at_most
 from pipeline.pattern.sequence import FrameSequence
 
 CAPTURE = "capture.json"

@@ -11,7 +11,7 @@ from pathlib import Path
 from daemon.apps.doctor.cameras import elf
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
-from daemon.common.run_program import Answer, ask
+from daemon.common.run_program import ProgramResult, run_program
 
 area = Area("library")
 
@@ -29,7 +29,7 @@ def check(subject: Subject) -> Iterator[Finding]:
         yield area.graded("packages", text, "pip install 'fringed[rig]'", certain=certain)
         return
     yield import_finding(
-        needed_python(package_dir("genicam")), ask([sys.executable, "-c", _IMPORT], _TIMEOUT_S), certain
+        needed_python(package_dir("genicam")), run_program([sys.executable, "-c", _IMPORT], _TIMEOUT_S), certain
     )
 
 
@@ -53,7 +53,7 @@ def needed_python(directory: Path) -> str:
     return ""
 
 
-def import_finding(library: str, attempt: Answer, certain: bool) -> Finding:
+def import_finding(library: str, attempt: ProgramResult, certain: bool) -> Finding:
     """The finding for the attempted import."""
     if attempt.status == 0:
         versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES)
@@ -63,4 +63,4 @@ def import_finding(library: str, attempt: Answer, certain: bool) -> Finding:
         text = f"the genicam package needs {library}, which is not installed"
         return area.graded("libpython", text, f"sudo apt install {package}", certain=certain)
     remedy = f"pip install --force-reinstall genicam harvesters; then try: {sys.executable} -c '{_IMPORT}'"
-    return area.graded("import", f"the GenICam library does not load: {attempt.why}", remedy, certain=certain)
+    return area.graded("import", f"the GenICam library does not load: {attempt.problem}", remedy, certain=certain)

@@ -10,7 +10,7 @@ from pathlib import Path
 from daemon.apps.doctor.cameras import elf
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
-from daemon.common.run_program import ask
+from daemon.common.run_program import run_program
 from drivers.genicam.options import PRODUCER_PATH, Options, producers
 
 area = Area("producers")
@@ -61,8 +61,8 @@ def producer(path: Path, certain: bool) -> Finding:
     if not library.fits:
         text = f"{path} is built for {library.machine}, not for this machine"
         return area.graded(path.name, text, "install the vendor's package for this processor", certain=certain)
-    attempt = ask([sys.executable, "-c", _LOAD, str(path)], _TIMEOUT_S)
+    attempt = run_program([sys.executable, "-c", _LOAD, str(path)], _TIMEOUT_S)
     if attempt.status == 0:
         return area.ok(path.name, f"{path} loads")
     remedy = f"list its missing libraries with: ldd {path}; install them, or reinstall the vendor's package"
-    return area.graded(path.name, f"{path} does not load: {attempt.why}", remedy, certain=certain)
+    return area.graded(path.name, f"{path} does not load: {attempt.problem}", remedy, certain=certain)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
-from daemon.common.run_program import ask, there
+from daemon.common.run_program import is_installed, run_program
 from daemon.monitoring.health.observe import clock_sync
 from daemon.monitoring.health.observe.clock_sync import ClockSync
 
@@ -18,13 +18,13 @@ _REMEDY = "sudo apt install chrony (or: sudo timedatectl set-ntp true), and let 
 
 def check(subject: Subject) -> Iterator[Finding]:  # noqa: ARG001 - every check has it
     """Query chrony, else systemd, else the kernel; without an answer the finding is a note."""
-    if there("chronyc"):
-        answer = ask(["chronyc", "-c", "tracking"], 5.0)
+    if is_installed("chronyc"):
+        answer = run_program(["chronyc", "-c", "tracking"], 5.0)
         if answer.status == 0:
             yield chrony(answer.out)
             return
-    if there("timedatectl"):
-        answer = ask(["timedatectl", "show", "--property=NTPSynchronized", "--value"], 5.0)
+    if is_installed("timedatectl"):
+        answer = run_program(["timedatectl", "show", "--property=NTPSynchronized", "--value"], 5.0)
         if answer.status == 0 and answer.out in ("yes", "no"):
             yield systemd(answer.out)
             return

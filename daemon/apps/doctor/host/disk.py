@@ -11,7 +11,7 @@ from pathlib import Path
 from daemon.apps.doctor.cameras import data_rate
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
-from daemon.common.places import existing
+from daemon.common.files import existing_parent
 
 area = Area("disk")
 
@@ -27,7 +27,7 @@ def check(subject: Subject) -> Iterator[Finding]:
     """Check directory, free space and write speed."""
     config = subject.config
     directory = config.path(config.recording.dir, subject.base_dir) if config is not None else Path.cwd()
-    parent = existing(directory)
+    parent = existing_parent(directory)
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         yield area.problem("directory", f"{directory} is not writable", f"sudo chown $USER {parent}, or {_ELSEWHERE}")
         return

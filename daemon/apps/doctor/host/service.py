@@ -10,7 +10,7 @@ from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.machine import Machine
 from daemon.apps.doctor.subject import Subject
 from daemon.apps.install.layout import CONFIG_FILES, DIRECTORIES, PREFIX, SERVICE, USER
-from daemon.common.run_program import ask, there
+from daemon.common.run_program import is_installed, run_program
 
 area = Area("service")
 
@@ -35,7 +35,7 @@ def check(subject: Subject) -> Iterator[Finding]:
         return
     yield groups(machine)
     yield from rights(machine)
-    if machine.root == Path("/") and there("systemctl"):
+    if machine.root == Path("/") and is_installed("systemctl"):
         yield running()
 
 
@@ -86,7 +86,7 @@ def rights(machine: Machine) -> Iterator[Finding]:
 def running() -> Finding:
     """Report the state from systemd."""
     names = ("ActiveState", "StatusText", "NRestarts", "Result")
-    answer = ask(["systemctl", "show", SERVICE, *(f"--property={name}" for name in names)], 10.0)
+    answer = run_program(["systemctl", "show", SERVICE, *(f"--property={name}" for name in names)], 10.0)
     values = dict(line.partition("=")[::2] for line in answer.out.splitlines())
     state = values.get("ActiveState", "")
     if not state:

@@ -15,7 +15,7 @@ from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.machine import Machine, Program
 from daemon.apps.doctor.subject import Subject
 from daemon.common import ipc_endpoints
-from daemon.common.places import existing
+from daemon.common.files import existing_parent
 
 area = Area("sockets")
 
@@ -128,7 +128,7 @@ def holder(machine: Machine, inode: str) -> Program | None:
 
 def writable(directory: Path) -> Finding:
     """Check the directory of socket files, which the daemon creates."""
-    parent = existing(directory)
+    parent = existing_parent(directory)
     owned = parent.stat().st_uid == os.geteuid() or directory != parent or not directory.name.startswith("fringed")
     if parent.is_dir() and owned and os.access(parent, os.W_OK | os.X_OK):
         return area.ok("directory", f"{directory} {'is writable' if parent == directory else 'can be created'}")

@@ -10,7 +10,7 @@ import msgspec
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.rig.display_process import Screen
 from daemon.apps.doctor.subject import Subject
-from daemon.common.run_program import ask
+from daemon.common.run_program import run_program
 from drivers.errors import DriverError
 from drivers.projector.found import OutputFound, absent, bent, find, unfit
 from drivers.projector.options import ProjectorOptions, named_display
@@ -111,11 +111,11 @@ def surroundings(subject: Subject, name: str) -> Iterator[Finding]:
 
 def read_screen(name: str) -> Screen:
     """Read the display's settings in another process."""
-    answer = ask([sys.executable, "-m", "daemon.apps.doctor.rig.display_process", name], 15.0)
+    answer = run_program([sys.executable, "-m", "daemon.apps.doctor.rig.display_process", name], 15.0)
     try:
         return msgspec.json.decode(answer.out, type=Screen)
     except msgspec.MsgspecError:
-        return Screen(problem=answer.why)
+        return Screen(problem=answer.problem)
 
 
 def describe(output: OutputFound) -> str:

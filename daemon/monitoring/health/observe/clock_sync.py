@@ -9,7 +9,7 @@ import ctypes
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.common.run_program import ask, there
+from daemon.common.run_program import is_installed, run_program
 
 _TIMESYNCD = Path("/run/systemd/timesync/synchronized")
 _TIMEOUT_S = 5.0
@@ -32,9 +32,9 @@ class ClockSync:
 
 def clock_sync() -> ClockSync:
     """Query the sources in order; takes milliseconds, at worst five seconds."""
-    if there("chronyc"):
+    if is_installed("chronyc"):
         try:
-            answer = ask(["chronyc", "-c", "tracking"], _TIMEOUT_S)
+            answer = run_program(["chronyc", "-c", "tracking"], _TIMEOUT_S)
             found = chrony(answer.out) if answer.status == 0 else None
         except OSError:
             found = None

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from daemon.common.places import existing
+from daemon.common.files import existing_parent
 from drivers.protocols import Clock
 
 log = logging.getLogger("fringed.health")
@@ -56,7 +56,7 @@ class Probe(Generic[T]):
 
 def free_gb(directory: Path) -> float:
     """Return the free space for ordinary users on the disk of a directory, or of its nearest existing parent."""
-    stats = os.statvfs(existing(directory))
+    stats = os.statvfs(existing_parent(directory))
     return stats.f_bavail * stats.f_frsize / 1e9
 
 

@@ -13,7 +13,7 @@ import yaml
 
 from daemon.apps.doctor.cameras import data_rate, elf, genicam_cameras, genicam_library, genicam_producers, v4l2_cameras
 from daemon.apps.doctor.rig import calibration, display, exposure_timing, rig_file
-from daemon.common.run_program import Answer
+from daemon.common.run_program import ProgramResult
 from daemon.rig.calibration_file import read_calibration, write_calibration
 from drivers.genicam import CameraFound
 from drivers.projector.found import OutputFound
@@ -62,11 +62,11 @@ def test_a_file_that_is_no_rig_gives_errors_and_no_rig(tmp_path: Path) -> None:
 
 
 def test_a_missing_interpreter_library_is_reported_with_its_package() -> None:
-    missing = Answer(1, err="ImportError: libpython3.11.so.1.0: cannot open shared object file: No such file")
+    missing = ProgramResult(1, err="ImportError: libpython3.11.so.1.0: cannot open shared object file: No such file")
     found = genicam_library.import_finding("libpython3.11.so.1.0", missing, certain=True)
     assert found.level == "problem" and found.remedy == "sudo apt install libpython3.11"
-    assert genicam_library.import_finding("", Answer(-11), certain=False).level == "warning"
-    assert genicam_library.import_finding("", Answer(None), certain=True).text.endswith("does not come to an end")
+    assert genicam_library.import_finding("", ProgramResult(-11), certain=False).level == "warning"
+    assert genicam_library.import_finding("", ProgramResult(None), certain=True).text.endswith("does not end")
 
 
 def test_elf_headers_are_read_without_loading() -> None:

@@ -45,7 +45,7 @@ def viewing(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def wanted(publisher: Any, *topics: str) -> None:
-    wait_until(lambda: all(publisher.wants(topic) for topic in topics))
+    wait_until(lambda: all(publisher.has_subscribers(topic) for topic in topics))
 
 
 def test_of_what_waits_only_the_newest_of_each_topic_is_kept() -> None:

@@ -30,7 +30,7 @@ def sending() -> Iterator[Publisher]:
         def send() -> None:
             seq = 0
             while not done.wait(0.005):
-                if made.wants("cloud/full"):
+                if made.has_subscribers("cloud/full"):
                     made.offer(clouds.item(seq))
                     seq += 1
 

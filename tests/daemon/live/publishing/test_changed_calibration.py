@@ -30,7 +30,7 @@ def test_the_meta_data_come_before_the_first_cloud_of_the_new_calibration(tmp_pa
         reader.connect(made.endpoints[0])
         for topic in (b"meta/", b"cloud/full"):
             reader.setsockopt(zmq.SUBSCRIBE, topic)
-        wait_until(lambda: made.wants("cloud/full") and made.wants("meta/rays"), 30)
+        wait_until(lambda: made.has_subscribers("cloud/full") and made.has_subscribers("meta/rays"), 30)
         got: list[tuple[str, dict[str, Any], list[bytes]]] = []
 
         def receive(until: str, times: int, identity: str = "") -> None:

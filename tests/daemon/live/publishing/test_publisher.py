@@ -37,7 +37,7 @@ def open_files() -> int:
 
 
 def connected(made: Publisher, topic: str = "cloud/full") -> None:
-    wait_until(lambda: made.wants(topic))
+    wait_until(lambda: made.has_subscribers(topic))
 
 
 def message(receiver: Receiver) -> wire.Message:
@@ -103,7 +103,7 @@ def test_the_latency_of_publishing_begins_when_both_frames_are_here() -> None:
 
 def _wants(made: Publisher, stream: Subscription) -> bool:
     stream._clouds.poll(0)
-    return made.wants(stream.topic)
+    return made.has_subscribers(stream.topic)
 
 
 def _here(stream: Subscription) -> bool:
@@ -160,7 +160,7 @@ def test_gaps_in_the_numbers_are_losses() -> None:
 
 def test_a_subscriber_that_never_reads_holds_nobody_up() -> None:
     with clouds.publisher() as made, Receiver(made.endpoints[0], ["cloud/"], queue=1) as stuck:
-        wait_until(lambda: made.wants("cloud/full"))
+        wait_until(lambda: made.has_subscribers("cloud/full"))
         with subscribe(made.endpoints[0], timeout_s=WAIT_S) as reading:
             wait_until(lambda: len(made.status()["topics"]) == 2)
             for seq in range(60):
@@ -200,7 +200,7 @@ def test_topics_cost_nothing_while_nobody_listens(monkeypatch: pytest.MonkeyPatc
         made.publish_status({"state": "running", "t_ns": 5})
         status = message(receiver)
         assert status.header.data == {"state": "running", "t_ns": 5} and not status.arrays
-        assert not made.wants("cloud/full")
+        assert not made.has_subscribers("cloud/full")
     assert made_clouds == []
 
 
@@ -208,7 +208,7 @@ def test_a_topic_is_left_when_the_last_listener_leaves() -> None:
     with clouds.publisher() as made:
         with subscribe(made.endpoints[0]):
             connected(made)
-        wait_until(lambda: not made.wants("cloud/full"))
+        wait_until(lambda: not made.has_subscribers("cloud/full"))
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "bayer_rggb8", "mono8", "mono16"])
@@ -279,7 +279,7 @@ def test_async_subscribers_get_clouds() -> None:
     async def listen(made: Publisher) -> list[int]:
         seen = []
         async with asubscribe(made.endpoints[0], latest=False, timeout_s=WAIT_S) as stream:
-            while not made.wants("cloud/full"):
+            while not made.has_subscribers("cloud/full"):
                 await asyncio.sleep(0.002)
             made.offer(clouds.item(1))
             async for cloud in stream:

@@ -44,7 +44,7 @@ def test_this_machine_has_a_source_or_is_unknown() -> None:
 
 
 def test_without_a_source_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock_sync, "there", lambda _: False)
+    monkeypatch.setattr(clock_sync, "is_installed", lambda _: False)
     monkeypatch.setattr(clock_sync, "kernel", lambda: None)
     monkeypatch.setattr(clock_sync, "_TIMESYNCD", clock_sync.Path("/nowhere/at/all"))
     assert clock_sync.clock_sync() == ClockSync()
@@ -54,7 +54,7 @@ def test_without_an_answer_of_chrony_the_kernel_is_read(monkeypatch: pytest.Monk
     def fails(*_: object) -> None:
         raise OSError("no")
 
-    monkeypatch.setattr(clock_sync, "there", lambda _: True)
-    monkeypatch.setattr(clock_sync, "ask", fails)
+    monkeypatch.setattr(clock_sync, "is_installed", lambda _: True)
+    monkeypatch.setattr(clock_sync, "run_program", fails)
     monkeypatch.setattr(clock_sync, "kernel", lambda: ClockSync("kernel", True, 0.0))
     assert clock_sync.clock_sync().source == "kernel"
