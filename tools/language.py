@@ -1,8 +1,8 @@
 """Check identifiers and prose for retired words: ``python -m tools.language [--counts] [PATH ...]``.
 
-Names in this project are the terms of the field (docs/decisions: terms of the field). A retired word is reported with
-its line and the term that replaces it, in identifiers (by sub-word), in comments, docstrings, strings that contain a
-space, Markdown and file names. Code in backticks, fields of f-strings and the exceptions below are left out.
+Names in this project are the terms of the field. A retired word is reported with its line and the term that replaces
+it: in identifiers (by sub-word), comments, docstrings, strings that contain a space, Markdown and file names. Code in
+backticks, the fields of f-strings and the exceptions below are left out.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 TERMS = {
     "image": "picture pictures",
-    "report, describe, state; apart: distinguish": "tell tells telling told say says saying said",
+    "report, describe, state; tell apart: distinguish": "tell tells telling told say says saying said",
     "text, message": "words",
     "detect, inspect, examine": "look looks looked looking",
     "capture, captured images": "shot shots shoot shoots shooting",
@@ -33,44 +33,48 @@ TERMS = {
     "outcome": "fate fates",
     "unpaired": "lone",
     "garbage collection; invalid data": "garbage",
-    "conflict, occlusion, runner-up": "rival rivals contest prevails",
+    "conflict, occlusion, runner-up": "rival rivals contest contests contested prevails",
     "reject, mask": "conceal conceals concealed",
     "descriptor": "traits",
-    "normalised": "equalise equalises equalised equalize equalized",
+    "normalise": "equalise equalises equalised equalize equalized",
     "disturbance": "knock knocks knocked",
-    "false match, overlay": "ghost ghosts",
-    "again, restarted": "anew",
+    "false match; overlay": "ghost ghosts",
+    "again, restart": "anew",
     "chromatic correction": "straighten straightens straightened",
     "parameterisation": "freedom",
     "assessment": "judgement judgements judgment",
     "relative pose": "placing",
     "client": "crowd crowds",
 }
-WORDS = {word: term for term, words in TERMS.items() for word in words.split()}
-PROSE = WORDS | {
-    word: term
-    for term, words in {
-        "holds, has, contains": "knows knew",
-        "expects, requires": "wants want",
-        "the caller, the user": "whoever anybody somebody everybody nobody",
-        "(leave out)": "surely",
-        "concern, task": "affair affairs",
-    }.items()
-    for word in words.split()
+IN_PROSE = {
+    "have, hold, contain": "knows knew",
+    "expect, require": "wants want",
+    "the caller, the user, no one": "whoever anybody somebody everybody nobody",
+    "(leave out)": "surely",
+    "task": "affair affairs",
 }
+WORDS = {word: term for term, words in TERMS.items() for word in words.split()}
+PROSE = WORDS | {word: term for term, words in IN_PROSE.items() for word in words.split()}
 
-# Expressions that contain a retired word and stay, each with its reason.
+# What contains a retired word and stays, with the reason.
 EXPRESSIONS = {
     r"single[- _]?shots?": "the method's name",
     r"shot[ _]noise": "photon noise",
     r"garbage[- _]collect\w*": "Python's memory management",
     r"degrees? of freedom": "statistics",
-    r"look[- ]ups?|looks up|looked up|look up": "a search in a table",
+    r"look(s|ed|ing)?[- _]ups?": "a search in a table",
+    r"\b(fates|garbage):": "fields of the status, in their description",
 }
-# Files that quote the retired words.
+IDENTIFIERS = {
+    "fates": "key of the status",
+    "garbage": "key of the status",
+    "lone_share": "key of rig.yaml",
+    "looks_hz": "key of rig.yaml",
+    "break_long_words": "parameter of textwrap",
+}
 QUOTING = {"tools/language.py", "tests/tools/test_language.py"}
-# Identifiers that stay: keys that users and files know, names of other libraries.
-IDENTIFIERS: dict[str, str] = {}
+"""Files that quote the retired words."""
+
 _KEPT = re.compile("|".join(EXPRESSIONS), re.IGNORECASE)
 _CODE = re.compile(r"```.*?```|``[^`]*``|`[^`\n]*`|https?://\S+", re.DOTALL)
 _PART = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
@@ -79,17 +83,17 @@ _FSTRING = getattr(tokenize, "FSTRING_MIDDLE", -1)
 
 def in_identifier(name: str) -> list[str]:
     """Retired words among the sub-words of an identifier."""
-    if keyword.iskeyword(name) or name in IDENTIFIERS or _KEPT.search(name):
+    if keyword.iskeyword(name) or name in IDENTIFIERS:
         return []
-    return [part for part in map(str.lower, _PART.findall(name)) if part in WORDS]
+    return [part for part in map(str.lower, _PART.findall(_KEPT.sub("", name))) if part in WORDS]
 
 
 def in_prose(text: str) -> list[tuple[int, str]]:
     """Retired words in a text, each with the number of its line in it, from 0."""
     for pattern in (_CODE, _KEPT):
         text = pattern.sub(lambda found: "\n" * found[0].count("\n"), text)
-    lines = enumerate(text.split("\n"))
-    return [(number, word) for number, line in lines for word in re.findall(r"[a-z]+", line.lower()) if word in PROSE]
+    lines = enumerate(text.lower().split("\n"))
+    return [(number, word) for number, line in lines for word in re.findall(r"[a-z_]+", line) if word in PROSE]
 
 
 def in_python(source: str) -> Iterator[tuple[int, str]]:
@@ -99,16 +103,15 @@ def in_python(source: str) -> Iterator[tuple[int, str]]:
         if token.type == tokenize.NAME:
             yield from ((line, word) for word in in_identifier(text))
         elif token.type in (tokenize.COMMENT, _FSTRING) or (token.type == tokenize.STRING and " " in text):
-            if token.type == tokenize.STRING and "f" in text.partition(text[-1])[0].lower():
+            if re.match(r"[rR]?[fF]", text):
                 text = re.sub(r"\{[^{}]*\}", "", text)
             yield from ((line + number, word) for number, word in in_prose(text))
 
 
-def findings(path: Path, name: str) -> Iterator[tuple[int, str]]:
-    """Retired words of a file, its name included (line 0)."""
+def findings(name: str, source: str) -> Iterator[tuple[int, str]]:
+    """Retired words of a file with their lines, those of its name with line 0."""
     yield from ((0, word) for part in Path(name).with_suffix("").parts for word in in_identifier(part))
-    source = path.read_text(encoding="utf-8")
-    yield from in_python(source) if path.suffix == ".py" else ((n + 1, word) for n, word in in_prose(source))
+    yield from in_python(source) if name.endswith(".py") else ((n + 1, word) for n, word in in_prose(source))
 
 
 def main(arguments: list[str]) -> int:
@@ -119,15 +122,13 @@ def main(arguments: list[str]) -> int:
     folders: Counter[str] = Counter()
     words: Counter[str] = Counter()
     for name in names:
-        path = ROOT / name
-        if name in QUOTING or not path.is_file():
+        if name in QUOTING or not name.endswith((".py", ".md", "Makefile")) or not (ROOT / name).is_file():
             continue
-        if path.suffix in (".py", ".md") or path.name == "Makefile":
-            for line, word in findings(path, name):
-                folders["/".join(name.split("/")[:-1][:2])] += 1
-                words[word] += 1
-                if "--counts" not in arguments:
-                    sys.stdout.write(f"{name}:{line}: {word} -> {PROSE[word]}\n")
+        for line, word in findings(name, (ROOT / name).read_text(encoding="utf-8")):
+            folders["/".join(name.split("/")[:-1][:2])] += 1
+            words[word] += 1
+            if "--counts" not in arguments:
+                sys.stdout.write(f"{name}:{line}: {word} -> {PROSE[word]}\n")
     if "--counts" in arguments:
         for counts in (folders, words):
             sys.stdout.writelines(f"{count:6} {key}\n" for key, count in counts.most_common())
