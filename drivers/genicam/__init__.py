@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from drivers.genicam import listing
-from drivers.genicam.listing import CameraFound
+from drivers.genicam.listing import DetectedCamera
 from drivers.genicam.options import parse, producers
 from drivers.protocols import Camera, Side
 from drivers.remote import RemoteCamera
 from drivers.remote.camera import Limits
 
-__all__ = ["CameraFound", "discover", "open_camera"]
+__all__ = ["DetectedCamera", "discover", "open_camera"]
 
 _TARGET = "drivers.genicam.camera:open_alone"
 
@@ -35,6 +35,6 @@ def open_camera(side: Side, options: Mapping[str, Any], base_dir: Path) -> Camer
     return RemoteCamera(side, _TARGET, options, base_dir, limits=Limits(open_s=checked.open_timeout_s))
 
 
-def discover(producers: Sequence[Path]) -> list[CameraFound]:
+def discover(producers: Sequence[Path]) -> list[DetectedCamera]:
     """Every camera that the producers (.cti files) see; does not disturb one that is open."""
     return listing.discover(producers)

@@ -17,7 +17,7 @@ from drivers.genicam.connection import Connection
 from drivers.genicam.features import GENICAM_ERRORS, Features, losses
 from drivers.genicam.numbering import TriggerNumbers
 from drivers.genicam.options import Options, parse, producers
-from drivers.genicam.setup import SettingUp, Setup
+from drivers.genicam.setup import CameraSetup, Setup
 from drivers.genicam.timing import Timing
 from drivers.host_clocks import Clocks
 from drivers.protocols import CameraHealth, CameraInfo, Frame, Side
@@ -71,7 +71,7 @@ class GenicamCamera:
         connection = Connection(self._producers, self._options, wait_ms=self._wait_ms)
         try:
             with losses("setting it up"):
-                setup = SettingUp(connection.camera, connection.stream, self._options).run()
+                setup = CameraSetup(connection.camera, connection.stream, self._options).run()
                 timing = Timing(connection.camera, offset_us=self._options.timestamp_offset_us)
         except GENICAM_ERRORS as error:
             connection.close()

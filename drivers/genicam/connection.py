@@ -27,7 +27,7 @@ from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, Pa
 
 from drivers.errors import DeviceLost, DriverError
 from drivers.genicam.features import GENICAM_ERRORS, Features, losses
-from drivers.genicam.listing import CameraFound, describe
+from drivers.genicam.listing import DetectedCamera, describe
 from drivers.genicam.options import Options
 
 _ONE_POLL_S = 1e-6
@@ -170,7 +170,7 @@ class Connection:
             raise DeviceLost(f"{self.found.model} {self.found.serial} cannot be opened: {error}") from error
 
 
-def _choose(devices: Sequence[Any], options: Options, producers: Sequence[Path]) -> tuple[int, CameraFound]:
+def _choose(devices: Sequence[Any], options: Options, producers: Sequence[Path]) -> tuple[int, DetectedCamera]:
     """The one camera that is meant."""
     there = [describe(device) for device in devices]
     wanted = {"serial": options.serial, "model": options.model, "user_name": options.user_name}

@@ -21,7 +21,7 @@ _MAX_BYTES = 1 << 20
 _TIMEOUT_S = 60.0
 
 
-class CameraFound(msgspec.Struct, frozen=True):
+class DetectedCamera(msgspec.Struct, frozen=True):
     """A camera that a producer sees; texts are empty where it does not tell.
 
     Args:
@@ -41,10 +41,10 @@ class CameraFound(msgspec.Struct, frozen=True):
 _ACCESS = {1: "free", 2: "read only", 3: "no access", 4: "in use", 5: "open", 6: "open, read only"}
 
 
-def describe(device: Any) -> CameraFound:
+def describe(device: Any) -> DetectedCamera:
     """What a harvesters' device info tells; producers may refuse each single answer."""
     access = _told(device, "access_status")
-    return CameraFound(
+    return DetectedCamera(
         vendor=str(_told(device, "vendor") or ""),
         model=str(_told(device, "model") or ""),
         serial=str(_told(device, "serial_number") or ""),
@@ -56,7 +56,7 @@ def describe(device: Any) -> CameraFound:
     )
 
 
-def discover(producers: Sequence[Path]) -> list[CameraFound]:
+def discover(producers: Sequence[Path]) -> list[DetectedCamera]:
     """All cameras that the producers (.cti files) see.
 
     Raises:
@@ -67,7 +67,9 @@ def discover(producers: Sequence[Path]) -> list[CameraFound]:
             raise FileNotFoundError(f"there is no GenTL producer {path}")
     reading, writing = os.pipe()
     try:
-        process = child_process.start("drivers.genicam.look", [str(writing), *map(str, producers)], pass_fds=[writing])
+        process = child_process.start(
+            "drivers.genicam.list_cameras", [str(writing), *map(str, producers)], pass_fds=[writing]
+        )
     except BaseException:
         os.close(reading)
         raise
@@ -82,7 +84,7 @@ def discover(producers: Sequence[Path]) -> list[CameraFound]:
         prints.join(1.0)
     if status != 0 or not text:
         raise DriverError(f"looking for cameras failed (exit status {status}): {prints.text()}")
-    return msgspec.json.decode(text, type=list[CameraFound])
+    return msgspec.json.decode(text, type=list[DetectedCamera])
 
 
 def _read_all(fd: int, deadline: float) -> bytes:

@@ -34,7 +34,7 @@ class Setup:
     notes: tuple[str, ...]
 
 
-class SettingUp:
+class CameraSetup:
     """One go at setting up a stopped camera.
 
     Args:

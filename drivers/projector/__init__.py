@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.driver import OutputProjector
 from drivers.projector.external import ExternalProjector
-from drivers.projector.found import OutputFound
 from drivers.projector.listing import outputs
 from drivers.projector.options import ExternalOptions, ProjectorOptions, read
 
-__all__ = ["ExternalProjector", "OutputFound", "OutputProjector", "open_external", "open_projector", "outputs"]
+__all__ = ["DetectedOutput", "ExternalProjector", "OutputProjector", "open_external", "open_projector", "outputs"]
 
 
 def open_projector(options: Mapping[str, Any], base_dir: Path) -> OutputProjector:

@@ -28,8 +28,8 @@ from drivers.projector.messages import (
     send,
     unpack_images,
 )
+from drivers.projector.output_setup import OutputSetup
 from drivers.projector.present import VBlankClock
-from drivers.projector.stage import Stage
 from drivers.projector.xlib import Connection, catch_errors
 
 BEAT_S = 1.0
@@ -50,7 +50,7 @@ class Child:
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock = sock
-        self._stage: Stage | None = None
+        self._stage: OutputSetup | None = None
         self._clock: VBlankClock | None = None
         self._clock_notes: tuple[str, ...] = ()
 
@@ -75,7 +75,7 @@ class Child:
 
         catch_errors(self._lost)  # after pyglet, which would hide them
         self._x = Connection(setup.display)
-        self._stage = stage = Stage(self._x, setup.options, setup.gamma_before)
+        self._stage = stage = OutputSetup(self._x, setup.options, setup.gamma_before)
         self._window = PatternWindow(setup.display, stage.output)
         stage.adopt(self._window.ids)
         self._window.map()

@@ -11,7 +11,7 @@ import msgspec
 
 import drivers
 from drivers.errors import DriverError
-from drivers.projector.found import OutputFound
+from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import named_display
 
 TIMEOUT_S = 15.0
@@ -21,11 +21,11 @@ MODULE = "drivers.projector.listing"
 class Listing(msgspec.Struct):
     """What the other process found, or why it found nothing."""
 
-    outputs: list[OutputFound] = []
+    outputs: list[DetectedOutput] = []
     problem: str = ""
 
 
-def outputs(display: str = "") -> list[OutputFound]:
+def outputs(display: str = "") -> list[DetectedOutput]:
     """The RandR outputs of an X display.
 
     Args:

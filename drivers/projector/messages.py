@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.projector.found import OutputFound
+from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import SIZE_LIMIT, ProjectorOptions
 from drivers.protocols import FlipSource
 
@@ -53,7 +53,7 @@ class Close(msgspec.Struct, tag="close", frozen=True):
 class Opened(msgspec.Struct, tag="opened", frozen=True, kw_only=True):
     """The window stands on the output, black."""
 
-    output: OutputFound
+    output: DetectedOutput
     notes: tuple[str, ...]
     gamma_before: bytes = b""
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import DriverError
+from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.edid import monitor_name
-from drivers.projector.found import OutputFound
 from drivers.projector.xlib import XID, Connection, load
 
 CONNECTED = 0
@@ -188,15 +188,15 @@ class Randr:
         """Ask for events, numbered from ``event_base``, when outputs or modes change."""
         self._lib.XRRSelectInput(self._x.handle, self._x.root, CHANGES)
 
-    def outputs(self, *, probe: bool = False) -> list[OutputFound]:
+    def outputs(self, *, probe: bool = False) -> list[DetectedOutput]:
         """Every output. ``probe`` asks the hardware again, which can take half a second and make screens flicker."""
         return self._outputs(probe, None)
 
-    def output(self, name: str) -> OutputFound | None:
+    def output(self, name: str) -> DetectedOutput | None:
         """One output as the server knows it at this moment."""
         return next(iter(self._outputs(False, name)), None)
 
-    def _outputs(self, probe: bool, only: str | None) -> list[OutputFound]:
+    def _outputs(self, probe: bool, only: str | None) -> list[DetectedOutput]:
         with self._resources(probe) as resources:
             modes = {m.id: m for m in resources.contents.modes[: resources.contents.nmode]}
             primary = self._lib.XRRGetOutputPrimary(self._x.handle, self._x.root)
@@ -254,7 +254,7 @@ class Randr:
 
     def _output(
         self, resources: Any, modes: dict[int, ModeInfo], output: int, primary: int, only: str | None
-    ) -> OutputFound | None:
+    ) -> DetectedOutput | None:
         pointer = self._lib.XRRGetOutputInfo(self._x.handle, resources, output)
         if not pointer:
             return None
@@ -265,7 +265,7 @@ class Randr:
         if only is not None and name != only:
             return None
         driven = self._crtc(resources, modes, crtc) if crtc else {}
-        return OutputFound(
+        return DetectedOutput(
             name=name,
             connected=connected,
             primary=output == primary,

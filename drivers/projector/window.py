@@ -11,7 +11,7 @@ from pyglet import gl
 from pyglet.libs.x11 import xlib as pyglet_xlib
 
 from drivers.errors import DriverError, SettingRefused
-from drivers.projector.found import OutputFound
+from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.messages import BYTES_LIMIT
 
 pyglet.options.shadow_window = False
@@ -45,7 +45,7 @@ class PatternWindow:
         DriverError: no OpenGL 3.3. SettingRefused: no 8-bit red, green and blue.
     """
 
-    def __init__(self, display: str, output: OutputFound) -> None:
+    def __init__(self, display: str, output: DetectedOutput) -> None:
         self.width, self.height = output.size
         config = gl.Config(  # type: ignore[abstract]  # pyglet puts the real one in its place at run time
             double_buffer=True,

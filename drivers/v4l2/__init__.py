@@ -1,6 +1,6 @@
 """Cameras of the kernel's video interface (Video4Linux 2), by the kernel's own requests and mapped buffers."""
 
 from drivers.v4l2.camera import V4l2Camera, open_camera
-from drivers.v4l2.discovery import CameraFound, discover
+from drivers.v4l2.discovery import DetectedCamera, discover
 
-__all__ = ["CameraFound", "V4l2Camera", "discover", "open_camera"]
+__all__ = ["DetectedCamera", "V4l2Camera", "discover", "open_camera"]

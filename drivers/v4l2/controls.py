@@ -37,7 +37,7 @@ _SWITCHES = (Kind.MENU, Kind.BOOLEAN)
 
 
 @dataclass(frozen=True, slots=True)
-class ControlFound:
+class SupportedControl:
     """A control of a device; ``menu`` holds the entries' names by number."""
 
     id: int
@@ -90,11 +90,11 @@ class Controls:
         self._device = device
         self.found = {control.name: control for control in _enumerate(device)}
 
-    def by_id(self, number: int) -> ControlFound | None:
+    def by_id(self, number: int) -> SupportedControl | None:
         """The control of a number of the kernel's headers, None if the device has none."""
         return next((control for control in self.found.values() if control.id == number), None)
 
-    def get(self, control: ControlFound) -> int | None:
+    def get(self, control: SupportedControl) -> int | None:
         """The value now, None if it cannot be read."""
         if control.flags & v.CTRL_FLAG_WRITE_ONLY or control.kind is Kind.BUTTON:
             return None
@@ -122,7 +122,7 @@ class Controls:
         notes = [self._set(control, number) for control, number in numbers]
         return [note for note in notes if note]
 
-    def _named(self, name: str) -> ControlFound:
+    def _named(self, name: str) -> SupportedControl:
         key = normalised(name)
         if key in self.found:
             return self.found[key]
@@ -132,7 +132,7 @@ class Controls:
         card = self._device.card
         raise SettingRefused(f"{self._device.name}: {card} has no control {name!r}{hint} There are: {there}")
 
-    def _set(self, control: ControlFound, number: int) -> str:
+    def _set(self, control: SupportedControl, number: int) -> str:
         try:
             self._device.kernel.ioctl(self._device.fd, v.S_CTRL, v.Control(id=control.id, value=number))
         except OSError as error:
@@ -148,7 +148,7 @@ class Controls:
             return f"{control.name}: {number} was taken, but another setting (an automatic one) makes it inactive"
         return ""
 
-    def _shown(self, control: ControlFound) -> str:
+    def _shown(self, control: SupportedControl) -> str:
         value = self.get(control)
         return "unknown" if value is None else control.menu.get(value, str(value))
 
@@ -173,8 +173,8 @@ def _query(device: Device, number: int) -> v.QueryControl | None:
     return query
 
 
-def _enumerate(device: Device) -> list[ControlFound]:
-    found: list[ControlFound] = []
+def _enumerate(device: Device) -> list[SupportedControl]:
+    found: list[SupportedControl] = []
     number = 0
     for _ in range(_CONTROLS):
         query = _query(device, number | v.CTRL_FLAG_NEXT_CTRL)
@@ -186,7 +186,7 @@ def _enumerate(device: Device) -> list[ControlFound]:
         kind = Kind(query.type)
         menu = _menu(device, query) if kind in (Kind.MENU, Kind.INTEGER_MENU) else {}
         name = normalised(bytes(query.name).decode("utf-8", "replace"))
-        found.append(ControlFound(number, name, kind, query.minimum, query.maximum, query.step, query.flags, menu))
+        found.append(SupportedControl(number, name, kind, query.minimum, query.maximum, query.step, query.flags, menu))
     return found
 
 

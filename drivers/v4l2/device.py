@@ -22,7 +22,7 @@ _Structure = TypeVar("_Structure", bound=ctypes.Structure)
 
 
 @dataclass(frozen=True, slots=True)
-class PixelFormatFound:
+class SupportedFormat:
     """A pixel format that a device offers; sizes are (width, height), or (smallest, largest) if it takes steps."""
 
     fourcc: str
@@ -127,12 +127,12 @@ class Device:
                 self.fail(error, "listing what it offers")
             yield entry
 
-    def formats(self) -> tuple[PixelFormatFound, ...]:
+    def formats(self) -> tuple[SupportedFormat, ...]:
         """The pixel formats and their sizes."""
         entries = self.listed(v.ENUM_FMT, lambda index: v.FormatDescription(index=index, type=v.VIDEO_CAPTURE))
         return tuple(self._described(entry) for entry in entries)
 
-    def _described(self, entry: v.FormatDescription) -> PixelFormatFound:
+    def _described(self, entry: v.FormatDescription) -> SupportedFormat:
         make: Callable[[int], v.FrameSize] = lambda i: v.FrameSize(index=i, pixel_format=entry.pixelformat)  # noqa: E731
         sizes: list[tuple[int, int]] = []
         stepwise = False
@@ -144,7 +144,7 @@ class Device:
             sizes += [(steps.min_width, steps.min_height), (steps.max_width, steps.max_height)]
             break
         text = bytes(entry.description).decode("ascii", "replace")
-        return PixelFormatFound(v.fourcc_name(entry.pixelformat), text, tuple(sizes), stepwise)
+        return SupportedFormat(v.fourcc_name(entry.pixelformat), text, tuple(sizes), stepwise)
 
     def current_format(self) -> v.PixelFormat:
         """Size and layout as they are set now."""

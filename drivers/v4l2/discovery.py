@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivers.errors import DeviceLost, DriverError
-from drivers.v4l2.device import Device, PixelFormatFound
+from drivers.v4l2.device import Device, SupportedFormat
 from drivers.v4l2.kernel import Kernel, LinuxKernel
 
 SYSFS = Path("/sys/class/video4linux")
@@ -14,7 +14,7 @@ DEV = Path("/dev")
 
 
 @dataclass(frozen=True, slots=True)
-class CameraFound:
+class DetectedCamera:
     """A capture device of this machine.
 
     Args:
@@ -29,11 +29,11 @@ class CameraFound:
     driver: str = ""
     bus: str = ""
     serial: str = ""
-    formats: tuple[PixelFormatFound, ...] = field(default=())
+    formats: tuple[SupportedFormat, ...] = field(default=())
     problem: str = ""
 
 
-def discover(*, kernel: Kernel | None = None, sysfs: Path = SYSFS, dev: Path = DEV) -> list[CameraFound]:
+def discover(*, kernel: Kernel | None = None, sysfs: Path = SYSFS, dev: Path = DEV) -> list[DetectedCamera]:
     """Every device that gives images, also those that cannot be used now, with the reason."""
     kernel = kernel or LinuxKernel()
     nodes = sorted(sysfs.glob("video*"), key=lambda entry: (len(entry.name), entry.name)) if sysfs.is_dir() else []
@@ -70,21 +70,21 @@ def serial_of(node: str, *, sysfs: Path = SYSFS) -> str:
     return ""
 
 
-def _look(kernel: Kernel, entry: Path, dev: Path) -> CameraFound | None:
+def _look(kernel: Kernel, entry: Path, dev: Path) -> DetectedCamera | None:
     node = str(dev / entry.name)
     path, serial = _lasting(node, dev), serial_of(node, sysfs=entry.parent)
     try:
         device = Device(kernel, node, f"camera {node}")
     except DriverError as error:
-        return CameraFound(path, node, card=_card(entry), serial=serial, problem=str(error))
+        return DetectedCamera(path, node, card=_card(entry), serial=serial, problem=str(error))
     try:
         problem = _problem(device)
         if problem is None:
             return None
         offered = () if problem else device.formats()
-        return CameraFound(path, node, device.card, device.driver, device.bus, serial, offered, problem)
+        return DetectedCamera(path, node, device.card, device.driver, device.bus, serial, offered, problem)
     except DriverError as error:  # unplugged while it was asked
-        return CameraFound(path, node, device.card, device.driver, device.bus, serial, problem=str(error))
+        return DetectedCamera(path, node, device.card, device.driver, device.bus, serial, problem=str(error))
     finally:
         device.close()
 

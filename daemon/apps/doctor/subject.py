@@ -17,8 +17,8 @@ from drivers.v4l2.options import Options as V4l2Options
 
 if TYPE_CHECKING:
     from daemon.rig.calibration_file import CalibrationFile
-    from drivers.genicam import CameraFound
-    from drivers.projector import OutputFound
+    from drivers.genicam import DetectedCamera
+    from drivers.projector import DetectedOutput
     from sim.devices.options import SimOptions
 
 Size = tuple[int, int]
@@ -108,11 +108,11 @@ class Subject:
         return list(found)
 
     @cached_property
-    def cameras_by_producer(self) -> dict[Path, list[CameraFound] | str]:
+    def cameras_by_producer(self) -> dict[Path, list[DetectedCamera] | str]:
         """The cameras of each producer, or the reason for a failure."""
         from drivers.genicam import discover
 
-        found: dict[Path, list[CameraFound] | str] = {}
+        found: dict[Path, list[DetectedCamera] | str] = {}
         for producer in self.producers:
             try:
                 found[producer] = discover([producer])
@@ -121,7 +121,7 @@ class Subject:
         return found
 
     @property
-    def genicam(self) -> list[CameraFound]:
+    def genicam(self) -> list[DetectedCamera]:
         """All connected GenICam cameras."""
         return [
             camera
@@ -131,7 +131,7 @@ class Subject:
         ]
 
     @cached_property
-    def outputs(self) -> list[OutputFound]:
+    def outputs(self) -> list[DetectedOutput]:
         """The outputs of the rig's display, or the environment's; DriverError if it is unreadable."""
         from drivers.projector import outputs
 
@@ -140,13 +140,13 @@ class Subject:
     @cached_property
     def refresh_hz(self) -> float:
         """Refresh rate of the projector, 0 if unknown."""
-        from drivers.projector.found import find
+        from drivers.projector.detected_output import find_output
 
         if self.projector is None:
             return 0.0
         if isinstance(self.projector, ProjectorOptions):
             try:
-                output = find(self.outputs, self.projector.output)
+                output = find_output(self.outputs, self.projector.output)
             except DriverError:
                 output = None
             if output is not None and output.refresh_hz:

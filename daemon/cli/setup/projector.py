@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from drivers.projector import ExternalProjector, OutputFound, OutputProjector
+    from drivers.projector import DetectedOutput, ExternalProjector, OutputProjector
     from drivers.protocols import Flip
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
@@ -163,11 +163,11 @@ def _when(flip: Flip | None) -> str:
     }[flip.source]
 
 
-def describe(output: OutputFound) -> str:
+def describe(output: DetectedOutput) -> str:
     """One output in a few words."""
     if not output.connected:
         return f"{output.name}: nothing plugged in"
-    if not output.lit:
+    if not output.is_on:
         return f"{output.name}: {output.edid_name or 'connected'}, switched off"
     parts = [
         f"{output.size[0]}x{output.size[1]} at +{output.position[0]}+{output.position[1]}",

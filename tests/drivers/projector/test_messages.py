@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.projector import messages
-from drivers.projector.found import OutputFound
+from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.messages import Beat, Opened, Setup, Show, Shown
 from drivers.projector.options import ProjectorOptions
 
@@ -26,7 +26,7 @@ def pair() -> Iterator[Pair]:
 
 
 def test_what_is_sent_comes_back(pair: Pair) -> None:
-    output = OutputFound(name="HDMI-1", connected=True, preferred_size=(8, 8))
+    output = DetectedOutput(name="HDMI-1", connected=True, preferred_size=(8, 8))
     for message in (
         Opened(output=output, notes=("a", "b"), gamma_before=bytes(6 * 256)),
         Shown(serial=7, t_monotonic_ns=1 << 60, msc=1 << 40, source="vblank"),

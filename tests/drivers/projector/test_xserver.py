@@ -25,13 +25,13 @@ def test_outputs_have_the_sizes_and_rates_asked_for_side_by_side() -> None:
     ]
     assert [o.position for o in found] == [(0, 0), (640, 0), (1552, 0)]
     assert [o.refresh_hz for o in found] == pytest.approx([60, 60, 59.94], abs=0.01)
-    assert all(o.lit and o.gamma_identity and o.rotation == "normal" and not o.scaled for o in found)
+    assert all(o.is_on and o.gamma_identity and o.rotation == "normal" and not o.scaled for o in found)
 
 
 def test_xvfb_has_one_output() -> None:
     server = x.start(XServer([Head(640, 480)], kind="xvfb"))
     try:
-        assert [(o.name, o.size) for o in outputs(server.display) if o.lit] == [("screen", (640, 480))]
+        assert [(o.name, o.size) for o in outputs(server.display) if o.is_on] == [("screen", (640, 480))]
     finally:
         server.stop()
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
-from drivers.genicam import CameraFound
+from drivers.genicam import DetectedCamera
 from drivers.genicam.options import Options
 from drivers.protocols import Side
 
@@ -28,7 +28,7 @@ def check(subject: Subject) -> Iterator[Finding]:
         if not connected:
             yield area.note("seen", "no GenICam camera is connected")
         return
-    matched: dict[Side, CameraFound] = {}
+    matched: dict[Side, DetectedCamera] = {}
     for side, options in subject.cameras.items():
         if isinstance(options, Options):
             yield from camera_findings(side, options, connected, matched)
@@ -38,14 +38,14 @@ def check(subject: Subject) -> Iterator[Finding]:
             yield area.note("other", f"not in rig.yaml: {describe(camera)}")
 
 
-def fits(camera: CameraFound, options: Options) -> bool:
+def fits(camera: DetectedCamera, options: Options) -> bool:
     """Whether the options select a camera."""
     pairs = (options.serial, camera.serial), (options.model, camera.model), (options.user_name, camera.user_name)
     return all(value is None or value == actual for value, actual in pairs)
 
 
 def camera_findings(
-    side: Side, options: Options, connected: list[CameraFound], matched: dict[Side, CameraFound]
+    side: Side, options: Options, connected: list[DetectedCamera], matched: dict[Side, DetectedCamera]
 ) -> Iterator[Finding]:
     """Check one camera of the rig; the selected camera is added to ``matched``."""
     keys = {"serial": options.serial, "model": options.model, "user_name": options.user_name}
@@ -71,7 +71,7 @@ def camera_findings(
             )
 
 
-def pair(matched: dict[Side, CameraFound]) -> Iterator[Finding]:
+def pair(matched: dict[Side, DetectedCamera]) -> Iterator[Finding]:
     """Check the combination of both cameras."""
     if len(matched) < 2:
         return
@@ -87,7 +87,7 @@ def pair(matched: dict[Side, CameraFound]) -> Iterator[Finding]:
         yield area.warning("firmware", text, "bring both to the same firmware with the vendor's tool")
 
 
-def describe(camera: CameraFound) -> str:
+def describe(camera: DetectedCamera) -> str:
     """Format a camera as one line."""
     parts = [" ".join(part for part in (camera.vendor, camera.model) if part) or "camera", camera.serial or "no serial"]
     parts += [f'"{camera.user_name}"'] if camera.user_name else []

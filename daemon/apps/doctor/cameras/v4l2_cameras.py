@@ -8,8 +8,8 @@ from pathlib import Path
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
 from drivers.protocols import Side
-from drivers.v4l2 import CameraFound, discover
-from drivers.v4l2.device import PixelFormatFound
+from drivers.v4l2 import DetectedCamera, discover
+from drivers.v4l2.device import SupportedFormat
 from drivers.v4l2.options import Options
 
 area = Area("v4l2")
@@ -36,7 +36,7 @@ def check(subject: Subject) -> Iterator[Finding]:
 
 
 def camera_findings(
-    side: Side, options: Options, connected: list[CameraFound], matched: dict[Side, str]
+    side: Side, options: Options, connected: list[DetectedCamera], matched: dict[Side, str]
 ) -> Iterator[Finding]:
     """Check one camera of the rig; the selected camera is added to ``matched``."""
     name, key = f"camera {side}", f"cameras.{side}"
@@ -66,14 +66,14 @@ def camera_findings(
     yield area.ok(name, f"{side}: {describe(camera)}")
 
 
-def is_selected(camera: CameraFound, device: str) -> bool:
+def is_selected(camera: DetectedCamera, device: str) -> bool:
     """Whether the option ``device`` selects a camera, by path, serial number or bus."""
     if device.startswith("/"):
         return Path(device).resolve() == Path(camera.node).resolve()
     return device in (camera.serial, camera.bus)
 
 
-def supports_size(offer: PixelFormatFound, size: tuple[int, int]) -> bool:
+def supports_size(offer: SupportedFormat, size: tuple[int, int]) -> bool:
     """Whether a format is available in a size."""
     if not offer.stepwise or len(offer.sizes) < 2:
         return not offer.sizes or tuple(size) in offer.sizes
@@ -81,7 +81,7 @@ def supports_size(offer: PixelFormatFound, size: tuple[int, int]) -> bool:
     return bool(least_width <= size[0] <= most_width and least_height <= size[1] <= most_height)
 
 
-def describe(camera: CameraFound) -> str:
+def describe(camera: DetectedCamera) -> str:
     """Format a camera as one line."""
     parts = [camera.card or "camera", f"serial {camera.serial}" if camera.serial else "no serial", camera.node]
     return ", ".join([*parts, *([camera.driver] if camera.driver else [])])

@@ -18,7 +18,7 @@ from daemon.rig.calibration_file import CalibrationFile, created_at
 from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.errors import DriverError
 from drivers.genicam.options import Options as GenicamOptions
-from drivers.projector.found import find
+from drivers.projector.detected_output import find_output
 from drivers.projector.options import ExternalOptions
 from drivers.protocols import SIDES, ProjectorInfo
 from pipeline.calibrate.bundle.quality.order_check import order_check
@@ -144,10 +144,10 @@ def projector_of(subject: Subject) -> ProjectorInfo | None:
     if isinstance(options, ExternalOptions):
         return ProjectorInfo(options.name, options.size, 0.0)
     try:
-        output = find(subject.outputs, options.output)
+        output = find_output(subject.outputs, options.output)
     except DriverError:
         output = None
-    size = output.size if output is not None and output.lit else options.size
+    size = output.size if output is not None and output.is_on else options.size
     return ProjectorInfo(options.output, size, 0.0) if size is not None else None
 
 

@@ -12,7 +12,7 @@ from daemon.apps.doctor.rig.display_process import Screen
 from daemon.apps.doctor.subject import Subject
 from daemon.common.run_program import run_program
 from drivers.errors import DriverError
-from drivers.projector.found import OutputFound, absent, bent, find, unfit
+from drivers.projector.detected_output import DetectedOutput, find_output, gamma_problem, mode_problem, output_problem
 from drivers.projector.options import ProjectorOptions, named_display
 
 area = Area("display")
@@ -44,27 +44,27 @@ def check(subject: Subject) -> Iterator[Finding]:
         else:
             yield area.note("server", str(error), remedy)
         return
-    active = ", ".join(describe(output) for output in outputs if output.lit)
+    active = ", ".join(describe(output) for output in outputs if output.is_on)
     yield area.ok("server", f"X display {name} answers; outputs: {active or 'none is active'}")
     if options is not None:
         yield from output_findings(outputs, options)
     yield from surroundings(subject, name)
 
 
-def output_findings(outputs: list[OutputFound], options: ProjectorOptions) -> Iterator[Finding]:
+def output_findings(outputs: list[DetectedOutput], options: ProjectorOptions) -> Iterator[Finding]:
     """Check whether the rig's output can show the pattern pixel by pixel."""
-    missing = absent(outputs, options.output)
-    output = find(outputs, options.output)
+    missing = output_problem(outputs, options.output)
+    output = find_output(outputs, options.output)
     if missing or output is None:
         yield area.problem("output", *_remedy(missing, "connect the projector; compare with: fringed devices"))
         return
-    wrong = unfit(output, native=options.mode == "native", size=options.size, refresh_hz=options.refresh_hz)
+    wrong = mode_problem(output, native=options.mode == "native", size=options.size, refresh_hz=options.refresh_hz)
     if wrong:
         yield area.problem("mode", *_remedy(wrong, "set that mode with xrandr, or correct projector.options"))
     else:
         fit = "its native resolution" if output.preferred_size == output.size else "as configured"
         yield area.ok("mode", f"{describe(output)}, {fit}")
-    nonlinear = bent(output)
+    nonlinear = gamma_problem(output)
     if nonlinear and options.gamma == "check":
         yield area.problem("gamma", *_remedy(nonlinear, "set projector.options.gamma to reset"))
     elif nonlinear:
@@ -118,7 +118,7 @@ def read_screen(name: str) -> Screen:
         return Screen(problem=answer.problem)
 
 
-def describe(output: OutputFound) -> str:
+def describe(output: DetectedOutput) -> str:
     """Format an output with its mode."""
     rate = f"@{output.refresh_hz:.2f}" if output.refresh_hz else ""
     return f"{output.name} {output.size[0]}x{output.size[1]}{rate}"

@@ -15,26 +15,26 @@ from daemon.apps.doctor.cameras import data_rate, elf, genicam_cameras, genicam_
 from daemon.apps.doctor.rig import calibration, display, exposure_timing, rig_file
 from daemon.common.run_program import ProgramResult
 from daemon.rig.calibration_file import read_calibration, write_calibration
-from drivers.genicam import CameraFound
-from drivers.projector.found import OutputFound
+from drivers.genicam import DetectedCamera
+from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import ProjectorOptions, read
-from drivers.v4l2 import CameraFound as VideoFound
-from drivers.v4l2.device import PixelFormatFound
+from drivers.v4l2 import DetectedCamera as VideoFound
+from drivers.v4l2.device import SupportedFormat
 from sim.rig.layout import RigLayout
 from tests.daemon.apps.doctor import fake_machines
 from tests.daemon.apps.doctor.fake_machines import by_name, levels
 
 
-def camera(serial: str, **changes: str) -> CameraFound:
+def camera(serial: str, **changes: str) -> DetectedCamera:
     values = {"vendor": "V", "model": "M", "user_name": "", "version": "1", "transport": "U3V", "producer": "p"}
-    return CameraFound(**(values | {"serial": serial, "access": "free"} | changes))
+    return DetectedCamera(**(values | {"serial": serial, "access": "free"} | changes))
 
 
-def matched(connected: list[CameraFound], left: dict[str, Any], right: dict[str, Any]) -> list[Any]:
+def matched(connected: list[DetectedCamera], left: dict[str, Any], right: dict[str, Any]) -> list[Any]:
     from drivers.genicam.options import parse
 
     found: list[Any] = []
-    pair: dict[Any, CameraFound] = {}
+    pair: dict[Any, DetectedCamera] = {}
     for side, options in (("left", parse("left", left)), ("right", parse("right", right))):
         found += genicam_cameras.camera_findings(side, options, connected, pair)  # type: ignore[arg-type]
     return found + list(genicam_cameras.pair(pair))
@@ -123,7 +123,7 @@ def test_matching_cameras_are_ok() -> None:
     ],
 )
 def test_mismatching_cameras_are_reported(
-    connected: list[CameraFound], right: dict[str, Any], level: str, text: str
+    connected: list[DetectedCamera], right: dict[str, Any], level: str, text: str
 ) -> None:
     wrong = [finding for finding in matched(connected, {"serial": "A1"}, right) if finding.level != "ok"]
     assert [finding.level for finding in wrong] == [level] and text in wrong[0].text
@@ -142,7 +142,7 @@ def test_mismatching_cameras_are_reported(
 def test_v4l2_cameras(options: dict[str, Any], level: str, text: str) -> None:
     from drivers.v4l2.options import from_mapping
 
-    offers = (PixelFormatFound("YUYV", "", ((640, 480), (1280, 720))),)
+    offers = (SupportedFormat("YUYV", "", ((640, 480), (1280, 720))),)
     connected = [VideoFound("/dev/v4l/by-id/x", "/dev/video0", "Cam", "uvcvideo", "usb-1", "S7", offers)]
     (found,) = v4l2_cameras.camera_findings("left", from_mapping("left", options), connected, {})
     assert found.level == level and text in found.text
@@ -227,7 +227,7 @@ def test_the_bytes_of_an_image(tmp_path: Path, name: str, size: float) -> None:
 
 def test_an_output_in_the_wrong_mode_or_with_a_nonlinear_gamma_table() -> None:
     options = read(ProjectorOptions, {"output": "HDMI-1"})
-    good = OutputFound(
+    good = DetectedOutput(
         name="HDMI-1",
         connected=True,
         size=(912, 1140),

@@ -1,4 +1,4 @@
-"""The process that looks for cameras: ``python -m drivers.genicam.look FD PRODUCER...``.
+"""The process that looks for cameras: ``python -m drivers.genicam.list_cameras FD PRODUCER...``.
 
 Writes the list as JSON to file descriptor FD; standard output belongs to the producers' messages.
 """

@@ -7,7 +7,7 @@ import msgspec
 REFRESH_TOLERANCE_HZ = 0.03
 
 
-class OutputFound(msgspec.Struct, frozen=True, kw_only=True):
+class DetectedOutput(msgspec.Struct, frozen=True, kw_only=True):
     """One RandR output.
 
     Args:
@@ -39,22 +39,22 @@ class OutputFound(msgspec.Struct, frozen=True, kw_only=True):
     notes: tuple[str, ...] = ()
 
     @property
-    def lit(self) -> bool:
+    def is_on(self) -> bool:
         """Whether it is connected and switched on."""
         return self.connected and self.size != (0, 0)
 
 
-def find(outputs: list[OutputFound], name: str) -> OutputFound | None:
+def find_output(outputs: list[DetectedOutput], name: str) -> DetectedOutput | None:
     """The output of that name."""
     return next((output for output in outputs if output.name == name), None)
 
 
-def absent(outputs: list[OutputFound], name: str) -> str:
+def output_problem(outputs: list[DetectedOutput], name: str) -> str:
     """Why the output cannot be used at all, with what there is instead; empty if it can."""
-    output = find(outputs, name)
-    if output is not None and output.lit:
+    output = find_output(outputs, name)
+    if output is not None and output.is_on:
         return ""
-    usable = ", ".join(other.name for other in outputs if other.lit) or "none"
+    usable = ", ".join(other.name for other in outputs if other.is_on) or "none"
     if output is None:
         return f"output {name}: no such output on this display; there are: {usable}"
     if not output.connected:
@@ -62,8 +62,8 @@ def absent(outputs: list[OutputFound], name: str) -> str:
     return f"output {name} is connected but switched off; run: xrandr --output {name} --auto"
 
 
-def unfit(
-    output: OutputFound,
+def mode_problem(
+    output: DetectedOutput,
     *,
     native: bool,
     size: tuple[int, int] | None,
@@ -94,7 +94,7 @@ def unfit(
     return ""
 
 
-def bent(output: OutputFound) -> str:
+def gamma_problem(output: DetectedOutput) -> str:
     """Why the gamma table spoils the grey values; empty if it is linear or there is none."""
     if output.gamma_identity is not False:
         return ""

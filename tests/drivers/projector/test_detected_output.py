@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from drivers.projector.detected_output import DetectedOutput, gamma_problem, mode_problem, output_problem
 from drivers.projector.edid import monitor_name
-from drivers.projector.found import OutputFound, absent, bent, unfit
 from drivers.projector.randr import DOUBLE_SCAN, INTERLACE, ModeInfo, identity, is_identity, refresh_hz
 
-GOOD = OutputFound(
+GOOD = DetectedOutput(
     name="HDMI-1",
     connected=True,
     size=(1280, 800),
@@ -24,12 +24,12 @@ GOOD = OutputFound(
 ASKED: dict[str, Any] = {"native": True, "size": (1280, 800), "refresh_hz": 59.94}
 
 
-def changed(**values: Any) -> OutputFound:
+def changed(**values: Any) -> DetectedOutput:
     return msgspec.structs.replace(GOOD, **values)
 
 
 def test_a_good_output_is_fit() -> None:
-    assert unfit(GOOD, **ASKED) == bent(GOOD) == absent([GOOD], "HDMI-1") == ""
+    assert mode_problem(GOOD, **ASKED) == gamma_problem(GOOD) == output_problem([GOOD], "HDMI-1") == ""
 
 
 @pytest.mark.parametrize(
@@ -44,15 +44,15 @@ def test_a_good_output_is_fit() -> None:
         (changed(refresh_hz=0.0), "refreshes at 0.000 Hz"),
     ],
 )
-def test_an_unfit_output_is_refused_by_name(output: OutputFound, complaint: str) -> None:
-    reason = unfit(output, **ASKED)
+def test_an_unfit_output_is_refused_by_name(output: DetectedOutput, complaint: str) -> None:
+    reason = mode_problem(output, **ASKED)
     assert complaint in reason and "HDMI-1" in reason
 
 
 def test_another_mode_is_taken_when_any_is_asked_for_and_when_none_is_preferred() -> None:
     small = changed(size=(640, 480))
-    assert unfit(small, native=False, size=None, refresh_hz=None) == ""
-    assert unfit(changed(size=(640, 480), preferred_size=None), native=True, size=None, refresh_hz=None) == ""
+    assert mode_problem(small, native=False, size=None, refresh_hz=None) == ""
+    assert mode_problem(changed(size=(640, 480), preferred_size=None), native=True, size=None, refresh_hz=None) == ""
 
 
 @pytest.mark.parametrize(
@@ -64,13 +64,13 @@ def test_another_mode_is_taken_when_any_is_asked_for_and_when_none_is_preferred(
         ([changed(size=(0, 0))], "switched off; run: xrandr --output HDMI-1 --auto"),
     ],
 )
-def test_an_absent_output_is_told_with_what_there_is(found: list[OutputFound], complaint: str) -> None:
-    assert complaint in absent(found, "HDMI-1")
+def test_an_absent_output_is_told_with_what_there_is(found: list[DetectedOutput], complaint: str) -> None:
+    assert complaint in output_problem(found, "HDMI-1")
 
 
 def test_only_a_table_known_to_be_bent_is_refused() -> None:
-    assert "gamma" in bent(changed(gamma_identity=False))
-    assert bent(changed(gamma_identity=None)) == ""
+    assert "gamma" in gamma_problem(changed(gamma_identity=False))
+    assert gamma_problem(changed(gamma_identity=None)) == ""
 
 
 @pytest.mark.parametrize("size", [2, 256, 1024, 4096])

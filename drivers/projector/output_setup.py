@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import DriverError, SettingRefused
 from drivers.projector import xlib
-from drivers.projector.found import OutputFound, absent, bent, unfit
+from drivers.projector.detected_output import DetectedOutput, gamma_problem, mode_problem, output_problem
 from drivers.projector.options import ProjectorOptions
 from drivers.projector.randr import Randr, identity
 from drivers.projector.xlib import Connection
@@ -18,7 +18,7 @@ GAMMA_BYTES_LIMIT = 3 * 2 * 4096
 """Larger tables are not handed on, so they are not restored when this process is killed."""
 
 
-class Stage:
+class OutputSetup:
     """One output, made fit for images that must come out pixel by pixel.
 
     Args:
@@ -120,15 +120,17 @@ class Stage:
             xlib.xext().DPMSEnable(self._x.handle)
         self._x.sync()
 
-    def _fit_output(self) -> OutputFound:
+    def _fit_output(self) -> DetectedOutput:
         options = self._options
         output = self.randr.output(options.output)
-        if output is None or not output.lit:
-            raise DriverError(absent(self.randr.outputs(), options.output))
-        refused = unfit(output, native=options.mode == "native", size=options.size, refresh_hz=options.refresh_hz)
+        if output is None or not output.is_on:
+            raise DriverError(output_problem(self.randr.outputs(), options.output))
+        refused = mode_problem(
+            output, native=options.mode == "native", size=options.size, refresh_hz=options.refresh_hz
+        )
         if not refused and output.gamma_identity is False:
             if options.gamma == "check":
-                refused = bent(output)
+                refused = gamma_problem(output)
             elif self._windows is not None:  # some other program loaded its table again
                 self._make_linear()
         if refused:
@@ -143,7 +145,7 @@ class Stage:
             if not self.gamma_before and before is not None and before.nbytes <= GAMMA_BYTES_LIMIT:
                 self.gamma_before = before.tobytes()
         again = self.randr.output(self._options.output)
-        if again is not None and (reason := bent(again)):
+        if again is not None and (reason := gamma_problem(again)):
             raise SettingRefused(f"{reason}; it could not be reset")
 
     def _make_linear(self) -> NDArray[np.uint16] | None:
