@@ -67,8 +67,8 @@ class ColorSets:
                     f"{len(images)} {side} images of a set of {len(self._reconstructors)}; expected one each"
                 )
         first, second = self._reconstructors
-        decided = first.decide(lefts[0], rights[0], watch)
-        other, _, other_order = second.decide(lefts[1], rights[1], watch)
+        decided = first.orders(lefts[0], rights[0], watch)
+        other, _, other_order = second.orders(lefts[1], rights[1], watch)
         left, right, order = decided
         agreed_orders(
             order, left.phase, left.descriptors, left.valid, other_order, other.phase, other.descriptors, other.valid,

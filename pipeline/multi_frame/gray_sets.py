@@ -21,7 +21,7 @@ from pipeline.multi_frame.set_decoder import SetDecoder, SetPhase, windowed
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
-from pipeline.reconstruct.orders_to_cloud import SurfaceStage
+from pipeline.reconstruct.orders_to_cloud import CloudStage
 from pipeline.reconstruct.reconstructor import volume_of_right
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -61,7 +61,7 @@ class GraySets:
             for color, table in zip(colors, tables, strict=True)
         ]
         self._correlation = CORRELATION if windowed(settings, encoding) else 0.0
-        self._stages: dict[int, SurfaceStage] = {}
+        self._stages: dict[int, CloudStage] = {}
 
     def state(self) -> Any:
         """State that sets change, for :meth:`restore`."""
@@ -118,9 +118,9 @@ class GraySets:
         self._confirm(match, right)
         return match
 
-    def _stage(self, stride: int) -> SurfaceStage:
+    def _stage(self, stride: int) -> CloudStage:
         if stride not in self._stages:
-            self._stages[stride] = SurfaceStage(
+            self._stages[stride] = CloudStage(
                 self._calibration, self._left, self._settings, self._correlation, stride=stride
             )
         return self._stages[stride]

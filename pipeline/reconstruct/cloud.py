@@ -1,4 +1,4 @@
-"""What a reconstruction gives."""
+"""Result of a reconstruction: an organised point cloud."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ class Cloud:
     """A metric point cloud, organised on the left camera's raw pixel grid.
 
     Args:
-        xyz: (H, W, 3) float32, mm, world frame; NaN where unknown.
-        sigma_mm: (H, W) float32, one standard deviation along the viewing ray; NaN where unknown.
+        xyz: (H, W, 3) float32, mm, world frame; NaN where invalid.
+        sigma_mm: (H, W) float32, one standard deviation along the viewing ray; NaN where invalid.
         gray: (H, W) uint8, the fringe-free texture, everywhere.
         modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right image.
-        order: (H, W) int16, fringe order of the left pixel; -1 where unknown.
+        order: (H, W) int16, fringe order of the left pixel; -1 where invalid.
         saturated: share of saturated pixels, left and right.
-        moved: lit pixels whose images contradict each other, so that something moved, of the camera with more of
+        moved: lit pixels whose images contradict each other because the scene moved, of the camera with more of
             them; sets only.
         consistency: of the pair with the calibration; None = not judged.
-        ms: milliseconds by stage, as the caller's clock saw them (empty without a clock).
+        ms: milliseconds by stage, by the caller's clock (empty without a clock).
     """
 
     xyz: NDArray[np.float32]

@@ -1,7 +1,7 @@
-"""Projector columns corrected from the measurement itself.
+"""Correction of the projector columns from the measurement itself.
 
-The left/right geometry gives the metric; the projector only selects the integer order. A projector that moved by a
-fraction of a pixel since calibration shows as a constant offset of its columns, which the images reveal: first a
+The metric comes from the two cameras; the projector only selects the integer order. A projector that moved by a
+fraction of a pixel since calibration causes a constant offset of its columns, which the images show: first a
 one-dimensional search for the offset with the least mean best cost, then an affine fit of observed minus predicted
 columns on accepted points.
 """
@@ -22,7 +22,7 @@ NO_CORRECTION: Correction = np.zeros(3)
 
 
 def offsets_to_try(largest: float, step: float = 0.25) -> F64:
-    """Offsets from the centre outwards, so that the smaller one wins a tie."""
+    """Offsets from the centre outwards, so that the smaller one is taken at a tie."""
     n = int(np.floor(largest / step + 1e-9))
     steps = np.arange(-n, n + 1) * step
     return np.asarray(steps[np.argsort(np.abs(steps), kind="stable")], dtype=np.float64)
@@ -47,7 +47,7 @@ def affine_fit(along: F64, across: F64, difference: F64, *, limit: float) -> Cor
     Args:
         along, across: projector coordinates of the points, pixels.
         difference: observed minus calibrated coordinate, pixels.
-        limit: the correction may nowhere exceed this; if it would, only a constant is fitted.
+        limit: of the correction; where it would be exceeded, only a constant is fitted.
     """
     design = np.stack([np.ones_like(along), along, across], axis=1)
     weights = np.ones_like(along)

@@ -1,4 +1,4 @@
-"""From the orders to the cloud: match and locate, the gates, and the cloud's own arrays."""
+"""From fringe orders to the cloud: sub-pixel match, point filter, and the cloud's own arrays."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
 
 
-class SurfaceStage:
-    """For one calibration and one resolution, in arrays that every pair uses again.
+class CloudStage:
+    """Makes clouds of one calibration and one resolution, in arrays that every pair reuses.
 
     Args:
         left: the left camera's view; correlation: of neighbouring phases' noise in the right image.
@@ -38,10 +38,8 @@ class SurfaceStage:
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         shape = self._rays_x.shape
         self._match = MatchResult.empty(shape)
-        self._floor_sq, self._correlation = (
-            np.float32((settings.min_modulation * PHASOR_SCALE) ** 2),
-            np.float32(correlation),
-        )
+        self._floor_sq = np.float32((settings.min_modulation * PHASOR_SCALE) ** 2)
+        self._correlation = np.float32(correlation)
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size,
             (stride * left.slopes[0], stride * left.slopes[1]), left.depth, left.order_step, settings,
@@ -51,7 +49,7 @@ class SurfaceStage:
     def match(
         self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], points: Points | None = None
     ) -> MatchResult:
-        """Match the pixels of this resolution, valid until the next call; ``left``, ``order`` hold only those.
+        """Match the pixels of this resolution; ``left`` and ``order`` hold only those. Valid until the next call.
 
         The points themselves go into ``points``, of the full resolution, if that is given.
         """
@@ -78,20 +76,21 @@ class SurfaceStage:
     ) -> Cloud:
         """The cloud on the left camera's whole pixel grid; ``left`` and ``order`` are of full resolution.
 
-        ``confirm`` may forget points before the gates look at them.
+        ``confirm`` may reject points before the point filter.
         """
-        part, some = (
-            (left, order) if self._stride == 1 else (left.subsampled(self._stride), _subsampled(order, self._stride))
-        )
+        part, part_order = left, order
+        if self._stride > 1:
+            part = left.subsampled(self._stride)
+            part_order = np.ascontiguousarray(order[:: self._stride, :: self._stride])
         points = Points.empty(self._size)
-        match = self.match(part, right, some, correction, points)
+        match = self.match(part, right, part_order, correction, points)
         if confirm is not None:
             confirm(match)
         watch.lap("refinement")
         valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation)
         watch.lap("gates")
         kept = np.empty(self._size, np.int16)
-        conceal(valid, some, self._stride, points.xyz, points.sigma_mm, kept)
+        conceal(valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,
@@ -103,7 +102,3 @@ class SurfaceStage:
         )
         watch.lap("output")
         return cloud
-
-
-def _subsampled(plane: NDArray[Any], stride: int) -> NDArray[Any]:
-    return np.ascontiguousarray(plane[::stride, ::stride])

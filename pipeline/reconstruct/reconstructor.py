@@ -1,4 +1,4 @@
-"""One pair of images to one cloud: every table that can be precomputed, then the stages in order."""
+"""The single-shot reconstruction: precomputed tables, then the stages in order for every pair of images."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.consistency import ColumnScan
-from pipeline.reconstruct.orders_to_cloud import SurfaceStage
+from pipeline.reconstruct.orders_to_cloud import CloudStage
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
@@ -43,7 +43,7 @@ class Reconstructor:
         encoding: of the raw images, ``rgb8`` or ``bayer_....8``.
         settings: see :class:`pipeline.common.settings.Settings`.
         clock: returns nanoseconds; only used to fill ``Cloud.ms``.
-        threads: 0 = all that numba knows of.
+        threads: 0 = all of numba's.
 
     Raises:
         CalibrationError: when pattern, projector and volume do not fit together.
@@ -76,7 +76,7 @@ class Reconstructor:
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
         self._left = View.of(calibration, pattern, volume, self.settings)
-        # The right view only confirms the left one: fewer rows serve.
+        # The right view only confirms the left one: fewer rows suffice.
         self._right = View.of(
             swapped, pattern, volume_of_right(calibration, volume), self.settings,
             inside=(swapped.right, volume), coarser=2,
@@ -98,7 +98,7 @@ class Reconstructor:
         self._searches = OrderSearch(self._left), OrderSearch(self._right)
         self._kept = np.empty(self._left.table.shape, np.int16)
         self._order = np.empty(calibration.left.size[::-1], np.int16)
-        self._stages: dict[int, SurfaceStage] = {}
+        self._stages: dict[int, CloudStage] = {}
 
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
@@ -122,11 +122,11 @@ class Reconstructor:
     def reconstruct(
         self, left: NDArray[Any], right: NDArray[Any], *, stride: int = 1, use_prior: bool = False
     ) -> Cloud:
-        """The cloud of a pair of raw images.
+        """Reconstruct the cloud of a pair of raw images.
 
         Args:
             left, right: uint8, (H, W, 3) for rgb8, (H, W) for a mosaic, of the calibrated sizes.
-            stride: points only on every n-th pixel of every n-th row; the others are unknown.
+            stride: points only on every n-th pixel of every n-th row; the others are invalid.
             use_prior: expect the orders of the pair before, if that was reconstructed with ``use_prior`` too, and
                 search only where this pair contradicts them.
 
@@ -136,10 +136,10 @@ class Reconstructor:
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
-        decided = self.decide(left, right, watch, use_prior=use_prior)
-        return self.stage(stride).cloud(*decided, self.correction, watch)
+        left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
+        return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch)
 
-    def decide(
+    def orders(
         self, left: NDArray[Any], right: NDArray[Any], watch: Stopwatch, *, use_prior: bool = False
     ) -> tuple[PhaseMap, PhaseMap, NDArray[np.int16]]:
         """Phases of a pair and the fringe order of every left pixel, valid until the next call; arguments as above."""
@@ -156,7 +156,7 @@ class Reconstructor:
         return *maps, self._orders(*maps, watch, use_prior=use_prior)
 
     def clear_prior(self) -> None:
-        """The next pair follows none: it is searched in full."""
+        """Search the next pair in full."""
         for side in self._searches:
             side.clear_prior()
 
@@ -196,23 +196,22 @@ class Reconstructor:
 
     def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, use_prior: bool) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""
-        decided = [
-            side.search(here, there, self.correction, use_prior=use_prior)
-            for side, here, there in zip(self._searches, (left, right), (right, left), strict=True)
-        ]
+        left_search, right_search = self._searches
+        left_orders = left_search.search(left, right, self.correction, use_prior=use_prior)
+        right_orders = right_search.search(right, left, self.correction, use_prior=use_prior)
         watch.lap("orders")
-        cross_check(self._left, left, decided[0], self._right, right, decided[1], self.correction, self._kept)
+        cross_check(self._left, left, left_orders, self._right, right, right_orders, self.correction, self._kept)
         propagate(self._left, left, self._kept, self._order)
         if use_prior:
-            self._searches[0].set_prior(left, self._kept)
-            self._searches[1].set_prior(right, decided[1])
+            left_search.set_prior(left, self._kept)
+            right_search.set_prior(right, right_orders)
         watch.lap("propagation")
         return self._order
 
-    def stage(self, stride: int) -> SurfaceStage:
-        """What makes a cloud of decided orders, for points on every n-th pixel."""
+    def stage(self, stride: int) -> CloudStage:
+        """The stage that makes clouds of orders, for points on every n-th pixel."""
         if stride not in self._stages:
-            self._stages[stride] = SurfaceStage(
+            self._stages[stride] = CloudStage(
                 self.calibration, self._left, self.settings, self._correlation, stride=stride
             )
         return self._stages[stride]

@@ -85,7 +85,7 @@ class PairSampler:
     def __call__(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Samples:
         """Samples of a pair of raw images, as :class:`pipeline.reconstruct.reconstructor.Reconstructor` takes them."""
         made, watch = self._reconstructor, Stopwatch(None)
-        decided = made.decide(left, right, watch)
+        decided = made.orders(left, right, watch)
         cloud = made.stage(1).cloud(*decided, made.correction, watch)
         return samples_of_cloud(cloud, decided[0], made.pattern, stride=self._stride)
 
