@@ -37,7 +37,7 @@ class OrderCheck:
     Args:
         ratio: rho seen from the left camera.
         ratio_right: seen from the right camera.
-        fraction: where the projector stands between left (0) and right (1), as the fringes see it.
+        fraction: where the projector stands between left (0) and right (1), along the fringes' axis.
         merit: 0 (blind) to 1 (golden ratio).
         weakest: the wrong order that is hardest to notice, in periods.
         residual_rad: its phase residual on a plane.
