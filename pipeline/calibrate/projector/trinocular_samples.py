@@ -39,8 +39,8 @@ _ROUGHEST_PX = 0.3
 def samples_of_cloud(cloud: Cloud, phases: PhaseMap, pattern: ColorFringe, *, stride: int = 6) -> Samples:
     """Of a single-shot measurement.
 
-    The normalised phase is used: on coloured surfaces the error of the pointwise phase is equal in both cameras, so that
-    it affects no match, but this residual.
+    The normalised phase is used: on coloured surfaces the error of the pointwise phase is equal in both cameras, so
+    that it affects no match, but this residual.
 
     Args:
         cloud: of the pair; phases: of its left image, before the decoder has another one.
