@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 import pytest
 
-from daemon.apps.install.layout import CONFIG_FILES, DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, UNITS, Place
+from daemon.apps.install.layout import CONFIG_FILES, DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, UNITS, InstalledPath
 from tests.nspawn.helpers import MARKS, rig
 from tools.nspawn import Machine
 
 pytestmark = MARKS
 
 OURS = "/opt/fringed", "/etc/fringed", "/var/lib/fringed", "/var/cache/fringed", "/var/log/fringed"
-PLACES = [*DIRECTORIES, *FILES.values(), *PROGRAMS.values(), Place(RIG, CONFIG_FILES.mode, "root", "fringed")]
+PLACES = [*DIRECTORIES, *FILES.values(), *PROGRAMS.values(), InstalledPath(RIG, CONFIG_FILES.mode, "root", "fringed")]
 _INSTALL = "install", "--share-packages", "--no-start", "--no-compile"
 
 
@@ -35,7 +35,7 @@ def rights(machine: Machine) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: str(place.path))
-def test_mode_and_owner_are_as_documented(rights: dict[str, str], place: Place) -> None:
+def test_mode_and_owner_are_as_documented(rights: dict[str, str], place: InstalledPath) -> None:
     assert rights[str(place.path)] == f"{place.mode:o} {place.owner} {place.group}"
 
 

@@ -1,1 +1,1 @@
-"""Put the daemon onto a machine as a service, and take it away again."""
+"""Installation of the daemon as a service, and its removal."""

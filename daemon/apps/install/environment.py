@@ -1,4 +1,4 @@
-"""The Python environment of the service: made beside the old one, then put in its place by one rename."""
+"""The Python environment of the service: created beside the old one, then activated by one rename."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pathlib import Path
 
 from daemon.apps.install.errors import InstallError
 from daemon.apps.install.files import SHARE, shipped
-from daemon.apps.install.target import Target, reachable
+from daemon.apps.install.target import Target, first_closed_directory
 
 OWN = "fringed", "pipeline", "drivers", "sim", "daemon"
 _CHECKOUT = Path(__file__).resolve().parents[3]
 _TIMEOUT_S = 3600
-_MARK = "made-from"  # in an environment that is whole
+_MARK = "made-from"  # marks a complete environment
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where Python and the packages come from.
+    """The source of Python and of the packages.
 
     Args:
-        python: the interpreter; wheelhouse: a directory of wheels to take packages from instead of an index.
-        shared: use the packages of the environment that runs this command where they are, and download nothing.
+        python: the interpreter; wheelhouse: a directory of wheels used instead of an index.
+        shared: use the packages of the environment that runs this command in place, without a download.
     """
 
     python: Path
@@ -37,26 +37,26 @@ class Source:
     shared: bool = False
 
     def check(self, target: Target) -> None:
-        """Refuse an interpreter that the service's user could not start."""
-        places = [self.python, *(site_packages() if self.shared else ())]
-        for place in places if target.live else ():
-            closed = reachable(place)
+        """Reject an interpreter that the service's user cannot start."""
+        paths = [self.python, *(site_packages() if self.shared else ())]
+        for path in paths if target.live else ():
+            closed = first_closed_directory(path)
             if closed is not None:
                 raise InstallError(
-                    f"{place}: other users may not enter {closed}; name an interpreter of the system with "
+                    f"{path}: other users cannot enter {closed}; give an interpreter of the system with "
                     f"--python /usr/bin/python3, or chmod o+x {closed}"
                 )
 
 
 def make(target: Target, source: Source) -> bool:
-    """Make the environment unless it is there already; returns whether it was made."""
-    link, wanted = target.path(target.prefix / "env"), fingerprint(source)
-    if link.is_symlink() and _read(link / _MARK) == wanted:
+    """Create the environment unless it exists; returns whether it was created."""
+    link, identity = target.path(target.prefix / "env"), fingerprint(source)
+    if link.is_symlink() and _read(link / _MARK) == identity:
         return False
     fresh = target.path(target.prefix / f"env-{secrets.token_hex(4)}")
     try:
         _fill(fresh, source)
-        (fresh / _MARK).write_text(wanted, encoding="utf-8")
+        (fresh / _MARK).write_text(identity, encoding="utf-8")
         for path in (fresh, *fresh.rglob("*")):
             if not path.is_symlink():
                 path.chmod((path.stat().st_mode | 0o444 | (0o111 if path.is_dir() else 0)) & ~0o7022)
@@ -70,18 +70,18 @@ def make(target: Target, source: Source) -> bool:
 
 
 def remove_old(target: Target) -> None:
-    """Remove environments but this one and the one before, with which a daemon may still be running."""
+    """Remove all environments but the current and the previous one, which a daemon may still use."""
     link = target.path(target.prefix / "env")
-    others = [place for place in link.parent.glob("env-*") if place.is_dir() and place.name != link.readlink().name]
-    whole = [place for place in others if (place / _MARK).is_file()]
-    before = max(whole, key=lambda place: (place / _MARK).stat().st_mtime_ns, default=None)
-    for place in others:
-        if place != before:
-            shutil.rmtree(place, ignore_errors=True)
+    others = [path for path in link.parent.glob("env-*") if path.is_dir() and path.name != link.readlink().name]
+    complete = [path for path in others if (path / _MARK).is_file()]
+    previous = max(complete, key=lambda path: (path / _MARK).stat().st_mtime_ns, default=None)
+    for path in others:
+        if path != previous:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def fingerprint(source: Source) -> str:
-    """Tells one environment from another: Python, where the packages come from, and every file of ours."""
+    """Identifies an environment: Python, the source of the packages, and every file of this project."""
     digest = hashlib.sha256(json.dumps([str(source.python), str(source.wheelhouse), source.shared]).encode())
     digest.update(shipped("constraints.txt").read_bytes())
     for package in OWN:
@@ -92,14 +92,14 @@ def fingerprint(source: Source) -> str:
 
 
 def site_packages() -> list[Path]:
-    """Where the packages of the environment that runs this lie."""
+    """The package directories of the running environment."""
     paths = sysconfig.get_paths()
-    return [Path(place) for place in dict.fromkeys((paths["purelib"], paths["platlib"]))]
+    return [Path(path) for path in dict.fromkeys((paths["purelib"], paths["platlib"]))]
 
 
 def _fill(fresh: Path, source: Source) -> None:
     options = ["--without-pip"] if source.shared else []
-    _run([str(source.python), "-m", "venv", *options, str(fresh)], "making the environment")
+    _run([str(source.python), "-m", "venv", *options, str(fresh)], "creating the environment")
     if not source.shared:
         _install(fresh, source)
         return
@@ -109,8 +109,8 @@ def _fill(fresh: Path, source: Source) -> None:
     share = fresh / SHARE
     shutil.copytree(shipped("systemd"), share / "systemd")
     shutil.copy2(shipped("constraints.txt"), share)
-    # A line of its own for each directory: what lies there is found, its .pth files are not followed.
-    (own / "shared.pth").write_text("".join(f"{place}\n" for place in site_packages()), encoding="utf-8")
+    # One line for each directory: its packages are importable, its .pth files are not processed.
+    (own / "shared.pth").write_text("".join(f"{path}\n" for path in site_packages()), encoding="utf-8")
 
 
 def _install(fresh: Path, source: Source) -> None:
@@ -122,7 +122,7 @@ def _install(fresh: Path, source: Source) -> None:
 
 
 def requirement(source: Source) -> str:
-    """What pip is to install: the checkout that runs this, or the same version from where packages come from."""
+    """The requirement for pip: the running checkout, or the same version from the source of packages."""
     from daemon.common.version import program_version
 
     if source.wheelhouse is None and (_CHECKOUT / "pyproject.toml").is_file():
@@ -130,17 +130,17 @@ def requirement(source: Source) -> str:
     return f"fringed[rig]=={program_version()}"
 
 
-def _run(command: list[str], what: str) -> None:
+def _run(command: list[str], step: str) -> None:
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_TIMEOUT_S,
             check=False,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise InstallError(f"{what} failed: {error}") from error
-    if done.returncode:
-        raise InstallError(f"{what} failed ({' '.join(command[:4])} ...):\n{done.stderr.strip()[-2000:]}")
+        raise InstallError(f"{step} failed: {error}") from error
+    if process.returncode:
+        raise InstallError(f"{step} failed ({' '.join(command[:4])} ...):\n{process.stderr.strip()[-2000:]}")
 
 
 def _read(path: Path) -> str:
@@ -151,5 +151,5 @@ def _read(path: Path) -> str:
 
 
 def default_python() -> Path:
-    """The interpreter below the environment that runs this."""
-    return Path(getattr(sys, "_base_executable", sys.executable))
+    """The base interpreter of the running environment."""
+    return Path(getattr(sys, "_base_executable", sys.executable))  # private in CPython, absent in other Pythons

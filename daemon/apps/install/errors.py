@@ -1,4 +1,4 @@
-"""What keeps an installation from being done."""
+"""Errors of an installation."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from daemon.common.errors import DaemonError
 
 
 class InstallError(DaemonError):
-    """Nothing, or only a part, was installed; the message names the next step."""
+    """An incomplete installation; the message names the next step."""

@@ -1,4 +1,4 @@
-"""Compile the measuring kernels ahead, as the service's user, so that its first start takes seconds."""
+"""Compilation of the kernels ahead of the service's first start, as the service's user."""
 
 from __future__ import annotations
 
@@ -30,56 +30,56 @@ compile_all(sys.argv[1:])
 
 
 def compile_ahead(target: Target, modes: Sequence[str] = ()) -> None:
-    """Compile with the installed environment; as root under the service's user.
+    """Compile with the installed environment; as root, with the service's user.
 
     Args:
-        modes: with several images, beside the single shot.
+        modes: multi-frame modes, in addition to the single shot.
     """
     python = target.prefix / "env/bin/python"
-    who: dict[str, object] = {}
+    user: dict[str, object] = {}
     if os.geteuid() == 0:
-        numbers = target.number("passwd", USER), target.number("group", USER)
-        who = {"user": numbers[0], "group": numbers[1], "extra_groups": []}
+        ids = target.number("passwd", USER), target.number("group", USER)
+        user = {"user": ids[0], "group": ids[1], "extra_groups": []}
     environment = {
         "PATH": os.environ.get("PATH", "/usr/bin:/bin"),
         "HOME": str(STATE),
         "XDG_CACHE_HOME": str(CACHE.parent),
         "NUMBA_CACHE_DIR": str(KERNELS),
     }
-    done = subprocess.run(
+    process = subprocess.run(
         [str(python), "-P", "-c", _PROGRAM, *modes], env=environment, cwd="/", stdin=subprocess.DEVNULL,
-        capture_output=True, text=True, timeout=_TIMEOUT_S, check=False, umask=0o027, **who,
+        capture_output=True, text=True, timeout=_TIMEOUT_S, check=False, umask=0o027, **user,
     )  # type: ignore[call-overload]  # fmt: skip
-    if done.returncode:
-        raise InstallError(f"the kernels do not compile:\n{done.stderr.strip()[-2000:]}")
+    if process.returncode:
+        raise InstallError(f"the compilation of the kernels failed:\n{process.stderr.strip()[-2000:]}")
 
 
-def seed(target: Target) -> int:
-    """Take over what is compiled for the same sources beside the program that runs this; returns how many files.
+def copy_compiled(target: Target) -> int:
+    """Copy the running program's compiled kernels of the same sources; returns the number of files.
 
-    numba looks at the time and size of each source before it uses a file, so a wrong one is compiled anew.
+    numba compares time and size of each source before it uses a file, so an outdated one is compiled again.
     """
     from numba.core import caching
 
     # numba below 0.62 has the name with an underscore.
     locator = getattr(caching, "UserProvidedCacheLocator", None) or caching._UserProvidedCacheLocator
-    here, count = Path(__file__).resolve().parents[3], 0
+    root, count = Path(__file__).resolve().parents[3], 0
     (own,) = target.path(target.prefix / "env").glob("lib/python3.*/site-packages")
     own = Path("/") / own.relative_to(target.root)
     for package in OWN:
-        for folder in sorted({path.parent for path in (here / package).rglob("*.py")}):
+        for folder in sorted({path.parent for path in (root / package).rglob("*.py")}):
             for cached in (folder / "__pycache__").glob("*.nb[ic]"):
-                sub = locator.get_suitable_cache_subpath(str(own / folder.relative_to(here) / "any.py"))
-                to = target.path(KERNELS) / sub
-                to.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(cached, to)
+                sub = locator.get_suitable_cache_subpath(str(own / folder.relative_to(root) / "any.py"))
+                destination = target.path(KERNELS) / sub
+                destination.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(cached, destination)
                 count += 1
-    give_away(target)
+    assign_to_service(target)
     return count
 
 
-def give_away(target: Target) -> None:
-    """Everything in the cache to the service's user."""
+def assign_to_service(target: Target) -> None:
+    """Give the cache to the service's user."""
     if os.geteuid() != 0:
         return
     user, group = target.number("passwd", USER), target.number("group", USER)
@@ -88,14 +88,14 @@ def give_away(target: Target) -> None:
 
 
 def small_layout() -> RigLayout:
-    """The rig on which kernels are compiled."""
+    """The rig used for the compilation."""
     from sim.rig.layout import RigLayout
 
     return RigLayout().scaled(0.125)
 
 
 def small_pair(encoding: str) -> RenderedPair:
-    """Images of that rig; compiles rendering."""
+    """Render images of that rig, which compiles the renderer."""
     from sim.render.render_pair import render_pair
     from sim.rig.optics import Optics
     from sim.scene.named_scenes import build
@@ -105,7 +105,7 @@ def small_pair(encoding: str) -> RenderedPair:
 
 
 def compile_all(modes: Sequence[str] = ()) -> None:
-    """Compile what measuring and, for simulated rigs, rendering need; runs in the installed environment.
+    """Compile the kernels of the pipeline and of the simulation; runs in the installed environment.
 
     Args:
         modes: as of :func:`compile_ahead`.
@@ -116,22 +116,24 @@ def compile_all(modes: Sequence[str] = ()) -> None:
 
     layout = small_layout()
     for encoding in ENCODINGS:
-        made = Reconstructor(layout.calibration_for(Optics()), layout.pattern(), layout.volume(), encoding=encoding)
-        made.warm_up(strides=(1, 2), use_prior=True)
+        reconstructor = Reconstructor(
+            layout.calibration_for(Optics()), layout.pattern(), layout.volume(), encoding=encoding
+        )
+        reconstructor.warm_up(strides=(1, 2), use_prior=True)
         pair = small_pair(encoding)
-        made.reconstruct(pair.left, pair.right)
+        reconstructor.reconstruct(pair.left, pair.right)
     warm_up()
     compile_modes([(mode, encoding) for mode in modes for encoding in ENCODINGS])
 
 
-def compile_modes(wanted: Iterable[tuple[str, str]]) -> None:
-    """Compile what measuring with sets of images needs, by mode and encoding."""
+def compile_modes(modes: Iterable[tuple[str, str]]) -> None:
+    """Compile the kernels of multi-frame modes, given as mode and encoding."""
     from pipeline.multi_frame.set_reconstructor import SetReconstructor
     from pipeline.pattern.mode_sequences import mode_sequence
     from sim.rig.optics import Optics
 
     layout = small_layout()
     calibration = layout.calibration_for(Optics())
-    for mode, encoding in wanted:
+    for mode, encoding in modes:
         sequence = mode_sequence(mode, layout.projector_size, periods=layout.periods)
         SetReconstructor(calibration, sequence, layout.volume(), encoding=encoding).warm_up()

@@ -1,4 +1,4 @@
-"""Where everything lies on an installed machine, with modes and owners: what the tests hold the installation to."""
+"""The table of installed files and directories with their modes and owners; the tests compare with it."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ UNITS = SERVICE, X, VIEW
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A directory or file.
+class InstalledPath:
+    """An installed directory or file.
 
     Args:
-        mode: its permissions; owner, group: their names.
-        data: whether it stays when the program is taken away.
+        mode: permissions; owner, group: names.
+        data: whether it is kept when the program is removed.
     """
 
     path: Path
@@ -36,38 +36,38 @@ class Place:
     data: bool = False
 
 
-DIRECTORIES: tuple[Place, ...] = (
-    Place(PREFIX, 0o755),
-    Place(PREFIX / "bin", 0o755),
-    Place(PREFIX / "libexec", 0o755),
-    Place(CONFIG, 0o755, data=True),
-    Place(CONFIG / "keys", 0o750, "root", USER, data=True),
-    Place(STATE, 0o750, USER, USER, data=True),
-    Place(STATE / "takes", 0o750, USER, USER, data=True),
-    Place(STATE / "selfcheck", 0o750, USER, USER, data=True),
-    Place(CACHE, 0o750, USER, USER),
-    Place(LOGS, 0o750, USER, USER, data=True),
+DIRECTORIES: tuple[InstalledPath, ...] = (
+    InstalledPath(PREFIX, 0o755),
+    InstalledPath(PREFIX / "bin", 0o755),
+    InstalledPath(PREFIX / "libexec", 0o755),
+    InstalledPath(CONFIG, 0o755, data=True),
+    InstalledPath(CONFIG / "keys", 0o750, "root", USER, data=True),
+    InstalledPath(STATE, 0o750, USER, USER, data=True),
+    InstalledPath(STATE / "takes", 0o750, USER, USER, data=True),
+    InstalledPath(STATE / "selfcheck", 0o750, USER, USER, data=True),
+    InstalledPath(CACHE, 0o750, USER, USER),
+    InstalledPath(LOGS, 0o750, USER, USER, data=True),
 )
-"""In the order in which they are made."""
+"""In the order of their creation."""
 
-CONFIG_FILES = Place(RIG, 0o640, "root", USER, data=True)
-"""How every file of the configuration is kept."""
+CONFIG_FILES = InstalledPath(RIG, 0o640, "root", USER, data=True)
+"""Mode and owner of every configuration file."""
 
-PROGRAMS: dict[str, Place] = {
-    "libexec/projector-x": Place(PREFIX / "libexec/projector-x", 0o755),
+PROGRAMS: dict[str, InstalledPath] = {
+    "libexec/projector-x": InstalledPath(PREFIX / "libexec/projector-x", 0o755),
 }
-"""Files below ``systemd/`` that are programs."""
+"""Programs below ``systemd/``."""
 
-FILES: dict[str, Place] = {
-    **{unit: Place(Path("/etc/systemd/system") / unit, 0o644) for unit in UNITS},
-    "user/fringed-user.service": Place(Path("/etc/systemd/user/fringed-user.service"), 0o644),
-    "sysusers.d/fringed.conf": Place(Path("/etc/sysusers.d/fringed.conf"), 0o644),
-    "tmpfiles.d/fringed.conf": Place(Path("/etc/tmpfiles.d/fringed.conf"), 0o644),
-    "udev/70-fringed.rules": Place(Path("/etc/udev/rules.d/70-fringed.rules"), 0o644),
+FILES: dict[str, InstalledPath] = {
+    **{unit: InstalledPath(Path("/etc/systemd/system") / unit, 0o644) for unit in UNITS},
+    "user/fringed-user.service": InstalledPath(Path("/etc/systemd/user/fringed-user.service"), 0o644),
+    "sysusers.d/fringed.conf": InstalledPath(Path("/etc/sysusers.d/fringed.conf"), 0o644),
+    "tmpfiles.d/fringed.conf": InstalledPath(Path("/etc/tmpfiles.d/fringed.conf"), 0o644),
+    "udev/70-fringed.rules": InstalledPath(Path("/etc/udev/rules.d/70-fringed.rules"), 0o644),
 }
-"""Files below ``systemd/`` by where they go."""
+"""Other files below ``systemd/`` with their destinations."""
 
 
-def moved(place: Path, prefix: Path) -> Path:
+def with_prefix(path: Path, prefix: Path) -> Path:
     """A path of the table for another prefix."""
-    return prefix / place.relative_to(PREFIX) if place.is_relative_to(PREFIX) else place
+    return prefix / path.relative_to(PREFIX) if path.is_relative_to(PREFIX) else path

@@ -1,4 +1,4 @@
-"""Install and uninstall, step by step; each step can be done again."""
+"""Installation and removal, step by step; each step is repeatable."""
 
 from __future__ import annotations
 
@@ -12,21 +12,33 @@ from typing import Any
 
 from daemon.apps.install import config_files, environment, files, kernels, systemctl
 from daemon.apps.install.errors import InstallError
-from daemon.apps.install.layout import CACHE, COMMAND, CONFIG, FILES, KERNELS, LOGS, PREFIX, RIG, STATE, UNITS, Place
+from daemon.apps.install.layout import (
+    CACHE,
+    COMMAND,
+    CONFIG,
+    FILES,
+    KERNELS,
+    LOGS,
+    PREFIX,
+    RIG,
+    STATE,
+    UNITS,
+    InstalledPath,
+)
 from daemon.apps.install.target import MARK, Target, check_prefix
 from daemon.common.files import write_atomically
 
-Say = Callable[[str], object]
+Notify = Callable[[str], object]
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
-    """What is to be done besides putting files in place.
+class InstallOptions:
+    """Options of an installation.
 
     Args:
-        rig: the rig.yaml to begin with; None = a simulated rig.
-        start: begin to measure now, and with the machine; view: the viewer too.
-        compile: the kernels ahead.
+        rig: the initial rig.yaml; None = a simulated rig.
+        start: start the service now and at boot; view: the viewer too.
+        compile: compile the kernels ahead.
     """
 
     rig: Path | None = None
@@ -35,43 +47,43 @@ class Wishes:
     compile: bool = True
 
 
-def install(target: Target, source: environment.Source, wishes: Wishes, say: Say) -> None:
-    """Everything; nothing is touched when something is wrong with what was asked for.
+def install(target: Target, source: environment.Source, options: InstallOptions, notify: Notify) -> None:
+    """Install everything; invalid options are rejected before any change.
 
     Raises:
-        InstallError: what cannot be done; ConfigError: rig.yaml has mistakes.
+        InstallError: a failed step; ConfigError: rig.yaml has errors.
     """
-    _check_rights(target)
+    _check_permissions(target)
     check_prefix(target)
     source.check(target)
-    config = config_files.gather(wishes.rig)
+    config = config_files.collect_files(options.rig)
     _prepare(target)
     if environment.make(target, source):
-        say(f"{target.prefix}/env: the environment")
-        _remove(target.path(KERNELS))  # compiled from other files
-    for path in files.put_all(target):
-        say(str(path))
-    for text in config_files.put(target, config):
-        say(text)
-    _compile(target, source, wishes, say)
-    systemctl.take_notice(target)
-    if wishes.start:
+        notify(f"{target.prefix}/env: the environment")
+        _remove(target.path(KERNELS))  # compiled from the old files
+    for path in files.write_all(target):
+        notify(str(path))
+    for text in config_files.write_files(target, config):
+        notify(text)
+    _compile(target, source, options, notify)
+    systemctl.reload_managers(target)
+    if options.start:
         projector = _needs_x(target)
-        systemctl.enable(target, projector=projector, view=wishes.view)
-        systemctl.start(target, projector=projector, view=wishes.view)
+        systemctl.enable(target, projector=projector, view=options.view)
+        systemctl.start(target, projector=projector, view=options.view)
     environment.remove_old(target)
-    say(_next_step(target, wishes))
+    notify(_next_step(target, options))
 
 
-def uninstall(target: Target, say: Say, *, purge: bool = False) -> None:
-    """Take away what :func:`install` brought; data and configuration stay unless ``purge``."""
-    _check_rights(target)
+def uninstall(target: Target, notify: Notify, *, purge: bool = False) -> None:
+    """Remove what :func:`install` installed; data and configuration are kept unless ``purge``."""
+    _check_permissions(target)
     check_prefix(target)
     if not target.path(PREFIX / MARK).is_file():
-        raise InstallError(f"nothing is installed in {target.prefix}; name the prefix with --prefix")
+        raise InstallError(f"nothing is installed in {target.prefix}; give the prefix with --prefix")
     systemctl.stop(target)
-    for place in FILES.values():
-        target.path(place.path).unlink(missing_ok=True)
+    for file in FILES.values():
+        target.path(file.path).unlink(missing_ok=True)
     command = target.path(COMMAND)
     if command.is_symlink() and command.readlink() == target.prefix / "bin/fringed":
         command.unlink()
@@ -79,41 +91,41 @@ def uninstall(target: Target, say: Say, *, purge: bool = False) -> None:
     for directory in (CACHE, CACHE.with_name("fringed-view"), *((CONFIG, STATE, LOGS, *drop_ins) if purge else ())):
         _remove(target.path(directory))
     _remove(target.path(PREFIX))
-    systemctl.take_notice(target)
+    systemctl.reload_managers(target)
     for text in systemctl.remove_users(target) if purge else ():
-        say(text)
-    kept = "" if purge else f"; {CONFIG}, {STATE} and {LOGS} stay (--purge takes them too)"
-    say(f"fringed is taken away from {target.prefix}{kept}")
+        notify(text)
+    kept = "" if purge else f"; {CONFIG}, {STATE} and {LOGS} are kept (--purge removes them)"
+    notify(f"fringed is removed from {target.prefix}{kept}")
 
 
-def _check_rights(target: Target) -> None:
+def _check_permissions(target: Target) -> None:
     if not target.root.is_dir():
-        raise InstallError(f"--root {target.root} is no directory; make it first")
+        raise InstallError(f"--root {target.root} is no directory; create it first")
     if target.live and os.geteuid() != 0:
-        raise InstallError("only root can do this; put sudo before the command, or give --root DIR for an image")
+        raise InstallError("the installation requires root; use sudo, or give --root DIR for an image")
 
 
 def _prepare(target: Target) -> None:
-    """Users, directories, and the mark that makes the prefix ours before it fills."""
+    """Create users, directories, and the mark that reserves the prefix."""
     if os.geteuid() == 0:
-        files.put_users_file(target)
+        files.write_users_file(target)
         systemctl.make_users(target)
     target.path(PREFIX).mkdir(parents=True, exist_ok=True)
     mark = {"program": "fringed", "prefix": str(target.prefix)}
     write_atomically(target.path(PREFIX / MARK), json.dumps(mark).encode())
-    target.set_rights(Place(PREFIX / MARK, 0o644))
+    target.set_permissions(InstalledPath(PREFIX / MARK, 0o644))
     files.make_directories(target)
 
 
-def _compile(target: Target, source: environment.Source, wishes: Wishes, say: Say) -> None:
+def _compile(target: Target, source: environment.Source, options: InstallOptions, notify: Notify) -> None:
     if source.shared:
-        kernels.seed(target)
-    if not wishes.compile:
+        kernels.copy_compiled(target)
+    if not options.compile:
         return
     if not target.live:
-        say("the kernels are compiled when the service starts for the first time")
+        notify("the kernels are compiled when the service starts for the first time")
         return
-    say("compiling the kernels, which takes minutes the first time")
+    notify("compiling the kernels, which takes minutes the first time")
     mode = _rig(target).get("mode", "single")
     kernels.compile_ahead(target, [mode] if isinstance(mode, str) and mode != "single" else [])
 
@@ -130,13 +142,13 @@ def _needs_x(target: Target) -> bool:
     return isinstance(projector, dict) and projector.get("driver") == "x11"
 
 
-def _next_step(target: Target, wishes: Wishes) -> str:
+def _next_step(target: Target, options: InstallOptions) -> str:
     if not target.live:
         return f"installed into the image {target.root}"
-    if not wishes.start:
+    if not options.start:
         return "installed; start it with: systemctl enable --now fringed"
     if not target.systemd:
-        return "installed; no systemd runs here, the service starts with the next boot"
+        return "installed; systemd does not run here, the service starts at the next boot"
     return f"installed and started; see: systemctl status fringed, fringed status; the rig is {RIG}"
 
 

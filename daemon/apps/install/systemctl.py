@@ -1,4 +1,4 @@
-"""What systemd is told: users, reloads, starts, stops."""
+"""Commands for systemd: users, reloads, starts, stops."""
 
 from __future__ import annotations
 
@@ -14,78 +14,78 @@ _TIMEOUT_S = 120
 
 
 def make_users(target: Target) -> None:
-    """The users of the services, by what sysusers.d/fringed.conf says."""
-    _must("systemd-sysusers", *([] if target.live else [f"--root={target.root}"]), "fringed.conf")
+    """Create the users of the services according to sysusers.d/fringed.conf."""
+    _require("systemd-sysusers", *([] if target.live else [f"--root={target.root}"]), "fringed.conf")
 
 
-def take_notice(target: Target) -> None:
-    """Let the managers read the new files; what is not there on this machine is left out."""
+def reload_managers(target: Target) -> None:
+    """Make systemd and udev read the new files; missing managers are left out."""
     if not target.live:
         return
     if target.systemd:
-        _must("systemctl", "daemon-reload")
+        _require("systemctl", "daemon-reload")
     for command in (["udevadm", "control", "--reload"], ["udevadm", "trigger", "--subsystem-match=usb"]):
-        if _there(command[0]):
-            _try(*command)
+        if _is_installed(command[0]):
+            _run(*command)
 
 
 def enable(target: Target, *, projector: bool, view: bool) -> None:
-    """Start with the machine from now on."""
-    where = [] if target.live else [f"--root={target.root}"]
+    """Enable the start at boot."""
+    image = [] if target.live else [f"--root={target.root}"]
     units = [SERVICE, *([X] if projector else []), *([VIEW] if view else [])]
-    _must("systemctl", *where, "--quiet", "enable", *units)
+    _require("systemctl", *image, "--quiet", "enable", *units)
 
 
 def start(target: Target, *, projector: bool, view: bool) -> None:
-    """Start, or start anew; the daemon itself is ready when the first cloud is there, which is not waited for."""
+    """Start or restart the services, without waiting for the first cloud."""
     if target.systemd:
         units = [*([X] if projector else []), SERVICE, *([VIEW] if view else [])]
-        _must("systemctl", "--no-block", "restart", *units)
+        _require("systemctl", "--no-block", "restart", *units)
 
 
 def stop(target: Target) -> None:
-    """Stop everything and start it no more."""
-    where = [] if target.live else [f"--root={target.root}"]
+    """Stop and disable all services."""
+    image = [] if target.live else [f"--root={target.root}"]
     if target.systemd:
-        _try("systemctl", "stop", VIEW, SERVICE, X)
-    if _there("systemctl"):
-        _try("systemctl", *where, "--quiet", "disable", *UNITS)
+        _run("systemctl", "stop", VIEW, SERVICE, X)
+    if _is_installed("systemctl"):
+        _run("systemctl", *image, "--quiet", "disable", *UNITS)
     if target.systemd:
-        _try("systemctl", "reset-failed", *UNITS)
+        _run("systemctl", "reset-failed", *UNITS)
 
 
 def remove_users(target: Target) -> list[str]:
-    """Take the users away; returns what could not be done."""
-    said = []
+    """Remove the users; returns messages about failures."""
+    messages = []
     for user in (VIEW_USER, "fringed"):
         command = ["userdel", *([] if target.live else ["--root", str(target.root)]), user]
-        if not _there("userdel") or _try(*command):
-            said.append(f"the user {user} stays; remove it with: userdel {user}")
-    return said
+        if not _is_installed("userdel") or _run(*command):
+            messages.append(f"the user {user} was not removed; remove it with: userdel {user}")
+    return messages
 
 
-def _must(*command: str) -> None:
-    problem = _try(*command)
+def _require(*command: str) -> None:
+    problem = _run(*command)
     if problem:
         raise InstallError(f"{' '.join(command)} failed: {problem}")
 
 
 def _path() -> str:
-    """Where programs are looked for: sudo and cron may leave out the directories of root's programs."""
+    """The search path, with the directories of root's programs that sudo and cron may omit."""
     return f"{os.environ.get('PATH', '/usr/bin:/bin')}:/usr/sbin:/sbin"
 
 
-def _there(program: str) -> bool:
+def _is_installed(program: str) -> bool:
     return shutil.which(program, path=_path()) is not None
 
 
-def _try(*command: str) -> str:
-    """Run a program; what went wrong, or nothing."""
+def _run(*command: str) -> str:
+    """Run a program; returns the error, empty on success."""
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [shutil.which(command[0], path=_path()) or command[0], *command[1:]], env=os.environ | {"PATH": _path()},
             stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
-    return (done.stderr.strip()[-500:] or f"exit status {done.returncode}") if done.returncode else ""
+    return (process.stderr.strip()[-500:] or f"exit status {process.returncode}") if process.returncode else ""

@@ -1,4 +1,4 @@
-"""``fringed uninstall``: take the service away; data and configuration stay."""
+"""``fringed uninstall``: remove the service; data and configuration are kept."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from daemon.apps.install.layout import PREFIX
 
 
 def main(
-    prefix: Annotated[Path, typer.Option(help="Where the program is.")] = PREFIX,
-    root: Annotated[Path, typer.Option(help="Take it out of the image below this directory.")] = Path("/"),
-    purge: Annotated[bool, typer.Option("--purge", help="Takes, configuration, logs and users too.")] = False,
+    prefix: Annotated[Path, typer.Option(help="Directory of the program.")] = PREFIX,
+    root: Annotated[Path, typer.Option(help="Remove it from the image below this directory.")] = Path("/"),
+    purge: Annotated[bool, typer.Option("--purge", help="Remove takes, configuration, logs and users too.")] = False,
 ) -> None:
-    """Take the service away. Configuration, takes and logs stay unless --purge is given."""
+    """Remove the service. Configuration, takes and logs are kept unless --purge is given."""
     from daemon.apps.install.steps import uninstall
     from daemon.apps.install.target import Target
 

@@ -34,7 +34,7 @@ def check(subject: Subject) -> Iterator[Finding]:
         )
         return
     yield groups(machine)
-    yield from rights(machine)
+    yield from permissions(machine)
     if machine.root == Path("/") and is_installed("systemctl"):
         yield running()
 
@@ -59,26 +59,26 @@ def groups(machine: Machine) -> Finding:
     return area.ok("groups", f"the user {USER} is in {', '.join(_GROUPS)}")
 
 
-def rights(machine: Machine) -> Iterator[Finding]:
+def permissions(machine: Machine) -> Iterator[Finding]:
     """Compare modes and owners with the table of the installation; one finding if all agree."""
     wrong = 0
-    for place in (*DIRECTORIES, CONFIG_FILES):
-        if place.path.is_relative_to(PREFIX):
+    for expected in (*DIRECTORIES, CONFIG_FILES):
+        if expected.path.is_relative_to(PREFIX):
             continue  # the prefix is an option of the installation
         try:
-            status = machine.path(str(place.path)).stat()
+            status = machine.path(str(expected.path)).stat()
         except PermissionError:
             continue
         except OSError:
             wrong += 1
-            yield area.warning("rights", f"{place.path} does not exist", _REINSTALL)
+            yield area.warning("rights", f"{expected.path} does not exist", _REINSTALL)
             continue
-        owner, group = entry(machine, "passwd", place.owner), entry(machine, "group", place.group)
-        if status.st_uid != owner or status.st_gid != group or stat.S_IMODE(status.st_mode) & ~place.mode:
+        owner, group = entry(machine, "passwd", expected.owner), entry(machine, "group", expected.group)
+        if status.st_uid != owner or status.st_gid != group or stat.S_IMODE(status.st_mode) & ~expected.mode:
             wrong += 1
-            text = f"{place.path} is not {place.mode:04o} {place.owner}:{place.group}"
-            remedy = f"sudo chown {place.owner}:{place.group} {place.path}; sudo chmod {place.mode:04o} {place.path}"
-            yield area.warning("rights", text, remedy)
+            path, mode, names = expected.path, f"{expected.mode:04o}", f"{expected.owner}:{expected.group}"
+            remedy = f"sudo chown {names} {path}; sudo chmod {mode} {path}"
+            yield area.warning("rights", f"{path} is not {mode} {names}", remedy)
     if not wrong:
         yield area.ok("rights", "configuration and data have the modes and owners of the installation")
 

@@ -25,7 +25,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     needs_systemd()
     root = tmp_path_factory.mktemp("image")
     source = Source(default_python(), shared=True)
-    steps.install(Target(root), source, steps.Wishes(compile=False), lambda _: None)
+    steps.install(Target(root), source, steps.InstallOptions(compile=False), lambda _: None)
     return root
 
 

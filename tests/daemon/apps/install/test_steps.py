@@ -13,8 +13,8 @@ import pytest
 from daemon.apps.install import config_files, environment, layout, steps
 from daemon.apps.install.environment import Source, default_python, fingerprint
 from daemon.apps.install.errors import InstallError
-from daemon.apps.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, Place
-from daemon.apps.install.target import MARK, Target, check_prefix, reachable
+from daemon.apps.install.layout import DIRECTORIES, FILES, PREFIX, PROGRAMS, RIG, InstalledPath
+from daemon.apps.install.target import MARK, Target, check_prefix, first_closed_directory
 from daemon.common.errors import ConfigError
 from daemon.config import load_rig, parse_rig
 from tests.daemon.apps.install.test_units import needs_systemd
@@ -23,8 +23,8 @@ from tests.daemon.bootstrap.systemd.manager import PATIENT
 pytestmark = PATIENT
 
 SOURCE = Source(default_python(), shared=True)
-WISHES = steps.Wishes(compile=False)
-as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+OPTIONS = steps.InstallOptions(compile=False)
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can change owners")
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """An image with the installed program only; tests must not change it."""
     needs_systemd()
     root = tmp_path_factory.mktemp("image")
-    steps.install(Target(root), SOURCE, WISHES, print)
+    steps.install(Target(root), SOURCE, OPTIONS, print)
     return root  # type: ignore[return-value]
 
 
@@ -50,49 +50,49 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return True
 
     monkeypatch.setattr(steps.environment, "make", fake)
-    monkeypatch.setattr(steps.kernels, "seed", lambda _: 0)
+    monkeypatch.setattr(steps.kernels, "copy_compiled", lambda _: 0)
     root = tmp_path / "image"
     root.mkdir()
     return root
 
 
-def install(root: Path, **wishes: object) -> list[str]:
+def install(root: Path, **options: object) -> list[str]:
     messages: list[str] = []
-    steps.install(Target(root), SOURCE, steps.Wishes(compile=False, **wishes), messages.append)  # type: ignore[arg-type]
+    steps.install(Target(root), SOURCE, steps.InstallOptions(compile=False, **options), messages.append)  # type: ignore[arg-type]
     return messages
 
 
 @as_root
-@pytest.mark.parametrize("place", [*DIRECTORIES, *FILES.values(), *PROGRAMS.values(), layout.CONFIG_FILES], ids=str)
-def test_modes_and_owners_are_as_documented(image: Path, place: Place) -> None:
+@pytest.mark.parametrize("entry", [*DIRECTORIES, *FILES.values(), *PROGRAMS.values(), layout.CONFIG_FILES], ids=str)
+def test_modes_and_owners_are_as_documented(image: Path, entry: InstalledPath) -> None:
     target = Target(image)
-    there = target.path(place.path).stat()
-    assert stat.S_IMODE(there.st_mode) == place.mode
-    assert there.st_uid == target.number("passwd", place.owner)
-    assert there.st_gid == target.number("group", place.group)
+    status = target.path(entry.path).stat()
+    assert stat.S_IMODE(status.st_mode) == entry.mode
+    assert status.st_uid == target.number("passwd", entry.owner)
+    assert status.st_gid == target.number("group", entry.group)
 
 
 @as_root
 def test_the_service_owns_nothing_but_its_data_and_nothing_is_open_to_all(image: Path) -> None:
     target = Target(image)
-    number, may = target.number("passwd", layout.USER), [place.path for place in DIRECTORIES if place.owner != "root"]
+    number, may = target.number("passwd", layout.USER), [entry.path for entry in DIRECTORIES if entry.owner != "root"]
     for path in image.rglob("*"):
-        status, place = path.lstat(), Path("/") / path.relative_to(image)
+        status, entry = path.lstat(), Path("/") / path.relative_to(image)
         if status.st_uid == number:
-            assert any(place.is_relative_to(own) for own in may), place
+            assert any(entry.is_relative_to(own) for own in may), entry
         if not path.is_symlink():
-            assert not status.st_mode & stat.S_IWOTH, place
+            assert not status.st_mode & stat.S_IWOTH, entry
 
 
-def test_the_program_runs_from_its_installed_place(image: Path) -> None:
+def test_the_program_runs_from_its_installed_location(image: Path) -> None:
     python = image / "opt/fringed/env/bin/python"
     plain = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     code = "import daemon, daemon.apps.install.files as f; print(daemon.__file__); print(f.sources())"
-    done = subprocess.run(
+    process = subprocess.run(
         [python, "-P", "-c", code], capture_output=True, text=True, timeout=60, check=True, cwd=image, env=plain
     )
-    for line in done.stdout.splitlines():
-        assert Path(line).is_relative_to(image / "opt/fringed"), done.stdout
+    for line in process.stdout.splitlines():
+        assert Path(line).is_relative_to(image / "opt/fringed"), process.stdout
 
 
 def test_the_command_names_the_prefix_and_takes_nothing_from_the_current_directory(image: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_second_installation_changes_nothing(image: Path) -> None:
         return {path: path.stat().st_mtime_ns for path in kept if path.name != MARK}
 
     before, messages = all_times(), []
-    steps.install(Target(image), SOURCE, WISHES, messages.append)
+    steps.install(Target(image), SOURCE, OPTIONS, messages.append)
     after = all_times()
     assert {path for path in after if after[path] != before.get(path)} == set()
     assert messages == [f"installed into the image {image}"]
@@ -159,7 +159,7 @@ def test_a_rig_with_the_x11_projector_gets_the_x_server(bare: Path, tmp_path: Pa
     assert (wants / "multi-user.target.wants/fringed-view.service").is_symlink()
 
 
-def test_an_invalid_rig_file_is_refused_before_any_change(bare: Path, tmp_path: Path) -> None:
+def test_an_invalid_rig_file_is_rejected_before_any_change(bare: Path, tmp_path: Path) -> None:
     rig = tmp_path / "bad.yaml"
     rig.write_text("cameras: {driver: smi}\n")
     with pytest.raises(ConfigError, match="smi"):
@@ -173,10 +173,10 @@ def test_an_invalid_rig_file_is_refused_before_any_change(bare: Path, tmp_path: 
 
 def test_another_prefix_is_written_into_every_file(bare: Path) -> None:
     target = Target(bare, Path("/srv/rig/fringed"))
-    steps.install(target, SOURCE, WISHES, lambda _: None)
+    steps.install(target, SOURCE, OPTIONS, lambda _: None)
     assert not (bare / "opt").exists()
-    for place in (*FILES.values(), *PROGRAMS.values()):
-        assert "/opt/fringed" not in target.path(place.path).read_text(), place.path
+    for entry in (*FILES.values(), *PROGRAMS.values()):
+        assert "/opt/fringed" not in target.path(entry.path).read_text(), entry.path
     assert "ExecStart=/srv/rig/fringed/bin/fringed run" in (bare / "etc/systemd/system/fringed.service").read_text()
     steps.uninstall(target, lambda _: None)
     assert not (bare / "srv/rig/fringed").exists()
@@ -187,12 +187,12 @@ def test_another_prefix_is_written_into_every_file(bare: Path) -> None:
     ["/", "/usr", "/usr/local", "/etc", "/opt", "/var/lib", "/tmp/x", "/dev/x", "opt/fringed", "/opt/../usr",
      "/opt/a b", "/opt/$HOME", "/home", "/root"],
 )  # fmt: skip
-def test_prefixes_of_the_system_are_refused(tmp_path: Path, prefix: str) -> None:
+def test_prefixes_of_the_system_are_rejected(tmp_path: Path, prefix: str) -> None:
     with pytest.raises(InstallError, match="choose a directory of its own"):
         check_prefix(Target(tmp_path, Path(prefix)))
 
 
-def test_a_prefix_that_holds_something_else_or_is_a_link_is_refused(tmp_path: Path) -> None:
+def test_a_prefix_with_other_files_or_a_link_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "opt/other").mkdir(parents=True)
     (tmp_path / "opt/other/file").touch()
     (tmp_path / "opt/link").symlink_to("other")
@@ -203,19 +203,19 @@ def test_a_prefix_that_holds_something_else_or_is_a_link_is_refused(tmp_path: Pa
     check_prefix(Target(tmp_path, Path("/opt/other")))
 
 
-def test_uninstall_leaves_data_and_configuration(bare: Path) -> None:
+def test_uninstall_keeps_data_and_configuration(bare: Path) -> None:
     install(bare)
     take = bare / "var/lib/fringed/takes/a.mcap"
     take.touch()
     messages: list[str] = []
     steps.uninstall(Target(bare), messages.append)
     assert take.exists() and (bare / "etc/fringed/rig.yaml").exists()
-    for place in (*FILES.values(), *PROGRAMS.values()):
-        assert not (bare / place.path.relative_to("/")).exists()
-    for gone in ("opt/fringed", "var/cache/fringed", "usr/local/bin/fringed"):
-        assert not os.path.lexists(bare / gone)
+    for entry in (*FILES.values(), *PROGRAMS.values()):
+        assert not (bare / entry.path.relative_to("/")).exists()
+    for path in ("opt/fringed", "var/cache/fringed", "usr/local/bin/fringed"):
+        assert not os.path.lexists(bare / path)
     assert not list((bare / "etc/systemd/system").rglob("*fringed*"))
-    assert "stay" in messages[-1]
+    assert "are kept" in messages[-1]
     with pytest.raises(InstallError, match="nothing is installed"):
         steps.uninstall(Target(bare), messages.append)
 
@@ -226,8 +226,8 @@ def test_purge_removes_everything(bare: Path) -> None:
     drop_in.parent.mkdir()
     drop_in.touch()
     steps.uninstall(Target(bare), lambda _: None, purge=True)
-    for gone in ("var/lib/fringed", "etc/fringed", "var/log/fringed", "opt/fringed"):
-        assert not (bare / gone).exists()
+    for path in ("var/lib/fringed", "etc/fringed", "var/log/fringed", "opt/fringed"):
+        assert not (bare / path).exists()
     assert not drop_in.parent.exists()
     if os.geteuid() == 0:
         assert "fringed" not in (bare / "etc/passwd").read_text()
@@ -243,14 +243,14 @@ def test_a_foreign_command_of_the_same_name_is_kept(bare: Path) -> None:
     assert other.read_text() == "mine"
 
 
-def test_an_interpreter_without_access_for_the_service_is_refused(tmp_path: Path) -> None:
+def test_an_interpreter_without_access_for_the_service_is_rejected(tmp_path: Path) -> None:
     closed = tmp_path / "home/bin"
     closed.mkdir(parents=True)
     python = closed / "python3"
     python.touch()
     (tmp_path / "home").chmod(0o700)
-    assert reachable(python) is not None
-    with pytest.raises(InstallError, match=r"may not enter .*; name an interpreter"):
+    assert first_closed_directory(python) is not None
+    with pytest.raises(InstallError, match=r"cannot enter .*; give an interpreter"):
         Source(python).check(Target())
 
 
@@ -273,8 +273,8 @@ def test_the_environment_is_identified_by_its_inputs() -> None:
 
 
 def test_the_command_reports_the_reason_of_a_failure(fringed: object, tmp_path: Path) -> None:
-    done = fringed("install", "--root", str(tmp_path / "none"), "--prefix", "/opt/x")  # type: ignore[operator]
-    assert done.returncode == 1 and "make it first" in done.stderr
-    done = fringed("install", "--root", str(tmp_path), "--prefix", "/usr")  # type: ignore[operator]
-    assert done.returncode == 1 and "belongs to the system" in done.stderr
+    process = fringed("install", "--root", str(tmp_path / "none"), "--prefix", "/opt/x")  # type: ignore[operator]
+    assert process.returncode == 1 and "create it first" in process.stderr
+    process = fringed("install", "--root", str(tmp_path), "--prefix", "/usr")  # type: ignore[operator]
+    assert process.returncode == 1 and "belongs to the system" in process.stderr
     assert list(tmp_path.iterdir()) == []

@@ -26,7 +26,7 @@ MAX_EXPOSURE = 2.5
 def needs_systemd() -> None:
     """Skip where systemd's tools are not installed; in CI they must be."""
     if shutil.which("systemd-analyze") is None:
-        reason = "systemd-analyze is not there; tools/system-packages systemd installs it"
+        reason = "systemd-analyze is not installed; tools/system-packages systemd installs it"
         if os.environ.get("CI", "").lower() in ("1", "true", "yes"):
             pytest.fail(reason)
         pytest.skip(reason)
@@ -99,41 +99,41 @@ def test_the_viewer_is_reachable_from_this_machine_only() -> None:
 def test_exposure_is_within_the_limit(name: str) -> None:
     needs_systemd()
     command = ["systemd-analyze", "security", "--no-pager", "--offline=yes", str(sources() / name)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", done.stdout)
-    assert found is not None, done.stdout + done.stderr
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", process.stdout)
+    assert found is not None, process.stdout + process.stderr
     assert float(found[1]) <= MAX_EXPOSURE
 
 
 @pytest.mark.parametrize("name", [*UNITS, "user/fringed-user.service"])
 def test_systemd_accepts_every_line(name: str, tmp_path: Path) -> None:
     needs_systemd()
-    # Placeholders for programs that the units name, so that only real mistakes are reported.
+    # Placeholders for programs that the units name, so that only real errors are reported.
     text = (sources() / name).read_text()
     stand_in = tmp_path / "program"
     stand_in.write_text("#!/bin/sh\n")
     stand_in.chmod(0o755)
     text = re.sub(r"^(Exec\w+=)(/opt/fringed\S+|/usr/lib/xorg/Xorg)", rf"\g<1>{stand_in}", text, flags=re.MULTILINE)
     text = re.sub(r"^Documentation=.*\n", "", text, flags=re.MULTILINE)
-    place = tmp_path / Path(name).name
-    place.write_text(text)
+    path = tmp_path / Path(name).name
+    path.write_text(text)
     user = ["--user"] if name.startswith("user/") else []
     environ = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "SYSTEMD_UNIT_PATH": f"{tmp_path}:"}
-    done = subprocess.run(
-        ["systemd-analyze", *user, "verify", "--recursive-errors=no", str(place)],
+    process = subprocess.run(
+        ["systemd-analyze", *user, "verify", "--recursive-errors=no", str(path)],
         capture_output=True, text=True, timeout=60, check=False, env=environ,
     )  # fmt: skip
-    mistakes = [line for line in done.stderr.splitlines() if place.name in line and "not found" not in line]
-    assert mistakes == []
+    errors = [line for line in process.stderr.splitlines() if path.name in line and "not found" not in line]
+    assert errors == []
 
 
-def test_a_mistake_in_a_unit_is_detected(tmp_path: Path) -> None:
+def test_an_error_in_a_unit_is_detected(tmp_path: Path) -> None:
     needs_systemd()
-    place = tmp_path / "fringed.service"
-    place.write_text("[Service]\nExecStart=/bin/true\nProtectSytem=strict\n")
-    command = ["systemd-analyze", "verify", "--recursive-errors=no", str(place)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert "ProtectSytem" in done.stderr
+    path = tmp_path / "fringed.service"
+    path.write_text("[Service]\nExecStart=/bin/true\nProtectSytem=strict\n")
+    command = ["systemd-analyze", "verify", "--recursive-errors=no", str(path)]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert "ProtectSytem" in process.stderr
 
 
 def test_the_schema_of_the_key_of_the_x_server(tmp_path: Path) -> None:
@@ -148,5 +148,5 @@ def test_the_schema_of_the_key_of_the_x_server(tmp_path: Path) -> None:
 
 def test_constants_are_plain(tmp_path: Path) -> None:
     assert json.dumps([str(place.path) for place in layout.DIRECTORIES])
-    assert layout.moved(layout.PREFIX / "bin", tmp_path) == tmp_path / "bin"
-    assert layout.moved(layout.CONFIG, tmp_path) == layout.CONFIG
+    assert layout.with_prefix(layout.PREFIX / "bin", tmp_path) == tmp_path / "bin"
+    assert layout.with_prefix(layout.CONFIG, tmp_path) == layout.CONFIG
