@@ -1,1 +1,1 @@
-"""The last hours as an image, drawn alike as SVG (for a page) and PNG. Loaded by commands, never by the daemon."""
+"""Health reports as text, HTML page (SVG) and PNG. Imported by commands, never by the daemon."""

@@ -1,4 +1,4 @@
-"""What an image is drawn on: the same few strokes as SVG or as pixels. Coordinates and sizes are pixels."""
+"""Drawing as SVG or as pixels with the same few operations. Coordinates and sizes are pixels."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ Anchor = Literal["start", "middle", "end"]
 
 
 class Canvas(Protocol):
-    """Takes strokes; colours are ``#rrggbb``."""
+    """Drawing operations; colours are ``#rrggbb``."""
 
     def rect(self, x: float, y: float, width: float, height: float, color: str, *, opacity: float = 1.0) -> None:
-        """A filled rectangle."""
+        """Draw a filled rectangle."""
 
     def line(self, points: Sequence[Point], color: str, width: float, *, dashed: bool = False) -> None:
-        """A broken line."""
+        """Draw a polyline."""
 
     def area(self, points: Sequence[Point], color: str, *, opacity: float) -> None:
-        """A filled outline."""
+        """Draw a filled polygon."""
 
     def text(
         self, x: float, y: float, text: str, size: float, color: str, *, anchor: Anchor = "start", bold: bool = False
     ) -> None:
-        """One line of text on the base line y."""
+        """Draw one line of text on the base line y."""
 
 
 class Svg:
@@ -40,12 +40,12 @@ class Svg:
         self._parts: list[str] = []
 
     def rect(self, x: float, y: float, width: float, height: float, color: str, *, opacity: float = 1.0) -> None:
-        """A filled rectangle."""
-        place = f'x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}"'
-        self._parts.append(f'<rect {place} fill="{color}" opacity="{opacity:g}"/>')
+        """Draw a filled rectangle."""
+        bounds = f'x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}"'
+        self._parts.append(f'<rect {bounds} fill="{color}" opacity="{opacity:g}"/>')
 
     def line(self, points: Sequence[Point], color: str, width: float, *, dashed: bool = False) -> None:
-        """A broken line."""
+        """Draw a polyline."""
         dash = ' stroke-dasharray="5 4"' if dashed else ""
         ends = ' stroke-linejoin="round" stroke-linecap="round"'
         self._parts.append(
@@ -53,26 +53,26 @@ class Svg:
         )
 
     def area(self, points: Sequence[Point], color: str, *, opacity: float) -> None:
-        """A filled outline."""
+        """Draw a filled polygon."""
         self._parts.append(f'<path d="{_path(points)}Z" fill="{color}" opacity="{opacity:g}"/>')
 
     def text(
         self, x: float, y: float, text: str, size: float, color: str, *, anchor: Anchor = "start", bold: bool = False
     ) -> None:
-        """One line of text."""
+        """Draw one line of text."""
         weight = ' font-weight="600"' if bold else ""
         self._parts.append(
             f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size:g}" text-anchor="{anchor}" fill="{color}"{weight} '
             f'font-family="system-ui, Helvetica, Arial, sans-serif">{escape(text)}</text>'
         )
 
-    def done(self) -> str:
-        """The drawing."""
+    def data(self) -> str:
+        """The SVG element."""
         return "".join([self._head, *self._parts, "</svg>"])
 
 
 class Pixels:
-    """An image of pixels, by OpenCV; drawn twice as fine as its coordinates."""
+    """A raster image drawn by OpenCV, at twice the resolution of its coordinates."""
 
     FINE = 2
 
@@ -82,34 +82,34 @@ class Pixels:
         self._cv = cv2
         size = (round(self.FINE * height), round(self.FINE * width), 3)
         self._image = np.full(size, 255, np.uint8)
-        self._face = cv2.FontFace("sans") if hasattr(cv2, "FontFace") else None
+        self._face = cv2.FontFace("sans") if hasattr(cv2, "FontFace") else None  # from OpenCV 5 on
 
     def rect(self, x: float, y: float, width: float, height: float, color: str, *, opacity: float = 1.0) -> None:
-        """A filled rectangle."""
+        """Draw a filled rectangle."""
         self.area([(x, y), (x + width, y), (x + width, y + height), (x, y + height)], color, opacity=opacity)
 
     def line(self, points: Sequence[Point], color: str, width: float, *, dashed: bool = False) -> None:
-        """A broken line."""
+        """Draw a polyline."""
         thick = max(1, round(self.FINE * width))
         for part in _dashes(points) if dashed else [points]:
             self._cv.polylines(self._image, [self._fixed(part)], False, _bgr(color), thick, self._cv.LINE_AA, _SHIFT)
 
     def area(self, points: Sequence[Point], color: str, *, opacity: float) -> None:
-        """A filled outline."""
-        whole = self._fixed(points)
-        low, high = whole.min(axis=0) >> _SHIFT, (whole.max(axis=0) >> _SHIFT) + 2
-        cut = self._image[max(0, low[1]) : max(0, high[1]), max(0, low[0]) : max(0, high[0])]
-        if not cut.size:
+        """Draw a filled polygon."""
+        polygon = self._fixed(points)
+        low, high = polygon.min(axis=0) >> _SHIFT, (polygon.max(axis=0) >> _SHIFT) + 2
+        region = self._image[max(0, low[1]) : max(0, high[1]), max(0, low[0]) : max(0, high[0])]
+        if not region.size:
             return
-        drawn = cut.copy()
-        moved = whole - (np.maximum(low, 0) << _SHIFT)
-        self._cv.fillPoly(drawn, [moved], _bgr(color), self._cv.LINE_AA, _SHIFT)
-        cut[:] = self._cv.addWeighted(drawn, opacity, cut, 1 - opacity, 0)
+        filled = region.copy()
+        polygon -= np.maximum(low, 0) << _SHIFT
+        self._cv.fillPoly(filled, [polygon], _bgr(color), self._cv.LINE_AA, _SHIFT)
+        region[:] = self._cv.addWeighted(filled, opacity, region, 1 - opacity, 0)
 
     def text(
         self, x: float, y: float, text: str, size: float, color: str, *, anchor: Anchor = "start", bold: bool = False
     ) -> None:
-        """One line of text."""
+        """Draw one line of text."""
         fine = round(self.FINE * size)
         width = self._width(text, fine, bold=bold)
         left = self.FINE * x - {"start": 0.0, "middle": width / 2, "end": width}[anchor]
@@ -121,10 +121,10 @@ class Pixels:
             scale = fine / _HERSHEY
             self._cv.putText(self._image, plain, at, 0, scale, _bgr(color), 1 + bold, self._cv.LINE_AA)
 
-    def done(self) -> bytes:
+    def data(self) -> bytes:
         """The bytes of a PNG file."""
-        good, data = self._cv.imencode(".png", self._image, [self._cv.IMWRITE_PNG_COMPRESSION, 9])
-        if not good:
+        encoded, data = self._cv.imencode(".png", self._image, [self._cv.IMWRITE_PNG_COMPRESSION, 9])
+        if not encoded:
             raise ValueError("OpenCV cannot encode the image")
         return bytes(data)
 
@@ -135,17 +135,17 @@ class Pixels:
         return float(self._cv.getTextSize(_plain(text), 0, fine / _HERSHEY, 1 + bold)[0][0])
 
     def _fixed(self, points: Sequence[Point]) -> NDArray[Any]:
-        """Coordinates with a few binary digits behind the point, as OpenCV takes them."""
+        """Fixed-point coordinates for OpenCV."""
         return np.round(np.array(points) * self.FINE * (1 << _SHIFT)).astype(np.int32)
 
 
 _SHIFT = 4
 _WEIGHT = {False: 400, True: 600}
-_HERSHEY = 30.0  # pixels that a letter of scale 1 is high, line to line
+_HERSHEY = 30.0  # line height of the Hershey font at scale 1, pixels
 
 
 def _plain(text: str) -> str:
-    """For the fonts of OpenCV 4, which have ASCII alone."""
+    """Replace characters that the fonts of OpenCV 4 lack (all but ASCII)."""
     return text.replace("°", " deg ").replace("–", "-").replace("µ", "u").encode("ascii", "replace").decode()
 
 
@@ -158,11 +158,11 @@ def _path(points: Sequence[Point]) -> str:
 
 
 def _dashes(points: Sequence[Point], length: float = 5.0, gap: float = 4.0) -> list[list[Point]]:
-    """Dashes along straight pieces."""
+    """Split a polyline into dashes."""
     out: list[list[Point]] = []
     for (x0, y0), (x1, y1) in pairwise(points):
-        whole = float(np.hypot(x1 - x0, y1 - y0))
-        for at in np.arange(0, whole, length + gap):
-            a, b = at / whole, min(1.0, (at + length) / whole)
+        length_px = float(np.hypot(x1 - x0, y1 - y0))
+        for at in np.arange(0, length_px, length + gap):
+            a, b = at / length_px, min(1.0, (at + length) / length_px)
             out.append([(x0 + a * (x1 - x0), y0 + a * (y1 - y0)), (x0 + b * (x1 - x0), y0 + b * (y1 - y0))])
     return out

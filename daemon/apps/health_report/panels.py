@@ -1,4 +1,4 @@
-"""What is drawn: the panels with their courses, and asking a daemon for them."""
+"""The panels of a report and their curves, requested from a daemon."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BLUE, RED, GREEN, AMBER, PURPLE, GREY = "#1668b0", "#c8372d", "#1d7d4a", "#d98a0
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A course in a panel: which quantity, what it is called there, its colour."""
+    """A curve of a panel: its quantity, label and colour."""
 
     quantity: str
     label: str
@@ -30,7 +30,7 @@ class Panel:
     """One chart.
 
     Args:
-        title: above it; unit: of its axis; rules: whose limits are drawn; scale: from the quantity to the axis.
+        title: above the chart; unit: of its axis; rules: with drawn limits; scale: from the quantity to the axis.
         from_zero: whether the axis shows zero.
     """
 
@@ -67,61 +67,61 @@ PANELS: tuple[Panel, ...] = (
     Panel(
         "Losses",
         "%",
-        (Line("dropped_share", "pairs dropped", RED), Line("lone_share", "frames alone", AMBER)),
+        (Line("dropped_share", "pairs dropped", RED), Line("lone_share", "unpaired frames", AMBER)),
         ("dropped_share", "lone_share"),
         scale=100,
     ),
     Panel(
         "Coverage",
         "%",
-        (Line("coverage_lit", "where lit", AMBER), Line("coverage", "all pixels", BLUE)),
+        (Line("coverage_lit", "lit pixels", AMBER), Line("coverage", "all pixels", BLUE)),
         ("least_coverage",),
         scale=100,
     ),
     Panel("Modulation, left", "counts", _channels("modulation", "left"), ("least_modulation",)),
     Panel("Modulation, right", "counts", _channels("modulation", "right"), ("least_modulation",)),
-    Panel("Clipped samples, left", "%", _channels("saturated", "left"), ("saturated_share",), scale=100),
-    Panel("Clipped samples, right", "%", _channels("saturated", "right"), ("saturated_share",), scale=100),
+    Panel("Saturated samples, left", "%", _channels("saturated", "left"), ("saturated_share",), scale=100),
+    Panel("Saturated samples, right", "%", _channels("saturated", "right"), ("saturated_share",), scale=100),
     Panel(
         "Right minus left exposure",
         "µs",
         (Line("pairing_residual_us", "median", BLUE), Line("pairing_spread_us", "largest deviation", AMBER)),
         ("pairing_residual_us",),
     ),
-    Panel("Jitter of the trigger", "µs", (Line("trigger_jitter_us", "", BLUE),), ("trigger_jitter_us",)),
+    Panel("Trigger jitter", "µs", (Line("trigger_jitter_us", "", BLUE),), ("trigger_jitter_us",)),
     Panel("Camera temperature", "°C", _sides("temperature_{}_c"), ("temperature_c",), from_zero=False),
-    Panel("Room for takes", "GB", (Line("disk_free_gb", "", BLUE),), ("least_disk_free_gb",)),
+    Panel("Free disk space", "GB", (Line("disk_free_gb", "", BLUE),), ("least_disk_free_gb",)),
     Panel("Clock offset", "ms", (Line("clock_offset_ms", "", BLUE),), ("clock_offset_ms",)),
     Panel("Memory", "MB", (Line("memory_mb", "", BLUE),), ("memory_mb",)),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
-    """One quantity over time, (n,) each; NaN where it is not known."""
+class Curve:
+    """One quantity over time, (n,) each; NaN where it is missing."""
 
     mean: Array
     low: Array
     high: Array
 
     @property
-    def known(self) -> bool:
-        """Whether anything is known."""
+    def valid(self) -> bool:
+        """Whether any value is valid."""
         return bool(np.isfinite(self.mean).any())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Courses:
-    """All that the image needs.
+class HealthHistory:
+    """The data of a report.
 
     Args:
-        t_s: (n,) middles of the pieces, seconds since 1970; period_s: their length.
+        t_s: (n,) middles of the intervals, seconds since 1970; period_s: their length.
         report: answer of ``health``; events: of ``health.events``.
     """
 
     t_s: Array
     period_s: float
-    series: Mapping[str, Course]
+    series: Mapping[str, Curve]
     report: Mapping[str, Any]
     events: list[dict[str, Any]] = field(default_factory=list)
 
@@ -136,27 +136,27 @@ class Courses:
         return float(self.t_s[-1] + self.period_s / 2)
 
     def limit(self, rule: str) -> float | None:
-        """The limit of a rule, None where it is not judged."""
-        found = [one["limit"] for one in self.report["rules"] if one["name"] == rule]
-        return float(found[0]) if found and found[0] is not None else None
+        """The limit of a rule, None without one."""
+        limits = [entry["limit"] for entry in self.report["rules"] if entry["name"] == rule]
+        return float(limits[0]) if limits and limits[0] is not None else None
 
     def panels(self) -> list[Panel]:
-        """Those of which anything is known."""
-        return [panel for panel in PANELS if any(self.series[line.quantity].known for line in panel.lines)]
+        """The panels with data."""
+        return [panel for panel in PANELS if any(self.series[line.quantity].valid for line in panel.lines)]
 
 
-def ask(call: Callable[..., Any], seconds: float, points: int = 300) -> Courses:
-    """Everything from a daemon; ``call`` is its control client's."""
+def request_history(call: Callable[..., Any], seconds: float, points: int = 300) -> HealthHistory:
+    """Request the data from a daemon; ``call`` is the method of its control client."""
     names = list(dict.fromkeys(line.quantity for panel in PANELS for line in panel.lines))
-    series: dict[str, Course] = {}
+    series: dict[str, Curve] = {}
     answer: dict[str, Any] = {}
     for at in range(0, len(names), MOST_SERIES):
         answer = call("health.history", quantities=names[at : at + MOST_SERIES], seconds=seconds, points=points)
-        series |= {name: _course(parts) for name, parts in answer["series"].items()}
-    shortest = min(len(course.mean) for course in series.values())
+        series |= {name: _curve(parts) for name, parts in answer["series"].items()}
+    shortest = min(len(curve.mean) for curve in series.values())
     t_s = np.array(answer["t_s"][-shortest:], dtype=np.float64)
-    return Courses(t_s, float(answer["period_s"]), series, call("health"), call("health.events", most=500))
+    return HealthHistory(t_s, float(answer["period_s"]), series, call("health"), call("health.events", most=500))
 
 
-def _course(parts: Mapping[str, list[float | None]]) -> Course:
-    return Course(*(np.array(parts[part], dtype=np.float64) for part in ("mean", "low", "high")))
+def _curve(parts: Mapping[str, list[float | None]]) -> Curve:
+    return Curve(*(np.array(parts[part], dtype=np.float64) for part in ("mean", "low", "high")))

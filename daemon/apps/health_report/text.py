@@ -15,7 +15,7 @@ _SPREAD = ("p50", "p95", "p99", "max")
 
 
 def report_text(report: Mapping[str, Any], events: list[dict[str, Any]]) -> str:
-    """Verdict, limits, windows, drops, events."""
+    """Format verdict, limits, windows, drops and events."""
     return "\n".join(line[:WIDTH].rstrip() for line in _lines(report, events))
 
 
@@ -24,7 +24,7 @@ def _lines(report: Mapping[str, Any], events: list[dict[str, Any]]) -> Iterator[
     for event in report["open"]:
         yield from _wrapped(f"{event['level']}: {event['text']} (since {_clock(event['t_ns'])})")
     yield ""
-    yield f"{'judged':<24}{'now':>14}{'limit':>16}   verdict"
+    yield f"{'quantity':<24}{'value':>14}{'limit':>16}   verdict"
     for rule in report["rules"]:
         if rule["limit"] is not None:
             yield _rule(rule)
@@ -32,19 +32,19 @@ def _lines(report: Mapping[str, Any], events: list[dict[str, Any]]) -> Iterator[
     yield from _windows(report["windows"])
     drops = report["totals"]["drops"]
     yield from _wrapped("dropped: " + (", ".join(f"{name} {count}" for name, count in drops.items()) or "nothing"))
-    yield from _wrapped(f"clock: {clock_words(report['clock'])}")
+    yield from _wrapped(f"clock: {clock_text(report['clock'])}")
     if events:
         yield ""
         yield "events, UTC"
         for event in events[-_EVENTS:]:
-            ended = f"{event['end']} {_clock(event['ended_ns'])}" if event["ended_ns"] else "lasts"
+            ended = f"{event['end']} {_clock(event['ended_ns'])}" if event["ended_ns"] else "open"
             yield from _wrapped(f"{_clock(event['t_ns'])}  {event['level']}: {event['text']}; {ended}")
 
 
 def _rule(rule: Mapping[str, Any]) -> str:
     if rule["name"] in ("degraded", "clock_synchronised"):
-        told = {"ok": "yes" if rule["name"] != "degraded" else "no", "unknown": "unknown"}
-        now = told.get(rule["verdict"], "no" if rule["name"] != "degraded" else "yes")
+        answers = {"ok": "yes" if rule["name"] != "degraded" else "no", "unknown": "unknown"}
+        now = answers.get(rule["verdict"], "no" if rule["name"] != "degraded" else "yes")
         return f"{rule['name']:<24}{now:>14}{'':>16}   {rule['verdict']}"
     now = "unknown" if rule["value"] is None else format_value(rule["quantity"], rule["value"])
     limit = f"{'>=' if rule['below'] else '<='} {format_value(rule['quantity'], rule['limit'])}"
@@ -62,11 +62,11 @@ def _windows(windows: Mapping[str, Any]) -> Iterator[str]:
         yield ""
 
 
-def clock_words(clock: Mapping[str, Any]) -> str:
-    """What is known of the clock."""
+def clock_text(clock: Mapping[str, Any]) -> str:
+    """Format the state of the clock."""
     if clock["synchronised"] is None:
-        return "nobody tells whether it is synchronised"
-    off = "" if clock["offset_ms"] is None else f", {clock['offset_ms']:.3g} ms off"
+        return "synchronisation unknown"
+    off = "" if clock["offset_ms"] is None else f", {clock['offset_ms']:.3g} ms offset"
     return f"{'synchronised' if clock['synchronised'] else 'not synchronised'} ({clock['source']}{off})"
 
 

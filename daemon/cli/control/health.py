@@ -1,4 +1,4 @@
-"""``fringed health``: how a running daemon fares, now and over the last hours."""
+"""``fringed health``: the health of a running daemon, now and over the last hours."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def main(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with charts.")] = None,
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the charts as an image.")] = None,
-    last: Annotated[str, typer.Option(metavar="TIME", help="How far the charts go back: 90s, 15min, 6h.")] = "1h",
+    last: Annotated[str, typer.Option(metavar="TIME", help="Period of the charts: 90s, 15min, 6h.")] = "1h",
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for each answer.")] = 5.0,
 ) -> None:
-    """Tell how a running daemon fares.
+    """Report the health of a running daemon.
 
-    Exit status: 0 healthy, or with a warning; 1 ill; 3 no daemon; 4 nothing to judge by, it starts or is paused.
+    Exit status: 0 healthy, or with a warning; 1 ill; 3 no daemon; 4 unknown, while it starts or is paused.
     """
     from daemon.apps.health_report.text import report_text
     from daemon.common.errors import ControlError
@@ -48,23 +48,25 @@ def main(
 
 
 def _write(call: object, seconds: float, html: Path | None, png: Path | None) -> None:
-    """The images that are wanted."""
+    """Write the requested files."""
     if html is None and png is None:
         return
     from daemon.apps.health_report import page, panels
     from daemon.common.files import write_atomically
 
-    shown = panels.ask(call, seconds)  # type: ignore[arg-type]
-    for path, made in ((html, page.html), (png, page.png)):
+    history = panels.request_history(call, seconds)  # type: ignore[arg-type]
+    for path, render in ((html, page.html), (png, page.png)):
         if path is not None:
-            write_atomically(path, made(shown))
+            write_atomically(path, render(history))
             typer.echo(f"wrote {path}", err=True)
 
 
 def span_s(text: str) -> float:
     """Seconds of a span such as ``90s``, ``15min`` or ``6h``."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)(s|m|min|h)", text)
-    seconds = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)(s|m|min|h)", text)
+    seconds = float(match[1]) * _UNITS[match[2]] if match else 0.0
     if not 10 <= seconds <= 72 * 3600:
-        raise typer.BadParameter(f"{text!r} is no time from 10s to 72h; write 90s, 15min or 6h", param_hint="--last")
+        raise typer.BadParameter(
+            f"{text!r} is no period from 10s to 72h; use a form such as 90s, 15min or 6h", param_hint="--last"
+        )
     return seconds

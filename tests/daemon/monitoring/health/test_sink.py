@@ -135,7 +135,7 @@ def test_the_images_are_drawn_from_the_methods_results(watch: Health, clock: Clo
     seconds(watch, clock, 15)
     seconds(watch, clock, 15, latency_ms=300.0)
     table = HealthMethods(watch).table()
-    shown = panels.ask(lambda name, /, **params: json.loads(json.dumps(table[name](params))), 60.0)
+    shown = panels.request_history(lambda name, /, **params: json.loads(json.dumps(table[name](params))), 60.0)
     assert "Latency" in [panel.title for panel in shown.panels()]
     html = page.html(shown).decode()
     ET.fromstring(html.split("\n", 1)[1])
@@ -152,15 +152,15 @@ def test_without_fonts_the_image_is_drawn_with_strokes(
     monkeypatch.delattr(cv2, "FontFace", raising=False)
     seconds(watch, clock, 12)
     table = HealthMethods(watch).table()
-    shown = panels.ask(lambda name, /, **params: table[name](params), 60.0)
+    shown = panels.request_history(lambda name, /, **params: table[name](params), 60.0)
     image = cv2.imdecode(np.frombuffer(page.png(shown), np.uint8), cv2.IMREAD_COLOR)
     assert image is not None and (image[:100] < 128).any()
 
 
 def test_images_of_a_daemon_that_has_just_begun(watch: Health) -> None:
     table = HealthMethods(watch).table()
-    shown = panels.ask(lambda name, /, **params: table[name](params), 600.0)
-    assert not shown.panels() and b"nothing is known" in page.html(shown) and page.png(shown)
+    shown = panels.request_history(lambda name, /, **params: table[name](params), 600.0)
+    assert not shown.panels() and b"no data in this time" in page.html(shown) and page.png(shown)
 
 
 def test_other_limits_and_another_calibration_are_applied_at_once(watch: Health, clock: Clock) -> None:
