@@ -11,9 +11,9 @@ Times are CLOCK_REALTIME nanoseconds. Trigger numbers are unsigned 32-bit and ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +102,14 @@ class Camera(Protocol):
 
     def health(self) -> CameraHealth:
         """Condition of the camera, in any state and from any thread; returns at once."""
+
+
+@runtime_checkable
+class FillsBuffers(Protocol):
+    """A camera that writes its images into memory of the caller."""
+
+    allocate: Callable[..., Any]
+    """Returns the array for an image, from its shape and dtype."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
+_RESOLVING = "fringed.resolving"
+
+
 class LazyGroup(TyperGroup):
     """Shows the table in the help; imports a command when it is to run."""
 
@@ -51,13 +54,13 @@ class LazyGroup(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         module, summary = COMMANDS[cmd_name]
-        if ctx.invoked_subcommand is None and not getattr(ctx, "_resolving", False):
+        if ctx.invoked_subcommand is None and not ctx.meta.get(_RESOLVING):
             return TyperCommand(cmd_name, help=summary)
         return load(cmd_name, module, summary)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that was named; from here on the real one is wanted."""
-        ctx._resolving = True
+        ctx.meta[_RESOLVING] = True
         return super().resolve_command(ctx, args)
 
 
@@ -94,7 +97,7 @@ def invoke(arguments: list[str]) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return 130
     except Exception as error:
-        if hasattr(error, "show") and hasattr(error, "exit_code"):
+        if hasattr(error, "show") and hasattr(error, "exit_code"):  # typer has no public name for its usage errors
             error.show()
             return int(error.exit_code)
         raise

@@ -72,7 +72,7 @@ class Connection:
             raise
         self._acquirer.add_callback(ImageAcquirer.Events.INCOMPLETE_BUFFER, self._incomplete)
         self._acquirer.num_buffers = options.buffers
-        self._chunks = getattr(self._acquirer, "_chunk_adapter", None)
+        self._chunks = getattr(self._acquirer, "_chunk_adapter", None)  # private to harvesters, not in every release
         self.camera = Features(self._acquirer.remote_device.node_map)
         streams = self._acquirer.data_streams
         if not streams:
@@ -153,7 +153,7 @@ class Connection:
             except GENICAM_ERRORS:
                 continue
         for owner in (self._chunks, self._acquirer, self._harvester):
-            # Their finalizers hold bound methods, which keep them and all that they hold alive until the very end.
+            # Finalizers of harvesters, private to it, hold bound methods, which keep their owners alive until the end.
             finalizer = getattr(owner, "_finalizer", None)
             if finalizer is not None:
                 finalizer.detach()

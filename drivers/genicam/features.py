@@ -94,6 +94,9 @@ class Features:
         except GENICAM_ERRORS:
             return None
 
+    # A GenICam node has the members of its interface alone: ``entries`` of an enumeration, ``min`` and ``max`` of a
+    # number, ``execute`` of a command. Hence the hasattr of the methods below.
+
     def choices(self, name: str) -> tuple[str, ...]:
         """The entries of an enumeration that can be chosen now."""
         node = self.find(name)

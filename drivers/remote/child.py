@@ -5,7 +5,7 @@ connection, or, should a vendor's library hang, by the kernel's parent-death sig
 (Ctrl-C, a service manager's SIGTERM) reach this process too and are left to the daemon, which closes the camera in
 order.
 
-A camera with an attribute ``allocate`` fills its images into the ring: ``allocate(shape, dtype)`` gives an array to
+A camera that fills buffers writes its images into the ring: ``allocate(shape, dtype)`` gives an array to
 fill and to pass on as a frame's image; asking again before a frame was passed on gives the same memory.
 """
 
@@ -24,7 +24,7 @@ from typing import Any
 
 from drivers.child_process import die_with_parent
 from drivers.errors import DeviceLost, DriverError, SettingRefused
-from drivers.protocols import Camera, CameraHealth, CameraInfo
+from drivers.protocols import Camera, CameraHealth, CameraInfo, FillsBuffers
 from drivers.remote.messages import (
     MAX_MESSAGE,
     Configure,
@@ -148,8 +148,8 @@ class Child:
         self._ring = RingWriter(self._slots, width * height * bytes_per_pixel)
         self._ring.beat()
         self._outbox = Outbox(self._ring, self._announce)
-        camera: Any = self._camera
-        if hasattr(camera, "allocate"):
+        camera = self._camera
+        if camera is not None and isinstance(camera, FillsBuffers):
             camera.allocate = self._outbox.allocate
         message = Opened(
             number=number,

@@ -101,7 +101,8 @@ def fields_of(record: logging.LogRecord) -> dict[str, str]:
         "CODE_LINE": str(record.lineno),
         "CODE_FUNC": record.funcName or "",
     }
-    return fields | _prefixed({name: str(getattr(record, name)) for name in EXTRA if hasattr(record, name)})
+    # logging stores what a line was logged with (``extra``) as attributes of its record.
+    return fields | _prefixed({name: str(value) for name, value in vars(record).items() if name in EXTRA})
 
 
 def encode(fields: Mapping[str, str]) -> bytes:
