@@ -1,4 +1,4 @@
-"""A cloud as the bytes of a file, and the clouds that a replay has left in a directory."""
+"""Cloud files: encoding, and reading of the files of a replay."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from fringed.ply import ply_bytes
 KINDS = ("npz", "ply", "pcd")
 _NAME = re.compile(r"cloud_(\d{6,})\.npz")
 _MAX_PIXELS = 1 << 28
-# Everything that zipfile and numpy say of damaged archives; RuntimeError is a flipped "encrypted" flag.
+# Errors of zipfile and numpy for damaged archives; RuntimeError is a flipped "encrypted" flag.
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile)
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedCloud:
-    """A cloud as it stands in a file.
+    """The contents of a cloud file.
 
     Args:
-        xyz: (H, W, 3) float32, mm, NaN where unknown; sigma_mm: (H, W) float32; gray: (H, W) uint8.
+        xyz: (H, W, 3) float32, mm, NaN where invalid; sigma_mm: (H, W) float32; gray: (H, W) uint8.
     """
 
     xyz: NDArray[np.float32]
@@ -40,22 +40,22 @@ class SavedCloud:
 
 
 def cloud_name(sequence: int, kind: str) -> str:
-    """The name of a cloud's file: six digits, more only where the number has more."""
+    """The name of a cloud file, with at least six digits."""
     return f"cloud_{sequence:06d}.{kind}"
 
 
 def cloud_bytes(cloud: SavedCloud, kind: str) -> bytes:
-    """The file of a cloud; the same cloud always gives the same bytes.
+    """Encode a cloud; equal clouds give equal bytes.
 
     Args:
-        kind: ``npz`` (the whole organised cloud), ``ply`` or ``pcd`` (only the known points, gray as colour).
+        kind: ``npz`` (the organised cloud), ``ply`` or ``pcd`` (only the valid points, gray as colour).
     """
     if kind == "ply":
         return ply_bytes(cloud.xyz, cloud.gray)
     if kind == "pcd":
         return pcd_bytes(cloud.xyz, cloud.gray)
     if kind != "npz":
-        raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
+        raise DaemonError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
     buffer = io.BytesIO()
     np.savez(buffer, xyz=cloud.xyz, sigma_mm=cloud.sigma_mm, gray=cloud.gray)
     return buffer.getvalue()
@@ -65,20 +65,22 @@ def clouds_in(directory: Path) -> list[tuple[int, Path]]:
     """Sequence number and file of every ``cloud_NNNNNN.npz``, in the order of the numbers.
 
     Raises:
-        DaemonError: when there are none.
+        DaemonError: there are none.
     """
     matches = ((_NAME.fullmatch(path.name), path) for path in directory.iterdir())
     found = sorted((int(match[1]), path) for match, path in matches if match)
     if not found:
-        raise DaemonError(f"{directory}: no cloud_NNNNNN.npz here; `fringed replay TAKE.mcap --out DIR` writes them")
+        raise DaemonError(
+            f"{directory}: it contains no cloud_NNNNNN.npz; `fringed replay TAKE.mcap --out DIR` writes them"
+        )
     return found
 
 
 def read_cloud(path: Path) -> SavedCloud:
-    """A cloud of a npz file.
+    """Read a cloud from an npz file.
 
     Raises:
-        DaemonError: naming the file and what is wrong with it.
+        DaemonError: the message names the file and its problem.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -88,21 +90,21 @@ def read_cloud(path: Path) -> SavedCloud:
     except _UNREADABLE as error:
         raise DaemonError(f"{path}: not a cloud of this program: {error}") from error
     if xyz.shape != (*gray.shape, 3) or sigma_mm.shape != gray.shape:
-        raise DaemonError(f"{path}: xyz {xyz.shape}, sigma_mm {sigma_mm.shape} and gray {gray.shape} do not fit")
+        raise DaemonError(f"{path}: xyz {xyz.shape}, sigma_mm {sigma_mm.shape} and gray {gray.shape} do not match")
     return SavedCloud(xyz, sigma_mm, gray)
 
 
 def _array(archive: zipfile.ZipFile, name: str, kind: np.dtype[Any], dimensions: int) -> NDArray[Any]:
-    """One array; its type and size are looked at before anything is allocated for it."""
+    """Read one array; its type and size are checked before the allocation."""
     with archive.open(f"{name}.npy") as file:
         read_header = _HEADERS.get(np.lib.format.read_magic(file))
         if read_header is None:
-            raise ValueError(f"{name} is of an unknown array format")
-        shape, fortran, found = read_header(file)
+            raise ValueError(f"{name} has an unknown array format")
+        shape, fortran, dtype = read_header(file)
         count = int(np.prod(shape, dtype=np.float64))
-        if found != kind or fortran or len(shape) != dimensions or not 0 < count <= 3 * _MAX_PIXELS:
-            raise ValueError(f"{name} is {found} {shape}, expected {kind} in {dimensions} dimensions")
+        if dtype != kind or fortran or len(shape) != dimensions or not 0 < count <= 3 * _MAX_PIXELS:
+            raise ValueError(f"{name} is {dtype} {shape}, expected {kind} in {dimensions} dimensions")
         data = file.read(count * kind.itemsize + 1)
     if len(data) != count * kind.itemsize:
-        raise ValueError(f"{name} holds {len(data)} bytes, expected {count * kind.itemsize}")
+        raise ValueError(f"{name} has {len(data)} bytes, expected {count * kind.itemsize}")
     return np.frombuffer(data, kind).reshape(shape)

@@ -1,4 +1,4 @@
-"""A video of depth maps: near is warm, far is cold, unknown is black."""
+"""Videos of depth maps: near is warm, far is cold, invalid is black."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
 
 def depth_image(depth_mm: NDArray[np.float32], near_mm: float, far_mm: float) -> NDArray[np.uint8]:
-    """A depth map as a colour image, (H, W) -> (H, W, 3) B G R; depths outside the limits get the end colours."""
-    known = np.isfinite(depth_mm)
-    share = (far_mm - np.where(known, depth_mm, far_mm)) / (far_mm - near_mm)
+    """A depth map as a colour image, (H, W) -> (H, W, 3) B G R; depths outside the limits have the end colours."""
+    valid = np.isfinite(depth_mm)
+    share = (far_mm - np.where(valid, depth_mm, far_mm)) / (far_mm - near_mm)
     levels = np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
     colors = np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), dtype=np.uint8)
-    colors[~known] = 0
+    colors[~valid] = 0
     return colors
 
 
 def depth_limits(depths_mm: Iterable[NDArray[np.float32]]) -> tuple[float, float]:
-    """Depths between which nearly all points of all maps lie, mm."""
-    ranges = [np.percentile(known, (1, 99)) for depth in depths_mm if (known := depth[np.isfinite(depth)]).size]
+    """The range of depths with nearly all points of all maps, mm."""
+    ranges = [np.percentile(valid, (1, 99)) for depth in depths_mm if (valid := depth[np.isfinite(depth)]).size]
     if not ranges:
-        raise DaemonError("none of the clouds holds a point; there is nothing to show")
+        raise DaemonError("the clouds contain no points, so the video would be empty")
     near, far = float(min(r[0] for r in ranges)), float(max(r[1] for r in ranges))
     margin = max(0.5, 0.02 * (far - near))
     return near - margin, far + margin
 
 
 def write_video(path: Path, images: Iterable[NDArray[np.uint8]], *, rate_hz: float) -> int:
-    """Write images of one size as a video and prove that it can be opened again.
+    """Write images of one size as a video and verify it.
 
     Args:
-        path: its suffix chooses the kind, ``.mp4`` or ``.avi``.
-        images: (H, W, 3) B G R; odd sizes lose their last row or column, which the codecs ask for.
+        path: ``.mp4`` or ``.avi``.
+        images: (H, W, 3) B G R; odd sizes lose their last row or column, because the codecs require even sizes.
 
     Returns:
-        number of images written.
+        Number of written images.
 
     Raises:
-        DaemonError: a kind that cannot be written, images of different sizes, or a file that does not open.
+        DaemonError: an unknown format, images of different sizes, or an unreadable file.
     """
     codec = CODECS.get(path.suffix.lower())
     if codec is None:
-        raise DaemonError(f"{path}: a video ends with {' or '.join(CODECS)}")
+        raise DaemonError(f"{path}: unknown video format, expected {' or '.join(CODECS)}")
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix.lower(), dir=path.parent)
     os.close(handle)
     temporary = Path(name)
@@ -89,18 +89,18 @@ def _encode(temporary: Path, path: Path, codec: str, images: Iterable[NDArray[np
         if writer is not None:
             writer.release()
     if count == 0:
-        raise DaemonError(f"{path}: there are no images for a video")
+        raise DaemonError(f"{path}: no images for a video")
     return count
 
 
 def _check(temporary: Path, path: Path, count: int) -> None:
-    """OpenCV tells nothing of a full disk, so the video is opened again and its last image asked for."""
+    """Count the images of the written video, because OpenCV does not report a full disk."""
     video = cv2.VideoCapture(str(temporary))
     try:
-        read = 0
+        readable = 0
         while video.grab():
-            read += 1
+            readable += 1
     finally:
         video.release()
-    if read != count:
-        raise DaemonError(f"{path}: {read} of {count} images can be read back; is the disk full?")
+    if readable != count:
+        raise DaemonError(f"{path}: {readable} of {count} images are readable; check the free disk space")

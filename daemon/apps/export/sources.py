@@ -1,4 +1,4 @@
-"""Where exported clouds come from: a directory of a replay, or a take that is reconstructed on the way."""
+"""Sources of exported clouds: a directory of a replay, or a take that is reconstructed during the export."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Progress = Callable[[int, int], Any]
 
 
 def is_take(source: Path) -> bool:
-    """Whether a source is a take: one of its files, or a directory that holds nothing but parts of one."""
+    """Whether a source is a take: one of its files, or a directory with parts of one."""
     if source.is_dir():
         return any(source.glob("*.mcap*")) and not any(source.glob("cloud_*.npz"))
     return True
 
 
 def saved_clouds(directory: Path, progress: Progress) -> Clouds:
-    """Sequence and cloud of every file in a directory."""
+    """Yield sequence and cloud of every file in a directory."""
     files = clouds_in(directory)
-    for done, (sequence, path) in enumerate(files):
-        progress(done, len(files))
+    for number, (sequence, path) in enumerate(files):
+        progress(number, len(files))
         yield sequence, read_cloud(path)
     progress(len(files), len(files))
 
@@ -36,10 +36,10 @@ def saved_clouds(directory: Path, progress: Progress) -> Clouds:
 def reconstructed_clouds(
     path: Path, progress: Progress, *, calibration: Path | None = None, settings: Settings | None = None
 ) -> Clouds:
-    """Sequence and cloud of every pair of a take.
+    """Yield sequence and cloud of every pair of a take.
 
     Raises:
-        DaemonError: a take that gives no cloud; PipelineError: files that do not fit together.
+        DaemonError: no pair gives a cloud; PipelineError: files that do not match.
     """
     from daemon.apps.replay.runner import Replay
     from pipeline.common.settings import Settings
@@ -47,7 +47,7 @@ def reconstructed_clouds(
     with TakeReader(path) as take:
         replay = Replay(take, settings or Settings(), calibration=calibration)
         count = 0
-        for result in replay.results(progress=lambda done: progress(done, take.size)):
+        for result in replay.results(progress=lambda position: progress(position, take.size)):
             count += 1
             yield result.pair.sequence, SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
         if count == 0:

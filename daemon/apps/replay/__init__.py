@@ -1,1 +1,1 @@
-"""Replay: the clouds of a take, their timing, and whether they are still what they were."""
+"""Replay: the clouds of a take, their timing, and their comparison with a golden file."""

@@ -1,6 +1,6 @@
-"""What a replay is expected to give: for every pair its points, its coverage and the depth in every cell of a grid.
+"""Golden files: the expected points, coverage and grid of depths of every pair of a replay.
 
-A golden file is JSON and meant to be read, and its tolerances to be edited, by people.
+A golden file is JSON; users read it and edit its tolerances.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ MAX_BYTES = 256 << 20
 
 
 class GoldenError(DaemonError):
-    """A golden file that cannot be used; the message names file and key."""
+    """An unusable golden file; the message names file and key."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """How far a replay may move; they stand in the golden file."""
+    """Largest allowed deviations of a replay, stored in the golden file."""
 
     points_percent: float = 0.5
     """Change of the number of points of a pair."""
@@ -39,16 +39,16 @@ class Tolerances:
     spread_mm: float = 0.2
     """Change of the distance between a cell's quartiles of depth."""
     count_percent: float = 10.0
-    """Change of a cell's number of points, of the cell's pixels."""
+    """Change of a cell's number of points, as a share of its pixels."""
     cells_percent: float = 0.5
-    """Share of the cells that may move by more than the three limits above."""
+    """Share of the cells that may exceed the three limits above."""
     min_count: int = 50
-    """Points that a cell needs, before and now, for its depth to be compared."""
+    """Least number of points, expected and actual, of a cell with a compared depth."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairStatistics:
-    """A cloud in figures, row by row of the grid; cells without points hold None."""
+    """Figures of a cloud, row by row of the grid; None in cells without points."""
 
     sequence: int
     size: tuple[int, int]
@@ -70,32 +70,32 @@ class Golden:
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
-    """Something that is not what it was; ``limit`` says what would have been allowed."""
+class Deviation:
+    """A deviation beyond the tolerance ``limit``."""
 
     sequence: int
-    what: str
+    quantity: str
     expected: str
-    got: str
+    actual: str
     limit: str
 
 
 def statistics(sequence: int, depth_mm: NDArray[np.float32], cell: int = CELL) -> PairStatistics:
-    """The figures of a depth map.
+    """Compute the figures of a depth map.
 
     Args:
-        depth_mm: (H, W), NaN where unknown; cell: side of a square cell, pixels; those at the border may be smaller.
+        depth_mm: (H, W), NaN where invalid; cell: side of a square cell, pixels; cells at the border may be smaller.
     """
     height, width = depth_mm.shape
     medians: list[list[float | None]] = []
     spreads: list[list[float | None]] = []
     counts: list[list[int]] = []
     for top in range(0, height, cell):
-        known = [row[np.isfinite(row)] for row in _cells(depth_mm[top : top + cell], cell)]
-        quartiles = [np.percentile(values, (25, 50, 75)) if values.size else None for values in known]
+        valid = [row[np.isfinite(row)] for row in _cells(depth_mm[top : top + cell], cell)]
+        quartiles = [np.percentile(values, (25, 50, 75)) if values.size else None for values in valid]
         medians.append([None if q is None else round(float(q[1]), 4) for q in quartiles])
         spreads.append([None if q is None else round(float(q[2] - q[0]), 4) for q in quartiles])
-        counts.append([int(values.size) for values in known])
+        counts.append([int(values.size) for values in valid])
     points = int(np.isfinite(depth_mm).sum())
     return PairStatistics(sequence, (width, height), points, round(points / depth_mm.size, 6), medians, spreads, counts)
 
@@ -105,16 +105,16 @@ def _cells(band: NDArray[np.float32], cell: int) -> list[NDArray[np.float32]]:
 
 
 def bless(path: Path, pairs: Sequence[PairStatistics], about: Mapping[str, Any]) -> Golden:
-    """Write a golden file; tolerances and grid of the file that is replaced are kept.
+    """Write a golden file; tolerances and grid of a replaced file are kept.
 
     Args:
-        about: where the figures come from: take, calibration, settings; for people.
+        about: origin of the figures, for users: take, calibration, settings.
     """
     before = load(path) if path.exists() else Golden({})
     golden = Golden({pair.sequence: pair for pair in pairs}, before.tolerances, before.cell, dict(about))
     head = {"fringed_golden": VERSION, "about": dict(about), "tolerances": asdict(golden.tolerances)}
     head["cell"] = golden.cell
-    # One line a pair: a change can be seen in a diff, and the file stays short.
+    # One line for each pair keeps diffs readable and the file short.
     rows = ",\n  ".join(json.dumps(asdict(pair), separators=(", ", ": ")) for pair in pairs)
     text = json.dumps(head, indent=1).removesuffix("\n}") + f',\n "pairs": [\n  {rows}\n ]\n}}\n'
     write_atomically(path, text.encode())
@@ -122,10 +122,10 @@ def bless(path: Path, pairs: Sequence[PairStatistics], about: Mapping[str, Any])
 
 
 def load(path: Path) -> Golden:
-    """A golden file.
+    """Read a golden file.
 
     Raises:
-        GoldenError: when it is none, naming the key.
+        GoldenError: it is unusable; the message names the key.
     """
     data = read_at_most(path, MAX_BYTES, GoldenError)
     try:
@@ -133,8 +133,8 @@ def load(path: Path) -> Golden:
     except (ValueError, RecursionError) as error:
         raise GoldenError(f"{path}: not JSON: {error}; `--bless {path}` writes a new one") from error
     if not isinstance(value, dict) or value.get("fringed_golden") != VERSION:
-        found = value.get("fringed_golden") if isinstance(value, dict) else None
-        raise GoldenError(f"{path}: fringed_golden is {found!r}, this program reads version {VERSION}")
+        version = value.get("fringed_golden") if isinstance(value, dict) else None
+        raise GoldenError(f"{path}: fringed_golden is {version!r}, this program reads version {VERSION}")
     try:
         pairs = [_pair(item) for item in value["pairs"]]
         cell = int(value["cell"])
@@ -142,8 +142,8 @@ def load(path: Path) -> Golden:
             raise ValueError(f"cell is {cell}, expected 1 to 65535 pixels")
         tolerances = _tolerances(value.get("tolerances", {}))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        what = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
-        raise GoldenError(f"{path}: {what}") from error
+        problem = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
+        raise GoldenError(f"{path}: {problem}") from error
     return Golden({pair.sequence: pair for pair in pairs}, tolerances, cell, value.get("about", {}))
 
 
@@ -163,8 +163,8 @@ def _pair(item: Mapping[str, Any]) -> PairStatistics:
 def _tolerances(values: Mapping[str, Any]) -> Tolerances:
     known = {f.name for f in fields(Tolerances)}
     unknown = sorted(set(values) - known)
-    if unknown:  # people edit these: a mistyped one must not silently do nothing
-        raise ValueError(f"tolerances.{unknown[0]} is not known; there are: {', '.join(sorted(known))}")
+    if unknown:  # users edit these: a typing error must not be ignored
+        raise ValueError(f"tolerances.{unknown[0]} is unknown; the tolerances are: {', '.join(sorted(known))}")
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
             raise ValueError(f"tolerances.{name} is {value!r}, expected a number from 0")

@@ -1,4 +1,4 @@
-"""Show a replay in the Rerun viewer, or save it for the viewer; Rerun is imported here and only when asked for."""
+"""A replay in the Rerun viewer or in a file for it; Rerun is imported only when used."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 class RerunLog:
-    """Logs clouds, images and figures as the live viewer shows them.
+    """Logs clouds, images and figures like the live viewer.
 
     Args:
         file: to save to (``.rrd``), None = open the native viewer.
 
     Raises:
-        DaemonError: when Rerun is not installed.
+        DaemonError: Rerun is not installed.
     """
 
     def __init__(self, file: Path | None) -> None:
@@ -46,7 +46,7 @@ class RerunLog:
             raise DaemonError("--rerun needs the package rerun-sdk: pip install 'fringed[rig]'") from error
 
     def show(self, result: Result) -> None:
-        """Log a cloud, the images it was made from, and how it went."""
+        """Log a cloud, its images and its figures."""
         pair, cloud, run = result.pair, result.cloud, result.runs[-1]
         self._logger.time(seq=pair.sequence, t_ns=pair.t_ns)
         self._logger.cloud(cloud.xyz, cloud.gray, cloud.sigma_mm)
@@ -54,7 +54,7 @@ class RerunLog:
         self._logger.figures({"points": float(run.points), "latency_ms": run.total_ms})
 
     def close(self) -> None:
-        """Finish the file, or leave the viewer to its user."""
+        """Finish the file, or disconnect from the viewer."""
         self._recording.flush()
         self._recording.disconnect()
         if self._temporary is not None and self._file is not None:
@@ -62,8 +62,8 @@ class RerunLog:
                 os.fsync(written.fileno())
             self._temporary.replace(self._file)
 
-    def abandon(self) -> None:
-        """After an error: leave no unfinished file."""
+    def discard(self) -> None:
+        """Remove the unfinished file after an error."""
         self._recording.disconnect()
         if self._temporary is not None:
             with suppress(OSError):
@@ -71,7 +71,7 @@ class RerunLog:
 
 
 def _jpeg(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """A raw image for the eye, as the bytes of a JPEG file; a mosaic is shown as it is."""
+    """Encode a raw image as JPEG for display; a mosaic is not demosaiced."""
     eight_bit = (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image
     order = eight_bit[..., ::-1] if eight_bit.ndim == 3 else eight_bit
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(order))

@@ -1,4 +1,4 @@
-"""Reconstruct the pairs of a take, one after the other, with the time that each took."""
+"""Reconstruct the pairs of a take one after the other and measure the time of each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daemon.apps.replay.take_items import Sets, Shot, pairs_of
+from daemon.apps.replay.take_items import Sets, TakeItem, pairs_of
 from daemon.live.processing.temporal_prior import TemporalPrior
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
@@ -22,9 +22,9 @@ from pipeline.reconstruct.reconstructor import Reconstructor
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One reconstruction of a pair; ``ms`` by stage, ``total_ms`` as seen from outside.
+    """One reconstruction of a pair; ``ms`` by stage, ``total_ms`` in total.
 
-    ``consistency``: verdict, reason and readings of the calibration check, None where it is off or a set was measured.
+    ``consistency``: verdict, reason and readings of the calibration check, None without a check or for a set.
     """
 
     sequence: int
@@ -36,7 +36,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """The cloud of a pair (or of a set, with the newest of its images), and every run that gave it."""
+    """The cloud of a pair, or of a set with its newest images, and its runs."""
 
     pair: TakePair
     cloud: Cloud
@@ -45,7 +45,7 @@ class Result:
 
 @dataclass(slots=True)
 class Failure:
-    """A pair or set that could not be reconstructed, and why."""
+    """A pair or set that could not be reconstructed, with the error."""
 
     sequence: int
     error: str
@@ -55,15 +55,15 @@ class Failure:
 class Replay:
     """The reconstruction of a take under given settings.
 
-    The clouds depend on nothing but the take, the calibration and the settings: not on ``threads``, not on time, and
-    without ``use_prior`` not on other pairs.
+    The clouds depend only on the take, the calibration and the settings: not on ``threads`` or time, and without
+    ``use_prior`` not on other pairs.
 
     Args:
         take: the recording, open.
         settings: of the pipeline; threads: 0 = all.
-        calibration: file to use instead of the one that is attached.
-        use_prior: begin a pair with the surface of the one before where that is close in time, as a live run does.
-        calibration_check: what becomes of pairs that contradict the calibration, see ``CheckedReconstructor``.
+        calibration: file to use instead of the attached one.
+        use_prior: use the previous pair as temporal prior if it is close in time, as in a live run.
+        calibration_check: policy for pairs that contradict the calibration, see ``CheckedReconstructor``.
     """
 
     take: TakeReader
@@ -74,17 +74,17 @@ class Replay:
     calibration_check: Policy = "withhold"
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
-    _made: Any = None
+    _cached: Any = None
     _sets: Sets | None = None
 
     @property
     def sequence(self) -> FrameSequence | None:
-        """The sequence of a take of a multi-frame mode, None for single shots."""
+        """The sequence of a take of a multi-frame mode, None in the mode single."""
         return self.take.sequence()
 
     @property
     def incomplete(self) -> int:
-        """Sets of the last walk that miss an image."""
+        """Incomplete sets of the last iteration."""
         return 0 if self._sets is None else self._sets.incomplete
 
     @property
@@ -95,31 +95,31 @@ class Replay:
         return self._file
 
     def results(self, *, repeat: int = 1, progress: Callable[[int], Any] | None = None) -> Iterator[Result]:
-        """The cloud of every pair, or of every whole set of a multi-frame mode, in the order of the take.
+        """Yield the cloud of every pair, or of every complete set of a multi-frame mode, in the order of the take.
 
-        A pair that the pipeline refuses is kept in ``failures``, and the next one follows.
+        A pair that the pipeline rejects is added to ``failures``.
 
         Args:
-            repeat: how often each pair is reconstructed; progress: told the number of bytes of the take read so far.
+            repeat: reconstructions of each pair; progress: called with the number of bytes read.
 
         Raises:
-            TakeError, PipelineError: files that do not fit together.
+            TakeError, PipelineError: files that do not match.
         """
         self.failures.clear()
         sequence, prior = self.sequence, TemporalPrior()
         self._sets = None if sequence is None else Sets(self.take, sequence)
-        shots = pairs_of(self.take, progress) if self._sets is None else self._sets.shots(progress)
-        for shot in shots:
-            pair = shot.pair
-            self._check_size(shot)
+        items = pairs_of(self.take, progress) if self._sets is None else self._sets.items(progress)
+        for item in items:
+            pair = item.pair
+            self._check_size(item)
             reconstructor = self._reconstructor(pair.encoding, sequence)
             runs: list[Run] = []
             use_prior = self.use_prior and prior.usable(pair.sequence, pair.t_ns, 1)
             try:
                 for _ in range(repeat):
-                    cloud, run = _timed(reconstructor, shot, sequence, use_prior=use_prior)
+                    cloud, run = _timed(reconstructor, item, sequence, use_prior=use_prior)
                     runs.append(run)
-                    use_prior = self.use_prior  # a repeated run has the pair itself before it
+                    use_prior = self.use_prior  # the prior of a repeated run is the pair itself
             except PipelineError as error:
                 prior.reset()
                 self.failures.append(Failure(pair.sequence, str(error)))
@@ -128,9 +128,9 @@ class Replay:
             yield Result(pair, cloud, runs)
 
     def _reconstructor(self, encoding: str, sequence: FrameSequence | None) -> Any:
-        """For images of this encoding, every kernel compiled."""
-        if self._made is not None and self._made.encoding == encoding:
-            return self._made
+        """A warmed-up reconstructor for images of an encoding."""
+        if self._cached is not None and self._cached.encoding == encoding:
+            return self._cached
         options: dict[str, Any] = {
             "encoding": encoding,
             "settings": self.settings,
@@ -143,19 +143,19 @@ class Replay:
                 Reconstructor(calibration, self.take.pattern(), volume, **options), self.calibration_check
             )
             single.warm_up(use_prior=self.use_prior)
-            self._made = single
+            self._cached = single
         else:
             from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
-            self._made = SetReconstructor(calibration, sequence, volume, **options)
-            self._made.warm_up()
-        return self._made
+            self._cached = SetReconstructor(calibration, sequence, volume, **options)
+            self._cached.warm_up()
+        return self._cached
 
-    def _check_size(self, shot: Shot) -> None:
-        """Refuse a calibration of another image size before any table is built."""
+    def _check_size(self, item: TakeItem) -> None:
+        """Reject a calibration of another image size before any table is built."""
         calibration = self.calibration_file.calibration
         for side, image, device in (
-            ("left", shot.lefts[0], calibration.left), ("right", shot.rights[0], calibration.right)
+            ("left", item.lefts[0], calibration.left), ("right", item.rights[0], calibration.right)
         ):  # fmt: skip
             size = (image.shape[1], image.shape[0])
             if size != device.size:
@@ -165,15 +165,13 @@ class Replay:
                 )
 
 
-def _timed(reconstructor: Any, shot: Shot, sequence: FrameSequence | None, *, use_prior: bool) -> tuple[Cloud, Run]:
+def _timed(reconstructor: Any, item: TakeItem, sequence: FrameSequence | None, *, use_prior: bool) -> tuple[Cloud, Run]:
     start_ns = time.perf_counter_ns()
     if sequence is None:
-        cloud = reconstructor.reconstruct(shot.lefts[0], shot.rights[0], use_prior=use_prior)
+        cloud = reconstructor.reconstruct(item.lefts[0], item.rights[0], use_prior=use_prior)
     else:
-        cloud = reconstructor.reconstruct(shot.lefts, shot.rights)
+        cloud = reconstructor.reconstruct(item.lefts, item.rights)
     total_ms = (time.perf_counter_ns() - start_ns) / 1e6
     stages = {name: round(ms, 3) for name, ms in cloud.ms.items()}
-    found = cloud.consistency
-    return cloud, Run(
-        shot.pair.sequence, cloud.points, round(total_ms, 3), stages, None if found is None else found.as_mapping()
-    )
+    consistency = None if cloud.consistency is None else cloud.consistency.as_mapping()
+    return cloud, Run(item.pair.sequence, cloud.points, round(total_ms, 3), stages, consistency)

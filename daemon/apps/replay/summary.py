@@ -1,4 +1,4 @@
-"""summary.json: what a replay gave and how long it took."""
+"""summary.json: the results and times of a replay."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAME = "summary.json"
 
 
 def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
-    """The plain values of ``summary.json``; every run counts, also repeated ones."""
+    """The plain values of ``summary.json``; repeated runs count too."""
     defaults = dataclasses.asdict(Settings())
     changed = {k: v for k, v in dataclasses.asdict(replay.settings).items() if v != defaults[k]}
     counts = replay.take.counts
@@ -52,17 +52,17 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
 
 def _verdicts(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
     """Policy, number of runs by verdict, and the first reason of an inconsistent one."""
-    found = [run.consistency for run in runs if run.consistency is not None]
-    reasons = [one["reason"] for one in found if one["verdict"] == "inconsistent"]
+    checks = [run.consistency for run in runs if run.consistency is not None]
+    reasons = [check["reason"] for check in checks if check["verdict"] == "inconsistent"]
     return {
         "policy": replay.calibration_check,
-        **Counter(one["verdict"] for one in found),
+        **Counter(check["verdict"] for check in checks),
         **({"reason": reasons[0]} if reasons else {}),
     }
 
 
 def stage_medians(runs: Sequence[Run]) -> dict[str, float]:
-    """Median time of each stage, ms, in the order of the stages; a run without a stage does not count for it."""
+    """Median time of each stage, ms, in the order of the stages, over the runs with that stage."""
     stages: dict[str, list[float]] = {}
     for run in runs:
         for name, ms in run.ms.items():

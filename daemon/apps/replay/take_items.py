@@ -1,4 +1,4 @@
-"""What a take holds to be reconstructed one after the other: pairs, or whole sets of a multi-frame mode."""
+"""The items of a take to reconstruct: pairs, or complete sets of a multi-frame mode."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pipeline.pattern.sequence import FrameSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class TakeItem:
     """The images of one cloud.
 
     Args:
-        pair: for the eye: the newest images, with number and time of the first ones.
-        lefts, rights: raw images; of a single pattern, one each.
+        pair: for display: the newest images, with number and time of the first ones.
+        lefts, rights: raw images, one each in the mode single.
     """
 
     pair: TakePair
@@ -26,38 +26,38 @@ class Shot:
     rights: list[Any]
 
 
-def pairs_of(take: TakeReader, progress: Callable[[int], Any] | None = None) -> Iterator[Shot]:
-    """Every pair as a shot of its own."""
+def pairs_of(take: TakeReader, progress: Callable[[int], Any] | None = None) -> Iterator[TakeItem]:
+    """Every pair as an item."""
     for pair in take.pairs(progress):
-        yield Shot(pair, [pair.left], [pair.right])
+        yield TakeItem(pair, [pair.left], [pair.right])
 
 
 class Sets:
-    """The whole sets of a take of a sequence; those that miss an image are counted in ``incomplete``."""
+    """The complete sets of a take; ``incomplete`` counts the others."""
 
     def __init__(self, take: TakeReader, sequence: FrameSequence) -> None:
         self._take, self._frames = take, len(sequence)
         self.incomplete = 0
 
-    def shots(self, progress: Callable[[int], Any] | None = None) -> Iterator[Shot]:
-        """In the order of the take.
+    def items(self, progress: Callable[[int], Any] | None = None) -> Iterator[TakeItem]:
+        """Yield the sets in the order of the take.
 
         Raises:
             TakeError: images of two encodings.
         """
-        gatherer: SetAssembler[TakePair] = SetAssembler(self._frames, self._take.first_pattern_sequence)
+        assembler: SetAssembler[TakePair] = SetAssembler(self._frames, self._take.first_pattern_sequence)
         for pair in self._take.pairs(progress):
-            made = gatherer.feed(pair.sequence, pair.t_ns, pair)
-            self.incomplete = gatherer.incomplete
-            if made is not None:
-                yield _shot(made, self._take)
-        gatherer.flush()
-        self.incomplete = gatherer.incomplete
+            image_set = assembler.feed(pair.sequence, pair.t_ns, pair)
+            self.incomplete = assembler.incomplete
+            if image_set is not None:
+                yield _item(image_set, self._take)
+        assembler.flush()
+        self.incomplete = assembler.incomplete
 
 
-def _shot(made: tuple[TakePair, ...], take: TakeReader) -> Shot:
-    first, last = made[0], made[-1]
-    if any(pair.encoding != first.encoding for pair in made):
-        raise TakeError(f"{take.path}: the images of set {first.sequence} are of different encodings")
-    shown = TakePair(first.sequence, last.left, last.right, first.t_ns, first.encoding)
-    return Shot(shown, [pair.left for pair in made], [pair.right for pair in made])
+def _item(pairs: tuple[TakePair, ...], take: TakeReader) -> TakeItem:
+    first, last = pairs[0], pairs[-1]
+    if any(pair.encoding != first.encoding for pair in pairs):
+        raise TakeError(f"{take.path}: the images of set {first.sequence} have different encodings")
+    newest = TakePair(first.sequence, last.left, last.right, first.t_ns, first.encoding)
+    return TakeItem(newest, [pair.left for pair in pairs], [pair.right for pair in pairs])

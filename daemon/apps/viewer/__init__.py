@@ -1,1 +1,1 @@
-"""The viewer process: reads the stream like any other subscriber and shows it in Rerun; the daemon never imports it."""
+"""The viewer process, a subscriber of the stream that shows it in Rerun; never imported by the daemon."""

@@ -1,4 +1,4 @@
-"""From the stream to a Rerun recording: newest message, decimated, at a bounded rate."""
+"""Transfer of the newest stream messages to a Rerun recording, decimated, at a limited rate."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _WAIT_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What to show and for how long.
+    """Options of the display.
 
     Args:
-        decimate: every so many rows and columns; rate_hz: at most so many clouds a second.
-        count, seconds: stop after so many clouds or so long; None = never.
+        decimate: stride of the rows and columns; rate_hz: most clouds per second.
+        count, seconds: stop after this number of clouds or this time; None = never.
     """
 
     decimate: int = 2
@@ -35,7 +35,7 @@ class Options:
 
 
 class Bridge:
-    """Logs what a stream carries until told to stop; when the viewer is slow it skips clouds, nobody waits for it."""
+    """Logs the messages of a stream; with a slow viewer it skips clouds and delays no other subscriber."""
 
     def __init__(self, source: NewestMessages, recording: Any, options: Options) -> None:
         self.clouds = 0
@@ -43,14 +43,14 @@ class Bridge:
         self._logger = Logger(recording, decimate=options.decimate, color=options.color)
 
     def run(self, stopped: Callable[[], bool] = lambda: False, now_s: Callable[[], float] = time.monotonic) -> None:
-        """Go on until ``stopped()``, ``count`` or ``seconds``."""
-        options, began_s = self._options, now_s()
-        due_s = began_s
+        """Log until ``stopped()``, ``count`` or ``seconds``."""
+        options, start_s = self._options, now_s()
+        due_s = start_s
         while not stopped():
-            elapsed_s = now_s() - began_s
+            elapsed_s = now_s() - start_s
             if options.seconds is not None and elapsed_s >= options.seconds:
                 return
-            # Drained without a break, shown when due: so that what is shown never waited in a queue.
+            # Messages are received continuously and shown when due, so no shown message has waited in a queue.
             self._source.drain(_WAIT_S)
             if now_s() < due_s:
                 continue
@@ -60,7 +60,7 @@ class Bridge:
                 return
 
     def show_newest(self) -> bool:
-        """Log what is waiting; whether there was anything."""
+        """Log the pending messages; returns whether there were any."""
         shown = False
         for message in self._source.newest():
             try:
@@ -84,10 +84,12 @@ class Bridge:
         header = message.header
         xyz, gray, sigma = (message.arrays.get(name) for name in ("xyz", "gray", "sigma"))
         if not isinstance(header, wire.CloudHeader) or xyz is None or gray is None or sigma is None:
-            raise WireError(f"{message.topic}: xyz, gray and sigma are wanted, {', '.join(message.arrays)} came")
+            raise WireError(
+                f"{message.topic}: it has the parts {', '.join(message.arrays)}, expected xyz, gray and sigma"
+            )
         grid = (header.height, header.width)
         if xyz.shape != (*grid, 3) or gray.shape != grid or sigma.shape != grid:
-            raise WireError(f"{message.topic}: parts do not fit the grid {header.width} x {header.height}")
+            raise WireError(f"{message.topic}: the parts do not match the grid {header.width} x {header.height}")
         self._logger.time(seq=header.seq, t_ns=header.t_ns)
         self._logger.cloud(xyz, gray, sigma)
         points = {"points": int(np.isfinite(xyz[..., 2]).sum())}
@@ -103,5 +105,5 @@ def _status_figures(message: wire.Message) -> dict[str, float]:
 
 
 def _numbers(values: dict[str, Any]) -> dict[str, float]:
-    """Those that are numbers; another version of the daemon may send something else, or nothing."""
+    """The numbers among the values; another version of the daemon may send other types."""
     return {name: value for name, value in values.items() if isinstance(value, int | float)}

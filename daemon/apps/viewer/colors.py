@@ -1,4 +1,4 @@
-"""Colours of points, packed as 0xRRGGBBAA: several times cheaper for Rerun than rows of three."""
+"""Colours of points, packed as 0xRRGGBBAA, which Rerun logs several times faster than rows of three."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _SAMPLES = 20_000
 
 
 def packed(color: str, *, z: NDArray[np.float32], gray: NDArray[np.uint8], sigma: NDArray[np.float32]) -> Packed:
-    """A colour for each point, (N,).
+    """The colour of each point, (N,).
 
     Args:
-        color: what it shows; z, sigma: (N,), mm; gray: (N,) texture.
+        color: the encoded quantity; z, sigma: (N,), mm; gray: (N,) texture.
 
     Raises:
-        ValueError: a colour that is not one of COLORS.
+        ValueError: ``color`` is not one of COLORS.
     """
     if color == "texture":
         return np.asarray(gray.astype(np.uint32) * 0x01010100 + 0xFF, np.uint32)
@@ -36,7 +36,7 @@ def packed(color: str, *, z: NDArray[np.float32], gray: NDArray[np.uint8], sigma
 
 
 def bounds(values: NDArray[np.float32], step: float) -> tuple[float, float]:
-    """Where most values lie, widened to multiples of ``step`` so that the colours do not flicker."""
+    """The range of most values, extended to multiples of ``step`` against flickering colours."""
     sample = values[:: max(1, len(values) // _SAMPLES)]
     sample = sample[np.isfinite(sample)]
     if not len(sample):
@@ -47,7 +47,7 @@ def bounds(values: NDArray[np.float32], step: float) -> tuple[float, float]:
 
 
 def _ramp(values: NDArray[np.float32], low: float, high: float) -> Packed:
-    """Low = blue (near, certain), high = red."""
+    """Map low values (near, certain) to blue and high ones to red."""
     scaled = np.nan_to_num((values - np.float32(low)) * np.float32(255.0 / (high - low)), nan=255.0)
     colors: Packed = _turbo()[np.clip(scaled, 0.0, 255.0).astype(np.uint8)]
     return colors

@@ -1,4 +1,4 @@
-"""How the viewer is laid out: the cloud large, images at the right, plots below; panels out of the way."""
+"""The layout of the viewer: the cloud, images at the right, plots below, panels collapsed."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from daemon.apps.viewer.rerun_import import rerun
 
 CLOUD = "world/cloud"
 IMAGES = {"left": "left", "right": "right", "overlay": "modulation"}
-"""Parts of a ``preview`` message, and what they are called in the viewer."""
+"""Parts of a ``preview`` message and their names in the viewer."""
 PLOTS = {"rate_hz": "clouds/s", "latency_ms": "latency, ms", "points": "points", "drops": "drops"}
 CLOUD_WIDTH, CLOUD_HEIGHT = 0.7, 0.75
-"""Share of the window that the 3D view takes, from the upper left corner; the panels above it are narrow."""
+"""Share of the window for the 3D view, from the upper left corner."""
 
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """Where the points lie: middle, and half of the width of 96 % of them along each axis, mm."""
+    """The extent of 96 % of the points: centre and half width along each axis, mm."""
 
     center: tuple[float, float, float]
     half: tuple[float, float, float]
@@ -27,7 +27,7 @@ def blueprint(extent: Extent | None = None) -> Any:
     """The layout.
 
     Args:
-        extent: of the cloud; the eye is then put before it, a little to the side and above, as seen from the rig.
+        extent: of the cloud; the eye is placed in front of it, slightly to the side and above.
     """
     rr = rerun()
     import rerun.blueprint as rrb

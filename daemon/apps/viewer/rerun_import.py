@@ -1,7 +1,7 @@
 """Rerun without its usage reports.
 
-Rerun has no environment variable for this, only a file in the user's configuration directory. That file is the user's
-own, so this process and the viewers it starts get a configuration directory of ours, where the reports are off.
+Rerun has no environment variable for this, only a file in the user's configuration directory. That file belongs to the
+user, so this process and its viewers use another configuration directory, where the reports are off.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from daemon.common.files import write_atomically
 
 
 def rerun() -> Any:
-    """The module ``rerun``, imported after its reports are switched off; the viewer's only way to it."""
+    """Import the module ``rerun`` after its reports are switched off; the viewer imports it only here."""
     _switch_off()
     import rerun as module
 
@@ -26,14 +26,14 @@ def _switch_off() -> None:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fringed"
     home = cache / "viewer-config"
     file = home / "rerun" / "analytics.json"
-    wanted = {
+    settings = {
         "analytics_enabled": False,
         "analytics_id": "off",
         "metadata": {},
         "config_file_path": str(file),
         "data_dir_path": str(cache / "viewer-data"),
     }
-    data = json.dumps(wanted).encode()
+    data = json.dumps(settings).encode()
     if not file.is_file() or file.read_bytes() != data:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_atomically(file, data)

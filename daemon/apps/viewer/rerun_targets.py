@@ -1,4 +1,4 @@
-"""Where the recording goes: a native viewer, a web viewer, a file. Each has a bound on the memory it takes."""
+"""Targets of a recording: a native viewer, a web viewer, a file; each with limited memory."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _START_S, _WINDOW_S = 60.0, 0.5
 
 
 def to_viewer() -> Any:
-    """A recording sent to a native viewer, which holds it when this process has ended.
+    """A recording sent to a native viewer, which keeps it after the end of this process.
 
     Raises:
-        DaemonError: the viewer does not start, as without a screen.
+        DaemonError: the viewer does not start, such as without a display.
     """
-    rr = rerun()  # first: it is what switches the reports off, in the viewer too
+    rr = rerun()  # first: it switches the reports off, in the viewer too
     port = _port(0, GRPC_PORT, _HOST)
     viewer = _open_viewer(port, [])
     _await(viewer, port)
@@ -72,10 +72,10 @@ def file_recording(path: Path) -> Iterator[Any]:
 
 @contextmanager
 def web_recording(*, web_port: int | None, grpc_port: int | None) -> Iterator[tuple[Any, str]]:
-    """A recording served to browsers on this machine, and the address to open; no other machine reaches either.
+    """A recording served to browsers on this machine only, and its address.
 
     Args:
-        web_port, grpc_port: of the page and of the data; 0 = any free one; None = the usual one, or a free one.
+        web_port, grpc_port: of the page and of the data; 0 = any free one; None = the default one, or a free one.
     """
     page, data = _port(web_port, WEB_PORT, _HOST), _port(grpc_port, GRPC_PORT, _HOST)
     with _served(data) as recording, _page(page, data):
@@ -84,9 +84,9 @@ def web_recording(*, web_port: int | None, grpc_port: int | None) -> Iterator[tu
 
 @contextmanager
 def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
-    """A recording shown by a native viewer, and the viewer; it stays open with what it has when the block ends.
+    """A recording shown by a native viewer, and the viewer, which stays open after the block.
 
-    The data is served by this process and fetched by the viewer, so a closed viewer is noticed and holds up nothing.
+    The viewer fetches the data from this process, so a closed viewer is detected and delays nothing.
     """
     data = _port(0, GRPC_PORT, _HOST)
     with _served(data) as recording:
@@ -96,42 +96,42 @@ def native_recording() -> Iterator[tuple[Any, subprocess.Popen[bytes]]]:
 
 @contextmanager
 def _page(page: int, data: int) -> Iterator[None]:
-    """The page of the viewer, in a process of its own."""
+    """The process that serves the viewer's page."""
     process = child_process.start("daemon.apps.viewer.web_page", [str(page), str(data), str(os.getpid())])
-    prints = child_process.OutputReader(process, log, "page-prints")
+    output = child_process.OutputReader(process, log, "page-prints")
     try:
         _await(process, page)
         yield
     finally:
         process.terminate()
         child_process.end(process, _FLUSH_S)
-        prints.join(1.0)
+        output.join(1.0)
 
 
 @contextmanager
 def _served(port: int) -> Iterator[Any]:
     rr = rerun()
-    # An id of its own for each run: viewers that stay open must not mix two runs.
+    # A unique id for each run: open viewers must not mix two runs.
     recording = rr.RecordingStream("fringed", recording_id=uuid.uuid4())
     sink = rr.GrpcServerSink(bind_ip=_HOST, port=port, server_memory_limit=SERVER_MEMORY, newest_first=True)
     recording.set_sinks(sink)
     try:
         yield recording
     finally:
-        with suppress(RuntimeError, ValueError):  # a viewer that hangs must not keep this process
+        with suppress(RuntimeError, ValueError):  # a viewer that hangs must not block the end of this process
             recording.flush(timeout_sec=_FLUSH_S)
         recording.disconnect()
 
 
 def _open_viewer(port: int, arguments: list[str]) -> subprocess.Popen[bytes]:
-    """Start the native viewer; by default it would listen on every network interface, and take 75 % of the memory."""
+    """Start the native viewer; its defaults are every network interface and 75 % of the memory."""
     options = ["--bind", _HOST, "--port", str(port), "--memory-limit", VIEWER_MEMORY, "--hide-welcome-screen"]
     environment = {"RUST_LOG": "error"} | os.environ
     return subprocess.Popen([str(viewer_program()), *options, *arguments], stdin=subprocess.DEVNULL, env=environment)
 
 
 def _await(viewer: subprocess.Popen[bytes], port: int) -> None:
-    """Wait until the viewer listens."""
+    """Wait until the viewer listens on its port."""
     deadline_s = time.monotonic() + _START_S
     while time.monotonic() < deadline_s:
         check_viewer(viewer)
@@ -141,22 +141,22 @@ def _await(viewer: subprocess.Popen[bytes], port: int) -> None:
     else:
         viewer.terminate()
         raise DaemonError(f"the viewer did not start within {_START_S:.0f} s; use a .rrd file instead")
-    with suppress(subprocess.TimeoutExpired):  # it listens before it opens its window, which is what may fail
+    with suppress(subprocess.TimeoutExpired):  # it listens before it opens its window, which may fail
         viewer.wait(_WINDOW_S)
     check_viewer(viewer)
 
 
 def check_viewer(viewer: subprocess.Popen[bytes]) -> None:
-    """Complain about a viewer that ended with an error."""
+    """Raise DaemonError if the viewer ended with an error."""
     if viewer.poll():
         raise DaemonError(
-            f"the viewer ended with exit status {viewer.returncode}; it needs a screen: without one, "
-            "choose a .rrd file or, for fringed view, --web"
+            f"the viewer ended with exit status {viewer.returncode}; it requires a display: without one, "
+            "use a .rrd file or, for fringed view, --web"
         )
 
 
 def viewer_program() -> Path:
-    """The viewer itself; the script ``rerun`` on the path would stay between us and it."""
+    """The viewer's program; the script ``rerun`` on the path would start it as a child."""
     rerun_cli: Any = importlib.import_module("rerun_cli")
 
     program = Path(str(rerun_cli.__file__)).with_name("rerun")
@@ -165,9 +165,9 @@ def viewer_program() -> Path:
     return program
 
 
-def _port(wanted: int | None, usual: int, host: str) -> int:
-    """A port that can be bound now; Rerun itself would only log that it is taken."""
-    candidates = [usual, 0] if wanted is None else [wanted]
+def _port(requested: int | None, default: int, host: str) -> int:
+    """A free port; Rerun itself only logs that a port is in use."""
+    candidates = [default, 0] if requested is None else [requested]
     for candidate in candidates:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -177,4 +177,4 @@ def _port(wanted: int | None, usual: int, host: str) -> int:
                 continue
             port: int = probe.getsockname()[1]
             return port
-    raise DaemonError(f"port {wanted} is taken or not allowed; choose another one, or 0 for any free one")
+    raise DaemonError(f"port {requested} is in use or not allowed; choose another one, or 0 for any free one")

@@ -1,4 +1,4 @@
-"""An image of the web viewer, made in a browser without a screen."""
+"""A screenshot of the web viewer in a headless browser."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WINDOW = {"width": 1400, "height": 900}
 
 _VIEW = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
-_RATE_HZ = "2"  # a browser that draws without a graphics card keeps up with this
+_RATE_HZ = "2"  # suitable for a browser with software rendering
 _TIMEOUT_S = 120.0
 _POLL_S = 1.0
 _FLAGS = (
@@ -42,18 +42,18 @@ _FLAGS = (
 
 @dataclass(frozen=True, slots=True)
 class Paint:
-    """How much stands in an image: distinct colours, and the share of pixels that are not background."""
+    """The contents of an image: number of distinct colours, and the share of foreground pixels."""
 
     colors: int
     share: float
 
     @property
     def enough(self) -> bool:
-        """Whether a cloud is drawn, not only the empty view."""
+        """Whether the image shows a cloud."""
         return self.colors >= 24 and self.share >= 0.02
 
-    def like(self, other: Paint) -> bool:
-        """Whether nothing large changed from the one to the other; the object may move."""
+    def similar(self, other: Paint) -> bool:
+        """Whether two images have about the same share of foreground; the object may move."""
         return abs(self.share - other.share) <= 0.2 * max(self.share, other.share)
 
 
@@ -62,11 +62,13 @@ def browser_program() -> str | None:
     return next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
 
-def take(endpoint: str, file: Path, *, color: str = "depth", decimate: int = 2, timeout_s: float = _TIMEOUT_S) -> None:
-    """Show a stream in a browser and save an image once the cloud is drawn.
+def save_screenshot(
+    endpoint: str, file: Path, *, color: str = "depth", decimate: int = 2, timeout_s: float = _TIMEOUT_S
+) -> None:
+    """Show a stream in a browser and save an image when it shows the cloud.
 
     Raises:
-        DaemonError: no browser, no package to drive it, or nothing drawn in time.
+        DaemonError: no browser, no playwright, or no cloud within ``timeout_s``.
     """
     program = browser_program()
     if program is None:
@@ -83,27 +85,28 @@ def wait_for_paint(
     poll_s: float = _POLL_S,
     now_s: Callable[[], float] = time.monotonic,
 ) -> bytes:
-    """Poll images (PNG) until a cloud is drawn and two in a row agree; the last one.
+    """Poll images (PNG) until two consecutive ones show a similar cloud; returns the last one.
 
     Raises:
-        DaemonError: it did not happen in time.
+        DaemonError: no cloud within ``timeout_s``.
     """
     deadline_s, before, last = now_s() + timeout_s, None, Paint(0, 0.0)
     while now_s() < deadline_s:
         image = screenshot()
         last = paint(image)
-        if before is not None and last.enough and before.enough and last.like(before):
+        if before is not None and last.enough and before.enough and last.similar(before):
             return image
         before = last
         time.sleep(poll_s)
     raise DaemonError(
-        f"the viewer drew no cloud within {timeout_s:.0f} s ({last.colors} colours on {100 * last.share:.0f} % of the "
-        "view); is a daemon sending clouds?"
+        f"the viewer showed no cloud within {timeout_s:.0f} s ({last.colors} colours on {100 * last.share:.0f} % of "
+        "the "
+        "view); check with `fringed listen` that a daemon sends clouds"
     )
 
 
 def paint(png: bytes) -> Paint:
-    """What stands in the middle of the 3D view."""
+    """The contents of the middle of the 3D view."""
     import cv2
 
     image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
@@ -124,7 +127,7 @@ def _count(image: NDArray[Any]) -> Paint:
 
 @contextmanager
 def _served(endpoint: str, options: list[str]) -> Iterator[str]:
-    """``fringed view --web`` as a process; gives its address."""
+    """Run ``fringed view --web`` and yield its address."""
     command = [sys.executable, "-c", _VIEW, "view", endpoint, "--web", "--web-port", "0", "--grpc-port", "0", *options]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
         try:
@@ -138,11 +141,11 @@ def _served(endpoint: str, options: list[str]) -> Iterator[str]:
 
 @contextmanager
 def _page(program: str, address: str) -> Iterator[Any]:
-    """The address in a browser that talks to this machine alone."""
+    """Open the address in a browser that connects only to this machine."""
     try:
         from playwright.sync_api import Error, sync_playwright
     except ModuleNotFoundError:
-        raise DaemonError("--screenshot needs the package playwright: pip install playwright") from None
+        raise DaemonError("--screenshot requires the package playwright: pip install playwright") from None
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, headless=True, args=list(_FLAGS))
         try:
@@ -158,7 +161,7 @@ def _page(program: str, address: str) -> Iterator[Any]:
 
 
 def _local_only(route: Any) -> None:
-    """The viewer would look for news and report its use."""
+    """Block external requests: the viewer checks for updates and reports its use."""
     if urlsplit(route.request.url).hostname in ("127.0.0.1", "localhost", None):
         route.continue_()
     else:

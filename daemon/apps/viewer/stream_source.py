@@ -1,4 +1,4 @@
-"""The stream as the viewer reads it: of each topic only the newest message, however slow the reading is."""
+"""The viewer's subscription: only the newest message of each topic, independent of the reading speed."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from fringed.losses import Losses
 from fringed.receiver import Receiver
 
 TOPICS = ("cloud/full", "preview", "status")
-_QUEUE = 2  # whole messages; more would only be older images of the same thing
+_QUEUE = 2  # complete messages; a longer queue would only delay them
 
 
 class NewestMessages:
-    """Newest message of each topic; one thread only.
+    """The newest message of each topic, for one thread.
 
-    A socket for each topic, so that the large clouds cannot push the others out of the short queues.
+    A socket for each topic, so that large clouds cannot displace the others in the short queues.
 
     Args:
         endpoint: of the stream, ``tcp://HOST:PORT`` or ``ipc://PATH``; keys: for one on another machine.
 
     Raises:
-        FringedError: an endpoint that cannot be connected to.
+        FringedError: an invalid endpoint.
     """
 
     def __init__(self, endpoint: str, topics: tuple[str, ...] = TOPICS, *, keys: Keys | None = None) -> None:
@@ -36,7 +36,7 @@ class NewestMessages:
         self._losses = Losses()
         self._context: zmq.Context[Any] = zmq.Context()
         self._receivers: dict[str, Receiver] = {}
-        self._waiting: dict[str, list[Any]] = {}
+        self._pending: dict[str, list[Any]] = {}
         self._poller = zmq.Poller()
         try:
             for topic in topics:
@@ -48,21 +48,21 @@ class NewestMessages:
 
     @property
     def lost(self) -> int:
-        """Clouds that never came here, by the gaps in their numbers."""
+        """Clouds that did not arrive, from the gaps in their numbers."""
         return self._losses.count
 
     def drain(self, timeout_s: float) -> None:
-        """Wait for something to come, then keep the newest of each topic and forget what it replaces."""
+        """Wait for messages, then keep the newest one of each topic."""
         self._poller.poll(max(0, round(1000 * timeout_s)))
         for topic, receiver in self._receivers.items():
             while (frames := receiver.take()) is not None:
                 self._count(topic, frames)
-                self._waiting[topic] = frames
+                self._pending[topic] = frames
 
     def newest(self) -> Iterator[wire.Message]:
-        """Hand over what is waiting; a message that does not follow the format is counted and passed over."""
-        waiting, self._waiting = self._waiting, {}
-        for frames in waiting.values():
+        """Yield the pending messages; invalid ones are counted and left out."""
+        pending, self._pending = self._pending, {}
+        for frames in pending.values():
             try:
                 yield wire.decode(frames)
             except WireError:
@@ -85,7 +85,7 @@ class NewestMessages:
     def _count(self, topic: str, frames: list[Any]) -> None:
         if topic != "cloud/full":
             return
-        self.skipped += topic in self._waiting
+        self.skipped += topic in self._pending
         try:
             _, header = wire.decode_header(frames)
         except WireError:

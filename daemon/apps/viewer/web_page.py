@@ -1,7 +1,7 @@
-"""The page of the web viewer, for this machine alone: ``python -m daemon.apps.viewer.web_page PORT DATA_PORT PARENT``.
+"""The page of the web viewer, for this machine only: ``python -m daemon.apps.viewer.web_page PORT DATA_PORT PARENT``.
 
-Rerun's library serves the page on every network interface and cannot be told otherwise; its program can. So this
-becomes that program, which ends with the one that asked for it.
+Rerun's library serves the page on every network interface; its program has an option for one. This process becomes that
+program, which ends with its parent.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def command(page: int, data: int) -> list[str]:
 
 
 def main(arguments: list[str]) -> None:
-    """Become the viewer's program."""
+    """Replace this process by the viewer's program."""
     page, data, parent = (int(text) for text in arguments)
     die_with_parent(parent)
     os.environ.setdefault("RUST_LOG", "error")

@@ -1,4 +1,4 @@
-"""``fringed view``: the stream of a daemon in the Rerun viewer; a process of its own, a subscriber like any other."""
+"""``fringed view``: the stream of a daemon in the Rerun viewer, as a subscriber in its own process."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def main(
     web: Annotated[bool, typer.Option("--web", help="Serve the viewer to a browser; prints its address.")] = False,
     save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write a file for the viewer.")] = None,
     screenshot: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Save an image of the web viewer, made without a screen.")
+        Path | None, typer.Option(metavar="FILE.png", help="Save an image of the web viewer, without a display.")
     ] = None,
     color: Annotated[str, typer.Option(help="Of the points: depth, texture or sigma.")] = "depth",
-    decimate: Annotated[int, typer.Option(min=1, max=64, help="Show every so many rows and columns.")] = 2,
-    rate: Annotated[float, typer.Option(min=0.1, max=60, help="Show at most so many clouds a second.")] = 15.0,
-    count: Annotated[int | None, typer.Option(min=1, help="Stop after so many clouds.")] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after so many seconds.")] = None,
+    decimate: Annotated[int, typer.Option(min=1, max=64, help="Stride of the shown rows and columns.")] = 2,
+    rate: Annotated[float, typer.Option(min=0.1, max=60, help="Most clouds shown per second.")] = 15.0,
+    count: Annotated[int | None, typer.Option(min=1, help="Stop after this number of clouds.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this time.")] = None,
     web_port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Of the page; 0 = any free one.", show_default="9090")
     ] = None,
@@ -38,16 +38,16 @@ def main(
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Watch the stream of a daemon in the Rerun viewer: native, in a browser (--web), or as a file (--save)."""
+    """Show the stream of a daemon in the Rerun viewer: native, in a browser (--web), or as a file (--save)."""
     if color not in COLORS:
         raise typer.BadParameter(f"{color!r} is not one of {', '.join(COLORS)}", param_hint="--color")
     if sum((web, save is not None, screenshot is not None)) > 1:
         raise typer.BadParameter("choose one of --web, --save and --screenshot")
     if screenshot is not None:
-        from daemon.apps.viewer.screenshot import take
+        from daemon.apps.viewer.screenshot import save_screenshot
 
-        take(endpoint, screenshot, color=color, decimate=decimate)
-        typer.echo(f"{screenshot} written")
+        save_screenshot(endpoint, screenshot, color=color, decimate=decimate)
+        typer.echo(f"wrote {screenshot}")
         return
     options = {"decimate": decimate, "color": color, "rate_hz": rate, "count": count, "seconds": seconds}
     keys = chosen_keys(key, server_key)
@@ -81,7 +81,7 @@ def _watch(
             stopped = lambda: viewer.poll() is not None  # noqa: E731
             stack.callback(rerun_targets.check_viewer, viewer)
         if save is None:
-            # A viewer that hangs blocks the call that logs; Ctrl-C must work even then, and there is nothing to lose.
+            # A viewer that hangs blocks the logging call; Ctrl-C must end the process even then.
             _restore_signals(stack)
         bridge = Bridge(source, recording, Options(**options))
         bridge.run(stopped)
@@ -89,18 +89,18 @@ def _watch(
 
 
 def _report(clouds: int, source: Any, save: Path | None) -> None:
-    what = f"{save}: {clouds} clouds" if save is not None else f"{clouds} clouds shown"
-    typer.echo(f"{what}, {source.skipped} skipped, {source.lost} lost", err=True)
+    shown = f"{save}: {clouds} clouds" if save is not None else f"{clouds} clouds shown"
+    typer.echo(f"{shown}, {source.skipped} skipped, {source.lost} lost", err=True)
     if not clouds:
-        raise DaemonError(f"no cloud came from {source.endpoint}; is a daemon running?")
+        raise DaemonError(f"no cloud arrived from {source.endpoint}; check with `fringed status` that a daemon runs")
 
 
 def _on_signals(stack: ExitStack) -> Callable[[], bool]:
-    """Turn SIGINT and SIGTERM into an orderly end, so that the file is finished."""
-    asked: list[int] = []
+    """Stop on SIGINT and SIGTERM after the file is finished."""
+    received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
-        stack.callback(signal.signal, number, signal.signal(number, lambda got, _: asked.append(got)))
-    return lambda: bool(asked)
+        stack.callback(signal.signal, number, signal.signal(number, lambda number, _: received.append(number)))
+    return lambda: bool(received)
 
 
 def _restore_signals(stack: ExitStack) -> None:

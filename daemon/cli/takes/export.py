@@ -24,7 +24,7 @@ def main(
     calibration: Annotated[Path | None, typer.Option(help="Take: use this calibration instead.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="Take: change a setting, key=value.")] = None,
 ) -> None:
-    """Turn clouds into PLY or PCD files, or into a video of depth maps."""
+    """Convert clouds to PLY or PCD files, or to a video of depth maps."""
     from daemon.apps.export.cloud_files import KINDS
     from daemon.apps.export.sources import is_take, reconstructed_clouds, saved_clouds
     from daemon.cli.options.progress import rendering
@@ -32,10 +32,10 @@ def main(
     from daemon.common.errors import DaemonError
 
     if kind not in KINDS:
-        raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
+        raise DaemonError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
     from_take, settings = is_take(source), parsed_settings(set_ or [])
     if not from_take and (calibration is not None or set_):
-        raise DaemonError(f"{source} holds finished clouds; --calibration and --set need a take")
+        raise DaemonError(f"{source} contains clouds; --calibration and --set require a take")
     with rendering(f"Exporting {source.name}") as progress:
 
         def clouds() -> Clouds:
@@ -72,7 +72,7 @@ def _video(
     if near is None or far is None:
         if take is None:
             limits = depth_limits(cloud.xyz[..., 2] for _, cloud in clouds())
-        else:  # reconstructing everything twice only to find the colours would take too long
+        else:  # a second reconstruction only for the limits would take too long
             with TakeReader(take) as reader:
                 volume = reader.volume()
             limits = volume.near_mm, volume.far_mm

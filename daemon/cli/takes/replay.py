@@ -1,4 +1,4 @@
-"""``fringed replay``: reconstruct a recorded take, write its clouds, and prove that they are what they were."""
+"""``fringed replay``: reconstruct a recorded take, write its clouds, and compare them with a golden file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand
 
 if TYPE_CHECKING:
-    from daemon.apps.replay.golden import Golden, Move, PairStatistics
+    from daemon.apps.replay.golden import Deviation, Golden, PairStatistics
     from daemon.apps.replay.runner import Replay, Result, Run
 
 _VIEWER = "viewer"
@@ -20,16 +20,16 @@ INCONSISTENT = 3
 
 
 class ReplayCommand(TyperCommand):
-    """``--rerun`` may stand alone or be followed by the name of a ``.rrd`` file."""
+    """``--rerun`` with or without the name of a ``.rrd`` file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Give a lone ``--rerun`` its value."""
-        given: list[str] = []
+        """Add the value of a ``--rerun`` without a file."""
+        completed: list[str] = []
         for argument, following in zip(args, [*args[1:], ""], strict=True):
-            given.append(argument)
+            completed.append(argument)
             if argument == "--rerun" and not following.endswith(".rrd"):
-                given.append(_VIEWER)
-        return super().parse_args(ctx, given)
+                completed.append(_VIEWER)
+        return super().parse_args(ctx, completed)
 
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -42,7 +42,7 @@ def main(
     no_output: Annotated[
         bool, typer.Option("--no-output", help="Write only summary.json (here, if no --out).")
     ] = False,
-    repeat: Annotated[int, typer.Option(min=1, max=10000, help="Reconstruct every pair so often.")] = 1,
+    repeat: Annotated[int, typer.Option(min=1, max=10000, help="Number of reconstructions of every pair.")] = 1,
     kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: npz, ply or pcd.")] = "npz",
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration instead of the attached one.")] = None,
     set_: Annotated[
@@ -50,22 +50,22 @@ def main(
     ] = None,
     threads: Annotated[int, typer.Option(min=0, max=256, help="Worker threads; 0 = all.")] = 0,
     use_prior: Annotated[
-        bool, typer.Option("--follow", help="Begin each pair with the surface before it, as a live run does.")
+        bool, typer.Option("--follow", help="Use the previous pair as temporal prior, as in a live run.")
     ] = False,
     calibration_check: Annotated[
         str, typer.Option(help="Pairs that contradict the calibration: withhold their points, warn, or off.")
     ] = "withhold",
     rerun: Annotated[str | None, typer.Option(metavar="[FILE.rrd]", help="Show the clouds, or save for Rerun.")] = None,
     expect: Annotated[
-        Path | None, typer.Option(help="Compare with this golden file; exit status 1 if it moved.")
+        Path | None, typer.Option(help="Compare with this golden file; exit status 1 for deviations.")
     ] = None,
-    bless: Annotated[Path | None, typer.Option(help="Write this golden file from what comes out.")] = None,
+    bless: Annotated[Path | None, typer.Option(help="Write this golden file from the results.")] = None,
 ) -> None:
     """Reconstruct a recorded take.
 
-    The same take gives bit-identical clouds on the same machine, with any number of threads. A take that was cut off
-    is replayed up to the cut. To measure how fast it goes: --no-output --repeat 100. Exit status 3: pairs contradict
-    the calibration, and their clouds have no points.
+    The same take gives bit-identical clouds on the same machine, with any number of threads. A truncated take
+    is replayed up to the cut. To measure the speed: --no-output --repeat 100. Exit status 3: pairs contradict the
+    calibration, and their clouds have no points.
     """
     from daemon.apps.export.cloud_files import KINDS
     from daemon.apps.replay import golden
@@ -76,10 +76,10 @@ def main(
     from pipeline.monitor.checked_reconstructor import Policy
 
     if kind not in KINDS:
-        raise DaemonError(f"there is no cloud format {kind!r}; there are: {', '.join(KINDS)}")
+        raise DaemonError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
     if rerun is None and expect is None and bless is None and out is None:
         if not no_output:
-            raise DaemonError("nothing to do with the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
+            raise DaemonError("no destination for the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
         out = Path()
     if calibration_check not in get_args(Policy):
         raise DaemonError(
@@ -92,16 +92,16 @@ def main(
         replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, use_prior=use_prior)
         replay.calibration_check = cast(Policy, calibration_check)
         runs, figures = _replay(replay, None if no_output else out, kind, repeat, rerun, cell)
-        _tell(replay, runs, out)
+        _report(replay, runs, out)
         if bless is not None:
             _bless(bless, figures, replay)
-        if expected is not None and not _as_expected(expected, figures):
+        if expected is not None and not _matches(expected, figures):
             raise typer.Exit(1)
         _report_consistency(replay, runs)
 
 
 def _report_consistency(replay: Replay, runs: list[Run]) -> None:
-    """Print what contradicts the calibration, and end with status 3 where clouds were withheld."""
+    """Print contradictions to the calibration; exit with status 3 if clouds were withheld."""
     bad = [run for run in runs if run.consistency is not None and run.consistency["verdict"] == "inconsistent"]
     if not bad:
         return
@@ -119,7 +119,7 @@ def _report_consistency(replay: Replay, runs: list[Run]) -> None:
 
 
 def _cell(expected: Golden | None, bless: Path | None) -> int:
-    """Size of the golden grid's cells: as in the file that is compared or replaced."""
+    """Size of the golden grid's cells, as in the compared or replaced file."""
     from daemon.apps.replay import golden
 
     if expected is not None:
@@ -130,7 +130,7 @@ def _cell(expected: Golden | None, bless: Path | None) -> int:
 def _replay(
     replay: Replay, out: Path | None, kind: str, repeat: int, rerun: str | None, cell: int
 ) -> tuple[list[Run], list[PairStatistics]]:
-    """Everything that is done with each cloud as it comes."""
+    """Reconstruct every pair; write, show and evaluate each cloud."""
     from daemon.apps.replay.golden import statistics
     from daemon.cli.options.progress import rendering
 
@@ -142,7 +142,7 @@ def _replay(
     with ExitStack() as stack:
         show = _viewer(rerun, stack) if rerun is not None else None
         progress = stack.enter_context(rendering(f"Replaying {replay.take.path.name}"))
-        for result in replay.results(repeat=repeat, progress=lambda done: progress(done, size)):
+        for result in replay.results(repeat=repeat, progress=lambda position: progress(position, size)):
             runs.extend(result.runs)
             figures.append(statistics(result.pair.sequence, result.cloud.xyz[..., 2], cell))
             if out is not None:
@@ -170,14 +170,14 @@ def _viewer(rerun: str, stack: ExitStack) -> Callable[[Result], None]:
         if kind is None:
             log.close()
         else:
-            log.abandon()
+            log.discard()
 
     stack.push(end)
     return log.show
 
 
-def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
-    """Write summary.json, say what happened, and fail when there is not one cloud."""
+def _report(replay: Replay, runs: list[Run], out: Path | None) -> None:
+    """Write summary.json and print the results; DaemonError without any cloud."""
     from daemon.apps.replay.summary import summary_of, write_summary
     from daemon.common.errors import DaemonError
 
@@ -188,18 +188,21 @@ def _tell(replay: Replay, runs: list[Run], out: Path | None) -> None:
     for problem in summary["problems"]:
         typer.echo(f"warning: {problem}", err=True)
     if not runs:
-        reason = replay.failures[0].error if replay.failures else "there are no pairs in it"
-        raise DaemonError(f"{replay.take.path}: no cloud came out: {reason}")
+        reason = replay.failures[0].error if replay.failures else "it contains no pairs"
+        raise DaemonError(f"{replay.take.path}: no cloud was reconstructed: {reason}")
     for failure in replay.failures:
         typer.echo(f"warning: pair {failure.sequence}: {failure.error}", err=True)
-    where = f" in {out}" if out is not None else ""
+    location = f" in {out}" if out is not None else ""
     rate, sets = summary["pairs_per_second"], summary.get("sets")
     if sets is not None:
         lost = summary["sets_incomplete"]
-        told = f", {lost} more miss an image" if lost else ""
-        typer.echo(f"{summary['clouds']} clouds of {sets} sets ({summary['mode']}){where}, {rate:.2f} per second{told}")
+        incomplete = f", {lost} incomplete sets" if lost else ""
+        typer.echo(
+            f"{summary['clouds']} clouds of {sets} sets ({summary['mode']}){location}, {rate:.2f} per "
+            f"second{incomplete}"
+        )
     else:
-        typer.echo(f"{summary['clouds']} clouds of {summary['pairs']} pairs{where}, {rate:.2f} pairs per second")
+        typer.echo(f"{summary['clouds']} clouds of {summary['pairs']} pairs{location}, {rate:.2f} pairs per second")
     typer.echo("ms by stage: " + ", ".join(f"{name} {ms:.2f}" for name, ms in summary["ms"].items()))
 
 
@@ -213,27 +216,29 @@ def _bless(path: Path, figures: list[PairStatistics], replay: Replay) -> None:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     golden.bless(path, figures, about)
-    typer.echo(f"{len(figures)} pairs blessed in {path}")
+    typer.echo(f"{path}: {len(figures)} pairs written")
 
 
-def _as_expected(expected: Golden, figures: list[PairStatistics]) -> bool:
+def _matches(expected: Golden, figures: list[PairStatistics]) -> bool:
     from daemon.apps.replay.compare import compare
 
-    moves = compare(expected, figures)
-    if not moves:
+    deviations = compare(expected, figures)
+    if not deviations:
         typer.echo(f"as expected: {len(figures)} pairs within the tolerances")
         return True
-    _print_moves(moves)
+    _print_deviations(deviations)
     return False
 
 
-def _print_moves(moves: list[Move]) -> None:
+def _print_deviations(deviations: list[Deviation]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title="What moved")
-    for column in ("pair", "what", "expected", "got", "allowed"):
+    table = Table(title="Deviations")
+    for column in ("pair", "quantity", "expected", "actual", "tolerance"):
         table.add_column(column, overflow="fold")
-    for move in moves:
-        table.add_row(str(move.sequence), move.what, move.expected, move.got, move.limit)
+    for deviation in deviations:
+        table.add_row(
+            str(deviation.sequence), deviation.quantity, deviation.expected, deviation.actual, deviation.limit
+        )
     Console(highlight=False, markup=False).print(table)

@@ -22,6 +22,6 @@ def similar(one: ViewGeometry, other: ViewGeometry) -> bool:
     return shift < POSITION and size < SIZE and foreshortening < FORESHORTENING and tilt < most_tilt
 
 
-def _tilt_sigma_deg(look: ViewGeometry) -> float:
+def _tilt_sigma_deg(geometry: ViewGeometry) -> float:
     """Uncertainty of the tilt: near zero the cosine changes slowly."""
-    return 4.0 if look.tilt_deg < 10 else 1.0
+    return 4.0 if geometry.tilt_deg < 10 else 1.0

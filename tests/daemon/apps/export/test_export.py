@@ -1,4 +1,4 @@
-"""Exported clouds hold exactly the known points, and videos open again."""
+"""Exported clouds contain exactly the valid points, and videos are readable."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def make_cloud(seed: int = 0, height: int = 11, width: int = 14) -> SavedCloud:
     return SavedCloud(xyz, sigma, rng.integers(0, 256, (height, width), dtype=np.uint8))
 
 
-def known(cloud: SavedCloud) -> np.ndarray:
+def valid(cloud: SavedCloud) -> np.ndarray:
     return np.isfinite(cloud.xyz[..., 2])
 
 
@@ -48,21 +48,21 @@ def read_pcd(data: bytes) -> np.ndarray:
     return rows
 
 
-def test_ply_holds_the_known_points_with_their_gray() -> None:
+def test_ply_contains_the_valid_points_with_their_gray() -> None:
     cloud = make_cloud()
     rows = read_ply(cloud_bytes(cloud, "ply"))
-    np.testing.assert_array_equal(np.stack([rows[axis] for axis in "xyz"], axis=-1), cloud.xyz[known(cloud)])
+    np.testing.assert_array_equal(np.stack([rows[axis] for axis in "xyz"], axis=-1), cloud.xyz[valid(cloud)])
     for channel in ("red", "green", "blue"):
-        np.testing.assert_array_equal(rows[channel], cloud.gray[known(cloud)])
+        np.testing.assert_array_equal(rows[channel], cloud.gray[valid(cloud)])
 
 
-def test_pcd_holds_the_known_points_with_their_gray() -> None:
+def test_pcd_contains_the_valid_points_with_their_gray() -> None:
     cloud = make_cloud(1)
     rows = read_pcd(cloud_bytes(cloud, "pcd"))
-    np.testing.assert_array_equal(np.stack([rows[axis] for axis in "xyz"], axis=-1), cloud.xyz[known(cloud)])
+    np.testing.assert_array_equal(np.stack([rows[axis] for axis in "xyz"], axis=-1), cloud.xyz[valid(cloud)])
     packed = np.ascontiguousarray(rows["rgb"]).view(np.uint32)
     for shift in (0, 8, 16):
-        np.testing.assert_array_equal(packed >> shift & 255, cloud.gray[known(cloud)])
+        np.testing.assert_array_equal(packed >> shift & 255, cloud.gray[valid(cloud)])
 
 
 def test_npz_round_trip_is_exact_and_the_bytes_repeat(tmp_path: Path) -> None:
@@ -86,11 +86,11 @@ def test_names_have_six_digits_and_sort_by_number(tmp_path: Path) -> None:
 
 
 def test_an_unknown_format_is_named() -> None:
-    with pytest.raises(DaemonError, match="'obj'; there are: npz, ply, pcd"):
+    with pytest.raises(DaemonError, match="'obj', expected one of: npz, ply, pcd"):
         cloud_bytes(make_cloud(), "obj")
 
 
-def test_damaged_cloud_files_are_refused_by_name(tmp_path: Path) -> None:
+def test_damaged_cloud_files_are_rejected_by_name(tmp_path: Path) -> None:
     whole = cloud_bytes(make_cloud(3), "npz")
     path = tmp_path / cloud_name(0, "npz")
     rng = np.random.default_rng(5)
@@ -113,7 +113,7 @@ def test_damaged_cloud_files_are_refused_by_name(tmp_path: Path) -> None:
     assert read < 50
 
 
-def test_a_file_of_other_arrays_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_other_arrays_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / cloud_name(0, "npz")
     np.savez(path, xyz=np.zeros((2, 2, 3)), sigma_mm=np.zeros((2, 2), np.float32), gray=np.zeros((2, 2), np.uint8))
     with pytest.raises(DaemonError, match="xyz is float64"):
@@ -123,7 +123,7 @@ def test_a_file_of_other_arrays_is_refused(tmp_path: Path) -> None:
         read_cloud(path)
 
 
-def test_near_is_another_colour_than_far_and_unknown_is_black() -> None:
+def test_near_and_far_have_different_colours_and_invalid_is_black() -> None:
     depth = np.array([[1000.0, 1500.0, np.nan, 900.0, 1600.0]], np.float32)
     near, far, unknown, nearer, farther = depth_image(depth, 1000, 1500)[0]
     assert near[2] > near[0]
@@ -133,17 +133,17 @@ def test_near_is_another_colour_than_far_and_unknown_is_black() -> None:
     np.testing.assert_array_equal(far, farther)
 
 
-def test_limits_hold_nearly_all_points() -> None:
+def test_limits_include_nearly_all_points() -> None:
     clouds = [make_cloud(seed).xyz[..., 2] for seed in range(3)]
     near, far = depth_limits(clouds)
     every = np.concatenate([depth[np.isfinite(depth)] for depth in clouds])
     assert ((every > near) & (every < far)).mean() > 0.95
-    with pytest.raises(DaemonError, match="none of the clouds holds a point"):
+    with pytest.raises(DaemonError, match="the clouds contain no points"):
         depth_limits([np.full((3, 3), np.nan, np.float32)])
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".avi"])
-def test_a_video_opens_again_with_every_image(tmp_path: Path, suffix: str) -> None:
+def test_a_video_is_readable_with_every_image(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"depth{suffix}"
     depths = [np.full((103, 129), 1000 + 100 * i, np.float32) for i in range(5)]
     assert write_video(path, (depth_image(d, 1000, 1500) for d in depths), rate_hz=10) == 5
@@ -159,12 +159,12 @@ def test_a_video_opens_again_with_every_image(tmp_path: Path, suffix: str) -> No
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
-def test_a_video_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failed_video_leaves_no_file(tmp_path: Path) -> None:
     sizes = [(40, 40, 3), (40, 60, 3)]
     with pytest.raises(DaemonError, match="image 1 is 60 x 40"):
         write_video(tmp_path / "x.mp4", (np.zeros(size, np.uint8) for size in sizes), rate_hz=5)
     with pytest.raises(DaemonError, match="no images"):
         write_video(tmp_path / "x.mp4", iter(()), rate_hz=5)
-    with pytest.raises(DaemonError, match=r"ends with \.mp4 or \.avi"):
+    with pytest.raises(DaemonError, match=r"expected \.mp4 or \.avi"):
         write_video(tmp_path / "x.gif", iter(()), rate_hz=5)
     assert list(tmp_path.iterdir()) == []

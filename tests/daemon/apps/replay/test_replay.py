@@ -1,4 +1,4 @@
-"""``fringed replay`` as a user types it, on a small take of the simulated rig."""
+"""``fringed replay`` on a small take of the simulated rig."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def summary_in(directory: Path) -> dict[str, Any]:
     return json.loads((directory / "summary.json").read_text())
 
 
-def test_the_results_are_what_the_format_promises(take: Path, tmp_path: Path) -> None:
+def test_the_results_have_the_documented_format(take: Path, tmp_path: Path) -> None:
     assert replay(take, "--out", tmp_path) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"cloud_0000{n}.npz" for n in (40, 41, 42)] + ["summary.json"]
     summary = summary_in(tmp_path)
@@ -67,7 +67,7 @@ def test_the_clouds_are_those_of_the_pipeline(take: Path, tmp_path: Path, images
         np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud_{number:06d}.npz").xyz, cloud.xyz)
 
 
-def test_a_replay_is_bit_identical_whatever_the_number_of_threads_and_runs(take: Path, tmp_path: Path) -> None:
+def test_a_replay_is_bit_identical_for_any_number_of_threads_and_runs(take: Path, tmp_path: Path) -> None:
     variants = {"a": (), "b": ("--threads", 1), "c": ("--threads", 2), "d": ("--repeat", 2)}
     for name, arguments in variants.items():
         assert replay(take, "--out", tmp_path / name, *arguments) == 0
@@ -97,20 +97,22 @@ def test_a_take_is_measured_by_stage(take: Path, tmp_path: Path, monkeypatch: py
         assert ms == pytest.approx(np.median(times), abs=0.002)
 
 
-@pytest.mark.parametrize(("use_prior", "seen"), [(False, [False] * 6), (True, [False, True, True, True, True, True])])
-def test_only_when_asked_a_pair_begins_with_the_surface_before_it(
-    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, use_prior: bool, seen: list[bool]
+@pytest.mark.parametrize(
+    ("use_prior", "expected"), [(False, [False] * 6), (True, [False, True, True, True, True, True])]
+)
+def test_the_temporal_prior_is_used_only_on_request(
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, use_prior: bool, expected: list[bool]
 ) -> None:
-    real, follows = Reconstructor.reconstruct, []
+    original, priors = Reconstructor.reconstruct, []
 
-    def noted(self: Reconstructor, left: Any, right: Any, **options: Any) -> Any:
-        follows.append(options.get("use_prior"))
-        return real(self, left, right, **options)
+    def recorded(self: Reconstructor, left: Any, right: Any, **options: Any) -> Any:
+        priors.append(options.get("use_prior"))
+        return original(self, left, right, **options)
 
-    monkeypatch.setattr(Reconstructor, "reconstruct", noted)
+    monkeypatch.setattr(Reconstructor, "reconstruct", recorded)
     monkeypatch.setattr(Reconstructor, "warm_up", lambda _, **__: None)
     assert replay(take, "--out", tmp_path, "--repeat", 2, *(["--follow"] if use_prior else [])) == 0
-    assert follows == seen
+    assert priors == expected
 
 
 @pytest.mark.parametrize("kind", ["ply", "pcd"])
@@ -146,7 +148,7 @@ def test_a_cut_take_replays_up_to_the_cut(take: Path, tmp_path: Path, capsys: py
         assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
-def test_what_was_blessed_is_expected_and_what_moves_is_told(
+def test_a_golden_file_matches_its_own_take_and_deviations_are_reported(
     take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     golden = tmp_path / "golden.json"
@@ -155,11 +157,11 @@ def test_what_was_blessed_is_expected_and_what_moves_is_told(
     assert "as expected: 3 pairs" in capsys.readouterr().out
     assert replay(take, "--expect", golden, "--set", "min_modulation=30") == 1
     shown = capsys.readouterr().out
-    for column in ("What moved", "points", "coverage", "filled"):
+    for column in ("Deviations", "points", "coverage", "filled"):
         assert column in shown
 
 
-def test_a_depth_that_drifts_is_found_though_the_points_stay(take: Path, tmp_path: Path) -> None:
+def test_a_depth_deviation_is_detected_with_an_equal_number_of_points(take: Path, tmp_path: Path) -> None:
     golden = tmp_path / "golden.json"
     replay(take, "--bless", golden)
     content = json.loads(golden.read_text())
@@ -170,11 +172,11 @@ def test_a_depth_that_drifts_is_found_though_the_points_stay(take: Path, tmp_pat
     content["tolerances"]["depth_mm"] = 0.3
     golden.write_text(json.dumps(content))
     assert replay(take, "--expect", golden) == 0
-    assert replay(take, "--bless", golden) == 0  # blessing again keeps what a person has set
+    assert replay(take, "--bless", golden) == 0  # --bless keeps edited tolerances
     assert json.loads(golden.read_text())["tolerances"]["depth_mm"] == 0.3
 
 
-def test_a_missing_pair_and_a_new_one_are_told(
+def test_a_missing_and_an_additional_pair_are_reported(
     take: Path, tmp_path: Path, images: list[small_take.Images], capsys: pytest.CaptureFixture[str]
 ) -> None:
     golden = tmp_path / "golden.json"
@@ -182,21 +184,21 @@ def test_a_missing_pair_and_a_new_one_are_told(
     later = small_take.write(tmp_path / "later.mcap", images, first=41)
     assert replay(later, "--expect", golden) == 1
     shown = capsys.readouterr().out
-    assert "must be there" in shown
-    assert "must be known" in shown
+    assert "must exist" in shown
+    assert "must not exist" in shown
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"fringed_golden": 2}, "fringed_golden is 2"),
-        ({"tolerances": {"depth": 1}}, "tolerances.depth is not known"),
+        ({"tolerances": {"depth": 1}}, "tolerances.depth is unknown"),
         ({"tolerances": {"depth_mm": "1"}}, "tolerances.depth_mm is '1'"),
         ({"cell": 0}, "cell is 0"),
         ({"pairs": [{}]}, "size is missing"),
     ],
 )
-def test_a_bad_golden_file_is_refused_by_name(
+def test_an_invalid_golden_file_is_rejected_by_name(
     take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any], message: str
 ) -> None:
     golden = tmp_path / "golden.json"
@@ -207,18 +209,20 @@ def test_a_bad_golden_file_is_refused_by_name(
     assert message in error
 
 
-def test_mistakes_on_the_command_line_are_told(take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_on_the_command_line_are_reported(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "bad.yaml").write_text("fringed_calibration: 2\n")
     small = tmp_path / "small.yaml"
     small.write_bytes(small_take.CALIBRATION.replace(b"- 128\n", b"- 126\n", 1))
     for arguments, message in (
-        ((take,), "nothing to do"),
+        ((take,), "no destination for the clouds"),
         ((take, "--out", tmp_path, "--set", "min_modulatoin=3"), "did you mean min_modulation"),
         ((take, "--out", tmp_path, "--set", "min_modulation"), "expected key=value"),
-        ((take, "--out", tmp_path, "--format", "obj"), "there are: npz, ply, pcd"),
+        ((take, "--out", tmp_path, "--format", "obj"), "expected one of: npz, ply, pcd"),
         ((take, "--out", tmp_path, "--calibration", tmp_path / "bad.yaml"), "bad.yaml"),
-        ((take, "--out", tmp_path, "--calibration", small), "no cloud came out"),
+        ((take, "--out", tmp_path, "--calibration", small), "no cloud was reconstructed"),
         ((tmp_path / "empty.mcap", "--out", tmp_path), "empty.mcap"),
         ((tmp_path / "absent.mcap", "--out", tmp_path), "absent.mcap"),
     ):
@@ -248,17 +252,17 @@ def test_the_foreign_take_replays(shared_data: Callable[..., Path], tmp_path: Pa
 
 def test_the_example_reads_a_take(take: Path) -> None:
     example = Path(__file__).parents[4] / "examples" / "03_read_a_take.py"
-    done = subprocess.run([sys.executable, str(example), str(take)], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert "3 pairs, 0 frames without a partner" in done.stdout
-    assert "problem" not in done.stdout
+    process = subprocess.run([sys.executable, str(example), str(take)], capture_output=True, text=True, timeout=60)
+    assert process.returncode == 0, process.stderr
+    assert "3 pairs, 0 frames without a partner" in process.stdout
+    assert "problem" not in process.stdout
 
 
-def test_rerun_is_not_loaded_unless_asked_for(take: Path, tmp_path: Path) -> None:
+def test_rerun_is_imported_only_on_request(take: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from daemon.cli.entry import run; "
         f"assert run(['replay', {str(take)!r}, '--out', {str(tmp_path)!r}]) == 0; "
         "assert not {'rerun', 'matplotlib', 'sim'} & {name.partition('.')[0] for name in sys.modules}"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert process.returncode == 0, process.stderr

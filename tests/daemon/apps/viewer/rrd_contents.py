@@ -1,4 +1,4 @@
-"""What stands in a .rrd file."""
+"""Reading of .rrd files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def rows(file: Path, entity: str, component: str, timeline: str = "exposure") -> dict[Any, np.ndarray[Any, Any]]:
-    """Values of a component by their place on a timeline (times in ns)."""
+    """Values of a component by their position on a timeline (times in ns)."""
     from rerun.chunk import RrdReader
 
     out = {}
@@ -18,10 +18,10 @@ def rows(file: Path, entity: str, component: str, timeline: str = "exposure") ->
             continue
         batch = chunk.to_record_batch()
         if component in batch.schema.names and timeline in batch.schema.names:
-            for place, value in zip(
+            for position, value in zip(
                 batch.column(timeline).cast("int64").to_pylist(), batch.column(component), strict=True
             ):
-                out[place] = np.asarray(value.as_py())
+                out[position] = np.asarray(value.as_py())
     return out
 
 
@@ -31,7 +31,7 @@ def clouds(file: Path) -> dict[int, np.ndarray[Any, Any]]:
 
 
 def entities(file: Path) -> set[str]:
-    """Names of everything that was logged."""
+    """Names of all logged entities."""
     from rerun.chunk import RrdReader
 
     return {chunk.entity_path for chunk in RrdReader(str(file)).stream()}

@@ -1,4 +1,4 @@
-"""``fringed view`` at work: the newest is shown, and a viewer that hangs disturbs nobody."""
+"""``fringed view`` shows the newest messages, and a viewer that hangs disturbs no other process."""
 
 from __future__ import annotations
 
@@ -44,21 +44,21 @@ def viewing(*arguments: str) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-def wanted(publisher: Any, *topics: str) -> None:
+def wait_for_subscribers(publisher: Any, *topics: str) -> None:
     wait_until(lambda: all(publisher.has_subscribers(topic) for topic in topics))
 
 
-def test_of_what_waits_only_the_newest_of_each_topic_is_kept() -> None:
+def test_only_the_newest_pending_message_of_each_topic_is_kept() -> None:
     with clouds.publisher() as publisher, NewestMessages(publisher.endpoints[0]) as source:
-        wanted(publisher, "cloud/full", "preview")
+        wait_for_subscribers(publisher, "cloud/full", "preview")
         for seq in range(5):
             clouds.send(publisher, clouds.item(seq))
 
-            def came(seq: int = seq) -> bool:
+            def arrived(seq: int = seq) -> bool:
                 source.drain(0.01)
-                return source.skipped == seq and "cloud/full" in source._waiting
+                return source.skipped == seq and "cloud/full" in source._pending
 
-            wait_until(came)
+            wait_until(arrived)
         (cloud,) = (message for message in source.newest() if message.topic == "cloud/full")
         assert cloud.header.seq == 4 and (source.skipped, source.lost) == (4, 0)
         assert not list(source.newest())
@@ -67,20 +67,20 @@ def test_of_what_waits_only_the_newest_of_each_topic_is_kept() -> None:
 def test_clouds_images_and_figures_of_a_stream_reach_the_file(tmp_path: Path) -> None:
     file = tmp_path / "x.rrd"
     with clouds.publisher() as publisher, NewestMessages(publisher.endpoints[0]) as source:
-        wanted(publisher, "cloud/full", "preview", "status")
+        wait_for_subscribers(publisher, "cloud/full", "preview", "status")
         with rerun_targets.file_recording(file) as recording:
             bridge = Bridge(source, recording, Options(decimate=1, rate_hz=1000))
             clouds.send(publisher, clouds.item(3))
             publisher.publish_status({"t_ns": 5, "cloud_rate_hz": 4.5, "drops": {"a": 2, "b": 3}})
-            seen: set[str] = set()
+            received: set[str] = set()
 
-            def all_came() -> bool:
+            def all_arrived() -> bool:
                 source.drain(0.01)
-                seen.update(source._waiting)
+                received.update(source._pending)
                 bridge.show_newest()
-                return seen == {"cloud/full", "preview", "status"}
+                return received == {"cloud/full", "preview", "status"}
 
-            wait_until(all_came)
+            wait_until(all_arrived)
     assert list(rrd_contents.clouds(file)) == [3]
     assert {"/images/left", "/images/right", "/images/modulation"} <= rrd_contents.entities(file)
     figures = {
@@ -90,15 +90,15 @@ def test_clouds_images_and_figures_of_a_stream_reach_the_file(tmp_path: Path) ->
     assert figures == {"rate_hz": [4.5], "drops": [5.0], "points": [32 * 26 - 12], "latency_ms": [21.0]}
 
 
-def test_a_viewer_that_hangs_holds_up_neither_the_publisher_nor_other_subscribers(tmp_path: Path) -> None:
+def test_a_viewer_that_hangs_delays_neither_the_publisher_nor_other_subscribers(tmp_path: Path) -> None:
     file, large = tmp_path / "x.rrd", clouds.item(0, size=LARGE)
     numbers = iter(range(1, 1_000_000))
     with clouds.publisher() as publisher:
         arguments = ("--save", str(file), "--rate", "60", "--count", "30")
         with viewing(publisher.endpoints[0], *arguments) as viewer:
-            wanted(publisher, "cloud/full")
+            wait_for_subscribers(publisher, "cloud/full")
             os.kill(viewer.pid, signal.SIGSTOP)
-            for seq in islice(numbers, 80):  # 70 MB, far more than sockets and queues hold
+            for seq in islice(numbers, 80):  # 70 MB, far more than the capacity of sockets and queues
                 clouds.send(publisher, replace(large, seq=seq))
             with subscribe(publisher.endpoints[0], timeout_s=0.01) as healthy:
 
@@ -117,31 +117,31 @@ def test_a_viewer_that_hangs_holds_up_neither_the_publisher_nor_other_subscriber
                 return viewer.poll() is not None
 
             wait_until(ended, 20.0)
-            _, told = viewer.communicate()
-            assert viewer.returncode == 0, told
-    assert max(rrd_contents.clouds(file)) > newest and "30 clouds" in told
+            _, output = viewer.communicate()
+            assert viewer.returncode == 0, output
+    assert max(rrd_contents.clouds(file)) > newest and "30 clouds" in output
 
 
 def test_ctrl_c_finishes_the_file(tmp_path: Path) -> None:
     file = tmp_path / "x.rrd"
     with clouds.publisher() as publisher, viewing(publisher.endpoints[0], "--save", str(file)) as viewer:
-        wanted(publisher, "cloud/full")
+        wait_for_subscribers(publisher, "cloud/full")
         clouds.send(publisher, clouds.item(1))
         wait_until(lambda: file.with_name(".x.rrd.partial").exists())
         viewer.send_signal(signal.SIGINT)
-        _, told = viewer.communicate(timeout=20)
-    assert viewer.returncode in (0, 1), told  # 1: it was stopped before the cloud came
-    assert file.exists() == (viewer.returncode == 0) or "no cloud came" in told
+        _, output = viewer.communicate(timeout=20)
+    assert viewer.returncode in (0, 1), output  # 1: it was stopped before the cloud came
+    assert file.exists() == (viewer.returncode == 0) or "no cloud arrived" in output
 
 
 def test_no_cloud_is_an_error_that_names_the_endpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     endpoint = f"ipc://{tmp_path}/nobody"
     assert run(["view", endpoint, "--save", str(tmp_path / "x.rrd"), "--seconds", "0.2"]) == 1
-    assert f"no cloud came from {endpoint}" in capsys.readouterr().err
+    assert f"no cloud arrived from {endpoint}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["--color", "pink"], ["--web", "--save", "x.rrd"], ["--decimate", "0"]])
-def test_wrong_usage_is_told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_usage_errors_are_reported(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["view", *arguments]) == 2
     assert capsys.readouterr().err
 
@@ -166,45 +166,45 @@ def test_the_web_viewer_prints_one_line_with_its_address_and_serves_the_page() -
 @pytest.mark.timeout(180)
 @pytest.mark.usefixtures("browser")
 def test_an_image_of_the_viewer_shows_the_cloud(tmp_path: Path) -> None:
-    done = threading.Event()
+    finished = threading.Event()
     file = tmp_path / "view.png"
     with clouds.publisher() as publisher:
 
         def send() -> None:
             large, seq = clouds.item(0, size=LARGE), 0
-            while not done.wait(0.2):
+            while not finished.wait(0.2):
                 seq += 1
                 publisher.offer(replace(large, seq=seq, t_ns=1_700_000_000_000_000_000 + seq * 200_000_000))
 
         sender = threading.Thread(target=send)
         sender.start()
         try:
-            screenshot.take(publisher.endpoints[0], file)
+            screenshot.save_screenshot(publisher.endpoints[0], file)
         finally:
-            done.set()
+            finished.set()
             sender.join()
     image = cv2.imread(str(file))
     assert image is not None and image.shape == (900, 1400, 3)
     assert screenshot.paint(file.read_bytes()).enough
 
 
-@pytest.mark.parametrize(("status", "told"), [(0, "no cloud came"), (3, "the viewer ended with exit status 3")])
+@pytest.mark.parametrize(("status", "message"), [(0, "no cloud arrived"), (3, "the viewer ended with exit status 3")])
 def test_the_command_ends_with_its_native_viewer(
-    status: int, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    status: int, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     program = tmp_path / "viewer"
     program.write_text(f"#!/bin/sh\nexit {status}\n")
     program.chmod(0o755)
     monkeypatch.setattr(rerun_targets, "viewer_program", lambda: program)
     assert run(["view", f"ipc://{tmp_path}/nobody"]) == 1
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_a_port_that_is_taken_is_told_and_the_usual_one_gives_way_to_a_free_one() -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with pytest.raises(rerun_targets.DaemonError, match=f"port {port} is taken"):
+def test_a_port_in_use_is_reported_and_the_default_one_is_replaced_by_a_free_one() -> None:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        port = listener.getsockname()[1]
+        with pytest.raises(rerun_targets.DaemonError, match=f"port {port} is in use"):
             rerun_targets._port(port, 1, "127.0.0.1")
         assert rerun_targets._port(None, port, "127.0.0.1") not in (0, port)

@@ -1,4 +1,4 @@
-"""What the logger writes is what a file holds; colours tell what they shall tell."""
+"""The logger writes the measured values, and colours encode the chosen quantity."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ def write(file: Path, cloud: Any, **options: Any) -> None:
     logger.time(seq=7, t_ns=1_700_000_000_123_456_789)
     logger.cloud(cloud.xyz, cloud.gray, cloud.sigma_mm)
     logger.figures({"points": 3.0})
-    cloud.xyz[:] = 0  # a buffer that is used again must not change what was logged
+    cloud.xyz[:] = 0  # a reused buffer must not change logged values
     recording.flush()
     recording.disconnect()
 
 
 @pytest.mark.parametrize("decimate", [1, 2, 3])
-def test_the_points_read_back_are_the_known_ones_of_every_nth_row_and_column(tmp_path: Path, decimate: int) -> None:
+def test_the_logged_points_are_the_valid_ones_of_every_nth_row_and_column(tmp_path: Path, decimate: int) -> None:
     cloud = clouds.item(1).cloud
-    wanted = cloud.xyz[::decimate, ::decimate].reshape(-1, 3).copy()
+    expected = cloud.xyz[::decimate, ::decimate].reshape(-1, 3).copy()
     write(tmp_path / "x.rrd", cloud, decimate=decimate)
     found = rrd_contents.clouds(tmp_path / "x.rrd")
     assert list(found) == [7]
-    np.testing.assert_array_equal(found[7].astype(np.float32), wanted[np.isfinite(wanted[:, 2])])
+    np.testing.assert_array_equal(found[7].astype(np.float32), expected[np.isfinite(expected[:, 2])])
 
 
 def test_times_figures_and_axes_are_in_the_file(tmp_path: Path) -> None:
@@ -60,14 +60,14 @@ def test_scaled_colours_run_from_blue_to_red(color: str) -> None:
     assert np.all(packed & 255 == 255) and blue[50] > red[50] and red[-50] > blue[-50]
 
 
-def test_bounds_leave_outliers_out_and_stay_when_little_changes() -> None:
+def test_bounds_exclude_outliers_and_are_stable_under_small_changes() -> None:
     z = np.random.default_rng(1).normal(1403.0, 2.0, 5000).astype(np.float32)
     low, high = colors.bounds(z, 10.0)
     z[:20] = 9000.0
     assert (low, high) == colors.bounds(z + np.float32(0.1), 10.0) == (1390.0, 1410.0)
 
 
-def test_a_cloud_without_points_is_logged_as_none(tmp_path: Path) -> None:
+def test_a_cloud_without_points_is_logged(tmp_path: Path) -> None:
     cloud = clouds.item(1).cloud
     cloud.xyz[:] = np.nan
     for color in colors.COLORS:
@@ -75,7 +75,7 @@ def test_a_cloud_without_points_is_logged_as_none(tmp_path: Path) -> None:
         cloud.xyz[:] = np.nan
 
 
-def test_images_are_decoded_and_a_damaged_one_costs_only_itself(tmp_path: Path) -> None:
+def test_images_are_decoded_and_only_damaged_ones_are_left_out(tmp_path: Path) -> None:
     left = np.full((40, 60, 3), (10, 100, 200), np.uint8)
     jpeg = cv2.imencode(".jpg", left)[1].reshape(-1)
     recording = rerun_targets.to_file(tmp_path / "x.rrd")
@@ -89,17 +89,17 @@ def test_images_are_decoded_and_a_damaged_one_costs_only_itself(tmp_path: Path) 
     np.testing.assert_allclose(buffer.reshape(left.shape), left, atol=4)
 
 
-def test_the_usage_reports_of_rerun_are_off_without_touching_the_users_file() -> None:
-    theirs = Path(os.environ["XDG_CONFIG_HOME"])
+def test_the_usage_reports_of_rerun_are_off_without_changing_the_users_file() -> None:
+    config = Path(os.environ["XDG_CONFIG_HOME"])
     rerun_import.rerun()
-    told = subprocess.run(
+    process = subprocess.run(
         [str(rerun_targets.viewer_program()), "analytics", "config"], capture_output=True, text=True, check=True
     )
-    assert '"analytics_enabled": false' in told.stdout
-    assert not list(theirs.iterdir())
+    assert '"analytics_enabled": false' in process.stdout
+    assert not list(config.iterdir())
 
 
-def test_an_unfinished_file_is_not_left_behind(tmp_path: Path) -> None:
+def test_an_unfinished_file_is_removed(tmp_path: Path) -> None:
     file = tmp_path / "x.rrd"
     with pytest.raises(RuntimeError, match="stop"), rerun_targets.file_recording(file) as recording:
         rerun_log.Logger(recording)
@@ -107,7 +107,7 @@ def test_an_unfinished_file_is_not_left_behind(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_paint_tells_an_empty_view_from_a_drawn_one() -> None:
+def test_paint_distinguishes_an_empty_view_from_a_cloud() -> None:
     empty = np.full((900, 1400, 3), 24, np.uint8)
     drawn = empty.copy()
     drawn[250:450, 300:600] = np.linspace(0, 255, 300, dtype=np.uint8)[:, None] * np.array([1, 0, 1], np.uint8)
@@ -116,7 +116,7 @@ def test_paint_tells_an_empty_view_from_a_drawn_one() -> None:
     assert not screenshot.paint(b"no png").enough
 
 
-def test_waiting_for_paint_is_bounded_and_tells_what_it_saw() -> None:
+def test_waiting_for_paint_is_bounded() -> None:
     image = cv2.imencode(".png", np.zeros((90, 140, 3), np.uint8))[1].tobytes()
-    with pytest.raises(screenshot.DaemonError, match="drew no cloud within 0 s"):
+    with pytest.raises(screenshot.DaemonError, match="showed no cloud within 0 s"):
         screenshot.wait_for_paint(lambda: image, timeout_s=0.05, poll_s=0.01)

@@ -137,7 +137,7 @@ def test_export_refuses_what_makes_no_sense(tmp_path: Path, capsys: pytest.Captu
     saved(tmp_path / "clouds", 1)
     base = ["export", str(tmp_path / "clouds"), "--out"]
     for extra, message in (
-        ([str(tmp_path / "x"), "--format", "obj"], "there are: npz, ply, pcd"),
+        ([str(tmp_path / "x"), "--format", "obj"], "expected one of: npz, ply, pcd"),
         ([str(tmp_path / "x"), "--set", "min_modulation=7"], "need a take"),
         ([str(tmp_path / "x.mp4"), "--near", "9", "--far", "8"], "smaller"),
     ):

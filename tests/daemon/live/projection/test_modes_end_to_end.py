@@ -72,9 +72,9 @@ def _no_points_in_a_wrong_order(take: TakeReader) -> None:
     sequence = take.sequence()
     assert sequence is not None
     made = SetReconstructor(take.calibration().calibration, sequence, take.volume(), encoding="rgb8")
-    shot = next(Sets(take, sequence).shots())
+    item = next(Sets(take, sequence).items())
     for turn in (1, 4, 6):
-        lefts, rights = (side[turn:] + side[:turn] for side in (shot.lefts, shot.rights))
+        lefts, rights = (side[turn:] + side[:turn] for side in (item.lefts, item.rights))
         assert made.reconstruct(lefts, rights).points < 50
 
 
