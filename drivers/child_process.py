@@ -1,4 +1,4 @@
-"""Start a process that ends with this one, and read what it prints."""
+"""Child processes that end with this one, and their output."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import IO
 
@@ -28,17 +28,17 @@ _thread: threading.Thread | None = None
 
 
 def die_with_parent(parent: int) -> None:
-    """Called in the child: the kernel kills it when the thread that started it ends, even if it hangs."""
+    """Let the kernel kill this child process when the thread that started it ends; called in the child."""
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         raise SystemExit("the process that started this one is gone")
 
 
 def start(module: str, arguments: Sequence[str], *, pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
-    """Start ``python -m module``; its standard output and error come through one pipe, ``stdout``.
+    """Start ``python -m module``; its standard output and error share one pipe, ``stdout``.
 
-    The kernel's parent-death signal watches the *thread* that started a process, so all are started by one thread
-    that lives as long as this process does.
+    The kernel's parent-death signal refers to the *thread* that started a process, so all are started by one thread
+    that lasts as long as this process.
     """
     global _thread
     with _starting:
@@ -54,7 +54,7 @@ def start(module: str, arguments: Sequence[str], *, pass_fds: Sequence[int] = ()
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             pass_fds=tuple(pass_fds),
-            env=_environment(os.environ),
+            env=environment(),
         )
 
     _jobs.put((job, done))
@@ -73,23 +73,23 @@ def _work() -> None:
             done.set_exception(error)
 
 
-def _environment(inherited: Mapping[str, str]) -> dict[str, str]:
-    """The same modules as here, and no pools of threads for linear algebra that nobody uses."""
+def environment() -> dict[str, str]:
+    """Return this environment with the same module path and without unused thread pools for linear algebra."""
     one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    return {**one, **inherited, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONUNBUFFERED": "1"}
+    return {**one, **os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONUNBUFFERED": "1"}
 
 
-def end(process: subprocess.Popen[bytes], patience_s: float) -> int:
-    """Wait for a process, kill it when it takes too long; returns its exit status."""
+def end(process: subprocess.Popen[bytes], timeout_s: float) -> int:
+    """Wait for a process and kill it after the time-out; return its exit status."""
     try:
-        return process.wait(patience_s)
+        return process.wait(timeout_s)
     except subprocess.TimeoutExpired:
         process.kill()
         return process.wait()
 
 
 class OutputReader:
-    """Passes what a process prints on to a logger, line by line, and keeps the last lines.
+    """Passes the output of a process on to a logger, line by line, and keeps the last lines.
 
     Args:
         process: from :func:`start`; its output is closed at its end. name: of the thread that reads it.
@@ -105,7 +105,7 @@ class OutputReader:
         self._thread.start()
 
     def text(self) -> str:
-        """The last lines in one."""
+        """Return the last lines joined."""
         return " | ".join(self.last)
 
     def join(self, timeout_s: float) -> None:

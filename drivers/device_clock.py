@@ -1,17 +1,17 @@
-"""A camera's clock against the host's: offset and drift, from what can be observed, with its uncertainty.
+"""A camera's clock against the host's: offset and drift from observations, with their uncertainty.
 
-Pure logic without a clock of its own: the caller tells what it saw. Two kinds of sighting:
+Pure logic without a clock of its own: the caller passes observations, of two kinds:
 
-* a *latch*: the device told its time between two readings of the host's clock. The offset then lies within half the
+* a *latch*: the device's time read between two readings of the host's clock. The offset then lies within half the
   round trip of the middle, whatever the delays were. Short round trips count most.
 * an *arrival*: a frame of a known device time reached the host. It cannot have come before it was exposed, so the
-  truth lies below every arrival: the line that touches the arrivals from below (Moon, Skelly, Towsley: Estimation and
-  removal of clock skew from network delay measurements, INFOCOM 1999) follows the clock and is blind to late frames.
-  What it cannot see is the shortest delay itself; the caller takes off what is known of it (the exposure time).
+  true offset lies below every arrival: the line that touches the arrivals from below (Moon, Skelly, Towsley:
+  Estimation and removal of clock skew from network delay measurements, INFOCOM 1999) follows the clock and ignores
+  late frames. It includes the shortest delay, of which the caller subtracts the known part (the exposure time).
 
-Latches are believed alone wherever there are any. Sightings are kept in slots of a second (the best of each), for
-about a minute, so neither memory nor time grows. A device clock that was set anew, and a host clock that was stepped,
-contradict what is kept: everything is forgotten then and learnt again (counted in ``resets``).
+Where there are latches, only they count. The best observation of each second is kept for about a minute, so neither
+memory nor time grows. A device clock that was reset, and a host clock that was stepped, contradict the observations:
+all are discarded then (counted in ``resets``).
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from numpy.typing import NDArray
 _SLOT_NS = 1_000_000_000
 _SLOTS = 64
 _MAX_DRIFT = 1e-3
-"""Crystals keep 100 ppm; a slope beyond this is a mistake of the sightings."""
+"""Crystals keep 100 ppm; a slope beyond this is an error of the observations."""
 
 _TOLERANCE_NS = 5_000_000
-"""How far a sighting may lie on the impossible side of what is known before everything is forgotten."""
+"""How far an observation may lie on the impossible side of the line before all are discarded."""
 
 _LATE_NS = 20_000_000
 _LATE_FOR_NS = 8_000_000_000
-"""Frames this late for this long are taken for a clock that was set back."""
+"""Frames this late for this long mean that the clock was set back."""
 
 _DRIFT_SPAN_NS = 2_500_000_000
-"""Sightings of a shorter time than this tell nothing of the drift."""
+"""Observations over a shorter time than this do not determine the drift."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Sighting:
+class _Observation:
     device_ns: int
     offset_ns: int
     half_ns: int
@@ -60,14 +60,14 @@ class _Line:
 
 
 class _Track:
-    """Sightings of one kind and the line through them."""
+    """Observations of one kind and the line through them."""
 
     def __init__(self) -> None:
-        self.kept: list[_Sighting] = []
+        self.kept: list[_Observation] = []
         self.line: _Line | None = None
 
-    def keep(self, new: _Sighting, *, better: bool) -> bool:
-        """Put a sighting into its slot; whether anything changed."""
+    def keep(self, new: _Observation, *, better: bool) -> bool:
+        """Store an observation in the slot of its second; return whether anything changed."""
         slot = new.device_ns // _SLOT_NS
         if self.kept and self.kept[-1].device_ns // _SLOT_NS == slot:
             if not better:
@@ -78,14 +78,14 @@ class _Track:
             del self.kept[:-_SLOTS]
         return True
 
-    def last_in_slot(self, device_ns: int) -> _Sighting | None:
-        """What the slot of this time holds."""
+    def last_in_slot(self, device_ns: int) -> _Observation | None:
+        """Return the observation in the slot of this time."""
         if self.kept and self.kept[-1].device_ns // _SLOT_NS == device_ns // _SLOT_NS:
             return self.kept[-1]
         return None
 
     def arrays(self) -> tuple[int, int, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Origin and base, and the sightings relative to them as device time, offset and half width, (N,)."""
+        """Return origin, base, and the observations relative to them: device time, offset and half width, (N,)."""
         origin, base = self.kept[-1].device_ns, self.kept[-1].offset_ns
         table = np.array([(s.device_ns - origin, s.offset_ns - base, s.half_ns) for s in self.kept], np.float64)
         return origin, base, table[:, 0], table[:, 1], table[:, 2]
@@ -103,21 +103,21 @@ class DeviceClock:
 
     @property
     def ready(self) -> bool:
-        """Whether anything is known yet."""
+        """Whether there is an observation."""
         return self._line() is not None
 
     @property
     def latched(self) -> bool:
-        """Whether latches are what it stands on."""
+        """Whether the mapping is based on latches."""
         return self._latches.line is not None
 
     def latch(self, before_ns: int, device_ns: int, after_ns: int) -> None:
-        """The device's clock showed ``device_ns`` between two times of the host."""
+        """Add a latch: the device's clock was ``device_ns`` between two times of the host."""
         half = max((after_ns - before_ns + 1) // 2, 1)
-        new = _Sighting(device_ns, (before_ns + after_ns) // 2 - device_ns, half)
+        new = _Observation(device_ns, (before_ns + after_ns) // 2 - device_ns, half)
         line = self._latches.line
         if device_ns < self._last_latch_ns or (line is not None and self._contradicts(line, new)):
-            self._forget()
+            self._reset()
         self._last_latch_ns = device_ns
         self._latest_ns = max(self._latest_ns, device_ns)
         held = self._latches.last_in_slot(device_ns)
@@ -125,38 +125,38 @@ class DeviceClock:
             self._latches.line = _through(self._latches)
 
     def arrival(self, device_ns: int, host_ns: int, *, delay_ns: int = 0) -> None:
-        """A frame of that device time was there at ``host_ns``; ``delay_ns`` of its way are known."""
+        """Add an arrival: a frame of that device time came at ``host_ns``; ``delay_ns`` of its delay are known."""
         offset = host_ns - delay_ns - device_ns
         if device_ns < self._last_arrival_ns:
-            self._forget()
+            self._reset()
         elif (line := self._line()) is not None:
             behind = offset - line.offset(device_ns)
             if behind < -(_TOLERANCE_NS + line.error_ns) or self._always_late(behind, device_ns):
-                self._forget()
+                self._reset()
         self._last_arrival_ns = device_ns
         self._latest_ns = max(self._latest_ns, device_ns)
         held = self._arrivals.last_in_slot(device_ns)
-        if self._arrivals.keep(_Sighting(device_ns, offset, 0), better=held is None or offset < held.offset_ns):
+        if self._arrivals.keep(_Observation(device_ns, offset, 0), better=held is None or offset < held.offset_ns):
             self._arrivals.line = _below(self._arrivals)
 
     def to_host_ns(self, device_ns: int) -> int:
-        """The host's time at a device's time; ValueError while nothing is known (see :attr:`ready`)."""
+        """Return the host's time at a device's time; ValueError without an observation (see :attr:`ready`)."""
         line = self._line()
         if line is None:
-            raise ValueError("the device's clock was never seen; tell a latch or an arrival first")
+            raise ValueError("there is no observation of the device's clock; add a latch or an arrival first")
         return device_ns + line.offset(device_ns)
 
     def uncertainty_ns(self, device_ns: int | None = None) -> int:
-        """How far :meth:`to_host_ns` may be off; arrivals alone cannot tell the shortest delay, which comes on top."""
+        """Return the uncertainty of :meth:`to_host_ns`; from arrivals alone, the shortest delay adds to it."""
         line = self._line()
         if line is None:
-            raise ValueError("the device's clock was never seen; tell a latch or an arrival first")
+            raise ValueError("there is no observation of the device's clock; add a latch or an arrival first")
         at_ns = self._latest_ns if device_ns is None else device_ns
         known_drift = 10e-6 if self._span_ns() >= _DRIFT_SPAN_NS else 100e-6
         return round(line.error_ns + known_drift * abs(at_ns - line.origin_ns))
 
     def drift_ppm(self) -> float:
-        """How much faster the host's clock runs than the device's, parts in a million."""
+        """Return how much faster the host's clock runs than the device's, parts in a million."""
         line = self._line()
         return 0.0 if line is None else line.slope * 1e6
 
@@ -168,12 +168,12 @@ class DeviceClock:
         return kept[-1].device_ns - kept[0].device_ns if kept else 0
 
     @staticmethod
-    def _contradicts(line: _Line, new: _Sighting) -> bool:
+    def _contradicts(line: _Line, new: _Observation) -> bool:
         away = abs(new.offset_ns - line.offset(new.device_ns))
         return away > new.half_ns + line.error_ns + _TOLERANCE_NS + _MAX_DRIFT * abs(new.device_ns - line.origin_ns)
 
     def _always_late(self, behind_ns: int, device_ns: int) -> bool:
-        """Whether nothing has been on time for so long that the clock, not the frames, must have moved."""
+        """Return whether all frames have been late for so long that the clock must have been set back."""
         if behind_ns < _LATE_NS:
             self._late_since_ns = None
             return False
@@ -181,7 +181,7 @@ class DeviceClock:
             self._late_since_ns = device_ns
         return device_ns - self._late_since_ns > _LATE_FOR_NS
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self.resets += 1
         self._latches, self._arrivals = _Track(), _Track()
         self._last_latch_ns = self._last_arrival_ns = -(1 << 63)
@@ -190,7 +190,7 @@ class DeviceClock:
 
 
 def _through(track: _Track) -> _Line:
-    """The weighted least-squares line through latches, weights by the square of the round trip."""
+    """Fit the weighted least-squares line through latches, weights by the square of the round trip."""
     origin, base, t, y, half = track.arrays()
     weight = 1.0 / half**2
     total = float(weight.sum())
@@ -209,7 +209,7 @@ def _through(track: _Track) -> _Line:
 
 
 def _below(track: _Track) -> _Line:
-    """The line below all arrivals that is closest to them: the edge of their lower hull under their mean time."""
+    """Fit the closest line below all arrivals: the edge of their lower hull under their mean time."""
     origin, base, t, y, _ = track.arrays()
     if t[-1] - t[0] < _DRIFT_SPAN_NS:
         low = int(np.argmin(y))
@@ -224,7 +224,7 @@ def _below(track: _Track) -> _Line:
 
 
 def _lower_hull(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[int]:
-    """Corners of the lower convex hull, in the order of time (Andrew's monotone chain)."""
+    """Return the corners of the lower convex hull, in the order of time (Andrew's monotone chain)."""
     hull: list[int] = []
     for i in range(len(t)):
         while len(hull) >= 2:
@@ -238,7 +238,7 @@ def _lower_hull(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[int]:
 
 
 def period_ns(times_ns: list[int]) -> float | None:
-    """The period of events that come regularly (each interval a whole multiple of it), None if they do not.
+    """Return the period of regular events (each interval a whole multiple of it), None if they are irregular.
 
     Args:
         times_ns: at least four times in their order.

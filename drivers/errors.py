@@ -1,4 +1,4 @@
-"""What can go wrong with a device, each with a name to catch."""
+"""The errors of devices."""
 
 
 class DriverError(RuntimeError):
@@ -10,4 +10,4 @@ class DeviceLost(DriverError):
 
 
 class SettingRefused(DriverError):
-    """The device does not take a setting; the message names it, the value and what the device allows."""
+    """The device refuses a setting; the message names it, the value and the allowed values."""

@@ -1,7 +1,7 @@
-"""Both clocks of the host read together, so that a time of one can be told on the other.
+"""Both clocks of the host, read together to convert times between them.
 
-What is followed over time (a camera's clock, a heartbeat) is followed on CLOCK_MONOTONIC, which nobody sets; the time
-of the day is worked out for each frame anew, so that a clock that was set costs nothing but the step itself.
+Intervals and drifts (a camera's clock, a heartbeat) are measured on CLOCK_MONOTONIC, which is never set; the time of
+day is computed for each frame, so that a change of that clock has no further effect than the step itself.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class Clocks:
 
     @classmethod
     def now(cls) -> Clocks:
-        """Read both; of three readings the one that took the least time counts."""
+        """Read both clocks; of three readings the shortest counts."""
         best: tuple[int, Clocks] | None = None
         for _ in range(3):
             before, realtime, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
@@ -28,6 +28,6 @@ class Clocks:
         assert best is not None  # noqa: S101  # for the type checker: the loop ran
         return best[1]
 
-    def day(self, monotonic_ns: int) -> int:
-        """A time of CLOCK_MONOTONIC on CLOCK_REALTIME."""
+    def to_realtime_ns(self, monotonic_ns: int) -> int:
+        """Convert a time of CLOCK_MONOTONIC to CLOCK_REALTIME."""
         return monotonic_ns - self.monotonic_ns + self.realtime_ns

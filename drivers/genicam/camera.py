@@ -180,7 +180,7 @@ class GenicamCamera:
         return Frame(
             side=self.side,
             trigger=trigger,
-            t_exposure_ns=clocks.day(when.t_ns),
+            t_exposure_ns=clocks.to_realtime_ns(when.t_ns),
             t_host_ns=clocks.realtime_ns,
             encoding=setup.pixels.encoding,
             image=image,

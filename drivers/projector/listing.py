@@ -1,15 +1,13 @@
-"""The outputs of a display, read in a process of its own: an X error there cannot end this one."""
+"""The outputs of an X display, read in a process of its own: an X error cannot end this one."""
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import msgspec
 
-import drivers
+from drivers.child_process import environment
 from drivers.errors import DriverError
 from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import named_display
@@ -19,14 +17,14 @@ MODULE = "drivers.projector.listing"
 
 
 class Listing(msgspec.Struct):
-    """What the other process found, or why it found nothing."""
+    """Result of the listing process: the outputs, or why there are none."""
 
     outputs: list[DetectedOutput] = []
     problem: str = ""
 
 
 def outputs(display: str = "") -> list[DetectedOutput]:
-    """The RandR outputs of an X display.
+    """List the RandR outputs of an X display.
 
     Args:
         display: such as ``:0``; empty = the environment's DISPLAY.
@@ -36,34 +34,28 @@ def outputs(display: str = "") -> list[DetectedOutput]:
     """
     name = named_display(display)
     try:
-        done = subprocess.run(  # noqa: S603 - this program, fixed arguments
+        process = subprocess.run(  # noqa: S603 - this program, fixed arguments
             [sys.executable, "-m", MODULE, name],
             capture_output=True,
             timeout=TIMEOUT_S,
             check=False,
-            env=module_environment(),
+            env=environment(),
             stdin=subprocess.DEVNULL,
         )
     except subprocess.TimeoutExpired:
         raise DriverError(f"X display {name} does not answer within {TIMEOUT_S:.0f} s") from None
     try:
-        listing = msgspec.json.decode(done.stdout, type=Listing)
+        listing = msgspec.json.decode(process.stdout, type=Listing)
     except msgspec.DecodeError:
-        said = done.stderr.decode(errors="replace").strip()[-500:]
-        raise DriverError(f"X display {name} cannot be read: {said or f'exit status {done.returncode}'}") from None
+        error = process.stderr.decode(errors="replace").strip()[-500:]
+        raise DriverError(f"X display {name} cannot be read: {error or f'exit status {process.returncode}'}") from None
     if listing.problem:
         raise DriverError(listing.problem)
     return listing.outputs
 
 
-def module_environment() -> dict[str, str]:
-    """This environment, in which ``python -m drivers...`` finds the same package as here."""
-    here = str(Path(drivers.__file__).resolve().parents[1])
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))}
-
-
 def read(display: str) -> Listing:
-    """Read the outputs in this process."""
+    """List the outputs in this process."""
     from drivers.projector.randr import Randr
     from drivers.projector.xlib import Connection, catch_errors
 

@@ -1,4 +1,4 @@
-"""The window's process as its parent sees it: a socket, what it prints, and its end."""
+"""The window's process in its parent: its socket, its error output and its end."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import socket
 import subprocess
 import sys
 
-from drivers.projector.listing import module_environment
+from drivers.child_process import end, environment
 
 MODULE = "drivers.projector.child"
-SAID_BYTES = 2000
+KEPT_BYTES = 2000
 
 
 class WindowProcess:
-    """A process with the projector's window, started at once.
+    """A process with the projector's window, started by the constructor.
 
-    It ends with the thread that made it (the kernel tells it), so that thread must be the one that watches it.
+    It ends with the thread that created it (by the kernel's signal), which must therefore be the supervising one.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class WindowProcess:
             self._process = subprocess.Popen(  # noqa: S603 - this program, fixed arguments
                 [sys.executable, "-m", MODULE, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(),),
-                env=module_environment(),
+                env=environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
@@ -35,7 +35,7 @@ class WindowProcess:
         assert self._process.stderr is not None  # noqa: S101 - for the type checker
         self.stderr = self._process.stderr
         os.set_blocking(self.stderr.fileno(), False)
-        self._said = b""
+        self._output = b""
 
     @property
     def pid(self) -> int:
@@ -43,29 +43,25 @@ class WindowProcess:
         return self._process.pid
 
     def listen(self) -> bool:
-        """Keep the end of what it printed; whether it may print more."""
+        """Read its error output and keep the end; return whether more may come."""
         try:
             piece = os.read(self.stderr.fileno(), 65536)
         except BlockingIOError:
             return True
-        self._said = (self._said + piece)[-SAID_BYTES:]
+        self._output = (self._output + piece)[-KEPT_BYTES:]
         return bool(piece)
 
-    def end(self, patience_s: float) -> str:
-        """Wait for its end, kill it after ``patience_s``; the last thing that it printed, or how it ended."""
-        try:
-            status = self._process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            status = self._process.wait()
+    def end(self, timeout_s: float) -> str:
+        """Wait for its end, kill it after ``timeout_s``; return its last line of output, or how it ended."""
+        status = end(self._process, timeout_s)
         with contextlib.suppress(OSError):
             self.listen()
         self.stderr.close()
         self.sock.close()
-        lines = self._said.decode(errors="replace").strip().splitlines()
+        lines = self._output.decode(errors="replace").strip().splitlines()
         how = f"signal {-status}" if status < 0 else f"exit status {status}"
         return f"{lines[-1][:300]} ({how})" if lines else how
 
     def kill(self) -> None:
-        """End it without warning."""
+        """Kill it."""
         self._process.kill()

@@ -1,12 +1,10 @@
-"""The camera's process: one thread that carries out orders, reads the camera and tells how it fares.
+"""The camera's process: one thread that executes commands, reads the camera and reports its health.
 
-Started by :class:`drivers.remote.camera.RemoteCamera`; ends when that says so, or is gone: by the end of the
-connection, or, should a vendor's library hang, by the kernel's parent-death signal. Signals meant for the daemon
-(Ctrl-C, a service manager's SIGTERM) reach this process too and are left to the daemon, which closes the camera in
-order.
+Started by :class:`drivers.remote.camera.RemoteCamera`; ends on its command or with it: by the end of the connection,
+or, should a vendor's library hang, by the kernel's parent-death signal. Signals meant for the daemon (Ctrl-C, a service
+manager's SIGTERM) reach this process too and are ignored; the daemon then closes the camera in order.
 
-A camera that fills buffers writes its images into the ring: ``allocate(shape, dtype)`` gives an array to
-fill and to pass on as a frame's image; asking again before a frame was passed on gives the same memory.
+A camera that fills buffers writes its images into the ring, see :class:`drivers.protocols.FillsBuffers`.
 """
 
 from __future__ import annotations
@@ -27,14 +25,13 @@ from drivers.errors import DeviceLost, DriverError, SettingRefused
 from drivers.protocols import Camera, CameraHealth, CameraInfo, FillsBuffers
 from drivers.remote.messages import (
     MAX_MESSAGE,
+    Command,
     Configure,
     Done,
     Failed,
+    FrameReady,
+    FrameTaken,
     Opened,
-    Order,
-    Ready,
-    Returned,
-    Took,
     ToParent,
     decode_for_child,
     encode,
@@ -49,7 +46,7 @@ _MAX_NOTES, _MAX_NOTE = 60, 500
 
 
 class _End(Exception):
-    """The daemon said so, or is gone."""
+    """The daemon has closed the connection, or has commanded the end."""
 
 
 class Child:
@@ -71,13 +68,13 @@ class Child:
         self._next_health = 0.0
 
     def serve(self) -> None:
-        """Until the daemon says so or is gone."""
+        """Serve until the daemon ends the process or the connection."""
         try:
             while True:
                 self._listen(0.0 if self._acquiring else _IDLE_S)
                 if self._acquiring:
                     self._read()
-                self._report()
+                self._write_status()
         except (_End, ConnectionError):
             pass
         finally:
@@ -91,19 +88,14 @@ class Child:
             if not data:
                 raise _End
             message = decode_for_child(data)
-            if isinstance(message, Order):
-                self._obey(message)
+            if isinstance(message, Command):
+                self._execute(message)
             elif isinstance(message, Configure):
                 self._configure(message)
+            elif self._outbox is not None and isinstance(message, FrameTaken):
+                self._outbox.taken(message.slot, kept=message.kept)
             elif self._outbox is not None:
-                self._settle(self._outbox, message)
-
-    @staticmethod
-    def _settle(outbox: Outbox, message: Took | Returned) -> None:
-        if isinstance(message, Took):
-            outbox.took(message.slot, kept=message.kept)
-        else:
-            outbox.returned(message.slot)
+                self._outbox.release(message.slot)
 
     def _configure(self, message: Configure) -> None:
         die_with_parent(message.parent)
@@ -112,25 +104,25 @@ class Child:
         self._slots = message.slots
         self._camera = opener(message.side, message.options, Path(message.base_dir))
 
-    def _obey(self, order: Order) -> None:
+    def _execute(self, command: Command) -> None:
         camera = self._camera
         if camera is None:
             raise _End
         try:
-            if order.what == "open":
-                self._opened(order.number, camera.open())
+            if command.action == "open":
+                self._opened(command.number, camera.open())
                 return
-            if order.what == "close":
+            if command.action == "close":
                 self._acquiring = False
                 camera.close()
-                self._send(Done(order.number))
+                self._send(Done(command.number))
                 raise _End
-            self._switch(camera, on=order.what == "start")
-            self._send(Done(order.number))
+            self._switch(camera, on=command.action == "start")
+            self._send(Done(command.number))
         except (_End, ConnectionError):
             raise
         except Exception as error:
-            self._fail(order.number, error)
+            self._fail(command.number, error)
 
     def _switch(self, camera: Camera, *, on: bool) -> None:
         self._acquiring = False
@@ -146,7 +138,7 @@ class Child:
         width, height = info.size
         bytes_per_pixel = {"rgb8": 3, "mono16": 2}.get(info.encoding, 1)
         self._ring = RingWriter(self._slots, width * height * bytes_per_pixel)
-        self._ring.beat()
+        self._ring.heartbeat()
         self._outbox = Outbox(self._ring, self._announce)
         camera = self._camera
         if camera is not None and isinstance(camera, FillsBuffers):
@@ -165,7 +157,7 @@ class Child:
         socket.send_fds(self._socket, [encode(message)], [self._ring.fd])
         os.close(self._ring.fd)
 
-    def _announce(self, ready: Ready) -> None:
+    def _announce(self, ready: FrameReady) -> None:
         self._send(ready)
 
     def _read(self) -> None:
@@ -182,16 +174,16 @@ class Child:
         if frame is not None:
             outbox.put(frame)
 
-    def _report(self) -> None:
+    def _write_status(self) -> None:
         ring, camera, outbox = self._ring, self._camera, self._outbox
         if ring is None or camera is None or outbox is None:
             return
-        ring.beat()
+        ring.heartbeat()
         now = time.monotonic()
         if now >= self._next_health:
             self._next_health = now + _HEALTH_S
             health = camera.health()
-            ring.post(CameraHealth(health.temperature_c, {**health.counters, "ring_full": outbox.ring_full}))
+            ring.write_health(CameraHealth(health.temperature_c, {**health.counters, "ring_full": outbox.ring_full}))
 
     def _fail(self, number: int, error: Exception) -> None:
         known = isinstance(error, DriverError)
@@ -206,7 +198,7 @@ class Child:
 
 
 def main() -> None:
-    """``python -m drivers.remote.child FD``: serve the connection that stands open as file descriptor FD."""
+    """``python -m drivers.remote.child FD``: serve the connection with file descriptor FD."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname).1s %(name)s: %(message)s")

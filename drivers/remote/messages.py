@@ -1,4 +1,4 @@
-"""What the daemon and a camera's process say to each other: small JSON messages, one a datagram, of bounded size."""
+"""Messages between the daemon and a camera's process: JSON of bounded size, one message a datagram."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import msgspec
 from drivers.protocols import Side
 
 MAX_MESSAGE = 60_000
-"""Bytes of one message; longer ones are a mistake of the sender and are not sent."""
+"""Bytes of one message; longer ones are an error of the sender and are not sent."""
 
 
 class Configure(msgspec.Struct, tag="configure", forbid_unknown_fields=True):
-    """Which camera to make: ``module:function`` taking (side, options, base_dir)."""
+    """The camera to create: ``module:function`` called with (side, options, base_dir)."""
 
     target: str
     side: Side
@@ -24,34 +24,34 @@ class Configure(msgspec.Struct, tag="configure", forbid_unknown_fields=True):
     parent: int
 
 
-class Order(msgspec.Struct, tag="order", forbid_unknown_fields=True):
+class Command(msgspec.Struct, tag="command", forbid_unknown_fields=True):
     """Open the camera, start or stop it, or close it and end; answered by Done or Failed of the same number."""
 
     number: int
-    what: Literal["open", "start", "stop", "close"]
+    action: Literal["open", "start", "stop", "close"]
 
 
-class Took(msgspec.Struct, tag="took", forbid_unknown_fields=True):
-    """The frame of a slot was taken over; ``kept``: the slot is still looked at and comes back with Returned."""
+class FrameTaken(msgspec.Struct, tag="frame_taken", forbid_unknown_fields=True):
+    """The daemon has taken the frame of a slot; ``kept``: the slot is still in use, until SlotReleased."""
 
     slot: int
     kept: bool
 
 
-class Returned(msgspec.Struct, tag="returned", forbid_unknown_fields=True):
-    """Nobody looks at the slot any more."""
+class SlotReleased(msgspec.Struct, tag="slot_released", forbid_unknown_fields=True):
+    """The daemon no longer uses the slot."""
 
     slot: int
 
 
 class Done(msgspec.Struct, tag="done", forbid_unknown_fields=True):
-    """An order was carried out."""
+    """A command was executed."""
 
     number: int
 
 
 class Opened(msgspec.Struct, tag="opened", forbid_unknown_fields=True):
-    """The camera is open; the shared memory comes with this message as a file descriptor."""
+    """The camera is open; this message carries the shared memory as a file descriptor."""
 
     number: int
     model: str
@@ -65,15 +65,15 @@ class Opened(msgspec.Struct, tag="opened", forbid_unknown_fields=True):
 
 
 class Failed(msgspec.Struct, tag="failed", forbid_unknown_fields=True):
-    """An order failed, or (number -1) the camera was lost while it measured."""
+    """A command failed, or (number -1) the camera was lost while it acquired."""
 
     number: int
     kind: Literal["lost", "refused", "driver"]
     message: str
 
 
-class Ready(msgspec.Struct, tag="ready", forbid_unknown_fields=True):
-    """A frame stands in a slot."""
+class FrameReady(msgspec.Struct, tag="frame_ready", forbid_unknown_fields=True):
+    """A slot holds a new frame."""
 
     slot: int
     trigger: int
@@ -87,8 +87,8 @@ class Ready(msgspec.Struct, tag="ready", forbid_unknown_fields=True):
     frame_id: int | None
 
 
-ToChild = Configure | Order | Took | Returned
-ToParent = Done | Opened | Failed | Ready
+ToChild = Configure | Command | FrameTaken | SlotReleased
+ToParent = Done | Opened | Failed | FrameReady
 
 _encoder = msgspec.json.Encoder()
 _to_child: msgspec.json.Decoder[ToChild] = msgspec.json.Decoder(ToChild)
@@ -96,12 +96,12 @@ _to_parent: msgspec.json.Decoder[ToParent] = msgspec.json.Decoder(ToParent)
 
 
 def pair() -> tuple[socket.socket, socket.socket]:
-    """Two ends of a connection that keeps messages apart and in order and tells when the other end died."""
+    """Create a connection that preserves message boundaries and order and reports the end of the other side."""
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 
 def encode(message: ToChild | ToParent) -> bytes:
-    """The message's datagram; ValueError when it is too long."""
+    """Encode a message as a datagram; ValueError when it is too long."""
     data = _encoder.encode(message)
     if len(data) > MAX_MESSAGE:
         raise ValueError(f"a message of {len(data)} bytes to or from the camera's process; at most {MAX_MESSAGE}")
@@ -109,10 +109,10 @@ def encode(message: ToChild | ToParent) -> bytes:
 
 
 def decode_for_child(data: bytes) -> ToChild:
-    """What the daemon said."""
+    """Decode a message of the daemon."""
     return _to_child.decode(data)
 
 
 def decode_for_parent(data: bytes) -> ToParent:
-    """What the camera's process said."""
+    """Decode a message of the camera's process."""
     return _to_parent.decode(data)

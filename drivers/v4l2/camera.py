@@ -204,7 +204,7 @@ class V4l2Camera:
             self._counters[error.reason] += 1
             return None
         image.flags.writeable = False
-        host_ns = clocks.day(taken.done_ns)
+        host_ns = clocks.to_realtime_ns(taken.done_ns)
         stamped_ns = realtime_of(taken.timestamp_ns, clocks)
         if stamped_ns is None:
             self._counters["without_timestamp"] += 1

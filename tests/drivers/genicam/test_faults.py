@@ -176,7 +176,7 @@ def test_a_camera_clock_that_is_set_anew_is_learnt_anew(running: tuple[Cable, Ca
         assert abs(frame.t_exposure_ns - shift - t_ns) < 1_000_000
 
 
-def test_a_pulled_plug_is_told_from_a_missing_trigger_and_recovers(running: tuple[Cable, Camera]) -> None:
+def test_a_pulled_plug_is_distinguished_from_a_missing_trigger(running: tuple[Cable, Camera]) -> None:
     cable, camera = running
     pulses(cable, 2)
     assert len(pending(camera)) == 2
@@ -214,7 +214,7 @@ def test_a_plug_that_is_pulled_while_opening_or_stopped_is_a_lost_device(make: M
     with pytest.raises(DeviceLost):
         camera.start()
         lose(camera)
-        raise DeviceLost("told while reading")
+        raise DeviceLost("lost while reading")
     camera.close()
     rig[0].plug()
     start(camera, rig[0])
@@ -242,7 +242,7 @@ def test_a_stopped_process_is_given_up(ours: Path, rig: Rig) -> None:
     start(camera, rig[0])
     assert camera.pid is not None
     os.kill(camera.pid, signal.SIGSTOP)
-    assert "has not been heard of" in lose(camera)
+    assert "has sent no heartbeat" in lose(camera)
     start(camera, rig[0])
     camera.close()
 

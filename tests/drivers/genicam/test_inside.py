@@ -228,7 +228,7 @@ def test_a_clock_of_the_day_that_is_set_does_not_touch_what_is_known_of_the_came
             timing.follow(time.monotonic_ns())
             clocks = Clocks.now()
             found = timing.exposure(SimpleNamespace(timestamp_ns=clocks.monotonic_ns - 10**6), clocks.monotonic_ns, 0.0)
-            assert abs(clocks.day(found.t_ns) - (clocks.realtime_ns - 10**6)) < 1_000_000
+            assert abs(clocks.to_realtime_ns(found.t_ns) - (clocks.realtime_ns - 10**6)) < 1_000_000
         assert timing.clock.resets == 0 and timing.latches
     """)
 

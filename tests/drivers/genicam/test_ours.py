@@ -152,7 +152,7 @@ def test_without_a_region_the_whole_sensor_is_read_again(make: Make) -> None:
     assert make().open().size == (64, 48)
 
 
-def test_a_rounded_exposure_is_told_and_a_wrong_one_refused(make: Make) -> None:
+def test_a_rounded_exposure_is_noted_and_a_wrong_one_refused(make: Make) -> None:
     assert make(exposure_us=1000.2).open().notes == ("exposure_us 1000.2 became 1000",)
     with pytest.raises(SettingRefused, match=r"exposure_us 1 became 10; 10 to 1e.07 us are possible"):
         make("A2", exposure_us=1.0).open()
@@ -303,7 +303,7 @@ def test_looking_for_cameras_does_not_disturb_an_open_one(make: Make, rig: Rig, 
     assert shot(cable, camera).trigger == 0
 
 
-def test_a_producer_that_does_not_load_is_told(opened: Make, tmp_path: Path) -> None:
+def test_a_producer_that_does_not_load_is_reported(opened: Make, tmp_path: Path) -> None:
     broken = tmp_path / "broken.cti"
     broken.write_bytes(b"not a library")
     with pytest.raises(DeviceLost, match=r"no camera with serial 'X' through .*broken\.cti; there is none at all"):

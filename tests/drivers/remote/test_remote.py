@@ -25,7 +25,7 @@ from drivers.remote.camera import Limits
 from tools.waiting import wait_until
 
 TARGET = "tests.drivers.remote.fake:open_camera"
-QUICK = Limits(slots=8, silence_s=0.5, open_s=20.0, order_s=5.0, close_s=2.0)
+QUICK = Limits(slots=8, silence_s=0.5, open_s=20.0, command_s=5.0, close_s=2.0)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import pytest
 from drivers.errors import DriverError
 from drivers.protocols import CameraHealth
 from drivers.remote import messages
-from drivers.remote.messages import Ready
+from drivers.remote.messages import FrameReady
 from drivers.remote.outbox import WINDOW, Outbox
 from drivers.remote.ring import RingReader, RingWriter, added
 
@@ -76,10 +76,10 @@ import socket, sys
 from drivers.remote.ring import RingWriter
 
 writer = RingWriter(4, 100)
-writer.beat()
+writer.heartbeat()
 socket.send_fds(socket.socket(fileno=int(sys.argv[1])), [b"x"], [writer.fd])
 while True:
-    writer.beat()
+    writer.heartbeat()
 """
 
 
@@ -93,7 +93,7 @@ def test_health_is_never_read_half_written() -> None:
         k = 0
         while not stop.is_set():
             k += 1
-            writer.post(CameraHealth(float(k), {f"counter{i}": k for i in range(k % 50)}))
+            writer.write_health(CameraHealth(float(k), {f"counter{i}": k for i in range(k % 50)}))
 
     thread = threading.Thread(target=post)
     thread.start()
@@ -111,15 +111,15 @@ def test_the_heartbeat_tells_its_age() -> None:
     writer = RingWriter(4, 100)
     reader = RingReader(writer.fd, 4, writer.slot_bytes)
     before = time.monotonic_ns()
-    writer.beat()
+    writer.heartbeat()
     assert 0 <= reader.age_ns(time.monotonic_ns()) <= time.monotonic_ns() - before
     os.close(writer.fd)
 
 
 def test_asking_for_memory_again_gives_the_same() -> None:
-    told: list[Ready] = []
+    announced: list[FrameReady] = []
     writer = RingWriter(3, 64)
-    outbox = Outbox(writer, told.append)
+    outbox = Outbox(writer, announced.append)
     first = outbox.allocate((8, 8), np.uint8)
     again = outbox.allocate((8, 8), np.uint8)
     assert np.shares_memory(first, again)
@@ -127,9 +127,9 @@ def test_asking_for_memory_again_gives_the_same() -> None:
 
 
 def test_no_more_than_the_window_is_announced() -> None:
-    told: list[Ready] = []
+    announced: list[FrameReady] = []
     writer = RingWriter(6, 64)
-    outbox = Outbox(writer, told.append)
+    outbox = Outbox(writer, announced.append)
     from tests.drivers.remote.fake import FakeCamera
 
     camera = FakeCamera("left", {"frames": 100})
@@ -137,10 +137,10 @@ def test_no_more_than_the_window_is_announced() -> None:
         frame = camera.read(0.0)
         assert frame is not None
         outbox.put(frame)
-    assert [ready.trigger for ready in told] == list(range(WINDOW))
+    assert [ready.trigger for ready in announced] == list(range(WINDOW))
     assert outbox.waiting + WINDOW + outbox.ring_full == 20
-    outbox.took(told[0].slot, kept=False)
-    assert told[-1].trigger == 20 - outbox.waiting - 1
+    outbox.taken(announced[0].slot, kept=False)
+    assert announced[-1].trigger == 20 - outbox.waiting - 1
     os.close(writer.fd)
 
 
