@@ -174,9 +174,11 @@ def test_a_calibration_that_cannot_be_used_changes_nothing(running: Running) -> 
 
 def test_a_calibration_of_other_cameras_changes_nothing(running: Running) -> None:
     data = yaml.safe_load(yaml.safe_dump(dict(running.devices.calibration)))
-    data["cameras"]["left"]["size"] = [64, 48]
+    left = data["cameras"]["left"]
+    left["size"] = width, height = [value // 2 for value in left["size"]]
+    left["matrix"][:2] = [[value / 2 for value in row] for row in left["matrix"][:2]]
     running.write_calibration(data)
-    assert "64 x 48" in refused(running, "reload").message
+    assert f"{width} x {height}" in refused(running, "reload").message
 
 
 def test_takes_go_to_another_directory_after_a_reload(running: Running) -> None:
