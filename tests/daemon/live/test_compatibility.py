@@ -1,4 +1,4 @@
-"""Devices that do not suit each other or the files are told with both numbers and the way out."""
+"""Devices that do not match each other or the files give a warning with both numbers and the remedy."""
 
 from __future__ import annotations
 
@@ -16,11 +16,17 @@ def camera(exposure_us: float) -> CameraStatus:
 
 @pytest.mark.parametrize("periods", [1, 2, 3])
 @pytest.mark.parametrize("refresh_hz", [50.0, 59.94, 60.0, 120.0])
-def test_whole_periods_are_good_and_others_are_told_with_the_nearest_whole_one(refresh_hz: float, periods: int) -> None:
+def test_whole_periods_are_good_and_others_give_a_warning_with_the_nearest_whole_one(
+    refresh_hz: float, periods: int
+) -> None:
     whole_us = periods * 1e6 / refresh_hz
     assert timing_warnings(refresh_hz, {"left": camera(whole_us), "right": camera(whole_us * 1.002)}) == []
-    (told,) = timing_warnings(refresh_hz, {"left": camera(whole_us), "right": camera(whole_us + 0.2e6 / refresh_hz)})
-    assert "camera right" in told and f"{whole_us:.0f} us are {periods}" in told and f"{refresh_hz:.3f} Hz" in told
+    (warning,) = timing_warnings(refresh_hz, {"left": camera(whole_us), "right": camera(whole_us + 0.2e6 / refresh_hz)})
+    assert (
+        "camera right" in warning
+        and f"{whole_us:.0f} us are {periods}" in warning
+        and f"{refresh_hz:.3f} Hz" in warning
+    )
 
 
 def test_60_hz_exposures_at_59_94_hz_are_whole_enough_but_a_shorter_one_than_a_period_is_not() -> None:
@@ -28,7 +34,7 @@ def test_60_hz_exposures_at_59_94_hz_are_whole_enough_but_a_shorter_one_than_a_p
     assert "are 1" in timing_warnings(59.94, {"left": camera(2000.0)})[0]
 
 
-def test_nothing_is_said_of_what_is_unknown() -> None:
+def test_unknown_quantities_give_no_warning() -> None:
     assert timing_warnings(0.0, {"left": camera(123.0)}) == []
     assert timing_warnings(60.0, {"left": camera(0.0)}) == []
 

@@ -131,7 +131,7 @@ def test_pausing_stops_frames_and_starting_brings_them_back(running: Running) ->
     wait_until(lambda: len(running.sink.clouds) == 4)
 
 
-def test_stopping_closes_sinks_and_devices_and_says_so(running: Running) -> None:
+def test_stopping_closes_sinks_and_devices_and_reports_the_state(running: Running) -> None:
     running.step(1)
     running.stop()
     assert running.sink.closed

@@ -38,7 +38,7 @@ def check(sent: list[Sent], events: list[Event], pairer: Pairer) -> list[Pair]:
     return pairs
 
 
-def test_ten_thousand_triggers_with_every_fault_give_no_wrong_pair_and_no_frame_without_a_fate() -> None:
+def test_ten_thousand_triggers_with_every_fault_give_no_wrong_pair_and_an_outcome_for_every_frame() -> None:
     sent = storm(10_000, Faults(extra_first=("right",)), seed=5)
     pairer = Pairer()
     events = play(sent, pairer)
@@ -104,7 +104,7 @@ def test_triggers_slower_than_the_waiting_time_still_pair() -> None:
     assert len(check(sent, play(sent, pairer), pairer)) >= 18
 
 
-def test_after_a_camera_started_anew_its_count_is_confirmed_first() -> None:
+def test_after_a_restart_of_a_camera_its_count_is_confirmed_first() -> None:
     pairer = Pairer()
     for k in range(5):
         pairer.feed(_frame("left", k, k * PERIOD_NS, 1))
@@ -116,7 +116,7 @@ def test_after_a_camera_started_anew_its_count_is_confirmed_first() -> None:
 
 @pytest.mark.parametrize("side", _BOTH)
 def test_a_camera_that_counts_from_zero_again_costs_only_the_sightings_that_confirm_it(side: str) -> None:
-    """Numbers that it used up to a moment ago come again: no witness against the new ones once it was started anew."""
+    """Numbers that it used up to a moment ago come again: they are no evidence against the new ones after a restart."""
     sent = [Sent(_frame(s, k, k * PERIOD_NS, 1), k) for k in range(10) for s in _BOTH]
     pairer = Pairer()
     assert len(check(sent, play(sent, pairer), pairer)) == 10
@@ -169,7 +169,7 @@ def test_any_storm_of_faults_keeps_both_laws(seed, chances, gone, extra, start, 
     check(sent, play(sent, pairer), pairer)
 
 
-def test_no_reference_to_a_frame_is_kept_after_its_fate() -> None:
+def test_no_reference_to_a_frame_is_kept_after_its_outcome() -> None:
     pairer = Pairer()
     for k in range(2000):
         pairer.feed(_frame("left", k, k * PERIOD_NS, 1))

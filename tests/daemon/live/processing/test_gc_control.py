@@ -1,4 +1,4 @@
-"""The garbage collector runs when it is told to and at no other time."""
+"""The garbage collector runs only when it is called."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_everything_is_collected_only_when_idle_unless_long_overdue(garbage: GcC
     assert collections == [2, 2]
 
 
-def test_a_long_run_looks_at_the_middle_generation_too(garbage: GcControl, collections: list[int]) -> None:
+def test_a_long_run_collects_the_middle_generation_too(garbage: GcControl, collections: list[int]) -> None:
     for _ in range(20):
         litter(3000)
         garbage.between_pairs(1.0, idle=False)

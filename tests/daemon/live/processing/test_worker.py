@@ -85,13 +85,13 @@ def line() -> Iterator[Line]:
     assert made.worker.stop(20)
 
 
-def test_only_the_first_pair_and_those_after_a_gap_begin_anew(line: Line) -> None:
+def test_only_the_first_pair_and_those_after_a_gap_use_no_prior(line: Line) -> None:
     for seq, t_ms in ((7, 0), (8, 33), (9, 66), (40, 1089), (41, 1122), (43, 1188)):
         line.pair(seq, t_ms)
     assert line.follows == [False, True, True, False, True, True]
 
 
-def test_other_settings_and_a_refused_pair_begin_anew(line: Line) -> None:
+def test_other_settings_and_a_refused_pair_reset_the_prior(line: Line) -> None:
     line.pair(0, 0)
     line.pair(1, 33)
     line.worker.replace(lambda: line.stub, 20)

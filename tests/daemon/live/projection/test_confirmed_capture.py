@@ -1,4 +1,4 @@
-"""The pair that is handed out always shows the image that was asked for, whatever the devices do."""
+"""A delivered pair always shows the requested image, for any faults of the devices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.errors import DriverError
 from tests.daemon.live.projection.virtual_time import MS, Bench, image, level
 
 
-def shooting(bench: Bench, **options: object) -> ConfirmedCapture:
+def capture_on(bench: Bench, **options: object) -> ConfirmedCapture:
     settle_ns = settling_ns(bench.open(), tolerance_ns=2 * MS)
     return ConfirmedCapture(bench, bench.open(), bench, clock=bench, settle_ns=settle_ns, **options)
 
@@ -29,7 +29,7 @@ def shooting(bench: Bench, **options: object) -> ConfirmedCapture:
     levels=st.lists(st.integers(1, 250), min_size=1, max_size=12),
     seed=st.integers(0, 10_000),
 )
-def test_every_pair_shows_the_image_asked_for_and_both_frames_are_of_one_trigger(
+def test_every_pair_shows_the_requested_image_and_both_frames_are_of_one_trigger(
     latency_ms: float,
     known: bool,
     period_ms: float,
@@ -43,7 +43,7 @@ def test_every_pair_shows_the_image_asked_for_and_both_frames_are_of_one_trigger
 ) -> None:
     bench = Bench(
         latency_ms=latency_ms,
-        told_ms=latency_ms if known else None,
+        reported_ms=latency_ms if known else None,
         period_ms=period_ms,
         exposure_ms=exposure_ms,
         show_ms=show_ms,
@@ -52,7 +52,7 @@ def test_every_pair_shows_the_image_asked_for_and_both_frames_are_of_one_trigger
         jitter_us=jitter_us,
         seed=seed,
     )
-    taken = list(shooting(bench, patience_s=60.0).each(image(value) for value in levels))
+    taken = list(capture_on(bench, patience_s=60.0).each(image(value) for value in levels))
     assert len(taken) == len(levels)
     for value, pair in zip(levels, taken, strict=True):
         assert pair.left.trigger == pair.right.trigger
@@ -62,7 +62,7 @@ def test_every_pair_shows_the_image_asked_for_and_both_frames_are_of_one_trigger
 
 
 def test_counting_frames_instead_of_reading_times_would_take_wrong_images() -> None:
-    """The bench can tell: the first pair after the flip, which is what a naive capture takes, is often wrong."""
+    """The first pair after the flip, which a naive capture uses, is often wrong."""
     bench = Bench(latency_ms=40.0, period_ms=20.0)
     wrong = 0
     for value in range(1, 21):
@@ -72,71 +72,71 @@ def test_counting_frames_instead_of_reading_times_would_take_wrong_images() -> N
     assert wrong == 20
 
 
-def test_an_image_that_is_shown_already_is_left_alone_and_its_pairs_are_new() -> None:
+def test_an_image_that_is_shown_already_is_not_sent_again_and_its_pairs_are_new() -> None:
     bench = Bench()
-    shoot = shooting(bench)
-    shoot.show(image(9))
-    first = shoot.pair()
+    capture = capture_on(bench)
+    capture.show(image(9))
+    first = capture.pair()
     now_ns = bench.now_ns
-    shoot.show(image(9))
-    second = shoot.pair()
+    capture.show(image(9))
+    second = capture.pair()
     assert bench.shown == 1 and first.seq < second.seq and second.left.t_exposure_ns >= now_ns
 
 
-def test_an_unknown_latency_costs_time_and_no_truth() -> None:
-    fast, slow = Bench(told_ms=20.0), Bench(told_ms=None)
+def test_an_unknown_latency_costs_only_time() -> None:
+    fast, slow = Bench(reported_ms=20.0), Bench(reported_ms=None)
     for bench in (fast, slow):
-        list(shooting(bench).each([image(1), image(2)]))
+        list(capture_on(bench).each([image(1), image(2)]))
     assert slow.now_ns - fast.now_ns > 400 * MS
 
 
 def test_a_clock_that_was_set_back_costs_one_attempt() -> None:
     bench = Bench()
-    shoot = shooting(bench, patience_s=1.0)
-    shoot.show(image(1))
-    shoot._lit_ns += 3_600_000_000_000
+    capture = capture_on(bench, patience_s=1.0)
+    capture.show(image(1))
+    capture._lit_ns += 3_600_000_000_000
     with pytest.raises(DriverError, match="were exposed too early"):
-        shoot.pair()
+        capture.pair()
     assert bench.monotonic_ns() < 3_000 * MS
-    shoot.show(image(1))
-    assert level(shoot.pair()) == {1}
+    capture.show(image(1))
+    assert level(capture.pair()) == {1}
 
 
-def test_cameras_that_see_no_trigger_are_told() -> None:
+def test_cameras_without_triggers_are_reported() -> None:
     bench = Bench(lost=1.0)
-    shoot = shooting(bench, patience_s=1.0)
-    shoot.show(image(1))
+    capture = capture_on(bench, patience_s=1.0)
+    capture.show(image(1))
     with pytest.raises(DriverError, match=r"no pair of images came within 1 s \(0 were exposed too early\)"):
-        shoot.pair()
+        capture.pair()
 
 
 def test_a_projector_in_trouble_or_started_again_spoils_what_was_captured_meanwhile() -> None:
     bench = Bench()
-    shoot = shooting(bench)
-    shoot.show(image(1))
+    capture = capture_on(bench)
+    capture.show(image(1))
     bench.trouble = "no image: the window is gone"
     with pytest.raises(DriverError, match=r"the window is gone; what was captured meanwhile does not count"):
-        shoot.pair()
+        capture.pair()
     bench.trouble = ""
-    shoot.show(image(1))
+    capture.show(image(1))
     assert bench.shown == 2, "after trouble the image is shown again"
     bench.counted["restarts"] += 1
     with pytest.raises(DriverError, match="started again"):
-        shoot.show(image(2))
-    shoot.show(image(2))
-    assert level(shoot.pair()) == {2}
+        capture.show(image(2))
+    capture.show(image(2))
+    assert level(capture.pair()) == {2}
 
 
 def test_a_cancelled_capture_ends() -> None:
     bench = Bench()
-    shoot = shooting(bench, cancelled=lambda: bench.now_ns > 0)
-    shoot.show(image(1))
+    capture = capture_on(bench, cancelled=lambda: bench.now_ns > 0)
+    capture.show(image(1))
     with pytest.raises(CaptureCancelledError):
-        shoot.pair()
+        capture.pair()
 
 
 def test_a_projector_that_cannot_show_other_images_is_refused() -> None:
     bench = Bench()
     bench.fixed_image = True
     with pytest.raises(DriverError, match="cannot show another"):
-        shooting(bench)
+        capture_on(bench)

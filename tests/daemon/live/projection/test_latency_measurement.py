@@ -1,4 +1,4 @@
-"""The latency that a flash tells is the one that the simulated projector has, whatever the triggers do."""
+"""The latency measured by a flash is that of the simulated projector, for any triggers."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_a_driver_that_knows_the_flip_is_believed() -> None:
     assert found.ms == pytest.approx(24.0, abs=1.1)
 
 
-def test_a_flash_that_nobody_sees_and_frames_that_never_come_are_told_and_everything_is_closed() -> None:
+def test_an_undetected_flash_and_missing_frames_are_errors_and_everything_is_closed() -> None:
     dark = Bench(latency_ms=1.0, period_ms=10.0, white=5.0)
     with pytest.raises(DriverError, match=r"the flash is not seen \(the dark image has 12\.0 counts\)"):
         measured(dark)

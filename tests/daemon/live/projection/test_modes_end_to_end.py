@@ -86,7 +86,9 @@ def test_what_moves_during_a_set_is_marked_and_the_rest_is_measured(tmp_path: Pa
 
 
 @pytest.mark.parametrize("lost", ["left", "right"])
-def test_stored_images_are_told_by_the_trigger_and_a_lost_frame_costs_its_set_alone(tmp_path: Path, lost: str) -> None:
+def test_stored_images_are_identified_by_the_trigger_and_a_lost_frame_costs_only_its_set(
+    tmp_path: Path, lost: str
+) -> None:
     faults = f"faults: {{script: [{{kind: lost, at: 41, side: {lost}}}, {{kind: lost, at: 55, side: {lost}}}]}}"
     sequence = "{display: stored, first_trigger: 5}"
     with rendered(tmp_path, sequence=sequence, simulation=f"{SPHERES}, {faults}") as running:

@@ -1,4 +1,4 @@
-"""Sets of a driven projector in time that passes only while somebody waits: every pair shows its image, or no set."""
+"""Sets of a driven projector in virtual time: every pair of a set shows its image, or there is no set."""
 
 from __future__ import annotations
 
@@ -71,7 +71,12 @@ def test_each_pair_of_a_set_shows_its_image_whatever_is_lost_or_late(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     latency_ms = 15.0 + 5 * seed
-    times = {"latency_ms": latency_ms, "told_ms": latency_ms, "period_ms": 12.0 + 7 * seed, "exposure_ms": 4.0 + seed}
+    times = {
+        "latency_ms": latency_ms,
+        "reported_ms": latency_ms,
+        "period_ms": 12.0 + 7 * seed,
+        "exposure_ms": 4.0 + seed,
+    }
     with played(monkeypatch, lost=0.2, late_ms=25.0, jitter_us=300.0, seed=seed, **times) as made:
         made.play()
         made.finish()
@@ -121,7 +126,7 @@ def test_a_driver_that_fails_for_a_while_is_asked_again_until_there_is_light(mon
         assert failures == 5 and len(made.sets) == 2 and made.driver.problem == ""
 
 
-def test_while_it_fails_the_problem_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_while_it_fails_the_problem_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     with played(monkeypatch) as made:
         made.bench.trouble = "the window is gone"
         made.play()
@@ -159,7 +164,7 @@ def test_another_mode_goes_on_with_higher_numbers(monkeypatch: pytest.MonkeyPatc
         assert made.sets[3].seq > made.sets[2].pairs[-1].seq and made.sets[3].seq % 2 == 0
 
 
-def test_a_projector_that_hangs_is_told_to_who_wants_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_projector_that_hangs_is_reported_to_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     with played(monkeypatch) as made:
         hanging, over = threading.Event(), threading.Event()
 

@@ -1,4 +1,4 @@
-"""A projector with a latency and two triggered cameras in time that passes only while somebody waits."""
+"""A projector with a latency and two triggered cameras in virtual time, which passes only while a caller waits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Bench:
     Each camera's image holds the level of the light during its exposure, or MIXED if that changed meanwhile.
 
     Args:
-        latency_ms: from flip to light; told_ms: what the projector says of it, None = nothing.
+        latency_ms: from flip to light; reported_ms: that the projector reports, None = none.
         period_ms, exposure_ms: of the triggers. seed: of everything that varies.
         lost: share of frames that never arrive; late_ms: how long they may take to arrive.
         jitter_us: how far the times of the exposures are off.
@@ -35,7 +35,7 @@ class Bench:
         self,
         *,
         latency_ms: float = 20.0,
-        told_ms: float | None = 20.0,
+        reported_ms: float | None = 20.0,
         period_ms: float = 33.0,
         exposure_ms: float = 8.0,
         show_ms: float = 10.0,
@@ -45,7 +45,7 @@ class Bench:
         seed: int = 0,
     ) -> None:
         self.now_ns, self.latency_ns = NOW_NS, round(MS * latency_ms)
-        self.latency_s = None if told_ms is None else told_ms / 1e3
+        self.latency_s = None if reported_ms is None else reported_ms / 1e3
         self.period_ns, self.exposure_ns = round(MS * period_ms), round(MS * exposure_ms)
         self.show_ms, self.lost, self.late_ms, self.jitter_us = show_ms, lost, late_ms, jitter_us
         self.random = random.Random(seed)
@@ -119,9 +119,9 @@ class Bench:
     def expose(self, number: int, t_ns: int, side: Side, late_ns: int) -> None:
         if self.random.random() < self.lost:
             return
-        told_ns = t_ns + round(1e3 * self.random.uniform(-self.jitter_us, self.jitter_us))
+        reported_ns = t_ns + round(1e3 * self.random.uniform(-self.jitter_us, self.jitter_us))
         here_ns = t_ns + self.exposure_ns + 2 * MS + late_ns
-        frame = Frame(side, number, told_ns, here_ns, "mono8", np.zeros((4, 6), np.uint8))
+        frame = Frame(side, number, reported_ns, here_ns, "mono8", np.zeros((4, 6), np.uint8))
         self.due.append((here_ns, frame))
 
 

@@ -1,4 +1,4 @@
-"""Another calibration while the stream runs: every cloud says which it was made with, and the meta data come first."""
+"""Another calibration while the stream runs: every cloud names its calibration, and the meta data come first."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_meta_data_come_before_the_first_cloud_of_the_new_calibration(tmp_pa
     topics = [(topic, header["calibration"]) for topic, header, _ in got]
     for topic in ("meta/calibration", "meta/rays", "meta/config"):
         assert topics.index((topic, NEW)) < topics.index(("cloud/full", NEW))
-    told = {
+    retained = {
         bytes(parts[0]) for topic, header, parts in got if topic == "meta/calibration" and header["calibration"] == NEW
     }
-    assert told == {b"again: 1\n"}
+    assert retained == {b"again: 1\n"}

@@ -73,7 +73,7 @@ def test_the_depth_topic_gives_the_same_points() -> None:
 
 
 @pytest.mark.parametrize("topic", ["cloud/full", "cloud/depth"])
-def test_half_clouds_say_so_and_lie_on_every_second_ray(topic: str) -> None:
+def test_half_clouds_state_their_stride_and_lie_on_every_second_ray(topic: str) -> None:
     with clouds.publisher() as made, subscribe(made.endpoints[0], topic=topic, timeout_s=WAIT_S) as stream:
         connected(made, topic)
         item = clouds.half(5)
@@ -258,17 +258,17 @@ def test_a_signal_handler_may_log_whatever_it_interrupts() -> None:
 
 def test_the_client_reconnects_to_a_daemon_that_was_restarted(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/stream"
-    with subscribe(endpoint, timeout_s=WAIT_S) as stream:  # nobody is there yet
+    with subscribe(endpoint, timeout_s=WAIT_S) as stream:  # no publisher yet
         for session in ("first", "second"):
             with clouds.publisher(endpoint, session=session) as made:
-                # ZeroMQ subscribes anew only while its owner is waiting for messages, as a reader is.
+                # ZeroMQ subscribes again only while its owner is waiting for messages, as a reader is.
                 wait_until(lambda made=made: _wants(made, stream))
                 made.offer(clouds.item(7))
                 assert next(stream).header.session == session
-        assert stream.lost == 0, "another session starts its numbers anew"
+        assert stream.lost == 0, "another session restarts its numbers"
 
 
-def test_silence_is_told_and_waiting_can_go_on() -> None:
+def test_silence_is_an_error_and_waiting_can_go_on() -> None:
     with clouds.publisher() as made, subscribe(made.endpoints[0], timeout_s=0.02) as stream:
         for _ in range(2):
             with pytest.raises(SilenceError, match="is a daemon running"):
@@ -293,7 +293,7 @@ def test_async_subscribers_get_clouds() -> None:
         assert asyncio.run(listen(made)) == [1, 2, 3]
 
 
-def test_a_damaged_message_is_told_and_the_next_one_comes(tmp_path: Path) -> None:
+def test_a_damaged_message_is_an_error_and_the_next_one_is_received(tmp_path: Path) -> None:
     context = zmq.Context()
     with context, context.socket(zmq.XPUB) as bad:
         bad.bind(f"ipc://{tmp_path}/bad")
@@ -349,7 +349,7 @@ def test_the_daemon_opens_it_from_its_configuration(tmp_path: Path) -> None:
         made.close()
 
 
-def test_wrong_endpoints_and_topics_are_told() -> None:
+def test_wrong_endpoints_and_topics_are_refused() -> None:
     with pytest.raises(FringedError, match="tcp://HOST:PORT"):
         subscribe("rig:5555")
     with pytest.raises(FringedError, match="carries no clouds"):
