@@ -68,6 +68,13 @@ class Pipeline(Section):
     temporal_prior: Annotated[
         bool, Field(description="Start a pair from the surface of the one before: faster on a live stream.")
     ] = True
+    calibration_check: Annotated[
+        Literal["withhold", "warn", "off"],
+        Field(
+            description="Pairs that contradict the calibration: publish them without points, only report them, or do "
+            "not check."
+        ),
+    ] = "withhold"
     cpus: Annotated[
         list[Annotated[int, Field(ge=0, le=4095)]],
         Field(

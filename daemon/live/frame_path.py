@@ -6,9 +6,11 @@ import logging
 from collections.abc import Callable, Iterable, Mapping
 
 from daemon.common.counters import Counters
+from daemon.common.errors import DaemonError
 from daemon.config.rig_config import RigConfig
 from daemon.live.acquisition.camera_thread import CameraThread
 from daemon.live.acquisition.locked_pairer import LockedPairer, pairing_settings
+from daemon.live.compatibility import serial_problem
 from daemon.live.items import Sink
 from daemon.live.processing.reconstructor_factory import make_reconstructor, warm_up
 from daemon.live.processing.worker import CloudReconstructor, Worker
@@ -66,7 +68,7 @@ class FramePath:
 
     def warm_reconstructor(self) -> CloudReconstructor:
         """Make a reconstructor with all kernels compiled, which takes up to a minute after an update."""
-        made = self._reconstructor(self.rig, self.settings)
+        made = self._reconstructor(self.config, self.rig, self.settings)
         warm_up(made, self.config.pipeline)
         return made
 
@@ -92,8 +94,9 @@ class FramePath:
         made = None
         before, after = ((c.pipeline.overload, c.pipeline.temporal_prior, c.mode) for c in (self.config, config))
         other_kernels = rig is not self.rig or before != after
-        if settings != self.settings or other_kernels:
-            made = self._reconstructor(rig, settings)
+        other_check = config.pipeline.calibration_check != self.config.pipeline.calibration_check
+        if settings != self.settings or other_kernels or other_check:
+            made = self._reconstructor(config, rig, settings)
             if other_kernels:
                 warm_up(made, config.pipeline)
         self.config, self.rig, self.settings = config, rig, settings
@@ -106,6 +109,9 @@ class FramePath:
                 log.exception("a change failed")
         return made
 
-    def _reconstructor(self, rig: Rig, settings: Settings) -> CloudReconstructor:
+    def _reconstructor(self, config: RigConfig, rig: Rig, settings: Settings) -> CloudReconstructor:
+        problem = serial_problem(rig.serials, {side: self.cameras[side].status.serial for side in SIDES})
+        if problem:
+            raise DaemonError(problem)
         encodings = [self.cameras[side].status.encoding for side in SIDES]
-        return make_reconstructor(self.config, rig, settings, encodings, self._clock, plan=self.mode_controller.plan)
+        return make_reconstructor(config, rig, settings, encodings, self._clock, plan=self.mode_controller.plan)

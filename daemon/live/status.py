@@ -38,6 +38,7 @@ class Status:
         latency_ms: from the start of exposure to the finished cloud.
         publish_latency_ms: from the arrival of both frames to the handing over of the cloud to the stream, empty while
             nobody reads clouds. Both over the last ten minutes or so.
+        calibration_check: policy, verdict on the last pair, reason, readings, and the number of withheld clouds.
         selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
             it is switched off.
         health: the verdict and what is beyond its limits; only ``enabled: false`` when it is switched off.
@@ -66,6 +67,7 @@ class Status:
     publish_latency_ms: dict[str, float]
     stages_ms: dict[str, float]
     garbage: dict[str, float]
+    calibration_check: dict[str, Any]
     drops: dict[str, int]
     cameras: dict[str, CameraStatus]
     sinks: dict[str, dict[str, Any]]

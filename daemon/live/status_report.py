@@ -25,8 +25,18 @@ def degraded_reasons(path: FramePath) -> tuple[str, ...]:
     reasons += filter(None, (*sizes, path.mode_controller.problem()))
     if path.worker.stride > 1:
         reasons.append("the pipeline is overloaded: every second pixel is measured")
+    found = path.worker.consistency
+    if found is not None and found.verdict == "inconsistent":
+        reasons.append(f"the images contradict the calibration: {found.reason}")
     problems = {name: sink.status().get("problem") for name, sink in path.router.sinks.items()}
     return (*reasons, *(f"{name}: {problem}" for name, problem in problems.items() if problem))
+
+
+def _calibration_check(path: FramePath) -> dict[str, Any]:
+    """Policy, verdict on the last pair with its readings, and how many clouds were withheld."""
+    found = path.worker.consistency
+    values = {"verdict": "unknown", "reason": "", "readings": {}} if found is None else found.as_mapping()
+    return {"policy": path.config.pipeline.calibration_check, **values, "withheld": path.worker.withheld}
 
 
 def make_status(
@@ -71,6 +81,7 @@ def make_status(
         publish_latency_ms=sinks.get("stream", {}).pop("latency_ms", {}),
         stages_ms=worker.stages_ms,
         garbage=worker.gc_pauses.summary(),
+        calibration_check=_calibration_check(path),
         drops=path.drops.snapshot(),
         cameras=cameras,
         recorder=sinks.pop("recorder", {"recording": False}),

@@ -14,12 +14,13 @@ from daemon.common.errors import ConfigError
 from daemon.config import driver_table
 from daemon.config.rig_config import RigConfig
 from daemon.config.yaml_source import read_yaml
-from daemon.rig.calibration_file import CalibrationFile, parse_calibration, read_calibration
+from daemon.rig.calibration_file import CalibrationFile, load_mapping, parse_calibration, read_calibration
 from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Camera, Devices, MovesBoard, Projector, Side
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.plausibility import check_volume
 from pipeline.rig.volume import Volume
 
 Progress = Callable[[int, int], None]
@@ -68,6 +69,13 @@ class Rig:
     release: Callable[[], None]
     board: MovesBoard | None = None
 
+    @property
+    def serials(self) -> dict[Side, str]:
+        """Serial numbers of the calibrated cameras, those that the calibration file names."""
+        cameras = load_mapping(self.calibration_data, "calibration").get("cameras") or {}
+        found = {side: (cameras.get(side) or {}).get("serial") for side in SIDES}
+        return {side: str(serial) for side, serial in found.items() if serial}
+
 
 def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Rig:
     """Make the devices that rig.yaml names and read the files it names.
@@ -78,13 +86,14 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
     """
     devices = open_devices(config, base_dir, progress=progress)
     try:
-        calibration = _calibration(config, base_dir, devices)
+        calibration, volume = _calibration(config, base_dir, devices), _volume(config, base_dir, devices)
+        check_volume(calibration.calibration.left, calibration.calibration.right, volume)
         return Rig(
             cameras=devices.cameras,
             projector=devices.projector,
             calibration=calibration.calibration,
             pattern=_pattern(config, base_dir, devices),
-            volume=_volume(config, base_dir, devices),
+            volume=volume,
             calibration_data=calibration.data,
             identity=calibration.identity,
             release=devices.close,

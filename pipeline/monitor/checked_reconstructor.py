@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
+from pipeline.monitor import observe
 from pipeline.monitor.consistency import ConsistencyCheck
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.reconstructor import Reconstructor
@@ -32,6 +33,11 @@ class CheckedReconstructor:
         self._since_scan = 0
 
     @property
+    def mode(self) -> str:
+        """The mode whose images it reconstructs."""
+        return self.inner.mode
+
+    @property
     def encoding(self) -> str:
         """Encoding of the raw images."""
         return self.inner.encoding
@@ -39,9 +45,10 @@ class CheckedReconstructor:
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """As of the reconstructor."""
         self.inner.warm_up(strides=strides, use_prior=use_prior)
+        observe.warm_up()
 
     def reconstruct(
-        self, left: NDArray[Any], right: NDArray[Any], *, stride: int = 1, use_prior: bool = False
+        self, left: NDArray[Any], right: NDArray[Any], /, *, stride: int = 1, use_prior: bool = False
     ) -> Cloud:
         """The cloud of a pair with its consistency; arguments and errors as of the reconstructor."""
         cloud = self.inner.reconstruct(left, right, stride=stride, use_prior=use_prior)

@@ -9,6 +9,7 @@ LIVE: tuple[str, ...] = (
     "pairing.*",
     "pipeline.overload",
     "pipeline.temporal_prior",
+    "pipeline.calibration_check",
     "pipeline.settings.*",
     "stream.preview_hz",
     "recording.*",

@@ -13,6 +13,7 @@ from daemon.live.projection.mode_plan import ModePlan
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from pipeline.common.settings import Settings
+from pipeline.monitor.checked_reconstructor import CheckedReconstructor
 from pipeline.reconstruct.reconstructor import Reconstructor
 
 
@@ -40,7 +41,8 @@ def make_reconstructor(
     }
     if plan is not None:
         return plan.reconstructor(rig, **options)
-    return Reconstructor(rig.calibration, rig.pattern, rig.volume, **options)
+    single = Reconstructor(rig.calibration, rig.pattern, rig.volume, **options)
+    return CheckedReconstructor(single, config.pipeline.calibration_check)
 
 
 def warm_up(reconstructor: CloudReconstructor, config: Pipeline) -> None:

@@ -22,6 +22,7 @@ from daemon.live.processing.temporal_prior import TemporalPrior
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.consistency import Consistency
 
 log = logging.getLogger("fringed.pipeline")
 
@@ -66,6 +67,8 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
         self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
+        self.consistency: Consistency | None = None
+        self.withheld = 0
         self.finished, self.heartbeat = 0, Heartbeat(clock.monotonic_ns)
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
@@ -253,10 +256,26 @@ class Worker:
         )  # fmt: skip
         now_ns = self._clock.monotonic_ns()
         self._note(item, now_ns)
+        self._note_consistency(cloud.consistency)
         self._emit(item)
         self._prior.measured(seq, t_ns, stride)
         if single and self._load.measured((now_ns - began_ns) / 1e6, stride, now_ns):
             log.info("load: every %s pixel is measured", "second" if self._load.stride == 2 else "single")
+
+    def _note_consistency(self, found: Consistency | None) -> None:
+        """Log a change of the verdict and count what was withheld."""
+        before = "unknown" if self.consistency is None else self.consistency.verdict
+        self.consistency = found
+        if found is None:
+            return
+        if found.verdict == "inconsistent":
+            self.withheld += self._config.calibration_check == "withhold"
+        if found.verdict == before or ("unknown" in (found.verdict, before) and found.verdict != "inconsistent"):
+            return
+        if found.verdict == "consistent":
+            log.info("calibration check: consistent again")
+        else:
+            log.warning("calibration check: %s: %s", found.verdict, found.reason)
 
     def _note(self, item: CloudItem, now_ns: int) -> None:
         self.latency_ms.note(item.latency_ms)

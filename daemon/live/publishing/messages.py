@@ -16,6 +16,7 @@ from fringed.errors import WireError
 
 Frames = list[Any]
 
+_REASON_LENGTH = 300
 _LOG_CHARACTERS = 500  # up to six bytes each as JSON
 _DEPTH_STEP_MM = 0.005  # far below the noise; coarser only where a cloud is deeper than 327 mm
 _DEPTH_STEPS = 65534  # from 1 to 65535; 0 is invalid
@@ -121,6 +122,11 @@ def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
     height, width = item.cloud.gray.shape
     valid = item.cloud.points / (width * height)
     stats: dict[str, Any] = {"valid": round(valid, 4), "latency_ms": round(item.latency_ms, 2), "dropped": item.dropped}
+    found = item.cloud.consistency
+    if found is not None:
+        stats["calibration"] = found.verdict
+        if found.verdict == "inconsistent":
+            stats["reason"] = found.reason[:_REASON_LENGTH]
     if item.stride > 1:
         stats["every"] = item.stride  # the grid has every second row and column of the camera
     if item.frames > 1:
