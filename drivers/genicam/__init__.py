@@ -1,6 +1,6 @@
 """GenICam cameras (GigE Vision, USB3 Vision, CoaXPress...) through their vendors' GenTL producers.
 
-Nothing here loads a vendor's library into this process: each camera, and each look for cameras, has its own.
+Nothing here loads a vendor's library into this process: each camera, and each listing of cameras, has its own.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _TARGET = "drivers.genicam.camera:open_alone"
 
 
 def open_camera(side: Side, options: Mapping[str, Any], base_dir: Path) -> Camera:
-    """A closed camera, made from the options of a rig file (see :class:`drivers.genicam.options.Options`).
+    """Create a closed camera from the options of a rig file (see :class:`drivers.genicam.options.Options`).
 
     Raises:
-        ValueError: options that cannot be; names the key.
+        ValueError: invalid options; names the key.
     """
     checked = parse(side, options)
     try:
@@ -36,5 +36,5 @@ def open_camera(side: Side, options: Mapping[str, Any], base_dir: Path) -> Camer
 
 
 def discover(producers: Sequence[Path]) -> list[DetectedCamera]:
-    """Every camera that the producers (.cti files) see; does not disturb one that is open."""
+    """List every camera of the producers (.cti files); does not disturb one that is open."""
     return listing.discover(producers)

@@ -1,11 +1,11 @@
-"""One open camera through harvesters, with the ways around what harvesters and producers do unexpectedly.
+"""One open camera through harvesters, with work-arounds for unexpected behaviour of harvesters and producers.
 
 * Waiting in ``fetch`` holds Python's lock (harvesters issue 508) and its time-outs restart with each incomplete
-  image, so :meth:`Connection.fetch` asks once and returns.
+  image, so :meth:`Connection.fetch` polls once and returns.
 * ``start(run_as_thread=True)`` ignores time-outs; it is never used.
-* An incomplete image is queued again silently; only a callback tells of it.
-* Finalizers that refer to what they are to finalize keep every camera ever opened in memory (about 0.4 MB each).
-* After a camera vanished ``destroy`` raises half-way and leaves the device open; the second call finishes.
+* An incomplete image is queued again silently; only a callback reports it.
+* Finalizers that refer to their own objects keep every camera ever opened in memory (about 0.4 MB each).
+* After a camera was lost ``destroy`` raises half-way and leaves the device open; the second call finishes.
 * Creating an acquirer replaces the SIGINT handler; it is put back.
 * Descriptions are written to a temporary directory that may not exist under a hardened service.
 * ``Harvester.update`` closes every camera of the process, which is one reason why each has a process of its own.
@@ -22,11 +22,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from genicam import gentl
 from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
 
 from drivers.errors import DeviceLost, DriverError
-from drivers.genicam.features import GENICAM_ERRORS, Features, losses
+from drivers.genicam.features import GENICAM_ERRORS, Features, device_lost_errors
 from drivers.genicam.listing import DetectedCamera, describe
 from drivers.genicam.options import Options
 
@@ -48,10 +49,10 @@ class Connection:
 
     Args:
         producers: .cti files. wait_ms: how long one :meth:`fetch` may wait in the producer, holding Python's lock; 0
-            unless the process has nothing else to do.
+            unless the process has no other tasks.
 
     Raises:
-        DeviceLost: it is not there, or in use. DriverError: several cameras fit, or no producer loads.
+        DeviceLost: it does not exist, or is in use. DriverError: several cameras match, or no producer loads.
     """
 
     def __init__(self, producers: Sequence[Path], options: Options, *, wait_ms: int = 0) -> None:
@@ -61,11 +62,11 @@ class Connection:
         self._acquirer: Any = None
         self._chunks: Any = None
         try:
-            with losses("looking for it"), _signals_kept():
+            with device_lost_errors("listing cameras"), _signals_kept():
                 for producer in producers:
                     self._harvester.add_file(str(producer))
                 self._harvester.update()
-                number, self.found = _choose(self._harvester.device_info_list, options, producers)
+                number, self.device = _choose(self._harvester.device_info_list, options, producers)
                 self._acquirer = self._create(number, wait_ms)
         except BaseException:
             self.close()
@@ -77,68 +78,68 @@ class Connection:
         streams = self._acquirer.data_streams
         if not streams:
             self.close()
-            raise DriverError(f"{self.found.model} {self.found.serial} has no data stream")
+            raise DriverError(f"{self.device.model} {self.device.serial} has no data stream")
         self.stream = Features(streams[0].node_map)
         self._port = self._acquirer.remote_device.port
 
     @property
     def incomplete(self) -> int:
-        """Images that arrived in part and were thrown away."""
+        """Images that arrived in part and were discarded."""
         return self._incomplete.count
 
     def underruns(self) -> int:
-        """Images that the transport had no buffer for, as its producer counts them; 0 if it does not."""
+        """Return the images that the transport had no buffer for, as counted by its producer; 0 if it does not."""
         with suppress(*GENICAM_ERRORS):
             return int(self._acquirer.data_streams[0].num_underrun)
         return 0
 
     def start(self) -> None:
         """Begin to accept triggers."""
-        with losses("starting"):
+        with device_lost_errors("starting"):
             self._acquirer.start()
 
     def fetch(self) -> Any:
-        """The next complete image (a GenTL buffer that must be given to :meth:`requeue`), None if none is there.
+        """Return the next complete image (a GenTL buffer for :meth:`requeue`), None if there is none.
 
         Raises:
-            DeviceLost: the producer says so; most only fall silent (see :meth:`probe`).
+            DeviceLost: reported by the producer; most only fall silent (see :meth:`probe`).
         """
         try:
-            found = self._acquirer.try_fetch(timeout=_ONE_POLL_S, is_raw=True)
+            fetched = self._acquirer.try_fetch(timeout=_ONE_POLL_S, is_raw=True)
         except gentl.GenericException as error:
             raise DeviceLost(f"the camera is gone (waiting for an image): {error}") from error
-        if isinstance(found, list):
-            first, *others = found
+        if isinstance(fetched, list):
+            first, *others = fetched
             for other in others:
                 if other is not None:
                     self.requeue(other)
             return first
-        return found
+        return fetched
 
     def requeue(self, buffer: Any) -> None:
-        """Let the transport fill the buffer again."""
-        with losses("returning a buffer"):
+        """Return a buffer to the transport."""
+        with device_lost_errors("returning a buffer"):
             buffer.parent.queue_buffer(buffer)
 
     def probe(self) -> None:
-        """Ask the camera for anything at all; DeviceLost when it does not answer.
+        """Read a register of the camera; DeviceLost when it does not answer.
 
-        A pulled plug and a missing trigger look the same to ``fetch``; only a register tells.
+        ``fetch`` cannot distinguish a lost connection from a missing trigger.
         """
         try:
             self._port.read(0, 4)
         except (gentl.InvalidAddressException, gentl.NotImplementedException, gentl.InvalidParameterException):
             return
         except gentl.GenericException as error:
-            raise DeviceLost(f"the camera is gone (asking whether it is there): {error}") from error
+            raise DeviceLost(f"the camera is gone (checking the connection): {error}") from error
 
     def stop(self) -> None:
         """Stop accepting triggers; images not fetched are dropped."""
-        with losses("stopping"):
+        with device_lost_errors("stopping"):
             self._acquirer.stop()
 
     def close(self) -> None:
-        """Let go of the camera, whatever state it is in; never raises."""
+        """Release the camera in any state; never raises."""
         if self._acquirer is not None:
             for _ in range(2):
                 try:
@@ -164,32 +165,34 @@ class Connection:
             return self._harvester.create(number, config=config)
         except _IN_USE as error:
             raise DeviceLost(
-                f"{self.found.model} {self.found.serial} is in use by another program; end that one first ({error})"
+                f"{self.device.model} {self.device.serial} is in use by another program; end that one first ({error})"
             ) from error
         except GENICAM_ERRORS as error:
-            raise DeviceLost(f"{self.found.model} {self.found.serial} cannot be opened: {error}") from error
+            raise DeviceLost(f"{self.device.model} {self.device.serial} cannot be opened: {error}") from error
 
 
 def _choose(devices: Sequence[Any], options: Options, producers: Sequence[Path]) -> tuple[int, DetectedCamera]:
-    """The one camera that is meant."""
-    there = [describe(device) for device in devices]
-    wanted = {"serial": options.serial, "model": options.model, "user_name": options.user_name}
-    asked = {key: value for key, value in wanted.items() if value is not None}
-    fits = [i for i, found in enumerate(there) if all(getattr(found, key) == value for key, value in asked.items())]
-    if len(fits) == 1:
-        return fits[0], there[fits[0]]
-    named = ", ".join(f"{key} {value!r}" for key, value in asked.items())
-    names = "; ".join(f"{found.model} serial {found.serial!r} user_name {found.user_name!r}" for found in there)
-    seen = f"there are: {names}" if there else "there is none at all; check its power, cable and the vendor's producer"
+    """Return number and description of the one camera that matches the options."""
+    cameras = [describe(device) for device in devices]
+    options_of = {"serial": options.serial, "model": options.model, "user_name": options.user_name}
+    selection = {key: value for key, value in options_of.items() if value is not None}
+    matches = [i for i, camera in enumerate(cameras) if selection.items() <= msgspec.structs.asdict(camera).items()]
+    if len(matches) == 1:
+        return matches[0], cameras[matches[0]]
+    selected = ", ".join(f"{key} {value!r}" for key, value in selection.items())
+    names = "; ".join(f"{camera.model} serial {camera.serial!r} user_name {camera.user_name!r}" for camera in cameras)
+    listed = f"there are: {names}" if cameras else "there is none; check its power, cable and the vendor's producer"
     through = ", ".join(str(path) for path in producers)
-    if not fits:
-        raise DeviceLost(f"no camera with {named} through {through}; {seen}")
-    raise DriverError(f"{len(fits)} cameras with {named} through {through}; name one of them by its serial; {seen}")
+    if not matches:
+        raise DeviceLost(f"no camera with {selected} through {through}; {listed}")
+    raise DriverError(
+        f"{len(matches)} cameras with {selected} through {through}; name one of them by its serial; {listed}"
+    )
 
 
 @contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Put the SIGINT handler back; harvesters installs its own when it runs in the main thread."""
+    """Restore the SIGINT handler; harvesters installs its own when it runs in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -201,7 +204,7 @@ def _signals_kept() -> Iterator[None]:
 
 
 def _find_temporary_directory() -> None:
-    """Camera descriptions are unpacked into one; without a usable one nothing works."""
+    """Set a usable temporary directory: camera descriptions are unpacked there."""
     try:
         tempfile.gettempdir()
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""A camera's features by name: whether they are there, what they take, and what they took.
+"""A camera's features by name: whether they exist, their limits, and their values.
 
-Cameras differ in which features they have and what they call them, so every access asks first. Names are those of the
-SFNC (GenICam Standard Features Naming Convention); older names stand in a table.
+Cameras differ in their features and their names, so every access checks first. Names are those of the SFNC (GenICam
+Standard Features Naming Convention); a table lists older ones.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "DeviceTemperature": ("DeviceTemperatureRaw", "SensorTemperature"),
     "TriggersMissed": ("MissedTriggerCount", "TriggerMissedCount", "StatMissedTriggers"),
 }
-"""What older or stubborn cameras call a feature."""
+"""Other names of a feature, in older cameras or against the convention."""
 
 _READABLE = {3, 4}
 _WRITABLE = {2, 4}
-_THERE = _READABLE | _WRITABLE
+_AVAILABLE = _READABLE | _WRITABLE
 
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 LOSS = (gentl.IoException, gentl.InvalidHandleException, gentl.ClosedException, gentl.NotInitializedException)
-"""What a producer raises when the camera is gone."""
+"""Errors of a producer when the camera is gone."""
 
 
 @contextmanager
-def losses(doing: str) -> Iterator[None]:
-    """Errors of a camera that is gone become DeviceLost."""
+def device_lost_errors(action: str) -> Iterator[None]:
+    """Convert the errors of a camera that is gone to DeviceLost."""
     try:
         yield
     except LOSS as error:
-        raise DeviceLost(f"the camera is gone ({doing}): {error}") from error
+        raise DeviceLost(f"the camera is gone ({action}): {error}") from error
 
 
 class Features:
@@ -57,14 +57,14 @@ class Features:
         self._nodes = nodes
 
     def find(self, name: str) -> Any:
-        """The node of that name, or of an older one, None if it is not there now."""
+        """Return the node of that name, or of an older one, None if it is not available now."""
         if self._nodes is None:
             return None
-        for known in (name, *ALIASES.get(name, ())):
+        for alias in (name, *ALIASES.get(name, ())):
             try:
-                if self._nodes.has_node(known):
-                    node = getattr(self._nodes, known, None)
-                    if node is not None and int(node.get_access_mode()) in _THERE:
+                if self._nodes.has_node(alias):
+                    node = getattr(self._nodes, alias, None)  # a GenICam node map has its nodes as attributes
+                    if node is not None and int(node.get_access_mode()) in _AVAILABLE:
                         return node
             except LOSS:
                 raise
@@ -73,17 +73,17 @@ class Features:
         return None
 
     def name(self, name: str) -> str:
-        """What this camera calls the feature."""
+        """Return the feature's name in this camera."""
         node = self.find(name)
         return name if node is None else str(node.node.name)
 
     def writable(self, name: str) -> bool:
-        """Whether it can be written now."""
+        """Return whether it can be written now."""
         node = self.find(name)
         return node is not None and int(node.get_access_mode()) in _WRITABLE
 
     def read(self, name: str) -> Any:
-        """Its value, None if there is none to read."""
+        """Return its value, None if it cannot be read."""
         node = self.find(name)
         if node is None or int(node.get_access_mode()) not in _READABLE:
             return None
@@ -98,14 +98,14 @@ class Features:
     # number, ``execute`` of a command. Hence the hasattr of the methods below.
 
     def choices(self, name: str) -> tuple[str, ...]:
-        """The entries of an enumeration that can be chosen now."""
+        """Return the entries of an enumeration that are available now."""
         node = self.find(name)
         if node is None or not hasattr(node, "entries"):
             return ()
-        return tuple(str(entry.symbolic) for entry in node.entries if int(entry.get_access_mode()) in _THERE)
+        return tuple(str(entry.symbolic) for entry in node.entries if int(entry.get_access_mode()) in _AVAILABLE)
 
     def limits(self, name: str) -> tuple[float, float] | None:
-        """The smallest and largest value of a number, None if it tells none."""
+        """Return the smallest and largest value of a number, None if it has no limits."""
         node = self.find(name)
         try:
             return (node.min, node.max) if node is not None and hasattr(node, "min") else None
@@ -113,12 +113,12 @@ class Features:
             return None
 
     def write(self, name: str, value: Any) -> Any:
-        """Set a feature; returns the value that it has then.
+        """Set a feature; return the value that it has then.
 
-        Numbers outside the limits are brought inside, whole numbers onto the steps: the caller compares.
+        Numbers are clamped to the limits, whole numbers rounded to the steps: the caller compares.
 
         Raises:
-            SettingRefused: it is not there, locked, or does not know the value.
+            SettingRefused: it does not exist, is locked, or refuses the value.
         """
         node = self.find(name)
         if node is None:
@@ -134,7 +134,7 @@ class Features:
             raise SettingRefused(f"{name} cannot be set to {value}: {self._allowed(name) or error}") from error
 
     def execute(self, name: str) -> bool:
-        """Run a command; False if there is none of that name."""
+        """Execute a command; False if there is none of that name."""
         node = self.find(name)
         if node is None or not hasattr(node, "execute"):
             return False
@@ -149,7 +149,7 @@ class Features:
 
     @staticmethod
     def _fitted(node: Any, value: Any) -> Any:
-        """A number brought between the limits and, if whole, onto the steps."""
+        """Return a number clamped to the limits and, if whole, rounded to the steps."""
         if isinstance(value, bool | str) or not hasattr(node, "min"):
             return value
         low, high = node.min, node.max

@@ -1,4 +1,4 @@
-"""Pixel formats: from what a camera sends to what a frame holds.
+"""Pixel formats: conversion of a camera's data to the encodings of a frame.
 
 A frame's encodings are ``mono8``, ``mono16``, ``rgb8`` and 8-bit Bayer patterns. Grey values of 10, 12 and 14 bits
 become ``mono16`` with full scale 65535: the bits are repeated below, so 0 stays 0, full scale becomes 65535 and
@@ -28,7 +28,7 @@ class PixelFormat:
 
     Args:
         code: of the PFNC; depth: bits of a value; bits: that a pixel takes in memory.
-        encoding: of the frame that is made of it.
+        encoding: of the frame.
         packing: ``plain``, ``p`` (values follow each other bit by bit) or ``packed`` (GigE Vision's order).
     """
 
@@ -40,12 +40,12 @@ class PixelFormat:
 
     @property
     def bits(self) -> int:
-        """Bits of a pixel in memory; they stand in the code."""
+        """Bits of a pixel in memory, which are part of the code."""
         return self.code >> 16 & 0xFF
 
     @property
     def reduced(self) -> bool:
-        """Whether values lose bits on their way into a frame."""
+        """Whether values lose bits in the conversion."""
         return self.depth > 8 and self.encoding != "mono16"
 
     def line_bytes(self, width: int) -> int:
@@ -90,22 +90,22 @@ _ALL = [
         for pattern, code in codes.items()
     ),
 ]
-BY_NAME: dict[str, PixelFormat] = {known.name: known for known in _ALL} | {
-    old: next(known for known in _ALL if known.name == name)
+BY_NAME: dict[str, PixelFormat] = {form.name: form for form in _ALL} | {
+    old: next(form for form in _ALL if form.name == name)
     for old, name in (("RGB8Packed", "RGB8"), ("BGR8Packed", "BGR8"))
 }
-BY_CODE: dict[int, PixelFormat] = {known.code: known for known in _ALL}
+BY_CODE: dict[int, PixelFormat] = {form.code: form for form in _ALL}
 
 
 def convert(raw: Bytes, pixels: PixelFormat, width: int, height: int, out: NDArray[Any], *, padding: int = 0) -> None:
-    """Turn a camera's bytes into a frame's image.
+    """Convert a camera's bytes to a frame's image.
 
     Args:
         raw: (N,) uint8 of the image alone. padding: bytes after each line.
         out: array of ``pixels.frame_shape`` and ``pixels.dtype`` to fill.
 
     Raises:
-        ValueError: there are fewer bytes than the image takes.
+        ValueError: there are fewer bytes than the image needs.
     """
     line = pixels.line_bytes(width)
     whole = (width * height * pixels.bits + 7) // 8

@@ -1,4 +1,4 @@
-"""The process that looks for cameras: ``python -m drivers.genicam.list_cameras FD PRODUCER...``.
+"""The process that lists cameras: ``python -m drivers.genicam.list_cameras FD PRODUCER...``.
 
 Writes the list as JSON to file descriptor FD; standard output belongs to the producers' messages.
 """
@@ -14,15 +14,15 @@ from drivers.genicam.listing import describe
 
 
 def main() -> None:
-    """Look, and write what was found."""
+    """Write the list."""
     fd, *producers = sys.argv[1:]
     harvester = Harvester()
     for producer in producers:
         harvester.add_file(producer)
     harvester.update()
-    found = [describe(device) for device in harvester.device_info_list]
+    cameras = [describe(device) for device in harvester.device_info_list]
     with open(int(fd), "wb") as out:  # noqa: PTH123 - a file descriptor
-        out.write(msgspec.json.encode(found))
+        out.write(msgspec.json.encode(cameras))
     harvester.reset()
 
 

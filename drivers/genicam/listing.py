@@ -1,4 +1,4 @@
-"""Which cameras there are, found by a process of its own so that no open camera is disturbed."""
+"""Listing of cameras, in a process of its own so that no open camera is disturbed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TIMEOUT_S = 60.0
 
 
 class DetectedCamera(msgspec.Struct, frozen=True):
-    """A camera that a producer sees; texts are empty where it does not tell.
+    """A camera of a producer; strings are empty where they are not available.
 
     Args:
         version: of its firmware. transport: ``GEV``, ``U3V``, ``CL``... access: whether it could be opened now.
@@ -42,25 +42,25 @@ _ACCESS = {1: "free", 2: "read only", 3: "no access", 4: "in use", 5: "open", 6:
 
 
 def describe(device: Any) -> DetectedCamera:
-    """What a harvesters' device info tells; producers may refuse each single answer."""
-    access = _told(device, "access_status")
+    """Describe a device info of harvesters; producers may refuse any property."""
+    access = _property(device, "access_status")
     return DetectedCamera(
-        vendor=str(_told(device, "vendor") or ""),
-        model=str(_told(device, "model") or ""),
-        serial=str(_told(device, "serial_number") or ""),
-        user_name=str(_told(device, "user_defined_name") or ""),
-        version=str(_told(device, "version") or ""),
-        transport=str(_told(device, "tl_type") or ""),
+        vendor=str(_property(device, "vendor") or ""),
+        model=str(_property(device, "model") or ""),
+        serial=str(_property(device, "serial_number") or ""),
+        user_name=str(_property(device, "user_defined_name") or ""),
+        version=str(_property(device, "version") or ""),
+        transport=str(_property(device, "tl_type") or ""),
         producer=str(_producer(device)),
         access=_ACCESS.get(int(access), "unknown") if access is not None else "unknown",
     )
 
 
 def discover(producers: Sequence[Path]) -> list[DetectedCamera]:
-    """All cameras that the producers (.cti files) see.
+    """List all cameras of the producers (.cti files).
 
     Raises:
-        FileNotFoundError: a producer that is not there. DriverError: looking failed, or took a minute.
+        FileNotFoundError: a producer does not exist. DriverError: listing failed, or took a minute.
     """
     for path in producers:
         if not path.is_file():
@@ -75,15 +75,15 @@ def discover(producers: Sequence[Path]) -> list[DetectedCamera]:
         raise
     finally:
         os.close(writing)
-    prints = child_process.OutputReader(process, log, "listing-prints")
+    output = child_process.OutputReader(process, log, "listing-output")
     try:
         text = _read_all(reading, time.monotonic() + _TIMEOUT_S)
     finally:
         os.close(reading)
         status = child_process.end(process, 1.0)
-        prints.join(1.0)
+        output.join(1.0)
     if status != 0 or not text:
-        raise DriverError(f"looking for cameras failed (exit status {status}): {prints.text()}")
+        raise DriverError(f"listing cameras failed (exit status {status}): {output.text()}")
     return msgspec.json.decode(text, type=list[DetectedCamera])
 
 
@@ -99,11 +99,11 @@ def _read_all(fd: int, deadline: float) -> bytes:
     return b""
 
 
-def _told(device: Any, name: str) -> Any:
+def _property(device: Any, name: str) -> Any:
     from genicam import gentl
 
     try:
-        return getattr(device, name)
+        return getattr(device, name)  # a GenTL device info: a property may raise
     except (gentl.GenericException, AttributeError):
         return None
 

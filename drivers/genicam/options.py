@@ -1,4 +1,4 @@
-"""What a rig file may say of a GenICam camera, checked before any camera is touched."""
+"""Options of a GenICam camera in the rig file, checked before any camera is opened."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Value = bool | int | float | str
 
 
 class Trigger(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What starts an exposure.
+    """The trigger of an exposure.
 
     Args:
         source: an electrical line of the camera; or for tests ``software`` (the driver triggers, ``rate_hz`` times a
@@ -51,16 +51,16 @@ class Options(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """One camera of the rig file.
 
     Args:
-        producer: GenTL producers (.cti files); those of GENICAM_GENTL64_PATH if none is named.
-        serial, model, user_name: what tells this camera from the others; together they must fit exactly one.
+        producer: GenTL producers (.cti files); None: those of GENICAM_GENTL64_PATH.
+        serial, model, user_name: identify the camera; together they must match exactly one.
         exposure_us: fixed exposure time; gain: in the camera's unit; each as the camera has it if None.
         pixel_format: its PFNC name. roi: the whole sensor if None.
         buffers: images that the transport may fill while the driver is busy.
         features: further features by name, set last.
         timestamp_offset_us: added to the camera's time stamp to get the start of the exposure, for cameras that stamp
             another moment.
-        read_timeout_s: how long the camera may be silent before it is asked whether it is still there.
-        open_timeout_s: how long opening may take.
+        read_timeout_s: silence after which the connection is checked.
+        open_timeout_s: limit for opening.
     """
 
     producer: Name | list[Name] | None = None
@@ -80,29 +80,29 @@ class Options(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 def parse(side: Side, options: Mapping[str, Any]) -> Options:
-    """Checked options; ValueError names the key as ``cameras.<side>.<key>``."""
-    where = f"cameras.{side}"
+    """Check options; ValueError names the key as ``cameras.<side>.<key>``."""
+    section = f"cameras.{side}"
     try:
-        found = msgspec.convert(dict(options), Options, strict=True)
+        parsed = msgspec.convert(dict(options), Options, strict=True)
     except msgspec.ValidationError as error:
         text, _, path = str(error).partition(" - at `$")
-        raise ValueError(f"{_place(where, text, path.rstrip('`'))}: {text}") from error
-    if found.serial is None and found.model is None and found.user_name is None:
-        raise ValueError(f"{where}.serial: name the camera by its serial, model or user_name")
-    for name, value in (("exposure_us", found.exposure_us), ("gain", found.gain)):
+        raise ValueError(f"{_key(section, text, path.rstrip('`'))}: {text}") from error
+    if parsed.serial is None and parsed.model is None and parsed.user_name is None:
+        raise ValueError(f"{section}.serial: name the camera by its serial, model or user_name")
+    for name, value in (("exposure_us", parsed.exposure_us), ("gain", parsed.gain)):
         if value is not None and not abs(value) < float("inf"):
-            raise ValueError(f"{where}.{name}: {value} is not a number that a camera can take")
-    return found
+            raise ValueError(f"{section}.{name}: {value} is not a finite number")
+    return parsed
 
 
-def _place(where: str, text: str, path: str) -> str:
-    """The key's path; an unknown key stands in the text only."""
+def _key(section: str, text: str, path: str) -> str:
+    """Return the path of the key; msgspec names an unknown key in the text only."""
     _, quoted, name = text.partition("unknown field `")
-    return where + path.replace("[...]", "") + (f".{name.rstrip('`')}" if quoted else "")
+    return section + path.replace("[...]", "") + (f".{name.rstrip('`')}" if quoted else "")
 
 
 def producers(named: str | list[str] | None, base_dir: Path, environ: Mapping[str, str] = os.environ) -> list[Path]:
-    """The .cti files to load; ValueError when there is none, FileNotFoundError when a named one is not there."""
+    """Return the .cti files to load; ValueError without any, FileNotFoundError where a named one does not exist."""
     if named:
         paths = [base_dir / Path(name).expanduser() for name in ([named] if isinstance(named, str) else named)]
         for path in paths:
@@ -111,10 +111,10 @@ def producers(named: str | list[str] | None, base_dir: Path, environ: Mapping[st
                     f"there is no GenTL producer {path}; install the camera vendor's, or name its .cti"
                 )
         return paths
-    places = [Path(part) for part in environ.get(PRODUCER_PATH, "").split(os.pathsep) if part]
-    found = sorted(path for place in places if place.is_dir() for path in place.glob("*.cti"))
-    if not found:
+    directories = [Path(part) for part in environ.get(PRODUCER_PATH, "").split(os.pathsep) if part]
+    paths = sorted(path for directory in directories if directory.is_dir() for path in directory.glob("*.cti"))
+    if not paths:
         raise ValueError(
             f"no GenTL producer: set producer to the vendor's .cti file, or {PRODUCER_PATH} to its directory"
         )
-    return found
+    return paths
