@@ -21,7 +21,7 @@ def test_the_golden_take_replays_to_its_figures(tmp_path, fringed):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_figures_that_moved_are_told_and_fail(tmp_path, fringed):
+def test_figures_that_moved_are_reported_and_fail(tmp_path, fringed):
     done = fringed(
         "replay", str(TAKE), "--no-output", "--out", str(tmp_path), "--expect", str(FIGURES),
         "--set", "min_component=60", "--set", "min_modulation=40",

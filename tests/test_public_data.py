@@ -34,7 +34,7 @@ def test_the_bust_is_measured_with_the_settings_of_the_simulated_scenes(shared_d
 def test_three_real_images_shifted_by_120_degrees_give_the_known_fringes(
     shared_data, name, suffix, axis, period, grows
 ):
-    """Each set's README tells period, direction and share of valid pixels; here by the pipeline's own solution."""
+    """Each set's README gives period, direction and share of valid pixels; here by the pipeline's own solution."""
     from pipeline.decode.decoder import design
     from pipeline.pattern.color_fringe import ColorFringe
     from pipeline.rig.calibration import ColorModel

@@ -37,7 +37,7 @@ class Status:
         measured_every: spacing of the measured pixels; 2 while an overloaded pipeline skips every second one.
         latency_ms: from the start of exposure to the finished cloud.
         publish_latency_ms: from the arrival of both frames to the handing over of the cloud to the stream, empty while
-            nobody reads clouds. Both over the last ten minutes or so.
+            no subscriber reads clouds. Both over the last ten minutes or so.
         calibration_check: policy, verdict on the last pair, reason, readings, and the number of withheld clouds.
         selfcheck: whether the calibration still fits: the verdict and every observable; only ``enabled: false`` when
             it is switched off.

@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from daemon.config.rig_config import RigConfig
 
 _KEY = re.compile(r"(?:cameras|projector|fringed_calibration)(?:\.\w+)*")
 
@@ -27,7 +30,7 @@ def main(
 
 
 def check_file(path: Path) -> tuple[bool, list[str]]:
-    """Whether a file is good, and what there is to say of it: its mistakes, or what it is."""
+    """Whether a file is good, and its mistakes, or what it is."""
     from daemon.common.errors import ConfigError, DaemonError
     from pipeline.common.errors import PipelineError
 
@@ -69,7 +72,27 @@ def _rig(path: Path) -> tuple[bool, list[str]]:
         if isinstance(name, str):  # the files that it names must be right too
             good, found = check_file(config.path(name, path.parent))
             (lines if good else problems).extend(found)
+    if not problems and config.calibration is not None:
+        _check_volume(config, path)
     return not problems, problems or lines
+
+
+def _check_volume(config: RigConfig, path: Path) -> None:
+    """Raise CalibrationError where volume and calibration of a rig cannot belong together."""
+    from daemon.rig.calibration_file import read_calibration
+    from daemon.rig.pattern_file import read_volume
+    from pipeline.rig.plausibility import check_volume
+    from pipeline.rig.volume import Volume
+
+    if config.volume is None or config.calibration is None:
+        return
+    calibration = read_calibration(config.path(config.calibration, path.parent)).calibration
+    volume = (
+        read_volume(config.path(config.volume, path.parent))
+        if isinstance(config.volume, str)
+        else Volume(config.volume.near_mm, config.volume.far_mm)
+    )
+    check_volume(calibration.left, calibration.right, volume)
 
 
 def _calibration(path: Path) -> tuple[bool, list[str]]:
@@ -82,7 +105,11 @@ def _calibration(path: Path) -> tuple[bool, list[str]]:
         return False, [_with_line(path, str(error))]
     left = file.calibration.left.size
     baseline = file.calibration.baseline_mm
-    return True, [f"{path}: good: cameras {left[0]} x {left[1]}, baseline {baseline:.1f} mm, {file.identity}"]
+    return True, [
+        f"{path}: good: cameras {left[0]} x {left[1]}, baseline {baseline:.1f} mm, {file.identity}",
+        f"{path}: checked: keys, sizes, focal lengths, principal points, distortion, rotations, distances and angles "
+        "between the devices; not checked: whether the rig is still as calibrated (fringed calibrate check)",
+    ]
 
 
 def _with_line(path: Path, message: str) -> str:

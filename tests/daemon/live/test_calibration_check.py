@@ -1,4 +1,4 @@
-"""A running daemon publishes no point of a pair that contradicts the calibration, says why, and recovers."""
+"""A running daemon publishes no point of a pair that contradicts the calibration, gives the reason, and recovers."""
 
 from __future__ import annotations
 

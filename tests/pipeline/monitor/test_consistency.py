@@ -35,7 +35,7 @@ def pair(scene: str, optics: Optics = STANDARD, encoding: str = "rgb8") -> Rende
 
 
 def turned(calibration: Calibration, side: str, axis: tuple[float, float, float], degrees: float) -> Calibration:
-    """The calibration of a rig whose device has turned since: as if the device stood where the file says."""
+    """The calibration of a rig whose device has turned since: as if the device stood where the file has it."""
     device: CameraModel = getattr(calibration, side)
     turn = rotation_about(tuple(np.sign(degrees) * np.array(axis)), np.radians(abs(degrees)))
     rotation = turn @ device.rotation
