@@ -89,7 +89,7 @@ def interpolate_orders(
     """Fill ``certain`` (h, w) int16 with the orders that are certain, NONE elsewhere.
 
     Args:
-        coarse, sure: (ceil(h / 2), ceil(w / 2)) orders of every second lattice pixel, and 1 where they are confident.
+        coarse, confident: (ceil(h / 2), ceil(w / 2)) orders of every second lattice pixel, and 1 where confident.
         phase, valid: (H, W) of the image; lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         slope_x, slope_y: expected phase steps per pixel, radians.
     """

@@ -33,7 +33,7 @@ def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any
         slope: expected phase step per pixel, radians; count: (w,) labels of each; pixels with one label at most
             are not linked.
         jump: (w,) int32, change of order from the neighbour to the pixel along a continuous surface.
-        trust: (w,) float32, 0 (a break, or unknown) .. 1 (smooth phase).
+        weight: (w,) float32, 0 (a break, or unknown) .. 1 (smooth phase).
     """
     jump[0], weight[0] = 0, _ZERO
     for b in range(1, count.shape[0]):

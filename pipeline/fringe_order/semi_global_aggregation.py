@@ -34,7 +34,7 @@ def _advance(
 
     ``total`` becomes keep * total + new. All arrays are flat (slices cost more than the step itself); old and new are
     places in ``paths``, where ``labels`` costs lie between two margins as wide. All labels are treated alike, whether
-    the pixel has them (else the cost is NO_SUCH) or not.
+    the pixel has them (else the cost is COST_IMPOSSIBLE) or not.
     """
     source = np.uint32(old + labels + min(max(offset, -labels), labels))
     target, base = np.uint32(at), np.uint32(new + labels)
@@ -66,9 +66,9 @@ def along_row(
     """Both horizontal paths of a lattice row.
 
     Args:
-        costs, total: (w * labels,), NO_SUCH for labels that a pixel does not have; the second is written where there
-            are several labels; first, count: (w,) first order, number of orders.
-        paths: (6 * labels,) scratch, NO_SUCH.
+        costs, total: (w * labels,), COST_IMPOSSIBLE for labels that a pixel does not have; the second is written where
+            there are several labels; first, count: (w,) first order, number of orders.
+        paths: (6 * labels,) scratch, COST_IMPOSSIBLE.
     """
     w = first.shape[0]
     old, new = 0, 3 * labels
@@ -101,10 +101,10 @@ def along_columns(
 
     Args:
         costs, total: (h, w * labels); first, count: (h, w) int32.
-        jump, trust: (h, w), of :func:`pipeline.fringe_order.phase_links.column_links`.
+        jump, weight: (h, w), of :func:`pipeline.fringe_order.phase_links.column_links`.
         margin: lead of the best total over the second best from which a decision is confident.
-        order: (h, w) int16, written, NONE where there are no candidates; sure: (h, w) uint8, written, 1 where there is
-            one candidate only or its lead is large enough, else 0.
+        order: (h, w) int16, written, NONE where there are no candidates; confident: (h, w) uint8, written, 1 where
+            there is one candidate only or its lead is large enough, else 0.
     """
     h, w = first.shape
     flat_costs, flat_total = costs.reshape(-1), total.reshape(-1)

@@ -37,8 +37,8 @@ class MatchResult(NamedTuple):
         right_u, right_v: pixel in the right image, uint16 of :data:`PIXEL_STEPS`.
         projector_u, projector_v: pixel of the projector that lights the point, likewise.
         absolute_phase: phase of the left pixel and 2 pi times its order, int16 of :data:`TURN_STEPS`.
-        residual_eq, residual: absolute phase minus the projector's phase at the point, normalised and pointwise,
-            int16 of :data:`RESIDUAL_STEP`.
+        residual_normalised, residual: absolute phase minus the projector's phase at the point, normalised and
+            pointwise, int16 of :data:`RESIDUAL_STEP`.
     """
 
     valid: NDArray[np.uint8]

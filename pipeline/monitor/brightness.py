@@ -27,7 +27,7 @@ def brightness(image: Any, mosaic: Any, black: Any, top: int, left: int, rows: i
                 centre_u: float, centre_v: float, half_u: float, half_v: float, light: Any, scratch: Any,
                 raw: Any, out: Any) -> None:  # fmt: skip
     """Counts over the fitted fringe in a rectangle, smoothed; the outermost pixels of ``out`` stay undefined."""
-    colours = image.shape[2]
+    channels = image.shape[2]
     cosine, sine = scratch[3], scratch[4]
     level, p, r, dark = (
         np.empty(3, np.float32),
@@ -41,7 +41,7 @@ def brightness(image: Any, mosaic: Any, black: Any, top: int, left: int, rows: i
         v = top + i
         waves(q, half_u, (left - centre_u) / half_u, (v - centre_v) / half_v, columns, cosine, sine)
         over, under = raw[0, i], raw[1, i]
-        if colours == 3:
+        if channels == 3:
             for j in range(columns):
                 a, b = np.float32(0.0), np.float32(0.0)
                 for c in range(3):

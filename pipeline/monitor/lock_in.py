@@ -78,7 +78,7 @@ def lock_in(image: Any, mosaic: Any, top: int, left: int, rows: int, columns: in
     Args:
         scratch: (5, columns) float32; out: (3, 3) a, p, q by channel, raw counts.
     """
-    colours = image.shape[2]
+    channels = image.shape[2]
     cosine, sine = scratch[3], scratch[4]
     normal, sums = np.zeros((3, 15)), np.zeros((3, 5))
     d, x0 = 1.0 / half_u, (left - centre_u) / half_u
@@ -90,11 +90,11 @@ def lock_in(image: Any, mosaic: Any, top: int, left: int, rows: int, columns: in
         y = (v - centre_v) / half_v
         waves(q, half_u, x0, y, columns, cosine, sine)
         for j in range(columns):
-            for k in range(colours):
+            for k in range(channels):
                 value = image[v, left + j, k]
                 largest = max(largest, value)
                 scratch[k, j] = value
-        if colours == 3:
+        if channels == 3:
             for k in range(3):
                 _row_sums(scratch[k], cosine, sine, 0, 1, columns, x0, d, y, normal[k], sums[k])
         else:

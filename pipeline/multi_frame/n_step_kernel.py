@@ -83,7 +83,7 @@ def phases(
     """Phase, amplitude and fit of every fringe of a set.
 
     Args:
-        stack ... clip: see :func:`load_row`; floor, gain: noise of a raw sample, counts^2 and counts^2 per count.
+        stack ... saturation: see :func:`load_row`; floor, gain: noise of a raw sample, counts^2 and counts^2 per count.
         index: (n,) images of all fringes, fringe after fringe; first: (J + 1,) start of each fringe in it.
         solve: (3, n), samples -> A, C, S; rest: (n, most) rows of the residual, fringe ``q`` has
             ``rest_first[q + 1] - rest_first[q]`` of them, each with as many numbers as the fringe has images.

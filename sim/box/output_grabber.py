@@ -49,7 +49,7 @@ class Grabber:
 
     Args:
         display: of the X server, for instance ``:7``.
-        place: name of the RandR output (``DUMMY1``), looked up at every connection, or a rectangle of the screen.
+        region: name of the RandR output (``DUMMY1``), looked up at every connection, or a rectangle of the screen.
         timeout_s: how long the server may take to answer.
     """
 

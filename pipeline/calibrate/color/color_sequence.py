@@ -36,8 +36,8 @@ def color_sequence(
         levels: drive values per colour, black among them.
         period_px: of the fringes of one colour, projector pixels.
         steps: of these fringes, at least 3.
-        lateral: fringes in y too, and one period of the colour fringe both ways, which gives the order; without
-            them lateral chromatic aberration is not measured.
+        lateral_chromatic: fringes in y too, and one period of the colour fringe both ways, which gives the order;
+            without them lateral chromatic aberration is not measured.
         check: a measuring fringe whose phase error is to be reported; None = none.
     """
     if not 3 <= levels <= 64:

@@ -34,7 +34,7 @@ class Coordinate:
         px: projector column (axis x) or row (axis y), NaN where unknown.
         sigma_px: one standard deviation from the images' noise, NaN likewise.
         amplitude, mean: of the finest fringe, counts of an 8-bit image, everywhere.
-        clipped: some sample of the finest fringe is saturated.
+        saturated: some sample of the finest fringe is saturated.
     """
 
     px: F64

@@ -101,13 +101,13 @@ def fit_saturated(
         nominal: (4,) expected steps; weights: (3,) by distance; design: (3, 3) of the channels.
         units: unit phasors' re, im of the rows above, at and below the pixels.
     """
-    above_re, above_im, here_re, here_im, below_re, below_im = units
+    above_re, above_im, row_re, row_im, below_re, below_im = units
     n = columns.shape[0]
     for j in range(n):
         x = columns[j]
-        tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j] = here_re[x], here_im[x]
-        tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j] = here_re[x - 1], here_im[x - 1]
-        tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j] = here_re[x + 1], here_im[x + 1]
+        tile[_UNITS * TILE + j], tile[(_UNITS + 1) * TILE + j] = row_re[x], row_im[x]
+        tile[(_UNITS + 2) * TILE + j], tile[(_UNITS + 3) * TILE + j] = row_re[x - 1], row_im[x - 1]
+        tile[(_UNITS + 4) * TILE + j], tile[(_UNITS + 5) * TILE + j] = row_re[x + 1], row_im[x + 1]
         tile[(_UNITS + 6) * TILE + j], tile[(_UNITS + 7) * TILE + j] = above_re[x], above_im[x]
         tile[(_UNITS + 8) * TILE + j], tile[(_UNITS + 9) * TILE + j] = below_re[x], below_im[x]
     _steps(tile, nominal)

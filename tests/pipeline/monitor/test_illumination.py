@@ -75,9 +75,9 @@ def test_subsampled_and_monochrome_images_are_measured() -> None:
     assert measure_illumination(
         fringes(), "rgb8", lit(stride=2), period_px=PERIOD, stride=2
     ).amplitude == pytest.approx(AMPLITUDE, rel=0.1)
-    grey = fringes()[..., 2]
-    assert measure_illumination(grey, "mono8", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
-    deep = grey.astype(np.uint16) * 257
+    gray = fringes()[..., 2]
+    assert measure_illumination(gray, "mono8", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
+    deep = gray.astype(np.uint16) * 257
     assert measure_illumination(deep, "mono16", lit(), period_px=PERIOD).amplitude == pytest.approx((50.0,), rel=0.1)
 
 

@@ -21,10 +21,10 @@ KINDS = [
 def test_a_scene_at_rest_is_measured(mode, encoding):
     cloud = made(mode, encoding).reconstruct(*taken(mode, encoding))
     found = score(cloud.xyz, truth())
-    grey = mode != "two_color"
-    assert found.reconstructed > (0.86 if grey else 0.75)
-    assert found.wrong < (0.012 if grey else 0.06)
-    assert found.rms_mm < (0.3 if grey else 0.45)
+    gray = mode != "two_color"
+    assert found.reconstructed > (0.86 if gray else 0.75)
+    assert found.wrong < (0.012 if gray else 0.06)
+    assert found.rms_mm < (0.3 if gray else 0.45)
     assert cloud.moved < 0.02 * cloud.gray.size
 
 

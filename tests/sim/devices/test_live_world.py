@@ -102,9 +102,9 @@ def test_an_unopened_projector_shows_the_pattern():
 
 def test_every_trigger_has_its_own_noise_of_the_right_variance(opened):
     rig = opened({**OPTIONS, "scene": "plane", "optics": {}, "seed": 5})
-    grey = images_of(rig)[0]
-    first, second = (np.stack(captured(rig, grey)).astype(float) for _ in range(2))
-    counts = render_pair.render_counts(rig.options.layout, scene_of(rig.options), grey, rig.options.optics)
+    gray = images_of(rig)[0]
+    first, second = (np.stack(captured(rig, gray)).astype(float) for _ in range(2))
+    counts = render_pair.render_counts(rig.options.layout, scene_of(rig.options), gray, rig.options.optics)
     from sim.render.sensor import noise_variance
 
     variance = np.stack([noise_variance(part, rig.options.optics) for part in counts])
@@ -114,7 +114,7 @@ def test_every_trigger_has_its_own_noise_of_the_right_variance(opened):
     assert difference.var() == pytest.approx(2 * (variance.mean() + 1 / 12), rel=0.02)
     assert abs(np.corrcoef((first - np.stack(counts)).ravel(), difference.ravel())[0, 1] + np.sqrt(0.5)) < 0.02
     again = opened({**OPTIONS, "scene": "plane", "optics": {}, "seed": 5})
-    assert np.array_equal(np.stack(captured(again, grey)), first)
+    assert np.array_equal(np.stack(captured(again, gray)), first)
 
 
 def test_a_moving_scene_goes_round(opened):

@@ -91,14 +91,14 @@ def test_each_format_decodes_to_the_image_shown_and_others_are_refused(
 
 def test_grey_light_is_the_same_through_every_filter(producer: Path, cable: Cables) -> None:
     camera = cable()
-    grey = np.arange(HEIGHT * WIDTH, dtype=np.uint8).reshape(HEIGHT, WIDTH)
-    camera.show(grey)
+    gray = np.arange(HEIGHT * WIDTH, dtype=np.uint8).reshape(HEIGHT, WIDTH)
+    camera.show(gray)
     with opened(producer, "CAM0") as (host,):
         host.trigger_on()
         for name in "Mono8", "BayerRG8":
             host.set(PixelFormat=name)
             host.start()
-            assert one_capture(host, camera).bytes == grey.tobytes()
+            assert one_capture(host, camera).bytes == gray.tobytes()
             host.stop()
 
 

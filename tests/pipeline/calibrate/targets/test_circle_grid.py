@@ -149,15 +149,15 @@ def test_light_circles_on_a_dark_ground(tilted):
 def test_other_types_and_colour_give_the_same_marks(tilted):
     image = noisy(tilted)
     marks = find_marks(image, DEFAULT_BOARD).marks
-    colour = np.stack([image] * 3, axis=2)
-    for other in (image.astype(np.uint16) * 256, image.astype(np.float32) / 255, colour):
+    color = np.stack([image] * 3, axis=2)
+    for other in (image.astype(np.uint16) * 256, image.astype(np.float32) / 255, color):
         assert np.abs(find_marks(other, DEFAULT_BOARD).marks.pixels - marks.pixels).max() < 0.003
-    saturated = colour.copy()
+    saturated = color.copy()
     saturated[..., 0] = np.clip(3.0 * image, 0, 255).astype(np.uint8)
     found = find_marks(saturated, DEFAULT_BOARD)
     assert np.abs(found.marks.pixels - marks.pixels).max() < 0.003
     assert 0.05 < found.saturated < 0.34
-    assert np.abs(find_marks(colour, DEFAULT_BOARD, channel=2).marks.pixels - marks.pixels).max() < 1e-6
+    assert np.abs(find_marks(color, DEFAULT_BOARD, channel=2).marks.pixels - marks.pixels).max() < 1e-6
 
 
 def test_a_saturated_ground_gives_no_bias(tilted):
