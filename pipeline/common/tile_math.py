@@ -28,7 +28,7 @@ _INV_TURN = np.float32(1 / (2 * np.pi))
 
 @inline
 def whole_turns(a: Any) -> Any:
-    """Nearest whole number of chromatic, as float32."""
+    """Nearest whole number of turns, as float32."""
     return np.float32(np.rint(a * _INV_TURN))
 
 
