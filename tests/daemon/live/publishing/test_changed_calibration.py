@@ -39,6 +39,9 @@ def test_the_meta_data_come_before_the_first_cloud_of_the_new_calibration(tmp_pa
                 topic, header, *parts = reader.recv_multipart()
                 got.append((topic.decode(), json.loads(header), parts))
 
+        # Each burst is awaited: the next message would not fit into the publisher's queue beside it.
+        for topic in ("meta/calibration", "meta/config", "meta/rays"):
+            receive(topic, 1)
         made.offer(clouds.item(1))
         receive("cloud/full", 1)
         commit = made.change(rigs.config(tmp_path), other_rig())
@@ -48,7 +51,6 @@ def test_the_meta_data_come_before_the_first_cloud_of_the_new_calibration(tmp_pa
             made.offer(clouds.item(3))
             commit()
         receive("cloud/full", 3)
-        # The next ones would not fit into the publisher's queue beside these.
         for topic in ("meta/calibration", "meta/config", "meta/rays"):
             receive(topic, 1, NEW)
         commit()
