@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import cast
 
@@ -18,7 +18,6 @@ from daemon.control.methods import Methods
 from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, RpcError
 from daemon.control.sequence_capture import Capture
 from daemon.control.settings.live_settings import LIVE
-from daemon.live.service import Service
 from daemon.live.status import State
 from pipeline.pattern import color_fringe
 from pipeline.pattern.color_fringe import ColorFringe
@@ -55,22 +54,24 @@ def refused(running: Running, method: str, /, **params: object) -> RpcError:
 @pytest.mark.parametrize(
     ("path", "value", "read"),
     [
-        ("pipeline.settings.min_modulation", 7, lambda s: s.settings.min_modulation),
-        ("pipeline.overload", "half", lambda s: s.config.pipeline.overload),
-        ("pipeline.temporal_prior", False, lambda s: s.worker._config.temporal_prior),
-        ("pairing.tolerance_us", 1500, lambda s: s.pairer._pairer.settings.tolerance_ns / 1000),
-        ("pairing.resync_after", 5, lambda s: s.pairer._pairer.settings.resync_after),
-        ("recording.min_free_mb", 17, lambda s: s.config.recording.min_free_mb),
-        ("stream.preview_hz", 0.5, lambda s: s.router.sinks["stream"].committed[-1][0].stream.preview_hz),
-        ("selfcheck.limits.column_px", 0.5, lambda s: s.config.selfcheck.limits.column_px),
-        ("volume", {"near_mm": 1100, "far_mm": 1400}, lambda s: {"near_mm": s.rig.volume.near_mm, "far_mm": 1400.0}),
+        ("pipeline.settings.min_modulation", 7, lambda r: r.service.settings.min_modulation),
+        ("pipeline.overload", "half", lambda r: r.service.worker._config.overload),
+        ("pipeline.temporal_prior", False, lambda r: r.service.worker._config.temporal_prior),
+        ("pairing.tolerance_us", 1500, lambda r: r.service.pairer._pairer.settings.tolerance_ns / 1000),
+        ("pairing.resync_after", 5, lambda r: r.service.pairer._pairer.settings.resync_after),
+        ("recording.min_free_mb", 17, lambda r: r.recorder._config.recording.min_free_mb),
+        ("stream.preview_hz", 0.5, lambda r: r.sink.committed[-1][0].stream.preview_hz),
+        ("selfcheck.limits.column_px", 0.5, lambda r: r.sink.committed[-1][0].selfcheck.limits.column_px),
+        ("volume", {"near_mm": 1100, "far_mm": 1400}, lambda r: asdict(r.service.rig.volume)),
     ],
 )
 def test_a_live_setting_is_taken_over_and_read_back(
-    running: Running, path: str, value: object, read: Callable[[Service], object]
+    running: Running, path: str, value: object, read: Callable[[Running], object]
 ) -> None:
+    """``read`` finds it in the part that uses it."""
+    assert read(running) != value
     assert running.call("set", path=path, value=value) == {path: value}
-    assert read(running.service) == value and running.call("get", path=path) == value
+    assert read(running) == value and running.call("get", path=path) == value
     running.clouds(2)
 
 

@@ -69,9 +69,13 @@ def test_unknown_is_nan_in_all_of_a_point_and_its_sigma(cloud):
 
 def test_orders_are_the_truths(pair, cloud):
     both = (cloud.order >= 0) & pair.truth_left.scorable
-    away = (cloud.order - pair.truth_left.order)[both]
-    # Measured orders belong to phases in (-pi, pi], the truth's to [0, 2 pi): they may differ by one half of the time.
-    assert np.isin(away, (0, 1)).mean() > 0.99
+    # Measured orders belong to phases in (-pi, pi], the truth's to [0, 2 pi).
+    turns = (pair.truth_left.projector[..., 0][both] + 0.5) * 36.0 / SMALL.projector_size[0]
+    away = cloud.order[both] - np.rint(turns)
+    # Noise may put a phase near pi on either side of it.
+    certain = np.abs(turns - np.floor(turns) - 0.5) > 0.1
+    assert (away[certain] == 0).mean() > 0.99
+    assert np.isin(away[~certain], (-1, 0, 1)).mean() > 0.99
 
 
 def test_the_point_solves_the_four_equations_of_both_views(cloud):
@@ -177,13 +181,12 @@ def test_pure_noise_is_not_a_surface():
     assert reconstructor(settings=Settings()).reconstruct(left, right).points < 0.002 * width * height
 
 
-@pytest.mark.slow
-def test_sigma_is_the_scatter_over_fifty_noisy_images():
+def test_sigma_is_the_scatter_over_twenty_noisy_images():
     optics = Optics()
     counts = render_counts(SMALL, build("spheres"), small_pattern(), optics)
     found = reconstructor(settings=dataclasses.replace(SETTINGS, self_calibrate=False))
     clouds = []
-    for seed in range(50):
+    for seed in range(20):
         left, right = with_noise(counts, optics, seed, "rgb8")
         clouds.append(found.reconstruct(left, right))
     z = np.stack([c.xyz for c in clouds]).astype(float)
@@ -197,28 +200,30 @@ def test_sigma_is_the_scatter_over_fifty_noisy_images():
         assert 0.8 < np.median(predicted[part]) / np.median(scatter[part]) < 1.2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("columns", [-1.0, 1.0])
 def test_a_projector_off_by_a_whole_column_costs_nothing(columns):
-    optics, layout = Optics(projector_error_px=(columns, 0.0)), RigLayout()
+    optics, layout = Optics(projector_error_px=(columns, 0.0)), RigLayout().scaled(0.5)
     pair = render_pair(layout, build("steps"), layout.pattern(), Optics())
     found = Reconstructor(layout.calibration_for(optics), layout.pattern(), layout.volume())
     measured = score(found.reconstruct(pair.left, pair.right).xyz, pair.truth_left)
     assert abs(found.correction[0] + columns) < 0.05
-    assert measured.reconstructed >= 0.98
-    assert measured.wrong < 0.003
+    assert measured.reconstructed >= 0.97
+    assert measured.wrong < 0.004
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scene", "layout", "reconstructed", "wrong", "rms_mm"),
-    [
-        ("mixed", RigLayout(), 0.97, 0.0015, 0.090),
-        ("plane", RigLayout(), 0.99, 0.0005, 0.030),
-        ("mixed", RigLayout(projector_fraction=0.5), 0.95, 0.015, 0.090),
-    ],
-)
-def test_the_promise_at_full_size(scene, layout, reconstructed, wrong, rms_mm):
+HALF = RigLayout().scaled(0.5)
+PROMISES = [
+    pytest.param("mixed", HALF, 0.94, 0.0065, 0.130),
+    pytest.param("plane", HALF, 0.99, 0.0005, 0.050),
+    pytest.param("mixed", RigLayout(projector_fraction=0.5).scaled(0.5), 0.905, 0.022, 0.130),
+    pytest.param("mixed", RigLayout(), 0.97, 0.0015, 0.090, marks=pytest.mark.long),
+    pytest.param("plane", RigLayout(), 0.99, 0.0005, 0.030, marks=pytest.mark.long),
+    pytest.param("mixed", RigLayout(projector_fraction=0.5), 0.95, 0.015, 0.090, marks=pytest.mark.long),
+]
+
+
+@pytest.mark.parametrize(("scene", "layout", "reconstructed", "wrong", "rms_mm"), PROMISES)
+def test_the_promise_at_half_and_full_size(scene, layout, reconstructed, wrong, rms_mm):
     pair = render_pair(layout, build(scene), layout.pattern(), Optics())
     found = Reconstructor(layout.calibration_for(Optics()), layout.pattern(), layout.volume())
     measured = score(found.reconstruct(pair.left, pair.right).xyz, pair.truth_left)

@@ -64,14 +64,18 @@ def test_a_set_is_made_of_each_pass_that_lost_nothing_and_of_no_other(
 def test_whatever_comes_no_set_mixes_passes_and_no_pair_is_used_twice(
     frames: int, first: int, exposures: list[Exposure]
 ) -> None:
-    assembler: SetAssembler[Exposure] = SetAssembler(frames, first)
-    made = fed(assembler, exposures, first)
+    assembler: SetAssembler[int] = SetAssembler(frames, first)
+    answers = [
+        assembler.feed((first + position) % TRIGGER_MODULUS, t_ns, number)
+        for number, (position, t_ns) in enumerate(exposures)
+    ]
+    made = [one for one in answers if one is not None]
     for one in made:
-        positions, times_ns = [p for p, _ in one], [t for _, t in one]
-        assert positions[0] % frames == 0 and positions == list(range(positions[0], positions[0] + frames))
+        positions, times_ns = zip(*(exposures[number] for number in one), strict=True)
+        assert positions[0] % frames == 0 and list(positions) == list(range(positions[0], positions[0] + frames))
         assert all(0 < b - a <= MAX_GAP_NS for a, b in itertools.pairwise(times_ns))
-    used = [exposure for one in made for exposure in one]
-    assert len(used) <= len(exposures)
+    used = [number for one in made for number in one]
+    assert len(used) == len(set(used))
 
 
 def test_a_pair_that_is_a_little_late_still_joins_its_set() -> None:
