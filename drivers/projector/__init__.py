@@ -1,6 +1,6 @@
 """Projectors: one at an output of the graphics card, and one that other programs drive.
 
-Nothing here imports pyglet or touches X in this process: the window and the listing live in processes of their own.
+Nothing here imports pyglet or connects to X in this process: window and listing run in processes of their own.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ __all__ = ["DetectedOutput", "ExternalProjector", "OutputProjector", "open_exter
 
 
 def open_projector(options: Mapping[str, Any], base_dir: Path) -> OutputProjector:
-    """A projector at a RandR output, closed.
+    """Create a closed projector at a RandR output.
 
     Args:
-        options: as in :class:`drivers.projector.options.ProjectorOptions`; base_dir: where its hooks run.
+        options: as in :class:`drivers.projector.options.ProjectorOptions`; base_dir: directory of its hooks.
 
     Raises:
-        ValueError: "projector.KEY: ..." says what is wrong with which option.
+        ValueError: "projector.KEY: ..." names the invalid option.
     """
     return OutputProjector(read(ProjectorOptions, options), base_dir)
 
 
 def open_external(options: Mapping[str, Any], base_dir: Path) -> ExternalProjector:
-    """A projector that other programs drive, closed.
+    """Create a closed projector that other programs drive.
 
     Args:
-        options: as in :class:`drivers.projector.options.ExternalOptions`; base_dir: where its hooks run.
+        options: as in :class:`drivers.projector.options.ExternalOptions`; base_dir: directory of its hooks.
 
     Raises:
-        ValueError: "projector.KEY: ..." says what is wrong with which option.
+        ValueError: "projector.KEY: ..." names the invalid option.
     """
     return ExternalProjector(read(ExternalOptions, options), base_dir)

@@ -1,7 +1,6 @@
 """The process that owns the projector's window. Started by :mod:`drivers.projector.supervisor`, never by hand.
 
-It ends when its socket does, when its parent dies, when the X server goes, or when the window is destroyed; a watchdog
-ends it when a graphics driver hangs.
+It ends with its socket, its parent, the X server or the window; a watchdog ends it when a graphics driver hangs.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from types import FrameType
 
 from drivers.errors import DriverError, SettingRefused
 from drivers.projector.messages import (
-    Beat,
     Close,
     Failed,
+    Heartbeat,
     Opened,
     Setup,
     Show,
@@ -32,17 +31,17 @@ from drivers.projector.output_setup import OutputSetup
 from drivers.projector.present import VBlankClock
 from drivers.projector.xlib import Connection, catch_errors
 
-BEAT_S = 1.0
+HEARTBEAT_S = 1.0
 WATCHDOG_S = 30.0
 PR_SET_PDEATHSIG = 1
 
 
 class ParentDiedError(Exception):
-    """Raised by the signal that the kernel sends when the parent is gone."""
+    """Raised by the signal that the kernel sends when the parent has ended."""
 
 
 class Child:
-    """The window, its stage, and the conversation about them.
+    """The window, its output, and the messages about them.
 
     Args:
         sock: SOCK_SEQPACKET to the driver.
@@ -50,12 +49,12 @@ class Child:
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock = sock
-        self._stage: OutputSetup | None = None
+        self._setup: OutputSetup | None = None
         self._clock: VBlankClock | None = None
         self._clock_notes: tuple[str, ...] = ()
 
     def run(self) -> int:
-        """Open, serve until told to close; the exit status."""
+        """Open and serve until the driver closes the window; return the exit status."""
         try:
             first = receive_in_window(self._sock)
             if first is None or not isinstance(first[0], Setup):
@@ -63,7 +62,7 @@ class Child:
             self._open(first[0])
             self._serve()
         except (OSError, ParentDiedError):
-            self._restore()  # the driver is gone; the window goes with this process
+            self._restore()  # the driver is gone; the window ends with this process
         except DriverError as error:
             self._restore()
             self._fail(error)
@@ -73,18 +72,18 @@ class Child:
     def _open(self, setup: Setup) -> None:
         from drivers.projector.window import PatternWindow
 
-        catch_errors(self._lost)  # after pyglet, which would hide them
+        catch_errors(self._lost)  # after pyglet, which installs its own handlers
         self._x = Connection(setup.display)
-        self._stage = stage = OutputSetup(self._x, setup.options, setup.gamma_before)
-        self._window = PatternWindow(setup.display, stage.output)
-        stage.adopt(self._window.ids)
+        self._setup = prepared = OutputSetup(self._x, setup.options, setup.gamma_before)
+        self._window = PatternWindow(setup.display, prepared.output)
+        prepared.adopt(self._window.ids)
         self._window.map()
-        stage.keep_awake()
+        prepared.keep_awake()
         self._start_screen(setup.display)
-        if reason := stage.problem():
+        if reason := prepared.problem():
             raise DriverError(reason)
-        notes = *stage.notes(), *self._clock_notes
-        send(self._sock, Opened(output=stage.output, notes=notes, gamma_before=stage.gamma_before))
+        notes = *prepared.notes(), *self._clock_notes
+        send(self._sock, Opened(output=prepared.output, notes=notes, gamma_before=prepared.gamma_before))
 
     def _start_screen(self, display: str) -> None:
         from drivers.projector.screen import Screen
@@ -92,14 +91,14 @@ class Child:
         try:
             self._clock = VBlankClock(display, self._window.ids[1])
         except DriverError as error:
-            self._clock_notes = (f"{error}: the times at which images are out are not verified",)
+            self._clock_notes = (f"{error}: the times at which images are displayed are not verified",)
         self._screen = Screen(self._window, self._clock)
         self._window.take_events()
         self._screen.black()
 
     def _serve(self) -> None:
-        assert self._stage is not None  # noqa: S101 - for the type checker
-        problem, beat_at = "", 0.0
+        assert self._setup is not None  # noqa: S101 - for the type checker
+        problem, heartbeat_at = "", 0.0
         with selectors.DefaultSelector() as selector:
             for number in (self._sock.fileno(), self._x.fileno(), self._window.fileno()):
                 selector.register(number, selectors.EVENT_READ)
@@ -107,29 +106,29 @@ class Child:
                 selector.register(self._clock.fileno(), selectors.EVENT_READ)
             while True:
                 faulthandler.dump_traceback_later(WATCHDOG_S, exit=True)
-                look = self._stage.take_events()
+                changed = self._setup.take_events()
                 if self._window.take_events():
                     self._screen.redraw()
                 self._screen.take_events()
                 now = time.monotonic()
-                if look or now >= beat_at:
-                    told, problem = problem, self._stage.problem() or self._screen.wrong_pixels
-                    if told != problem or now >= beat_at:
-                        self._beat(problem)
-                        beat_at = now + BEAT_S
+                if changed or now >= heartbeat_at:
+                    reported, problem = problem, self._setup.problem() or self._screen.wrong_pixels
+                    if reported != problem or now >= heartbeat_at:
+                        self._heartbeat(problem)
+                        heartbeat_at = now + HEARTBEAT_S
                 self._x.lib.XFlush(self._x.handle)
-                ready = selector.select(max(0.0, beat_at - time.monotonic()))
+                ready = selector.select(max(0.0, heartbeat_at - time.monotonic()))
                 if any(key.fd == self._sock.fileno() for key, _ in ready) and not self._command():
                     return
 
-    def _beat(self, problem: str) -> None:
+    def _heartbeat(self, problem: str) -> None:
         try:
-            send(self._sock, Beat(problem=problem, late=self._screen.late), wait=False)
+            send(self._sock, Heartbeat(problem=problem, late=self._screen.late), wait=False)
         except BlockingIOError:
-            return  # the driver is halted, by a debugger perhaps; it will hear the next one
+            return  # the driver is halted, by a debugger for example; it will receive the next one
 
     def _command(self) -> bool:
-        """Do what the driver asks; False when it is time to end."""
+        """Execute a command of the driver; False at the end."""
         received = receive_in_window(self._sock)
         if received is None:
             self._finish()
@@ -147,7 +146,7 @@ class Child:
         return True
 
     def _finish(self) -> None:
-        """Black, then gone, and everything as it was."""
+        """Go dark, restore everything and close the window."""
         self._screen.black()
         self._restore()
         self._window.close()
@@ -158,8 +157,8 @@ class Child:
     def _restore(self) -> None:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # nothing may interrupt it
         try:
-            if self._stage is not None:
-                self._stage.restore()
+            if self._setup is not None:
+                self._setup.restore()
         except DriverError as error:
             print(error, file=sys.stderr)  # noqa: T201 - the driver reads it
 
@@ -170,7 +169,7 @@ class Child:
             return
 
     def _lost(self) -> None:
-        """The X server is gone; nothing of Xlib works any more."""
+        """Report the loss of the X server and end: Xlib cannot be used any more."""
         self._fail(DriverError("the X server broke the connection"))
         os._exit(1)
 

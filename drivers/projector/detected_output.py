@@ -1,4 +1,4 @@
-"""What RandR tells of an output, and whether a pattern can be shown on it pixel by pixel."""
+"""RandR outputs, and whether a pattern can be shown on one pixel by pixel."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ class DetectedOutput(msgspec.Struct, frozen=True, kw_only=True):
     """One RandR output.
 
     Args:
-        name: such as ``HDMI-1``; connected: whether something is plugged in; primary: the desktop's main output.
+        name: such as ``HDMI-1``; connected: whether a device is plugged in; primary: the desktop's main output.
         size, position: its rectangle on the X screen, pixels; (0, 0) where it is switched off.
         refresh_hz: of its mode, from the pixel clock and the totals: 59.94 is not 60. 0 = unknown.
         mode: name of its mode; mode_size: pixels of the mode itself, before scaling and rotation.
-        preferred_size: the first mode that the projector prefers, None if it prefers none.
+        preferred_size: the first preferred mode of the projector, None if there is none.
         edid_name: name in the EDID, empty if none.
         gamma_identity: whether the gamma table is linear; None if the output has none.
         rotation: ``normal``, ``left``, ``inverted``, ``right``, with ``, reflected`` where mirrored.
@@ -45,12 +45,12 @@ class DetectedOutput(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def find_output(outputs: list[DetectedOutput], name: str) -> DetectedOutput | None:
-    """The output of that name."""
+    """Return the output of that name."""
     return next((output for output in outputs if output.name == name), None)
 
 
 def output_problem(outputs: list[DetectedOutput], name: str) -> str:
-    """Why the output cannot be used at all, with what there is instead; empty if it can."""
+    """Return why the output cannot be used at all, and the usable ones; empty if it can."""
     output = find_output(outputs, name)
     if output is not None and output.is_on:
         return ""
@@ -69,12 +69,12 @@ def mode_problem(
     size: tuple[int, int] | None,
     refresh_hz: float | None,
 ) -> str:
-    """Why images would not come out pixel by pixel; empty if they do.
+    """Return why images would not be displayed pixel by pixel; empty if they are.
 
     Args:
         output: switched on.
-        native: whether its mode must be the one that the projector prefers.
-        size: size that it must have; refresh_hz: rate that it must have; None = any.
+        native: whether its mode must be the preferred one of the projector.
+        size: required size; refresh_hz: required rate; None = any.
     """
     name = f"output {output.name}"
     if output.rotation != "normal":
@@ -95,7 +95,7 @@ def mode_problem(
 
 
 def gamma_problem(output: DetectedOutput) -> str:
-    """Why the gamma table spoils the grey values; empty if it is linear or there is none."""
+    """Return why the gamma table changes the grey values; empty if it is linear or there is none."""
     if output.gamma_identity is not False:
         return ""
     return (

@@ -17,11 +17,11 @@ from drivers.protocols import Flip, ProjectorInfo
 
 
 class OutputProjector:
-    """Shows images on a RandR output, in a window whose process is watched and started again when it dies.
+    """Shows images on a RandR output, in a window whose process is supervised and restarted when it dies.
 
     Args:
-        options: see :class:`drivers.projector.options.ProjectorOptions`; directory: where hooks run.
-        hung_s: silence after which the window counts as hung.
+        options: see :class:`drivers.projector.options.ProjectorOptions`; directory: of the hooks.
+        hung_s: time without a message after which the window counts as hung.
     """
 
     def __init__(self, options: ProjectorOptions, directory: Path, *, hung_s: float = 6.0) -> None:
@@ -34,11 +34,11 @@ class OutputProjector:
         self._info: ProjectorInfo | None = None
 
     def open(self) -> ProjectorInfo:
-        """Check the output and put a black window on it; returns at once where that is done already.
+        """Check the output and put a black window on it; return at once where that is done already.
 
         Raises:
             DriverError: no display, no such output, or a hook failed.
-            SettingRefused: the output would change pixels or their values; the message says what to do.
+            SettingRefused: the output would change pixels or their values; the message names the next step.
         """
         if self._info is not None:
             return self._info
@@ -58,21 +58,21 @@ class OutputProjector:
         return self._info
 
     def show(self, image: NDArray[np.uint8]) -> Flip | None:
-        """Show an (H, W, 3) uint8 image until the next call; returns when it is out.
+        """Show an (H, W, 3) uint8 image until the next call; return when it is displayed.
 
         Returns:
-            Its flip; None where the image is not out yet, and :meth:`problem` says why.
+            Its flip; None where the image is not displayed yet, with the reason from :meth:`problem`.
         """
         return self.show_sequence([image])
 
     def show_sequence(
         self, images: list[NDArray[np.uint8]], *, hold_frames: int = 1, loop: bool = False
     ) -> Flip | None:
-        """Show images one after the other; returns when the first is out, with its flip.
+        """Show images one after the other; return the flip of the first when it is displayed.
 
         Args:
             images: at most 64 of (H, W, 3) uint8.
-            hold_frames: vertical blanks that each stays; loop: whether to begin again after the last, which stays.
+            hold_frames: vertical blanks that each stays; loop: whether to repeat; else the last one stays.
 
         Raises:
             SettingRefused: images of another size, or too many. DriverError: the projector is closed.
@@ -93,17 +93,17 @@ class OutputProjector:
         if sum(image.nbytes for image in images) > BYTES_LIMIT:
             raise SettingRefused(f"projector: the images are larger than {BYTES_LIMIT >> 20} MiB together; show fewer")
         hook = self.options.hook
-        patience_s = self.options.show_timeout_s + len(hook.show) * hook.timeout_s
-        shown = self._supervisor.show(images, hold_frames=hold_frames, loop=loop, timeout_s=patience_s)
+        timeout_s = self.options.show_timeout_s + len(hook.show) * hook.timeout_s
+        shown = self._supervisor.show(images, hold_frames=hold_frames, loop=loop, timeout_s=timeout_s)
         self._last_flip = self._flip(shown)
         return self._last_flip
 
     def problem(self) -> str:
-        """Why the last image may not be shown at this moment, empty when all is well."""
+        """Return why the last image may not be displayed now, empty when it is."""
         if self._supervisor is None:
             return "the projector is closed"
-        found = self._supervisor.problem()
-        return f"projector {self.options.output}: {found}" if found else ""
+        problem = self._supervisor.problem()
+        return f"projector {self.options.output}: {problem}" if problem else ""
 
     def close(self) -> None:
         """Go dark, release the output, run the hooks; never raises, may be called twice."""

@@ -17,12 +17,12 @@ class ExternalProjector:
     """Shows nothing itself: it checks sizes and runs hooks; what :meth:`show` is given never reaches the projector.
 
     Args:
-        options: see :class:`drivers.projector.options.ExternalOptions`; directory: where hooks run.
+        options: see :class:`drivers.projector.options.ExternalOptions`; directory: of the hooks.
     """
 
     def __init__(self, options: ExternalOptions, directory: Path) -> None:
         self.options = options
-        self.notes: tuple[str, ...] = ("nothing tells whether an external projector really shows its image",)
+        self.notes: tuple[str, ...] = ("the image of an external projector cannot be verified",)
         self._directory = directory
         self._open = False
         self._problem = ""
@@ -53,7 +53,7 @@ class ExternalProjector:
             self._problem = str(error)
 
     def problem(self) -> str:
-        """The hook that failed last, empty if none did."""
+        """Return the error of the last hook, empty if there is none."""
         return self._problem if self._open else f"projector {self.options.name} is closed"
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Commands of the rig's own that set a projector up: fixed argument lists, bounded in time, never a shell."""
+"""Commands of the rig that set a projector up: fixed argument lists, bounded in time, never a shell."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.errors import DriverError
 
-SAID_BYTES = 300
+OUTPUT_BYTES = 300
 
 
 def run_hooks(
@@ -21,12 +21,12 @@ def run_hooks(
 
     Args:
         commands: program and arguments of each.
-        timeout_s: longest time for each; it and all it started are killed then.
-        directory: where they run, so that relative paths start at rig.yaml.
+        timeout_s: limit for each; then it is killed with all its children.
+        directory: their working directory, so that relative paths start at rig.yaml.
         variables: added to their environment.
 
     Raises:
-        DriverError: a command is not there, took too long or did not end with 0; the others are not run.
+        DriverError: a command does not exist, took too long or did not end with 0; the others are not run.
     """
     for command in commands:
         _run(command, timeout_s, directory, variables)
@@ -34,7 +34,7 @@ def run_hooks(
 
 def _run(command: tuple[str, ...], timeout_s: float, directory: Path, variables: Mapping[str, str]) -> None:
     name = f"projector hook {' '.join(command)!r:.200}"
-    with tempfile.TemporaryFile() as output:  # a pipe would wait for whatever the command leaves running
+    with tempfile.TemporaryFile() as output:  # a pipe would wait for processes that the command leaves running
         try:
             process = subprocess.Popen(  # noqa: S603 - a list from rig.yaml, no shell
                 command,
@@ -54,6 +54,6 @@ def _run(command: tuple[str, ...], timeout_s: float, directory: Path, variables:
             process.wait()
             raise DriverError(f"{name} did not end within {timeout_s:g} s (projector.hook.timeout_s)") from None
         if status:
-            output.seek(max(0, output.seek(0, os.SEEK_END) - SAID_BYTES))
-            said = output.read().decode(errors="replace").strip()
-            raise DriverError(f"{name} ended with {status}{f': {said}' if said else ''}")
+            output.seek(max(0, output.seek(0, os.SEEK_END) - OUTPUT_BYTES))
+            text = output.read().decode(errors="replace").strip()
+            raise DriverError(f"{name} ended with {status}{f': {text}' if text else ''}")

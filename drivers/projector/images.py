@@ -1,4 +1,4 @@
-"""Images to set a projector up with: plain ones, a cross, and one that shows every lost or scaled pixel."""
+"""Test images of a projector: plain ones, a cross, and one in which every lost or scaled pixel is visible."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ COLORS = ((255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (12
 
 
 def plain(size: tuple[int, int], level: int) -> NDArray[np.uint8]:
-    """One grey level, 0 to 255, everywhere: (H, W, 3)."""
+    """Return an image of one grey level, 0 to 255: (H, W, 3)."""
     width, height = size
     return np.full((height, width, 3), level, np.uint8)
 
 
 def cross(size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A white frame and white lines through the middle on black, one pixel wide (two where the side is even)."""
+    """Return a white frame and white lines through the middle, one pixel wide (two where the side is even)."""
     image = plain(size, 0)
     image[[0, -1]] = image[:, [0, -1]] = 255
     _cross_hairs(image)
@@ -25,7 +25,7 @@ def cross(size: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def alignment(size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The test image: (H, W, 3).
+    """Return the alignment image: (H, W, 3).
 
     From outside in: a white frame of one pixel (a side that is cut off is overscan); a border of a 1-pixel checkerboard
     (even grey from afar; moiré or blotches mean scaling or sharpening); a grey ramp across and one down; blocks of red,
@@ -45,7 +45,7 @@ def alignment(size: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def _ramps(image: NDArray[np.uint8]) -> None:
-    """Along the top and the left inside of the border, from 0 to 255."""
+    """Draw ramps from 0 to 255 along the top and the left, inside the border."""
     height, width = image.shape[:2]
     inside, thick = slice(BORDER, -BORDER), slice(BORDER, 2 * BORDER)
     image[thick, inside] = np.linspace(0, 255, width - 2 * BORDER).round().astype(np.uint8)[None, :, None]
@@ -53,7 +53,7 @@ def _ramps(image: NDArray[np.uint8]) -> None:
 
 
 def _blocks(image: NDArray[np.uint8], checkered: NDArray[np.uint8]) -> None:
-    """Colours in a row above the middle, line patterns in a row below it."""
+    """Draw colours in a row above the middle, line patterns in a row below it."""
     height, width = image.shape[:2]
     side = max(1, min(width // (2 * len(COLORS)), height // 8))
     rows, columns = np.indices((height, width))

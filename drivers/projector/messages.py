@@ -1,4 +1,4 @@
-"""What the driver and its window's process say to each other: JSON in packets of bounded size, images by memfd."""
+"""Messages between the driver and its window's process: JSON in packets of bounded size, images by memfd."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BYTES_LIMIT = 1 << 30
 
 
 class Setup(msgspec.Struct, tag="setup", frozen=True, kw_only=True):
-    """First message to the window: what to open; ``gamma_before`` = table to restore, left by a window that died."""
+    """First message to the window; ``gamma_before``: gamma table to restore, from a window process that died."""
 
     options: ProjectorOptions
     display: str
@@ -30,12 +30,12 @@ class Setup(msgspec.Struct, tag="setup", frozen=True, kw_only=True):
 
 
 class Show(msgspec.Struct, tag="show", frozen=True, kw_only=True):
-    """Show the images in the memfd that comes with this packet.
+    """Show the images in the memfd of this packet.
 
     Args:
         serial: number that comes back in :class:`Shown`.
         count: images of (height, width, 3) bytes, one after the other.
-        hold_frames: vertical blanks that each stays; loop: whether to begin again after the last.
+        hold_frames: vertical blanks that each stays; loop: whether to repeat.
     """
 
     serial: int
@@ -51,7 +51,7 @@ class Close(msgspec.Struct, tag="close", frozen=True):
 
 
 class Opened(msgspec.Struct, tag="opened", frozen=True, kw_only=True):
-    """The window stands on the output, black."""
+    """The window is on the output, black."""
 
     output: DetectedOutput
     notes: tuple[str, ...]
@@ -59,14 +59,14 @@ class Opened(msgspec.Struct, tag="opened", frozen=True, kw_only=True):
 
 
 class Failed(msgspec.Struct, tag="failed", frozen=True, kw_only=True):
-    """The window cannot be (or be any longer); ``refused``: a setting must be changed first."""
+    """The window failed to open, or was lost; ``refused``: a setting must be changed first."""
 
     reason: str
     refused: bool = False
 
 
 class Shown(msgspec.Struct, tag="shown", frozen=True, kw_only=True):
-    """The image is out since ``t_monotonic_ns``, vertical blank number ``msc``."""
+    """The image is displayed since ``t_monotonic_ns``, vertical blank number ``msc``."""
 
     serial: int
     t_monotonic_ns: int
@@ -74,25 +74,25 @@ class Shown(msgspec.Struct, tag="shown", frozen=True, kw_only=True):
     source: FlipSource
 
 
-class Beat(msgspec.Struct, tag="beat", frozen=True, kw_only=True):
-    """Alive; ``late``: images of sequences that came out later than planned."""
+class Heartbeat(msgspec.Struct, tag="heartbeat", frozen=True, kw_only=True):
+    """Heartbeat of the window; ``late``: images of sequences that were displayed later than planned."""
 
     problem: str = ""
     late: int = 0
 
 
 ToWindow: TypeAlias = Setup | Show | Close
-FromWindow: TypeAlias = Opened | Failed | Shown | Beat
+FromWindow: TypeAlias = Opened | Failed | Shown | Heartbeat
 
 _to_window = msgspec.json.Decoder(Setup | Show | Close)
-_from_window = msgspec.json.Decoder(Opened | Failed | Shown | Beat)
+_from_window = msgspec.json.Decoder(Opened | Failed | Shown | Heartbeat)
 
 
 def send(sock: socket.socket, message: ToWindow | FromWindow, memfd: int | None = None, *, wait: bool = True) -> None:
     """Send one packet, with a file descriptor if there is one.
 
     Raises:
-        OSError: the other side is gone. BlockingIOError: it does not read, and ``wait`` is False.
+        OSError: the other side has ended. BlockingIOError: it does not read, and ``wait`` is False.
     """
     packet = msgspec.json.encode(message)
     if len(packet) > PACKET_LIMIT:
@@ -104,7 +104,7 @@ def send(sock: socket.socket, message: ToWindow | FromWindow, memfd: int | None 
 
 
 def receive_in_window(sock: socket.socket) -> tuple[ToWindow, int | None] | None:
-    """The next packet to the window and its file descriptor (the caller's to close); None at the end."""
+    """Receive a packet to the window and its file descriptor (closed by the caller); None at the end."""
     packet, memfds, _, _ = socket.recv_fds(sock, PACKET_LIMIT, 1)
     if not packet:
         return None
@@ -112,13 +112,13 @@ def receive_in_window(sock: socket.socket) -> tuple[ToWindow, int | None] | None
 
 
 def receive_from_window(sock: socket.socket) -> FromWindow | None:
-    """The next packet from the window; None at the end."""
+    """Receive a packet from the window; None at the end."""
     packet = sock.recv(PACKET_LIMIT)
     return _from_window.decode(packet) if packet else None
 
 
 def pack_images(images: list[NDArray[np.uint8]]) -> int:
-    """Images of one size, (H, W, 3), in a sealed memfd that the caller closes."""
+    """Write images of one size, (H, W, 3), to a sealed memfd that the caller closes."""
     memfd = os.memfd_create("fringed-images", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
         for image in images:
@@ -133,11 +133,11 @@ def pack_images(images: list[NDArray[np.uint8]]) -> int:
 
 
 def unpack_images(memfd: int, show: Show) -> NDArray[np.uint8]:
-    """The images of a message, (count, height, width, 3); closes the memfd. ValueError if they are not right."""
+    """Return the images of a message, (count, height, width, 3), and close the memfd; ValueError for a wrong size."""
     try:
         size = show.count * show.width * show.height * 3
-        right = 1 <= show.count <= SEQUENCE_LIMIT and 1 <= show.width <= SIZE_LIMIT and 1 <= show.height <= SIZE_LIMIT
-        if not right or size > BYTES_LIMIT or os.fstat(memfd).st_size != size:
+        valid = 1 <= show.count <= SEQUENCE_LIMIT and 1 <= show.width <= SIZE_LIMIT and 1 <= show.height <= SIZE_LIMIT
+        if not valid or size > BYTES_LIMIT or os.fstat(memfd).st_size != size:
             raise ValueError(f"{show.count} images of {show.width}x{show.height} are not in the {size} bytes sent")
         mapped = mmap.mmap(memfd, size, prot=mmap.PROT_READ)
     finally:

@@ -1,4 +1,4 @@
-"""Options of the projector drivers, checked; errors name the key as it stands in rig.yaml."""
+"""Options of the projector drivers, checked; errors name the key as in rig.yaml."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class HookOptions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     """Commands for projectors that other programs set up.
 
     Args:
-        open: run before the output is looked at; show: after an image is out, the last one shown again included;
-            close: after the window has gone. Each command is a list: program and arguments, never a shell line.
+        open: run before the output is checked; show: after each image is displayed, also after a restart; close:
+            after the window is closed. Each command is a list: program and arguments, never a shell line.
         timeout_s: longest time for each command.
     """
 
@@ -31,13 +31,13 @@ class HookOptions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class LatencyOptions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What was measured for this projector: light comes so long after the vertical blank; one of the two."""
+    """Measured latency of the projector, from vertical blank to light, in one of two units."""
 
     latency_frames: float | None = None
     latency_ms: float | None = None
 
     def latency_s(self, refresh_hz: float) -> float | None:
-        """From vertical blank to light, seconds; None if it was never measured (or the refresh rate is unknown)."""
+        """Return the latency in seconds; None if it was never measured (or the refresh rate is unknown)."""
         if self.latency_ms is not None:
             return self.latency_ms / 1e3
         return self.latency_frames / refresh_hz if self.latency_frames is not None and refresh_hz > 0 else None
@@ -49,11 +49,11 @@ class ProjectorOptions(LatencyOptions, forbid_unknown_fields=True, frozen=True, 
     Args:
         output: RandR name such as ``HDMI-1``; ``fringed projector list`` prints them.
         display: X display such as ``:0``; empty = the environment's DISPLAY.
-        mode: ``native`` demands that the output runs in the mode that the projector prefers; ``any`` does not.
-        size: (width, height) that the output must have, pixels; None = whatever passes ``mode``.
-        refresh_hz: refresh rate that the output must have, to 0.03 Hz: 59.94 and 60 are told apart.
+        mode: ``native`` requires the preferred mode of the projector; ``any`` does not.
+        size: (width, height) that the output must have, pixels; None = any that passes ``mode``.
+        refresh_hz: refresh rate that the output must have, within 0.03 Hz, which distinguishes 59.94 from 60.
         gamma: ``check`` refuses an output whose gamma table is not linear; ``reset`` makes it linear until close.
-        show_timeout_s: longest wait for an image to be out before ``problem`` says so.
+        show_timeout_s: longest wait for an image to be displayed before ``problem`` reports it.
     """
 
     output: str
@@ -66,7 +66,7 @@ class ProjectorOptions(LatencyOptions, forbid_unknown_fields=True, frozen=True, 
     hook: HookOptions = HookOptions()
 
     def display_name(self) -> str:
-        """The display that was named, or the environment's; DriverError if there is none."""
+        """Return the configured display, or the environment's; DriverError if there is none."""
         return named_display(self.display)
 
 
@@ -75,7 +75,7 @@ class ExternalOptions(LatencyOptions, forbid_unknown_fields=True, frozen=True, k
 
     Args:
         size: (width, height) of its images, pixels; refresh_hz: its frame rate, 0 if unknown.
-        name: what to call it.
+        name: for messages.
     """
 
     size: tuple[int, int]
@@ -88,17 +88,17 @@ Options = TypeVar("Options", ProjectorOptions, ExternalOptions)
 
 
 def read(kind: type[Options], options: Mapping[str, Any]) -> Options:
-    """Check plain values; ValueError("projector.KEY: ...") says what is wrong with which."""
+    """Check plain values; ValueError("projector.KEY: ...") names the invalid option."""
     try:
-        made = msgspec.convert(dict(options), kind)
+        parsed = msgspec.convert(dict(options), kind)
     except msgspec.ValidationError as error:
-        raise ValueError(_named(str(error))) from None
-    _check(made)
-    return made
+        raise ValueError(_with_key(str(error))) from None
+    _check(parsed)
+    return parsed
 
 
 def named_display(display: str) -> str:
-    """This display, or the environment's; DriverError if there is none."""
+    """Return this display, or the environment's; DriverError if there is none."""
     name = display or os.environ.get("DISPLAY", "")
     if not name:
         raise DriverError("no X display: set projector.options.display, or DISPLAY, to one such as :0")
@@ -106,16 +106,16 @@ def named_display(display: str) -> str:
 
 
 _FIELD = re.compile(r"Object (contains unknown|missing required) field `(.*)`")
-_SAID = {"contains unknown": "no such option", "missing required": "is missing"}
+_MESSAGES = {"contains unknown": "no such option", "missing required": "is missing"}
 
 
-def _named(text: str) -> str:
-    """From "Expected `str`, got `int` - at `$.output`" to "projector.output: expected `str`, got `int`"."""
-    what, _, where = text.partition(" - at `$")
-    key = where.rstrip("`")
-    if field := _FIELD.fullmatch(what):
-        key, what = f"{key}.{field[2]}", _SAID[field[1]]
-    return f"projector{key}: {what[:1].lower()}{what[1:]}"
+def _with_key(text: str) -> str:
+    """Rewrite "Expected `str`, got `int` - at `$.output`" to "projector.output: expected `str`, got `int`"."""
+    message, _, path = text.partition(" - at `$")
+    key = path.rstrip("`")
+    if field := _FIELD.fullmatch(message):
+        key, message = f"{key}.{field[2]}", _MESSAGES[field[1]]
+    return f"projector{key}: {message[:1].lower()}{message[1:]}"
 
 
 def _check(options: ProjectorOptions | ExternalOptions) -> None:

@@ -1,4 +1,4 @@
-"""Where the window stands and what surrounds it: output, geometry, stacking, gamma, screen saver; all read back."""
+"""Set-up of output and window: geometry, stacking, gamma, screen saver; all of it verified."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from drivers.projector.randr import Randr, identity
 from drivers.projector.xlib import Connection
 
 GAMMA_BYTES_LIMIT = 3 * 2 * 4096
-"""Larger tables are not handed on, so they are not restored when this process is killed."""
+"""Larger tables are not passed on, so they are not restored when this process is killed."""
 
 
 class OutputSetup:
-    """One output, made fit for images that must come out pixel by pixel.
+    """One output, set up for images that must be displayed pixel by pixel.
 
     Args:
-        connection: to the X server; options: what the output must be.
-        gamma_before: the table to restore at the end, if an earlier process already changed it.
+        connection: to the X server; options: requirements on the output.
+        gamma_before: the table to restore at the end, if an earlier process has changed it.
 
     Raises:
-        DriverError: no such output, or it is off. SettingRefused: it changes pixels, or their values.
+        DriverError: no such output, or it is off. SettingRefused: it changes pixels or their values.
     """
 
     def __init__(self, connection: Connection, options: ProjectorOptions, gamma_before: bytes = b"") -> None:
@@ -48,12 +48,12 @@ class OutputSetup:
         self._destroyed = False
 
     def notes(self) -> tuple[str, ...]:
-        """What may change the image and cannot be told for sure."""
+        """Return what may change the image and cannot be verified."""
         notes = [f"output {self.output.name}: {note}" for note in self.output.notes]
         if self._options.mode == "native" and self.output.preferred_size is None:
-            notes.append(f"output {self.output.name} tells no native resolution, so its mode was not checked")
+            notes.append(f"output {self.output.name} reports no native resolution, so its mode was not checked")
         if self.output.gamma_identity is None:
-            notes.append(f"output {self.output.name} tells no gamma table, so it was not checked")
+            notes.append(f"output {self.output.name} has no gamma table to check")
         if self.gamma_before:
             notes.append(f"output {self.output.name} had a gamma table that was not linear; it is, until close")
         if self._x.lib.XGetSelectionOwner(self._x.handle, self._x.atom("_NET_WM_CM_S0")):
@@ -61,7 +61,7 @@ class OutputSetup:
         return tuple(notes)
 
     def keep_awake(self) -> None:
-        """No screen saver, no DPMS; what the server does not have is left alone."""
+        """Disable screen saver and DPMS, where the server has them."""
         lib, handle = self._x.lib, self._x.handle
         lib.XGetScreenSaver(handle, *(byref(value) for value in self._saver_before))
         timeout, interval, blanking, exposures = (value.value for value in self._saver_before)
@@ -75,7 +75,7 @@ class OutputSetup:
         self._x.sync()
 
     def adopt(self, windows: tuple[int, int]) -> None:
-        """Take a hidden window (outer, inner) out of the window manager's hands and put it on the output."""
+        """Exclude a hidden window (outer, inner) from window management and place it on the output."""
         self._windows = windows
         attributes = xlib.XSetWindowAttributes(override_redirect=1)
         self._x.lib.XChangeWindowAttributes(self._x.handle, windows[0], xlib.CW_OVERRIDE_REDIRECT, byref(attributes))
@@ -83,7 +83,7 @@ class OutputSetup:
         self._place()
 
     def take_events(self) -> bool:
-        """Handle what came on the connection; whether something changed that :meth:`problem` should look at."""
+        """Handle the connection's events; return whether anything changed that :meth:`problem` should check."""
         events = self._x.events()
         for event in events:
             if event.type == xlib.VISIBILITY_NOTIFY:
@@ -93,10 +93,10 @@ class OutputSetup:
         return bool(events)
 
     def problem(self) -> str:
-        """Look at everything again, mend what can be mended; why the image is not right now, empty if it is.
+        """Check everything again and correct what is possible; return why the image is not right, empty if it is.
 
         Raises:
-            DriverError: the window is gone.
+            DriverError: the window was destroyed.
         """
         self.take_events()
         try:
@@ -104,10 +104,10 @@ class OutputSetup:
         except DriverError as error:
             return str(error)
         self.output = output
-        return self._placed() or self._awake()
+        return self._check_placement() or self._check_power()
 
     def restore(self) -> None:
-        """Give gamma table and screen saver back as they were."""
+        """Restore gamma table and screen saver."""
         crtc = self.randr.crtc_of(self._options.output)
         if crtc and self.gamma_before:
             before = np.frombuffer(self.gamma_before, np.uint16).reshape(3, -1)
@@ -131,7 +131,7 @@ class OutputSetup:
         if not refused and output.gamma_identity is False:
             if options.gamma == "check":
                 refused = gamma_problem(output)
-            elif self._windows is not None:  # some other program loaded its table again
+            elif self._windows is not None:  # another program has loaded its table again
                 self._make_linear()
         if refused:
             raise SettingRefused(refused)
@@ -149,21 +149,23 @@ class OutputSetup:
             raise SettingRefused(f"{reason}; it could not be reset")
 
     def _make_linear(self) -> NDArray[np.uint16] | None:
-        """Load the linear gamma table; the one that was there before."""
+        """Load the linear gamma table; return the previous one."""
         crtc = self.randr.crtc_of(self._options.output)
         before = self.randr.gamma(crtc)
         if before is not None:
             self.randr.set_gamma(crtc, identity(before.shape[1]))
         return before
 
-    def _placed(self) -> str:
+    def _check_placement(self) -> str:
         if self._windows is None:
             return ""
-        if self._geometry() != self._wanted():
+        if self._geometry() != self._rectangle():
             self._place()
             now = self._geometry()
-            if now != self._wanted():
-                return f"the window is at {now} (x, y, width, height), expected {self._wanted()}: something moves it"
+            if now != self._rectangle():
+                return (
+                    f"another program moves the window: {now} (x, y, width, height), not {self._rectangle()}"
+                )
         if self._visibility:
             self._x.lib.XRaiseWindow(self._x.handle, self._windows[0])
             self._x.sync()
@@ -174,16 +176,16 @@ class OutputSetup:
 
     def _place(self) -> None:
         assert self._windows is not None  # noqa: S101 - for the type checker
-        x, y, width, height = self._wanted()
+        x, y, width, height = self._rectangle()
         self._x.lib.XMoveResizeWindow(self._x.handle, self._windows[0], x, y, width, height)
         self._x.lib.XRaiseWindow(self._x.handle, self._windows[0])
         self._x.sync()
 
-    def _wanted(self) -> tuple[int, int, int, int]:
+    def _rectangle(self) -> tuple[int, int, int, int]:
         return *self.output.position, *self.output.size
 
     def _geometry(self) -> tuple[int, int, int, int]:
-        """Rectangle of the inner window on the X screen, as the server knows it."""
+        """Return the rectangle of the inner window on the X screen from the server."""
         assert self._windows is not None  # noqa: S101 - for the type checker
         lib, handle, (outer, inner) = self._x.lib, self._x.handle, self._windows
         frame, image = xlib.XWindowAttributes(), xlib.XWindowAttributes()
@@ -198,14 +200,14 @@ class OutputSetup:
             return x.value, y.value, frame.width, frame.height
         return x.value, y.value, image.width, image.height
 
-    def _awake(self) -> str:
+    def _check_power(self) -> str:
         if not self._has_dpms():
             return ""
         level, enabled = self._dpms()
         if enabled and level != xlib.DPMS_ON:
             xlib.xext().DPMSForceLevel(self._x.handle, xlib.DPMS_ON)
             self._x.sync()
-            return f"output {self.output.name} was asleep (DPMS) and is woken"
+            return f"output {self.output.name} was asleep (DPMS) and has been woken"
         return ""
 
     def _has_dpms(self) -> bool:

@@ -1,8 +1,8 @@
-"""The vertical blank as a clock: the X Present extension, by ctypes on libxcb-present, on a connection of its own.
+"""Vertical blanks as a clock: the X Present extension, by ctypes on libxcb-present, on a connection of its own.
 
-``PresentNotifyMSC`` asks for an event at a vertical blank of the output that a window stands on; the event carries its
-number (msc) and its time (ust, microseconds of CLOCK_MONOTONIC). Where OpenGL itself presents through this extension
-(Mesa with DRI3), the completion of a buffer swap is seen as well, with the same two numbers.
+``PresentNotifyMSC`` requests an event at a vertical blank of the output of a window; the event carries its number (msc)
+and its time (ust, microseconds of CLOCK_MONOTONIC). Where OpenGL itself presents through this extension (Mesa with
+DRI3), the completion of a buffer swap is reported as well, with the same two numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PLAUSIBLE_S = 10.0
 
 
 class CompleteNotify(Structure):
-    """xcb_present_complete_notify_event_t, which is packed: ``full_sequence`` stands inside."""
+    """xcb_present_complete_notify_event_t, packed, with ``full_sequence`` inside."""
 
     _pack_ = 1
     _layout_ = "ms"
@@ -86,7 +86,7 @@ def _libraries() -> tuple[ctypes.CDLL, ctypes.CDLL, ctypes.CDLL]:
 
 @dataclass(frozen=True, slots=True)
 class VBlank:
-    """One vertical blank: its number, its time (CLOCK_MONOTONIC, ns; 0 = not known), and what was completed in it."""
+    """One vertical blank: its number, its time (CLOCK_MONOTONIC, ns; 0 = unknown), and what was completed in it."""
 
     msc: int
     t_monotonic_ns: int
@@ -95,7 +95,7 @@ class VBlank:
 
 
 class VBlankClock:
-    """Vertical blanks of the output that a window stands on.
+    """Vertical blanks of the output of a window.
 
     Args:
         display: X display; window: id of the window that OpenGL draws to.
@@ -131,7 +131,7 @@ class VBlankClock:
         return queue
 
     def fileno(self) -> int:
-        """To wait for events with a selector; call :meth:`events` afterwards."""
+        """Descriptor to poll for events; call :meth:`events` afterwards."""
         return int(self._xcb.xcb_get_file_descriptor(self._connection))
 
     @property
@@ -139,8 +139,8 @@ class VBlankClock:
         """Whether the connection is lost."""
         return bool(self._xcb.xcb_connection_has_error(self._connection))
 
-    def ask(self, msc: int | None = None) -> int:
-        """Ask for an event at vertical blank ``msc`` (None = the next one); its serial."""
+    def request(self, msc: int | None = None) -> int:
+        """Request an event at vertical blank ``msc`` (None = the next one); return its serial."""
         self._serial = self._serial + 1 & 0xFFFFFFFF
         target, divisor = (0, 1) if msc is None else (msc, 0)
         self._present.xcb_present_notify_msc(self._connection, self._window, self._serial, target, divisor, 0)
@@ -148,7 +148,7 @@ class VBlankClock:
         return self._serial
 
     def events(self) -> list[VBlank]:
-        """The vertical blanks told since the last time."""
+        """Return the vertical blanks since the last call."""
         while other := self._xcb.xcb_poll_for_event(self._connection):  # this one also reads from the socket
             self._libc.free(other)
         out = []
@@ -161,13 +161,13 @@ class VBlankClock:
         return out
 
     def wait(self, timeout_s: float) -> list[VBlank]:
-        """As :meth:`events`, after waiting for at least one; empty when the time is over."""
+        """Return :meth:`events` after waiting for at least one; empty after the time-out."""
         deadline = time.monotonic() + timeout_s
-        while not (found := self.events()):
+        while not (events := self.events()):
             left = deadline - time.monotonic()
             if left <= 0 or self.broken or not select.select([self.fileno()], [], [], left)[0]:
                 return []
-        return found
+        return events
 
     def close(self) -> None:
         """End the connection."""
@@ -177,6 +177,6 @@ class VBlankClock:
 
 
 def plausible_ns(ust_us: int) -> int:
-    """Nanoseconds of CLOCK_MONOTONIC, or 0 where a server counts something else."""
+    """Return nanoseconds of CLOCK_MONOTONIC, or 0 where a server uses another clock."""
     t_ns = ust_us * 1000
     return t_ns if abs(time.monotonic_ns() - t_ns) < PLAUSIBLE_S * 1e9 else 0

@@ -26,7 +26,7 @@ GAMMA_TOLERANCE = 257
 """One step of 8 bits: servers round their linear table in different ways."""
 EDID_LIMIT_WORDS = 8192
 FULL_RANGE = {"Broadcast RGB": ("Full",), "underscan": ("off",), "scaling mode": ("None", "Full", "Center")}
-"""Properties of outputs that change pixels or their values, and what they should be."""
+"""Properties of outputs that change pixels or their values, and their accepted values."""
 
 
 class ModeInfo(Structure):
@@ -178,38 +178,38 @@ class Randr:
         self._x, self._lib = connection, xrandr()
         base, error, major, minor = c_int(), c_int(), c_int(), c_int()
         if not self._lib.XRRQueryExtension(connection.handle, byref(base), byref(error)):
-            raise DriverError(f"X display {connection.name} has no RandR extension, so outputs cannot be told apart")
+            raise DriverError(f"X display {connection.name} has no RandR extension, so outputs cannot be distinguished")
         self._lib.XRRQueryVersion(connection.handle, byref(major), byref(minor))
         if (major.value, minor.value) < (1, 3):
             raise DriverError(f"X display {connection.name} has RandR {major.value}.{minor.value}, 1.3 is needed")
         self.event_base = base.value
 
     def watch(self) -> None:
-        """Ask for events, numbered from ``event_base``, when outputs or modes change."""
+        """Request events, numbered from ``event_base``, when outputs or modes change."""
         self._lib.XRRSelectInput(self._x.handle, self._x.root, CHANGES)
 
     def outputs(self, *, probe: bool = False) -> list[DetectedOutput]:
-        """Every output. ``probe`` asks the hardware again, which can take half a second and make screens flicker."""
+        """List every output; ``probe`` queries the hardware, which can take half a second and make screens flicker."""
         return self._outputs(probe, None)
 
     def output(self, name: str) -> DetectedOutput | None:
-        """One output as the server knows it at this moment."""
+        """Return the present state of one output from the server."""
         return next(iter(self._outputs(False, name)), None)
 
     def _outputs(self, probe: bool, only: str | None) -> list[DetectedOutput]:
         with self._resources(probe) as resources:
             modes = {m.id: m for m in resources.contents.modes[: resources.contents.nmode]}
             primary = self._lib.XRRGetOutputPrimary(self._x.handle, self._x.root)
-            found = []
+            detected = []
             for output in resources.contents.outputs[: resources.contents.noutput]:
-                made = self._output(resources, modes, output, primary, only)
-                if made is not None:
-                    found.append(made)
+                described = self._output(resources, modes, output, primary, only)
+                if described is not None:
+                    detected.append(described)
         self._x.sync()
-        return found
+        return detected
 
     def crtc_of(self, name: str) -> int:
-        """The CRTC that drives an output, 0 if none does."""
+        """Return the CRTC that drives an output, 0 if none does."""
         with self._resources(False) as resources:
             for output in resources.contents.outputs[: resources.contents.noutput]:
                 info = self._lib.XRRGetOutputInfo(self._x.handle, resources, output)
@@ -221,7 +221,7 @@ class Randr:
         return 0
 
     def gamma(self, crtc: int) -> NDArray[np.uint16] | None:
-        """The gamma table, (3, N) uint16; None if the CRTC has none."""
+        """Return the gamma table, (3, N) uint16; None if the CRTC has none."""
         if self._lib.XRRGetCrtcGammaSize(self._x.handle, crtc) < 2:
             return None
         table = self._lib.XRRGetCrtcGamma(self._x.handle, crtc)
@@ -233,7 +233,7 @@ class Randr:
         return np.array(channels, np.uint16)
 
     def set_gamma(self, crtc: int, gamma: NDArray[np.uint16]) -> None:
-        """Load a gamma table of the size that :meth:`gamma` gave."""
+        """Load a gamma table of the size from :meth:`gamma`."""
         table = self._lib.XRRAllocGamma(gamma.shape[1])
         for name, values in zip(("red", "green", "blue"), gamma, strict=True):
             ctypes.memmove(getattr(table.contents, name), np.ascontiguousarray(values).ctypes.data, values.nbytes)
@@ -243,10 +243,10 @@ class Randr:
 
     @contextmanager
     def _resources(self, probe: bool) -> Iterator[Any]:
-        ask = self._lib.XRRGetScreenResources if probe else self._lib.XRRGetScreenResourcesCurrent
-        resources = ask(self._x.handle, self._x.root)
+        get = self._lib.XRRGetScreenResources if probe else self._lib.XRRGetScreenResourcesCurrent
+        resources = get(self._x.handle, self._x.root)
         if not resources:
-            raise DriverError(f"X display {self._x.name} tells no RandR outputs")
+            raise DriverError(f"X display {self._x.name} reports no RandR outputs")
         try:
             yield resources
         finally:
@@ -310,7 +310,7 @@ class Randr:
         return current != IDENTITY
 
     def _settings(self, output: int) -> tuple[str, ...]:
-        """Sentences on properties of the output that are not as they should be."""
+        """Describe properties of the output that do not have an accepted value."""
         notes = []
         count = c_int()
         atoms = self._lib.XRRListOutputProperties(self._x.handle, output, byref(count))
@@ -322,11 +322,11 @@ class Randr:
                 raw = self._property(output, name)
                 value = self._x.atom_name(int.from_bytes(raw[:8], "little")) if len(raw) >= 8 else ""
                 if value and value not in good:
-                    notes.append(f"its property '{name}' is '{value}'; '{good[0]}' leaves the pixels alone")
+                    notes.append(f"its property '{name}' is '{value}'; '{good[0]}' leaves the pixels unchanged")
         return tuple(notes)
 
     def _property(self, output: int, name: str) -> bytes:
-        """Raw value of a property, empty if it has none; Xlib keeps 32-bit items in longs."""
+        """Return the raw value of a property, empty if it has none; Xlib keeps 32-bit items in longs."""
         kind, layout, count, left, data = XID(), c_int(), c_ulong(), c_ulong(), c_void_p()
         atom = self._x.atom(name)
         self._lib.XRRGetOutputProperty(
@@ -342,18 +342,18 @@ class Randr:
 
 
 def refresh_hz(mode: ModeInfo) -> float:
-    """Images a second, exactly as the timings give them; 0 where they give none."""
+    """Return the refresh rate from the timings; 0 where they give none."""
     lines = mode.v_total * (2 if mode.flags & DOUBLE_SCAN else 1) / (2 if mode.flags & INTERLACE else 1)
     return float(mode.dot_clock / (mode.h_total * lines)) if mode.h_total and lines else 0.0
 
 
 def identity(size: int) -> NDArray[np.uint16]:
-    """The linear gamma table, (3, size)."""
+    """Return the linear gamma table, (3, size)."""
     return np.tile(np.round(np.linspace(0, 65535, size)).astype(np.uint16), (3, 1))
 
 
 def is_identity(gamma: NDArray[np.uint16]) -> bool:
-    """Whether a (3, N) gamma table leaves 8-bit values as they are."""
+    """Return whether a (3, N) gamma table leaves 8-bit values unchanged."""
     error = np.abs(gamma.astype(np.int32) - identity(gamma.shape[1]))
     return bool(error.max() <= GAMMA_TOLERANCE)
 

@@ -1,4 +1,4 @@
-"""The window that shows the images: pyglet for OpenGL, our own hand for where it stands."""
+"""The window that shows the images: OpenGL by pyglet, its placement by Xlib."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pyglet.options.shadow_window = False
 
 
 class _Window(pyglet.window.Window):  # type: ignore[misc]  # pyglet picks the class at run time
-    """No key and no window manager closes it; told when its pixels were lost."""
+    """Closed neither by a key nor by a window manager; records when its pixels were lost."""
 
     exposed = False
 
@@ -26,20 +26,20 @@ class _Window(pyglet.window.Window):  # type: ignore[misc]  # pyglet picks the c
         self.exposed = True
 
     def on_key_press(self, symbol: int, modifiers: int) -> None:
-        """Escape would close a window of pyglet."""
+        """Ignore keys: escape would close a window of pyglet."""
 
     def on_close(self) -> None:
-        """Only :meth:`close` does."""
+        """Ignore the request: only :meth:`close` closes it."""
 
 
 class PatternWindow:
-    """A hidden, borderless window of an output's size; nothing is on the screen before :meth:`map`.
+    """A hidden, borderless window of an output's size, invisible before :meth:`map`.
 
     Images are copied from textures by glBlitFramebuffer with GL_NEAREST: no shader, no blending, no dithering, no
-    sRGB conversion, no samples touches them.
+    sRGB conversion and no multisampling changes them.
 
     Args:
-        display: X display; output: where it is to stand.
+        display: X display; output: to place it on.
 
     Raises:
         DriverError: no OpenGL 3.3. SettingRefused: no 8-bit red, green and blue.
@@ -83,29 +83,29 @@ class PatternWindow:
 
     @property
     def ids(self) -> tuple[int, int]:
-        """X ids of the outer window and of the one inside that OpenGL draws to."""
+        """X ids of the outer window and of the inner one that OpenGL draws to."""
         return int(self._window._window), int(self._window._view)
 
     def fileno(self) -> int:
-        """To wait for events of the window with a selector."""
+        """Descriptor to poll for events of the window."""
         return int(self._window.display.fileno())
 
     def take_events(self) -> bool:
-        """Handle what has come; whether the pixels were lost and must be drawn again."""
+        """Handle events; return whether the pixels were lost and must be drawn again."""
         self._window.dispatch_events()
         lost, self._window.exposed = self._window.exposed, False
         return lost
 
     def map(self) -> None:
-        """Put it on the screen."""
+        """Show the window."""
         self._window.set_visible(True)
         self._sync()
 
     def load(self, images: NDArray[np.uint8]) -> str:
-        """Replace the images in the graphics card by these, (N, H, W, 3), and draw the first one unseen.
+        """Replace the images in the graphics card by these, (N, H, W, 3), and draw the first one off screen.
 
         Returns:
-            What is wrong with the pixels that OpenGL drew, empty when they are the image's, byte for byte.
+            The problem of the pixels that OpenGL drew, empty when they equal the image, byte for byte.
 
         Raises:
             SettingRefused: images of another size than the window.
@@ -118,10 +118,10 @@ class PatternWindow:
         self.draw(0)
         drawn = self._read_back()
         wrong = int(np.count_nonzero((drawn != images[0]).any(axis=2)))
-        return f"OpenGL drew {wrong} of {self.width * self.height} pixels with other values than asked" if wrong else ""
+        return f"OpenGL drew {wrong} of {self.width * self.height} pixels with wrong values" if wrong else ""
 
     def draw(self, number: int | None) -> None:
-        """Draw a loaded image (None = black) where :meth:`flip` takes it from."""
+        """Draw a loaded image (None = black) into the back buffer."""
         self._window.switch_to()
         gl.glBindFramebuffer(gl.GL_DRAW_FRAMEBUFFER, 0)
         if number is None:
@@ -134,13 +134,13 @@ class PatternWindow:
         gl.glBlitFramebuffer(*rectangles, gl.GL_COLOR_BUFFER_BIT, gl.GL_NEAREST)
 
     def flip(self) -> None:
-        """Hand the drawn image to the screen and wait until the graphics card has done so."""
+        """Swap the buffers and wait until the graphics card has done so."""
         self._window.flip()
         gl.glFinish()
         self._sync()
 
     def close(self) -> None:
-        """Take it off the screen."""
+        """Close the window."""
         self._window.switch_to()
         self._drop()
         self._window.close()
@@ -170,7 +170,7 @@ class PatternWindow:
         return texture, framebuffer
 
     def _read_back(self) -> NDArray[np.uint8]:
-        """What was drawn and not yet flipped, (H, W, 3)."""
+        """Return the back buffer, (H, W, 3)."""
         drawn = np.empty((self.height, self.width, 3), np.uint8)
         gl.glBindFramebuffer(gl.GL_READ_FRAMEBUFFER, 0)
         gl.glReadBuffer(gl.GL_BACK)

@@ -1,7 +1,7 @@
-"""The little of libX11 and libXext that the projector needs, by ctypes. One connection; errors become exceptions.
+"""The parts of libX11 and libXext that the projector needs, by ctypes; X errors become exceptions.
 
-Xlib's own habit is to end the process on the first error, therefore this module is only ever used in a process of its
-own (:mod:`drivers.projector.child`, :mod:`drivers.projector.listing`).
+Xlib ends the process on the first error by default, therefore this module is only used in a process of its own
+(:mod:`drivers.projector.child`, :mod:`drivers.projector.listing`).
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ class XError(DriverError):
 
 
 def load(name: str, signatures: dict[str, tuple[Any, tuple[Any, ...]]]) -> ctypes.CDLL:
-    """A shared library with its functions declared; DriverError names the library that is missing."""
+    """Load a shared library and declare its functions; DriverError names a missing library."""
     try:
         library = ctypes.CDLL(name)
     except OSError as error:
@@ -181,18 +181,18 @@ def xext() -> ctypes.CDLL:
     return load("libXext.so.6", DPMS_SIGNATURES)
 
 
-_refused: dict[int, list[str]] = {}
-"""What was refused since the last sync, by the address of the connection's Display."""
-REFUSED_LIMIT = 100
+_errors: dict[int, list[str]] = {}
+"""Errors since the last sync, by the address of the connection's Display."""
+ERRORS_LIMIT = 100
 
 
 def _on_error(display: Any, event: Any) -> int:
     text = ctypes.create_string_buffer(128)
     x11().XGetErrorText(display, event.contents.error_code, text, len(text))
-    words = text.value.decode(errors="replace")
-    of_display = _refused.setdefault(int(display or 0), [])
-    if len(of_display) < REFUSED_LIMIT:
-        of_display.append(f"{words} (request {event.contents.request_code}.{event.contents.minor_code})")
+    message = text.value.decode(errors="replace")
+    of_display = _errors.setdefault(int(display or 0), [])
+    if len(of_display) < ERRORS_LIMIT:
+        of_display.append(f"{message} (request {event.contents.request_code}.{event.contents.minor_code})")
     return 0
 
 
@@ -204,7 +204,7 @@ def catch_errors(on_lost: Callable[[], None] | None = None) -> None:
     """Collect X errors of all connections of this process from now on.
 
     Args:
-        on_lost: called when a connection breaks; the process ends when it returns, Xlib knows no other way.
+        on_lost: called when a connection breaks; Xlib ends the process when it returns.
     """
     _handlers.append(ERROR_HANDLER(_on_error))
     x11().XSetErrorHandler(_handlers[-1])
@@ -217,7 +217,7 @@ class Connection:
     """A connection to an X server. Call :func:`catch_errors` first.
 
     Raises:
-        DriverError: no such server, or it lets us not in.
+        DriverError: no such server, or it refuses the connection.
     """
 
     def __init__(self, display: str) -> None:
@@ -232,15 +232,15 @@ class Connection:
         self.root: int = self.lib.XDefaultRootWindow(self.handle)
 
     def fileno(self) -> int:
-        """To wait for events with a selector."""
+        """Descriptor to poll for events."""
         return int(self.lib.XConnectionNumber(self.handle))
 
     def sync(self) -> None:
-        """Wait until the server has done everything; XError if it refused something since the last time."""
+        """Wait until the server has executed all requests; XError if it refused one since the last call."""
         self.lib.XSync(self.handle, 0)
-        refused = _refused.pop(self.handle.value or 0, None)
-        if refused:
-            raise XError(f"X display {self.name}: {'; '.join(refused[:3])}")
+        errors = _errors.pop(self.handle.value or 0, None)
+        if errors:
+            raise XError(f"X display {self.name}: {'; '.join(errors[:3])}")
 
     def close(self) -> None:
         """End the connection."""
@@ -249,11 +249,11 @@ class Connection:
             self.handle = c_void_p(None)
 
     def atom(self, name: str) -> int:
-        """The atom of that name."""
+        """Return the atom of that name."""
         return int(self.lib.XInternAtom(self.handle, name.encode(), 0))
 
     def atom_name(self, atom: int) -> str:
-        """The name of an atom."""
+        """Return the name of an atom."""
         pointer = self.lib.XGetAtomName(self.handle, atom)
         if not pointer:
             return ""
@@ -262,12 +262,12 @@ class Connection:
         return name.decode(errors="replace")
 
     def has_extension(self, name: str) -> bool:
-        """Whether the server has it."""
+        """Return whether the server has an extension."""
         numbers = c_int(), c_int(), c_int()
         return bool(self.lib.XQueryExtension(self.handle, name.encode(), *(byref(n) for n in numbers)))
 
     def events(self) -> list[XEvent]:
-        """What has come since the last time."""
+        """Return the events since the last call."""
         out = []
         while self.lib.XPending(self.handle):
             event = XEvent()

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.projector import messages
 from drivers.projector.detected_output import DetectedOutput
-from drivers.projector.messages import Beat, Opened, Setup, Show, Shown
+from drivers.projector.messages import Heartbeat, Opened, Setup, Show, Shown
 from drivers.projector.options import ProjectorOptions
 
 Pair = tuple[socket.socket, socket.socket]
@@ -30,7 +30,7 @@ def test_what_is_sent_comes_back(pair: Pair) -> None:
     for message in (
         Opened(output=output, notes=("a", "b"), gamma_before=bytes(6 * 256)),
         Shown(serial=7, t_monotonic_ns=1 << 60, msc=1 << 40, source="vblank"),
-        Beat(problem="covered", late=3),
+        Heartbeat(problem="covered", late=3),
     ):
         messages.send(pair[0], message)
         assert messages.receive_from_window(pair[1]) == message
@@ -70,10 +70,10 @@ def test_the_end_is_told_and_nonsense_is_an_error(pair: Pair) -> None:
 
 def test_a_message_that_is_too_long_is_not_sent(pair: Pair) -> None:
     with pytest.raises(ValueError, match="at most"):
-        messages.send(pair[0], Beat(problem="x" * messages.PACKET_LIMIT))
+        messages.send(pair[0], Heartbeat(problem="x" * messages.PACKET_LIMIT))
 
 
 def test_a_reader_that_does_not_read_blocks_nobody(pair: Pair) -> None:
     with pytest.raises(BlockingIOError):
         for _ in range(10_000):
-            messages.send(pair[0], Beat(), wait=False)
+            messages.send(pair[0], Heartbeat(), wait=False)
