@@ -31,7 +31,7 @@ class Frame:
     Args:
         side: which camera.
         trigger: number of the trigger pulse that started the exposure, 0 .. 2**32 - 1.
-        t_exposure_ns: start of exposure as well as the driver knows it.
+        t_exposure_ns: start of exposure, as exactly as the driver can give it.
         t_host_ns: when the host had the whole frame.
         encoding: ``rgb8``, ``bayer_rggb8`` (and the other three), ``mono8``, ``mono16``.
         image: (H, W) or (H, W, 3), uint8 or uint16, read-only; never overwritten afterwards.

@@ -22,7 +22,7 @@ class ProgramResult:
 
     @property
     def problem(self) -> str:
-        """Why it failed, in a few words."""
+        """Why it failed, in one phrase."""
         if self.status is None:
             return "it does not end"
         if self.status < 0:

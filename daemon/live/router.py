@@ -54,7 +54,7 @@ class Router:
             try:
                 if not sink.offer(item):
                     self._drops.add(f"{_KINDS[type(item)]}_{name}_busy")
-            except Exception:  # a sink's bug must not look like a camera's or the pipeline's
+            except Exception:  # a sink's bug must not appear as a camera's or the pipeline's
                 self._drops.add(f"{_KINDS[type(item)]}_{name}_failed")
                 log.exception("%s cannot take an item", name)
 

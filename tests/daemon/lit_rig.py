@@ -17,7 +17,7 @@ from tests.daemon.rigs import SMALL, open_rig_size
 
 
 class FreeProjector:
-    """Shows every image at once, and says so."""
+    """Shows every image at once; its latency is known."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size, self.level, self.trouble = size, 0, ""

@@ -32,7 +32,7 @@ control: {{endpoint: 'ipc://{tmp}/c'}}
 
 
 class Listening(Collector):
-    """A sink that takes changes over, and knows what it was when each cloud came."""
+    """A sink that takes changes over and keeps its state at each cloud."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -107,7 +107,7 @@ class LockedPairer:
                 self._events.append(event.frame if isinstance(event, Lost) else event)
 
     def _deliver(self) -> None:
-        # After the release another look: a thread that found the lock taken may have queued events meanwhile.
+        # Checked again after the release: a thread that found the lock taken may have queued events meanwhile.
         while self._events and self._delivering.acquire(blocking=False):
             try:
                 self._drain()

@@ -49,7 +49,7 @@ class FrameOutcome(StrEnum):
 RECORDED_UNPAIRED = frozenset(
     {FrameOutcome.PARTNER_MISSING, FrameOutcome.LATE, FrameOutcome.ROOM_FULL, FrameOutcome.BEFORE_SYNC}
 )
-"""Fates of frames whose partner is missing; only a recording wants them."""
+"""Outcomes of frames whose partner is missing; only the recorder takes these frames."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ _FULL_S, _OVERDUE_S = 60.0, 600.0
 
 
 class GcPauses:
-    """How often and how long collections stopped all threads, whoever requested them."""
+    """How often and how long collections stopped all threads, those of other callers included."""
 
     def __init__(self, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._now_ns = now_ns

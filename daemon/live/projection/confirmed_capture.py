@@ -1,6 +1,6 @@
-"""Capture of images one after the other, each with pairs of raw images that surely show it.
+"""Capture of images one after the other, each with pairs of raw images that are confirmed to show it.
 
-A pair counts for an image only if both of its exposures began after the image's light was surely out: the flip, the
+A pair counts for an image only if both of its exposures began after the image's light was out: after the flip, the
 projector's latency and a margin. The times of the exposures decide, never a count of frames, so that lost, late and
 queued frames can delay an image but never exchange two.
 """
@@ -39,7 +39,7 @@ class Pairs(Protocol):
 
 
 def settling_ns(info: ProjectorInfo, *, tolerance_ns: int) -> int:
-    """How long after its flip an image is surely on the scene.
+    """Upper bound of the time from an image's flip to its light on the scene.
 
     Args:
         info: of the projector; tolerance_ns: how well the exposures' starts are known.

@@ -1,7 +1,7 @@
 """The mode of a running daemon: which images are on the scene, and which set a pair of them belongs to.
 
-In mode ``single`` pairs pass by. In a multi-frame mode the controller takes every pair: of a driven projector the pairs
-that have surely seen an image, of one with stored images all of them, and delivers complete sets.
+In mode ``single`` pairs pass by. In a multi-frame mode the controller takes every pair and delivers complete sets: of a
+driven projector from pairs that are confirmed to show an image, of one with stored images from all pairs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Shows the images of a sequence over and over, each until a pair has surely seen it.
+"""Shows the images of a sequence over and over, each until a pair is confirmed to show it.
 
     idle --play--> playing --hold--> idle --play--> ...
                       |  an image fails: the set is dropped, the next attempt begins with the first image

@@ -1,4 +1,4 @@
-"""Counting, rates, percentiles and the freshest-wins queue."""
+"""Counting, rates, percentiles and the latest-wins queue."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_counts_from_many_threads_add_up() -> None:
 
 
 @pytest.mark.parametrize("seconds", [1, 2, 10])
-def test_a_steady_rate_is_told_from_the_first_second_on(seconds: int) -> None:
+def test_a_steady_rate_is_reported_from_the_first_second_on(seconds: int) -> None:
     rate = Rate(3.0)
     for i in range(20 * seconds + 1):
         rate.note(i * 50_000_000)
@@ -46,7 +46,7 @@ def test_percentiles_are_those_of_the_last_values() -> None:
     assert values.summary() == expected | {"last": 9999 * 7919 % 10_000}
 
 
-def test_the_freshest_wins_and_what_is_pushed_out_is_handed_back() -> None:
+def test_the_latest_wins_and_what_is_pushed_out_is_returned() -> None:
     box: LatestWinsQueue[int] = LatestWinsQueue(2)
     assert [box.put(i) for i in range(4)] == [None, None, 0, 1]
     assert box.get(0) == 2 and len(box) == 1

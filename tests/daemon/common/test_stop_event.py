@@ -1,4 +1,4 @@
-"""The wish to stop reaches everybody who waits, also from a signal handler in the midst of anything."""
+"""A request to stop reaches all waiting threads, also from a signal handler at any moment."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import threading
 from daemon.common.stop_event import StopEvent
 
 
-def test_all_who_wait_are_woken_and_later_ones_do_not_wait() -> None:
+def test_waiting_threads_are_woken_and_later_ones_do_not_wait() -> None:
     stop, woken = StopEvent(), []
     threads = [threading.Thread(target=lambda: woken.append(stop.wait(30.0))) for _ in range(4)]
     for thread in threads:
@@ -54,7 +54,7 @@ def test_a_handler_that_interrupts_the_waiting_thread_never_hangs_it() -> None:
     assert done.stdout == "all came\n"
 
 
-def test_its_descriptor_is_given_back() -> None:
+def test_its_descriptor_is_closed() -> None:
     stop = StopEvent()
     fd = stop._fd
     os.fstat(fd)

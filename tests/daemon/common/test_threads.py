@@ -39,7 +39,7 @@ def test_every_thread_gets_its_name_and_those_it_makes_inherit_it() -> None:
     threads.name(thread.native_id, "nobody")
 
 
-def test_a_library_s_thread_without_a_name_is_called_by_its_kind() -> None:
+def test_an_unnamed_thread_of_a_library_is_named_after_its_class() -> None:
     class Sweeper(threading.Thread):
         go = threading.Event()
 
@@ -55,7 +55,7 @@ def test_a_library_s_thread_without_a_name_is_called_by_its_kind() -> None:
     thread.join()
 
 
-def test_a_pinned_thread_hands_its_processors_down() -> None:
+def test_a_pinned_thread_passes_its_processors_on() -> None:
     cpu = min(threads.available())
     seen: list[frozenset[int]] = []
 

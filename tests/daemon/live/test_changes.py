@@ -34,7 +34,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 @pytest.fixture
 def running(daemon: Running) -> Running:
-    """As its file says."""
+    """The rig of its file."""
     daemon.sink.refusal = ""
     daemon.write_calibration(daemon.devices.calibration)
     daemon.write()
@@ -99,7 +99,7 @@ def test_a_live_setting_is_taken_over_and_read_back(
         ("", 1),
     ],
 )
-def test_what_cannot_be_set_is_refused_with_its_path_and_changes_nothing(
+def test_what_cannot_be_set_is_rejected_with_its_path_and_changes_nothing(
     running: Running, path: str, value: object
 ) -> None:
     error = refused(running, "set", path=path, value=value)
@@ -123,7 +123,7 @@ def test_a_good_file_changes_everything_at_once(running: Running) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("more", "message"),
     [
         ("device: {name: other}\npairing: {max_wait_ms: 250}\n", "device.name needs a restart"),
         ("pairing: {max_wait_ms: -1}\n", r"rig\.yaml:6:"),
@@ -132,10 +132,10 @@ def test_a_good_file_changes_everything_at_once(running: Running) -> None:
         ("\x00", "YAML"),
     ],
 )
-def test_a_file_that_cannot_be_taken_over_changes_nothing(running: Running, more: str, told: str) -> None:
+def test_a_file_that_cannot_be_taken_over_changes_nothing(running: Running, more: str, message: str) -> None:
     running.write(more)
     error = refused(running, "reload")
-    assert error.code == FAILED and re.search(told, error.message)
+    assert error.code == FAILED and re.search(message, error.message)
 
 
 def test_what_needs_a_restart_is_listed_by_path(running: Running) -> None:
@@ -200,7 +200,7 @@ def test_another_projected_image_needs_a_restart(running: Running) -> None:
         )
 
 
-def test_a_sink_that_refuses_keeps_everything_as_it_was(running: Running) -> None:
+def test_a_sink_that_rejects_a_change_keeps_everything_as_it_was(running: Running) -> None:
     running.sink.refusal = "the disk is elsewhere"
     assert "elsewhere" in refused(running, "set", path="pairing.max_wait_ms", value=20).message
 
@@ -238,13 +238,13 @@ def test_every_setting_is_listed_with_its_meaning(running: Running) -> None:
     assert [row["path"] for row in running.call("get", path="device", detail=True)["settings"]] == ["device.name"]
 
 
-def test_what_is_called_live_is_there(running: Running) -> None:
+def test_every_live_setting_exists(running: Running) -> None:
     paths = [row["path"] for row in running.call("get")["settings"]]
     for entry in LIVE:
         assert any(f"{path}.".startswith(entry.removesuffix("*").rstrip(".") + ".") for path in paths), entry
 
 
-def test_a_section_is_told_as_it_stands_in_the_file(running: Running) -> None:
+def test_a_section_is_reported_as_in_the_file(running: Running) -> None:
     assert running.call("get", path="pairing") == {"tolerance_us": 2000.0, "max_wait_ms": 500.0, "resync_after": 3}
     assert running.call("get", path="selfcheck")["limits"]["column_px"] == 0.04
 
@@ -287,7 +287,7 @@ def test_a_change_that_waits_when_the_daemon_stops_fails_at_once(tmp_path: Path)
     waiting.start()
     wait_until(lambda: len(running.service.worker._changes) == 1)
     running.service.request_stop()
-    waiting.join(60)  # one that nobody takes over has other words after 20 s
+    waiting.join(60)  # a change that is never applied fails with another message after 20 s
     assert failures == ["the daemon is stopping; nothing was changed"]
     go.set()
     holding.join(30)

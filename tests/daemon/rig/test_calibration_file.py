@@ -82,12 +82,12 @@ def edited(*path: str, value: Any) -> bytes:
         (b"[" * 5000, r"c\.yaml"),
     ],
 )
-def test_bad_files_are_told_with_their_place(data: bytes, message: str) -> None:
+def test_invalid_files_are_reported_with_their_line(data: bytes, message: str) -> None:
     with pytest.raises(CalibrationError, match=message):
         parse_calibration(data, "rig7/c.yaml")
 
 
-def test_small_texts_that_unfold_to_huge_ones_are_refused() -> None:
+def test_small_texts_that_expand_to_huge_ones_are_rejected() -> None:
     lines = ["fringed_calibration: 1", "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 12)]
     lines += ["cameras: {left: {size: *a11}, right: {}}", "projector: {}"]
@@ -95,7 +95,7 @@ def test_small_texts_that_unfold_to_huge_ones_are_refused() -> None:
         parse_calibration("\n".join(lines).encode(), "c.yaml")
 
 
-def test_a_value_that_holds_itself_is_refused() -> None:
+def test_a_value_that_contains_itself_is_rejected() -> None:
     with pytest.raises(CalibrationError, match="aliases"):
         parse_calibration(b"fringed_calibration: 1\ncameras: &a [*a]\n", "c.yaml")
 
@@ -109,7 +109,7 @@ def test_huge_and_missing_files_are_named(tmp_path: Path) -> None:
         read_calibration(path)
 
 
-def test_patterns_and_volumes_are_told_with_their_place(tmp_path: Path) -> None:
+def test_invalid_patterns_and_volumes_are_reported_with_their_line(tmp_path: Path) -> None:
     with pytest.raises(PatternError, match=r"p\.json:1:10: "):
         parse_pattern(b'{"kind": }', "p.json")
     with pytest.raises(PatternError, match=r"p\.json: pattern\.kind"):

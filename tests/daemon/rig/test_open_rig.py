@@ -56,7 +56,7 @@ def test_each_device_gets_its_own_options(rig_file: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cameras", "projector", "place", "told"),
+    ("cameras", "projector", "place", "message"),
     [
         ("{driver: test, right: {gain: 11}}", "{driver: test, options: {output: A}}", ":1:33", "gain is 11, limit 10"),
         ("{driver: test}", "{driver: test, options: {}}", ":2:", "projector.options.output is missing"),
@@ -65,16 +65,18 @@ def test_each_device_gets_its_own_options(rig_file: Path) -> None:
         ("{driver: tset}", "{driver: test}", ":1:", "there is no driver 'tset'; did you mean 'test'?"),
     ],
 )
-def test_mistakes_are_told_at_their_place(rig_file: Path, cameras: str, projector: str, place: str, told: str) -> None:
+def test_errors_are_reported_with_their_line(
+    rig_file: Path, cameras: str, projector: str, place: str, message: str
+) -> None:
     rewrite(rig_file, cameras, projector)
     with pytest.raises(ConfigError) as error:
         run_rig(rig_file)
     (problem,) = error.value.problems
-    assert told in problem
+    assert message in problem
     assert problem.startswith(f"{rig_file}{place}")
 
 
-def test_check_lets_the_drivers_look_at_their_options_without_touching_a_device(rig_file: Path) -> None:
+def test_check_validates_the_drivers_options_without_touching_a_device(rig_file: Path) -> None:
     rewrite(rig_file, "{driver: test, right: {gain: 11}}", "{driver: test, options: {output: A}}")
     good, lines = check_file(rig_file)
     assert not good
@@ -83,7 +85,7 @@ def test_check_lets_the_drivers_look_at_their_options_without_touching_a_device(
     assert check_file(rig_file)[0]
 
 
-def test_check_finds_a_mistake_in_the_simulations_options(tmp_path: Path) -> None:
+def test_check_reports_an_error_in_the_simulations_options(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text("cameras: {driver: sim}\nsimulation: {scene: plnae}\n")
     good, (line,) = check_file(path)

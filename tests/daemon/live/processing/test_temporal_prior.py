@@ -1,4 +1,4 @@
-"""Which pairs may begin with the surface of the one before."""
+"""Which pairs may use the orders of the last pair as a prior."""
 
 from __future__ import annotations
 
@@ -22,9 +22,7 @@ PERIOD_NS = 33_000_000
         (10, 1, 1, False),
     ],
 )
-def test_a_pair_follows_the_last_one_if_little_time_has_passed(
-    seq: int, periods: int, stride: int, usable: bool
-) -> None:
+def test_the_prior_is_usable_if_little_time_has_passed(seq: int, periods: int, stride: int, usable: bool) -> None:
     prior = TemporalPrior()
     prior.measured(10, 0, 1)
     assert prior.usable(seq, periods * PERIOD_NS, stride) is usable
@@ -42,7 +40,7 @@ def test_numbers_wrap() -> None:
     assert prior.usable(0, PERIOD_NS, 1)
 
 
-def test_nothing_follows_at_the_start_and_after_a_change() -> None:
+def test_there_is_no_prior_at_the_start_and_after_a_change() -> None:
     prior = TemporalPrior()
     assert not prior.usable(0, 0, 1)
     prior.measured(0, 0, 1)
