@@ -163,9 +163,7 @@ class OutputSetup:
             self._place()
             now = self._geometry()
             if now != self._rectangle():
-                return (
-                    f"another program moves the window: {now} (x, y, width, height), not {self._rectangle()}"
-                )
+                return f"another program moves the window: {now} (x, y, width, height), not {self._rectangle()}"
         if self._visibility:
             self._x.lib.XRaiseWindow(self._x.handle, self._windows[0])
             self._x.sync()

@@ -77,7 +77,7 @@ def test_unknown_keys_are_passed_over() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"v": 2}, "version 2"),
         ({"v": "1"}, "header"),
@@ -93,8 +93,8 @@ def test_unknown_keys_are_passed_over() -> None:
         ({"session": "x" * 4096}, "limit 4096"),
     ],
 )
-def test_a_header_that_does_not_fit_is_refused_by_name(changes: dict[str, object], told: str) -> None:
-    with pytest.raises(WireError, match=told):
+def test_a_header_that_does_not_fit_is_refused_by_name(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(WireError, match=message):
         wire.decode(with_header(**changes))
 
 

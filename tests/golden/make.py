@@ -1,4 +1,4 @@
-"""Makes the golden take and its figures anew: ``make golden``. Only when what it holds must change."""
+"""Create the golden take and its figures: ``make golden``. Only when their contents must change."""
 
 from __future__ import annotations
 

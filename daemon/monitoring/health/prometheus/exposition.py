@@ -13,7 +13,7 @@ _WINDOW = "60s"
 
 
 def exposition(report: Mapping[str, Any]) -> str:
-    """All metrics; what is not known is left out, as Prometheus wants it."""
+    """All metrics; unknown values are left out, as Prometheus expects."""
     return "".join(f"{line}\n" for line in _lines(report))
 
 
@@ -45,10 +45,10 @@ def _totals(totals: Mapping[str, Any]) -> Iterator[str]:
     drops = (({"reason": reason}, float(count)) for reason, count in totals["drops"].items())
     yield from _family("drops_total", "counter", "what was dropped, by reason", drops)
     fates = (
-        ({"camera": side, "fate": fate}, float(count))
+        ({"camera": side, "fate": outcome}, float(count))
         for side, counts in totals["fates"].items()
-        for fate, count in counts.items()
-        if fate != "waiting"
+        for outcome, count in counts.items()
+        if outcome != "waiting"
     )
     yield from _family("frames_total", "counter", "what became of the frames", fates)
 
