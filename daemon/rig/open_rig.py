@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from daemon.common.errors import ConfigError
 from daemon.config import driver_table
 from daemon.config.rig_config import RigConfig
 from daemon.config.yaml_source import read_yaml
-from daemon.rig.calibration_file import CalibrationFile, load_mapping, parse_calibration, read_calibration
+from daemon.rig.calibration_file import CalibrationFile, parse_calibration, read_calibration
 from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Camera, Devices, MovesBoard, Projector, Side
 from pipeline.pattern.color_fringe import ColorFringe
@@ -57,6 +57,7 @@ class Rig:
         calibration_data: the bytes of the calibration file; identity: their digest, ``sha256:...``.
         release: closes all devices.
         board: of a simulated rig, None where a person moves it.
+        serials: of the calibrated cameras, where the calibration file has them.
     """
 
     cameras: Mapping[Side, Camera]
@@ -68,13 +69,7 @@ class Rig:
     identity: str
     release: Callable[[], None]
     board: MovesBoard | None = None
-
-    @property
-    def serials(self) -> dict[Side, str]:
-        """Serial numbers of the calibrated cameras, those that the calibration file names."""
-        cameras = load_mapping(self.calibration_data, "calibration").get("cameras") or {}
-        found = {side: (cameras.get(side) or {}).get("serial") for side in SIDES}
-        return {side: str(serial) for side, serial in found.items() if serial}
+    serials: Mapping[Side, str] = field(default_factory=dict)
 
 
 def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Rig:
@@ -98,10 +93,17 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
             identity=calibration.identity,
             release=devices.close,
             board=devices.board,
+            serials=serials_of(calibration),
         )
     except BaseException:
         devices.close()
         raise
+
+
+def serials_of(file: CalibrationFile) -> dict[Side, str]:
+    """Serial numbers of the calibrated cameras, those that the calibration file names."""
+    found = {side: file.mapping["cameras"][side].get("serial") for side in SIDES}
+    return {side: str(serial) for side, serial in found.items() if serial}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
