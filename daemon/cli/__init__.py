@@ -1,1 +1,1 @@
-"""One module a command, each with a function ``main`` (or a typer app ``app``), imported when it is named."""
+"""The commands: one module each, imported when the command is used."""

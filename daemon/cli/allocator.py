@@ -1,13 +1,13 @@
-"""Settings of the C libraries below, made before they begin, for a program that measures without end.
+"""Settings of the C libraries for continuous measuring, applied before the libraries are loaded.
 
-* OpenMP, which runs numba's threads, lets idle threads spin for milliseconds; on a PC with few cores that is the time
-  of recorder and stream. Asleep at once they are woken forty times a pair, which takes a sixth of a pair's time where
-  that is slow (in a virtual machine). Awake for some hundredths of a millisecond more, most of them need no waking, and
-  beside other work they cost a tenth more processor time.
-* So does OpenBLAS with its threads, for matrices here that one of them multiplies in microseconds: beside other work on
-  the same processors a calibration then takes twenty times as long.
-* The allocator gives every large array back to the kernel, which clears each page again when the next one is made:
-  nearly four thousand page faults a pair. Kept, the same pages serve the next pair.
+* OpenMP, which runs numba's threads, lets idle threads spin for milliseconds; on a PC with few cores recorder and
+  stream need that time. Threads that sleep at once are woken forty times per pair, which takes a sixth of a pair's time
+  where waking is slow (in a virtual machine). A spin of some hundredths of a millisecond avoids most of the waking and
+  costs a tenth more processor time beside other work.
+* OpenBLAS threads spin too, for matrices that one thread multiplies in microseconds: beside other work on the same
+  processors a calibration then takes twenty times as long.
+* The allocator returns every large array to the kernel, which clears each page again for the next one: nearly four
+  thousand page faults per pair. Kept pages are reused by the next pair.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _LARGEST_MMAP_THRESHOLD = 32 << 20  # glibc's limit; all arrays of a pair are sm
 _KEPT = 1 << 30
 
 SPIN_COUNT = "10000"
-"""Turns of the loop in which a thread without work waits before it sleeps; what libgomp, numba's OpenMP here, reads."""
+"""Iterations for which an idle thread spins before it sleeps, read by libgomp, numba's OpenMP."""
 
 
 def prepare() -> None:
-    """Set everything; what the user's environment says comes first. Call it before numpy and numba are loaded."""
+    """Apply all settings that the user's environment does not set. Call it before the import of numpy and numba."""
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
         os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
@@ -38,8 +38,8 @@ def _keep_memory() -> None:
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError):
-        return  # another C library: it has its own ways
+        return  # another C library without mallopt
     mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP_THRESHOLD)
     mallopt(_TRIM_THRESHOLD, _KEPT)
-    # One heap for all threads: what the stream lets go of serves the pipeline, and none is kept twice.
+    # One heap for all threads: the pipeline reuses the memory that the stream has released.
     mallopt(_ARENA_MAX, 1)

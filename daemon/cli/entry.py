@@ -1,16 +1,15 @@
-"""The console command ``fringed``: quick to start, and plain-spoken where the rig's packages are missing."""
+"""The console command ``fringed``: starts quickly, and reports missing packages in one sentence."""
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 
 from daemon.cli.allocator import prepare
 
 _INSTALL = (
-    "fringed: the commands need the packages of a rig PC; install them with: pip install 'fringed[rig]' "
-    "({name} is missing). Reading a stream from Python needs none of them: from fringed import subscribe"
+    "fringed: the commands require the packages of a rig PC ({name} is missing); install them with: pip install "
+    "'fringed[rig]'. Reading a stream from Python requires none of them: from fringed import subscribe"
 )
 _OWN = ("daemon", "sim", "drivers", "pipeline", "fringed")
 
@@ -26,12 +25,13 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments or bool(os.environ.get("FRINGED_DEBUG"))
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
-        status: int = importlib.import_module("daemon.cli.command_table").invoke(arguments)
-        return status
+        from daemon.cli import command_table
+
+        return command_table.invoke(arguments)
     except ModuleNotFoundError as error:
         if debug or (error.name or "").partition(".")[0] in _OWN:
             raise
-        print(_INSTALL.format(name=error.name), file=sys.stderr)  # noqa: T201 - nothing else may be there to say it
+        print(_INSTALL.format(name=error.name), file=sys.stderr)  # noqa: T201 - the only output without further packages
         return 1
     except Exception as error:
         if debug or not _expected(error):
@@ -41,7 +41,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _expected(error: Exception) -> bool:
-    """Our own errors and those of the operating system, told by name so that nothing heavy is imported."""
+    """Whether it is an error of this project or of the operating system; compared by name to import nothing heavy."""
     if isinstance(error, OSError):
         return True
     names = {f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__}

@@ -1,1 +1,1 @@
-"""Commands that ask a running daemon, or tell it something."""
+"""Commands for a running daemon."""

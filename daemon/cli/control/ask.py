@@ -1,4 +1,4 @@
-"""What the commands that ask a running daemon share: their options and the question."""
+"""Options and the call that commands for a running daemon share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RigFile = Annotated[Path | None, typer.Option(help="Take the endpoint from this 
 Timeout = Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the answer.")]
 
 SLOW_S = 30.0
-"""For what waits for the pipeline or for a disk."""
+"""Time-out of calls that wait for the pipeline or for a disk."""
 
 
 def ask(
@@ -26,7 +26,7 @@ def ask(
     /,
     **params: Any,
 ) -> Any:
-    """The daemon's answer; ControlError in its own words."""
+    """Call a method of the daemon and return its answer; ControlError with the daemon's message."""
     from daemon.control.rpc.client import ControlClient
 
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout_s, keys=keys) as client:
@@ -34,13 +34,13 @@ def ask(
 
 
 def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
-    """The endpoint that was named, that of a rig file, or the default."""
+    """The given endpoint, that of a rig file, or the default."""
     if endpoint is not None:
         return endpoint
     if rig is not None:
         from daemon.config import load_rig
 
         return load_rig(rig).control.endpoint
-    from daemon.common.ipc_endpoints import found_control_endpoint as default
+    from daemon.common.ipc_endpoints import found_control_endpoint
 
-    return default()
+    return found_control_endpoint()

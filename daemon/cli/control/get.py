@@ -28,23 +28,23 @@ def main(
     if as_json:
         typer.echo(json.dumps(rows if one is None else one["value"], indent=2))
     elif one is not None:
-        typer.echo(explained(one))
+        typer.echo(detail_text(one))
     else:
-        typer.echo(listed(rows))
+        typer.echo(list_text(rows))
 
 
-def explained(row: dict[str, Any]) -> str:
-    """One setting in a few lines."""
-    when = {"live": "can be set live", "live by a reload": "is taken over by a reload"}.get(_when(row), _when(row))
-    lines = [f"{row['path']} = {shown(row['value'])} {row.get('unit', '')}".rstrip(), f"  {row['doc']}"]
+def detail_text(row: dict[str, Any]) -> str:
+    """Format one setting in a few lines."""
+    when = {"live": "can be set live", "live by a reload": "is applied by a reload"}.get(_when(row), _when(row))
+    lines = [f"{row['path']} = {value_text(row['value'])} {row.get('unit', '')}".rstrip(), f"  {row['doc']}"]
     lines.append(f"  {row['type']}{f', {bounds(row)}' if bounds(row) else ''}; {when}")
     if "default" in row and row["default"] != row["value"]:
-        lines.append(f"  default: {shown(row['default'])}")
+        lines.append(f"  default: {value_text(row['default'])}")
     return "\n".join(lines)
 
 
-def listed(rows: list[dict[str, Any]]) -> str:
-    """Many settings, two lines each, a gap between the sections of rig.yaml."""
+def list_text(rows: list[dict[str, Any]]) -> str:
+    """Format many settings, two lines each, with a gap between the sections of rig.yaml."""
     lines: list[str] = []
     section = rows[0]["path"].partition(".")[0] if rows else ""
     for row in rows:
@@ -53,7 +53,7 @@ def listed(rows: list[dict[str, Any]]) -> str:
             lines.append("")
         notes = [text for text in (bounds(row), _when(row)) if text]
         lines.append(
-            f"{row['path']} = {shown(row['value'])} {row.get('unit', '')}".rstrip() + f"  ({', '.join(notes)})"
+            f"{row['path']} = {value_text(row['value'])} {row.get('unit', '')}".rstrip() + f"  ({', '.join(notes)})"
         )
         lines.append(f"    {row['doc']}")
     return "\n".join(lines)
@@ -65,13 +65,13 @@ def _when(row: dict[str, Any]) -> str:
     return "live by a reload" if row.get("by_file") else "live"
 
 
-def shown(value: Any) -> str:
-    """A value as it would stand in rig.yaml."""
+def value_text(value: Any) -> str:
+    """Format a value as in rig.yaml."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def bounds(row: dict[str, Any]) -> str:
-    """What a setting takes, in a few characters."""
+    """Format the accepted values of a setting."""
     if "choices" in row:
         return " | ".join(str(choice) for choice in row["choices"])
     low = f"{row['min']:g}" if "min" in row else f"> {row['above']:g}" if "above" in row else ""

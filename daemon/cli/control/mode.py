@@ -1,4 +1,4 @@
-"""``fringed mode``: how many images make a cloud in a running daemon."""
+"""``fringed mode``: the number of images per cloud in a running daemon."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import typer
 
 from daemon.cli.control.ask import control_endpoint
 
-_PATIENCE_S = 200.0  # kernels that were never used are compiled
+_TIMEOUT_S = 200.0  # the mode's kernels may have to be compiled
 
 
 def main(
     name: Annotated[
-        str | None, typer.Argument(help="single, two_color, heterodyne or gray; none = tell what it is.")
+        str | None, typer.Argument(help="single, two_color, heterodyne or gray; without it, show the mode.")
     ] = None,
     endpoint: Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")] = None,
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
 ) -> None:
-    """Tell or change the mode of a running daemon, until it ends; rig.yaml says with which it begins."""
+    """Show or change the mode of a running daemon, until it ends; rig.yaml sets the initial mode."""
     from daemon.control.rpc.client import ControlClient
 
-    with ControlClient(control_endpoint(endpoint, rig), timeout_s=_PATIENCE_S) as client:
-        told = client.call("pattern.mode", **({} if name is None else {"name": name}))
-    rest = {key: value for key, value in told.items() if key != "mode" and value not in ([], 0)}
-    typer.echo(", ".join([told["mode"], *(f"{key} {value}" for key, value in rest.items())]))
+    with ControlClient(control_endpoint(endpoint, rig), timeout_s=_TIMEOUT_S) as client:
+        answer = client.call("pattern.mode", **({} if name is None else {"name": name}))
+    rest = {key: value for key, value in answer.items() if key != "mode" and value not in ([], 0)}
+    typer.echo(", ".join([answer["mode"], *(f"{key} {value}" for key, value in rest.items())]))

@@ -14,14 +14,14 @@ from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_ke
 
 _DIRECT = "direct"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) ?(ms|s|m|)")
-_TOLD = ("pairs", "lone_frames", "parts", "bytes", "dropped", "interruptions", "unsynced_pairs", "problem")
+_SUMMARY = ("pairs", "lone_frames", "parts", "bytes", "dropped", "interruptions", "unsynced_pairs", "problem")
 
 
 class DirectGroup(TyperGroup):
     """``record RIG`` is short for ``record direct RIG``."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Take the first word for a sub-command if it is one, else for the rig file."""
+        """Interpret the first argument as a sub-command if it is one, else as the rig file."""
         if args and args[0] not in self.commands:
             args = [_DIRECT, *args]
         return super().resolve_command(ctx, args)
@@ -42,19 +42,19 @@ def _root() -> None:
 def start(
     name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
     before: Annotated[
-        str, typer.Option(help="Begin so long before now: 5s, 500ms, 1m; at most recording.before_s of rig.yaml.")
+        str, typer.Option(help="Start this long before now: 5s, 500ms, 1m; at most recording.before_s of rig.yaml.")
     ] = "0s",
     endpoint: Endpoint = None,
     rig: RigOption = None,
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Begin a take in a running daemon."""
+    """Start a take in a running daemon."""
     params: dict[str, Any] = {"name": name}
     if (before_s := seconds_of(before)) > 0:
         params["before_s"] = before_s
     answer = ask("record.start", endpoint, rig, SLOW_S, chosen_keys(key, server_key), **params)
-    early = f", beginning with {answer['before_items']} kept pairs and lone frames" if before_s > 0 else ""
+    early = f", including {answer['before_items']} earlier pairs and unpaired frames" if before_s > 0 else ""
     typer.echo(f"recording to {answer['file']}{early}")
 
 
@@ -62,7 +62,7 @@ def seconds_of(text: str) -> float:
     """``5s``, ``500ms``, ``1.5m`` or a plain number of seconds."""
     match = _DURATION.fullmatch(text.strip())
     if match is None:
-        raise typer.BadParameter(f"{text!r} is no duration; write 5s, 500ms or 1m")
+        raise typer.BadParameter(f"{text!r} is no duration; use a form such as 5s, 500ms or 1m")
     return float(match[1]) * {"ms": 1e-3, "s": 1.0, "": 1.0, "m": 60.0}[match[2]]
 
 
@@ -70,12 +70,12 @@ def seconds_of(text: str) -> float:
 def stop(
     endpoint: Endpoint = None, rig: RigOption = None, key: KeyOption = None, server_key: ServerKeyOption = None
 ) -> None:
-    """End the take of a running daemon."""
+    """Stop the take of a running daemon."""
     answer = ask("record.stop", endpoint, rig, SLOW_S, chosen_keys(key, server_key))
     if "file" not in answer:
-        typer.echo("no take was being written")
+        typer.echo("no take is being written")
         return
-    rest = ", ".join(f"{key} {answer[key]}" for key in _TOLD if answer.get(key))
+    rest = ", ".join(f"{key} {answer[key]}" for key in _SUMMARY if answer.get(key))
     typer.echo(f"{answer['file']}: {rest}" if rest else answer["file"])
 
 
@@ -83,7 +83,7 @@ def stop(
 def direct(
     rig: Annotated[Path, typer.Argument(help="The rig file, rig.yaml.")],
     name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
-    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop by itself after so many seconds.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this time.")] = None,
 ) -> None:
     """Record directly from a rig, without a daemon, until Ctrl-C (the default: `fringed record RIG`)."""
     import threading

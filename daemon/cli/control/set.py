@@ -24,14 +24,14 @@ def main(
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Change a setting while the daemon measures; rig.yaml stays as it is, and a reload goes back to it."""
+    """Change a setting while the daemon measures; rig.yaml does not change, and a reload restores its value."""
     answer = ask("set", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, value=parsed(value))
     for name, now in answer.items():
         typer.echo(f"{name} = {json.dumps(now, ensure_ascii=False)}")
 
 
 def parsed(text: str) -> Any:
-    """The value that was typed; what is no JSON is text."""
+    """Parse a value as JSON; anything else is text."""
     try:
         return json.loads(text)
     except ValueError:

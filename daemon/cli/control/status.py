@@ -1,4 +1,4 @@
-"""``fringed status``: what a running daemon is doing."""
+"""``fringed status``: the status of a running daemon."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_ke
 def main(
     endpoint: Annotated[str | None, typer.Option(help="Control endpoint of the daemon.")] = None,
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
-    once: Annotated[bool, typer.Option("--once", help="Print it once (so it is where this is no terminal).")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Print it once; the default without a terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the status once, as JSON.")] = False,
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the answer.")] = 5.0,
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Show what a running daemon is doing: a live page on a terminal, Ctrl-C ends it."""
+    """Show the status of a running daemon: a live page on a terminal, until Ctrl-C."""
     from rich.console import Console
 
     from daemon.control.rpc.client import ControlClient
 
     console, keys = Console(), chosen_keys(key, server_key)
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout, keys=keys) as client:
-        status = client.call("status")  # a daemon that is not there is told at once
+        status = client.call("status")  # fails at once without a daemon
         if as_json:
             typer.echo(json.dumps(status, indent=2))
         elif once or not console.is_terminal:

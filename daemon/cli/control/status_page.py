@@ -1,4 +1,4 @@
-"""The live page of ``fringed status``: everything at one look, on a terminal of 80 columns or more."""
+"""The live page of ``fringed status``, for a terminal of at least 80 columns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,18 @@ from daemon.common.errors import ControlError
 _COLORS = {"running": "green", "degraded": "yellow", "paused": "cyan", "starting": "blue", "stopping": "red"}
 _WIDE = 110
 _CAMERA = {"acquiring": "green", "paused": "cyan", "lost": "red"}
-_APART = ("state", "warning", "device", "clouds", "points", "pairs", "latency", "published", "dropped", "calibration")
+_ELSEWHERE = (
+    "state",
+    "warning",
+    "device",
+    "clouds",
+    "points",
+    "pairs",
+    "latency",
+    "published",
+    "dropped",
+    "calibration",
+)
 _BAR = 24
 
 
@@ -29,7 +40,7 @@ def watch(
     period_s: float = 0.5,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Show the page until Ctrl-C; a daemon that does not answer is waited for."""
+    """Show the page until Ctrl-C, also while the daemon does not answer."""
     last: dict[str, Any] | None = None
     with Live(console=console, screen=console.is_terminal, auto_refresh=False) as live:
         try:
@@ -87,11 +98,11 @@ def _measuring(status: dict[str, Any]) -> RenderableType:
     table.add_row("clouds", clouds)
     table.add_row("points", Text.assemble(f"{status['points']}  ", *_bar(status["valid"])))
     table.add_row("latency", _times(status["latency_ms"]) or "no cloud yet")
-    table.add_row("published", _times(status["publish_latency_ms"]) or "nobody reads")
+    table.add_row("published", _times(status["publish_latency_ms"]) or "no subscribers")
     stages = sorted(status["stages_ms"].items(), key=lambda stage: -stage[1])[:4]
     table.add_row("stages", ", ".join(f"{name} {ms:.0f}" for name, ms in stages) + (" ms" if stages else ""))
     drops = {name: count for name, count in status["drops"].items() if count}
-    table.add_row("dropped", ", ".join(f"{name} {count}" for name, count in drops.items()) or "nothing")
+    table.add_row("dropped", ", ".join(f"{name} {count}" for name, count in drops.items()) or "none")
     return Panel(table, title="measuring", title_align="left")
 
 
@@ -103,22 +114,22 @@ def _cameras(status: dict[str, Any]) -> RenderableType:
         lost = f", lost {camera['losses']} times" if camera["losses"] else ""
         line = Text.assemble((state, _CAMERA.get(state, "yellow")), f", {camera['rate_hz']:.1f} per second{warm}{lost}")
         table.add_row(side, line)
-        fates = {name: count for name, count in camera["fates"].items() if count}
-        table.add_row("", Text(", ".join(f"{name} {count}" for name, count in fates.items()) or "no frame", "dim"))
+        outcomes = {name: count for name, count in camera["fates"].items() if count}
+        table.add_row("", Text(", ".join(f"{name} {count}" for name, count in outcomes.items()) or "no frame", "dim"))
     return Panel(table, title="cameras", title_align="left")
 
 
 def _rest(status: dict[str, Any]) -> RenderableType:
-    """Whatever else the plain status tells, in its words."""
+    """The remaining rows of the plain status."""
     table = _two_columns()
-    shown = [(name, value) for name, value in rows(status) if name not in _APART]
+    shown = [(name, value) for name, value in rows(status) if name not in _ELSEWHERE]
     for name, value in _without_cameras(shown):
         table.add_row(name, Text(value.partition(";")[0] if name == "self-check" else value))
     problem = status.get("selfcheck", {}).get("problem")
     if problem:
         table.add_row("", Text(problem, "yellow"))
     table.add_row("calibration", Text(status["calibration"], overflow="ellipsis", no_wrap=True))
-    return Panel(table, title="besides", title_align="left")
+    return Panel(table, title="other", title_align="left")
 
 
 def _without_cameras(shown: list[tuple[str, str]]) -> Iterator[tuple[str, str]]:

@@ -36,22 +36,22 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         ("clouds", f"{status['clouds']}, {status['cloud_rate_hz']:.1f} per second"),
         ("points", f"{status['points']} ({100 * status['valid']:.0f} % of the pixels)"),
         ("latency", "  ".join(f"{name} {value:.0f} ms" for name, value in latency.items()) or "no cloud yet"),
-        ("published", "  ".join(f"{name} {value:.0f} ms" for name, value in published.items()) or "nobody reads"),
+        ("published", "  ".join(f"{name} {value:.0f} ms" for name, value in published.items()) or "no subscribers"),
         ("pairs", f"{status['pairs']}, {status['pair_rate_hz']:.1f} per second"),
     ]
     for side, camera in status["cameras"].items():
-        fates = ", ".join(f"{name} {count}" for name, count in camera["fates"].items() if count)
-        text = f"{camera['state']}, {camera['rate_hz']:.1f} frames per second, {camera['losses']} losses; {fates}"
+        outcomes = ", ".join(f"{name} {count}" for name, count in camera["fates"].items() if count)
+        text = f"{camera['state']}, {camera['rate_hz']:.1f} frames per second, {camera['losses']} losses; {outcomes}"
         out.append((f"camera {side}", text))
         counted = [f"{name} {count}" for name, count in camera["driver"].items() if count]
         warm = [f"{camera['temperature_c']:.0f} °C"] if camera["temperature_c"] is not None else []
-        out.append(("", f"driver: {', '.join(warm + counted) or 'nothing to tell'}"))
-    out.append(("dropped", ", ".join(f"{name} {count}" for name, count in status["drops"].items()) or "nothing"))
+        out.append(("", f"driver: {', '.join(warm + counted) or 'no counts'}"))
+    out.append(("dropped", ", ".join(f"{name} {count}" for name, count in status["drops"].items()) or "none"))
     check = status.get("selfcheck", {})
     if check.get("enabled"):
         shown = [f"{name} {one['value']:+.3f}" for name, one in check["observables"].items() if "value" in one]
         out.append(
-            ("self-check", f"{check['verdict']}, {check['checked']} pairs; {', '.join(shown) or 'nothing seen yet'}")
+            ("self-check", f"{check['verdict']}, {check['checked']} pairs; {', '.join(shown) or 'no observations yet'}")
         )
     health = status.get("health", {})
     if health.get("enabled"):
@@ -62,32 +62,32 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def mode_text(mode: str, sequence: dict[str, Any]) -> str:
-    """A multi-frame mode, in a line."""
-    told = f"{mode}, {sequence['frames']} images a cloud, {sequence['sets']} sets, {sequence['sets_incomplete']} lost"
-    return f"{told}; held by {', '.join(sequence['held'])}" if sequence["held"] else told
+    """Format a multi-frame mode in one line."""
+    text = f"{mode}, {sequence['frames']} images a cloud, {sequence['sets']} sets, {sequence['sets_incomplete']} lost"
+    return f"{text}; held by {', '.join(sequence['held'])}" if sequence["held"] else text
 
 
 def recorder_text(recorder: dict[str, Any]) -> str:
-    """What the recorder does, in a line."""
-    kept = [f"{recorder['before']['kept_s']:.1f} s before now kept"] if "before" in recorder else []
+    """Format the recorder's state in one line."""
+    kept = [f"{recorder['before']['kept_s']:.1f} s kept before a start"] if "before" in recorder else []
     if "file" not in recorder:
         return ", ".join(["off", *kept])
-    told = [
+    parts = [
         Path(recorder["file"]).name,
         f"{recorder['pairs']} pairs, {recorder['bytes'] / 1e6:.1f} MB in {recorder['parts']} file(s)",
         f"safe up to trigger {recorder['synced']['up_to_sequence']}",
     ]
-    told += [f"{recorder['queued']} waiting"] if recorder["queued"] else []
-    told += [f"{count} {name.replace('_', ' ')}" for name, count in recorder["dropped"].items()]
-    told += [f"interrupted {recorder['interruptions']}x"] if "interruptions" in recorder else []
-    return ", ".join([*told, *kept])
+    parts += [f"{recorder['queued']} queued"] if recorder["queued"] else []
+    parts += [f"{count} {name.replace('_', ' ')}" for name, count in recorder["dropped"].items()]
+    parts += [f"interrupted {recorder['interruptions']}x"] if "interruptions" in recorder else []
+    return ", ".join([*parts, *kept])
 
 
 def remote_rows(remote: dict[str, object]) -> list[tuple[str, str]]:
-    """Lines of the status about other machines; none when there is no gate."""
+    """Rows about access from other machines; none without a gate."""
     if not remote:
         return []
     refused = remote.get("refused")
-    counted = ", ".join(f"{name} {count}" for name, count in refused.items()) if isinstance(refused, dict) else ""
-    let_in = f"{remote.get('connections')} connections, {remote.get('accepted')} let in, {remote.get('keys')} keys"
-    return [("remote", f"{let_in}; refused: {counted or 'nobody'}")]
+    reasons = ", ".join(f"{name} {count}" for name, count in refused.items()) if isinstance(refused, dict) else ""
+    accepted = f"{remote.get('connections')} connections, {remote.get('accepted')} accepted, {remote.get('keys')} keys"
+    return [("remote", f"{accepted}; refused: {reasons or 'none'}")]

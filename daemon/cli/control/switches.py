@@ -1,4 +1,4 @@
-"""``fringed reload``, ``start``, ``stop``, ``snapshot`` and ``pattern``: one word to a running daemon."""
+"""``fringed reload``, ``start``, ``stop``, ``snapshot`` and ``pattern``: single commands for a running daemon."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def reload(
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Let a running daemon read rig.yaml and its files again: it takes over all of it, or nothing and says why."""
+    """Make a running daemon read rig.yaml and its files again: it applies all changes, or none with the reason."""
     changed = ask("reload", endpoint, rig, timeout, chosen_keys(key, server_key))["changed"]
     typer.echo(f"changed: {', '.join(changed)}" if changed else "nothing has changed")
 
@@ -29,7 +29,7 @@ def start(
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Let a paused daemon measure again."""
+    """Resume measuring in a paused daemon."""
     typer.echo(ask("start", endpoint, rig, timeout, chosen_keys(key, server_key))["state"])
 
 
@@ -40,7 +40,7 @@ def stop(
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Let a daemon pause: it measures nothing and stays connected; `systemctl stop` or Ctrl-C ends it."""
+    """Pause a daemon: it stops measuring and stays connected; `systemctl stop` or Ctrl-C ends it."""
     typer.echo(ask("stop", endpoint, rig, timeout, chosen_keys(key, server_key))["state"])
 
 
@@ -65,7 +65,7 @@ def pattern(
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Let a running daemon's projector show the fringe, or a plain image (nothing is measured under it)."""
+    """Show the fringe or a plain image, without measuring, on a running daemon's projector."""
     typer.echo(
         f"shown: {ask('pattern.show', endpoint, rig, timeout, chosen_keys(key, server_key), name=name)['shown']}"
     )

@@ -1,1 +1,1 @@
-"""Commands that measure, or show what is being measured."""
+"""Commands that measure, or show a measurement."""

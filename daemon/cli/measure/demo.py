@@ -1,4 +1,4 @@
-"""``fringed demo``: a simulated rig, measured live, with a viewer; nothing to configure."""
+"""``fringed demo``: a simulated rig, measured live, with a viewer, without configuration."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SMALL_SCALE = 0.25
 def main(
     scene: Annotated[str, typer.Option(help="Scene of the simulated rig: moving, face, spheres, ...")] = "moving",
     mesh: Annotated[Path | None, typer.Option(help="Show this OBJ, PLY or STL file instead.")] = None,
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="Images rendered at start, then played.")] = 12,
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="Number of images, rendered at the start.")] = 12,
     rate: Annotated[float, typer.Option(min=0.1, max=200, help="Triggers per second.")] = 5.0,
-    seconds: Annotated[float | None, typer.Option(min=1, help="Stop by itself after so many seconds.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=1, help="Stop after this time.")] = None,
     view: Annotated[bool, typer.Option(help="Serve the viewer to a browser.")] = True,
     small: Annotated[bool, typer.Option(help="Images of 256 x 205 pixels instead of 1024 x 820.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print more messages.")] = False,
 ) -> None:
-    """See it work: a simulated rig, measured live, in a viewer, until Ctrl-C."""
+    """Measure a simulated rig live and show it in a viewer, until Ctrl-C."""
     import logging
 
     from daemon.bootstrap.run import StopFlag, run_rig
@@ -44,20 +44,20 @@ def main(
         viewer = Viewer(endpoint) if view else None
         if viewer is not None:
             stack.callback(viewer.close)
-        report = Report(seconds, stop=flag.request, viewer=viewer, say=typer.echo, now_s=time.monotonic)
+        report = Report(seconds, stop=flag.request, viewer=viewer, echo=typer.echo, now_s=time.monotonic)
         progress = stack.enter_context(rendering())
-        typer.echo("Rendering the scene (kept for the next time), then measuring it live. Ctrl-C ends it.")
+        typer.echo("Rendering the scene (cached for the next start), then measuring it live. Ctrl-C ends the demo.")
         run_rig(rig_file, progress=progress, flag=flag, on_status=report)
 
 
 def options(scene: str, mesh: Path | None, frames: int, rate: float, *, small: bool) -> dict[str, Any]:
     """The ``simulation`` section of the demo's rig."""
-    chosen: dict[str, Any] = {"scene": scene, "frames": frames, "rate_hz": rate}
+    section: dict[str, Any] = {"scene": scene, "frames": frames, "rate_hz": rate}
     if mesh is not None:
-        chosen |= {"scene": "mesh", "mesh": str(mesh.resolve())}
+        section |= {"scene": "mesh", "mesh": str(mesh.resolve())}
     if small:
-        chosen["layout"] = {"scale": SMALL_SCALE}
-    return chosen
+        section["layout"] = {"scale": SMALL_SCALE}
+    return section
 
 
 def write_rig(directory: Path, simulation: dict[str, Any]) -> tuple[Path, str]:
@@ -82,7 +82,7 @@ def _private_directory(base: Path) -> Path:
 
 
 def _free_tcp() -> str:
-    """The usual address, or any free port when a daemon already has it."""
+    """The default address, or any free port if it is in use."""
     import socket
 
     with socket.socket() as probe:

@@ -1,4 +1,4 @@
-"""The demo's viewer process and its line per second."""
+"""The demo's viewer process and its status lines."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ _VIEW = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed';
 
 
 class Viewer:
-    """``fringed view --web`` as a process of its own; what happens to it changes nothing for the measuring."""
+    """``fringed view --web`` as a process, independent of the measurement."""
 
     def __init__(self, endpoint: str) -> None:
         self._endpoint = endpoint
         self._process: subprocess.Popen[bytes] | None = None
-        self._told = False
+        self._reported = False
 
     def start(self) -> None:
-        """Start it once; it prints its own address."""
+        """Start the process once; it prints its address."""
         if self._process is None:
             command = [sys.executable, "-c", _VIEW, "view", self._endpoint, "--web"]
             self._process = subprocess.Popen(command, start_new_session=True, stdin=subprocess.DEVNULL)
 
     def ended(self) -> int | None:
-        """Its exit status, the first time it is found to have ended by itself."""
-        if self._process is None or self._told or self._process.poll() is None:
+        """The exit status of a viewer that ended by itself, returned once; else None."""
+        if self._process is None or self._reported or self._process.poll() is None:
             return None
-        self._told = True
+        self._reported = True
         return self._process.returncode
 
     def close(self) -> None:
-        """End it and everything that it started."""
+        """End the process and its children."""
         if self._process is None:
             return
         for number in (signal.SIGTERM, signal.SIGKILL):
@@ -51,8 +51,8 @@ class Report:
     """Called with the status once a second: prints a line, starts the viewer, ends the demo in time.
 
     Args:
-        seconds: of measuring, then ``stop`` is called; None = for ever.
-        say: prints a line; now_s: monotonic seconds.
+        seconds: duration of the measurement, after which ``stop`` is called; None = unlimited.
+        echo: prints a line; now_s: monotonic seconds.
     """
 
     def __init__(
@@ -61,16 +61,16 @@ class Report:
         *,
         stop: Callable[[], None],
         viewer: Viewer | None,
-        say: Callable[[str], object],
+        echo: Callable[[str], object],
         now_s: Callable[[], float],
     ) -> None:
-        self._seconds, self._stop, self._viewer, self._say, self._now_s = seconds, stop, viewer, say, now_s
+        self._seconds, self._stop, self._viewer, self._echo, self._now_s = seconds, stop, viewer, echo, now_s
         self._measuring_since_s: float | None = None
 
     def __call__(self, status: dict[str, Any]) -> None:
-        """Take a status."""
+        """Report a status."""
         if status["state"] == "starting":
-            self._say("starting: loading the measuring kernels (the first time, they are compiled)")
+            self._echo("starting: loading the kernels (compiled at the first start)")
             return
         if self._measuring_since_s is None:
             self._measuring_since_s = self._now_s()
@@ -78,7 +78,7 @@ class Report:
                 self._viewer.start()
         code = self._viewer.ended() if self._viewer is not None else None
         if code is not None:
-            self._say(f"the viewer ended (exit status {code}); measuring goes on")
-        self._say(line(status))
+            self._echo(f"the viewer ended (exit status {code}); measuring continues")
+        self._echo(line(status))
         if self._seconds is not None and self._now_s() - self._measuring_since_s >= self._seconds:
             self._stop()

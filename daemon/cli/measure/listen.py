@@ -22,11 +22,11 @@ _WAIT_S = 0.25
 def main(
     endpoint: Annotated[str, typer.Argument(help="Of the stream: tcp://HOST:PORT or ipc://PATH.")] = DEFAULT_ENDPOINT,
     topic: Annotated[str, typer.Option(help="cloud/full or cloud/depth.")] = "cloud/full",
-    every: Annotated[bool, typer.Option("--every", help="Take every cloud, not only the newest.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
+    every: Annotated[bool, typer.Option("--every", help="Receive every cloud, not only the newest.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
     save: Annotated[Path | None, typer.Option(help="Write each cloud as PLY into this directory.")] = None,
-    count: Annotated[int | None, typer.Option(min=1, help="Stop after so many clouds.")] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after so many seconds.")] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="Stop after this number of clouds.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this time.")] = None,
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
@@ -38,7 +38,11 @@ def main(
         for report in reports(stream, save=save, count=count, seconds=seconds):
             typer.echo(json.dumps(asdict(report)) if as_json else line(report))
         if count is not None and stream.received < count:
-            typer.echo(f"{stream.received} of {count} clouds came from {endpoint}; is a daemon running?", err=True)
+            typer.echo(
+                f"{stream.received} of {count} clouds arrived from {endpoint}; check with `fringed status` that a "
+                "daemon runs",
+                err=True,
+            )
             raise typer.Exit(1)
 
 
@@ -61,9 +65,9 @@ class Report:
 
 @dataclass(slots=True)
 class _Second:
-    """What came since the last report."""
+    """The clouds since the last report."""
 
-    began_s: float
+    start_s: float
     latencies_ms: list[float] = field(default_factory=list)
     last: ReceivedCloud | None = None
 
@@ -75,7 +79,7 @@ class _Second:
         out = Report(clouds=stream.received, lost=stream.lost, skipped=stream.skipped)
         if self.last is not None:
             header, points = self.last.header, int(self.last.valid.sum())
-            out.clouds_per_second = round(len(self.latencies_ms) / max(now_s - self.began_s, 1e-3), 2)
+            out.clouds_per_second = round(len(self.latencies_ms) / max(now_s - self.start_s, 1e-3), 2)
             out.points, out.valid = points, round(points / self.last.valid.size, 4)
             out.latency_ms, out.daemon_latency_ms = round(median(self.latencies_ms), 1), header.stats.get("latency_ms")
             out.session, out.device, out.seq = header.session, header.device, header.seq
@@ -90,9 +94,9 @@ def reports(
     seconds: float | None = None,
     now_s: Callable[[], float] = time.monotonic,
 ) -> Iterator[Report]:
-    """A report each second, and one for the rest at the end."""
-    began_s = now_s()
-    second = _Second(began_s)
+    """Yield a report each second, and a last one at the end."""
+    start_s = now_s()
+    second = _Second(start_s)
     while True:
         try:
             cloud = next(stream)
@@ -102,11 +106,11 @@ def reports(
             second.add(cloud)
             if save is not None:
                 _save(save, cloud)
-        done = _reached(stream.received, count) or _reached(now_s() - began_s, seconds)
-        if done or now_s() - second.began_s >= 1.0:
+        finished = _reached(stream.received, count) or _reached(now_s() - start_s, seconds)
+        if finished or now_s() - second.start_s >= 1.0:
             yield second.report(stream, now_s())
             second = _Second(now_s())
-        if done:
+        if finished:
             return
 
 
@@ -115,9 +119,9 @@ def _reached(value: float, limit: float | None) -> bool:
 
 
 def line(report: Report) -> str:
-    """A report in one line."""
+    """Format a report as one line."""
     if report.latency_ms is None:
-        return f"no cloud; {report.clouds} so far, lost {report.lost}"
+        return f"no cloud; {report.clouds} in total, lost {report.lost}"
     return (
         f"{report.device}: {report.clouds_per_second:.1f} clouds/s, {report.points} points "
         f"({100 * report.valid:.0f} %), latency {report.latency_ms:.0f} ms, "
@@ -126,7 +130,7 @@ def line(report: Report) -> str:
 
 
 def _save(directory: Path, cloud: ReceivedCloud) -> None:
-    """Under a temporary name first: a program that watches the directory never sees half a file."""
+    """Write with a temporary name first, so that other programs never read an incomplete file."""
     from fringed.ply import ply_bytes
 
     path = directory / f"cloud_{cloud.header.seq:06d}.ply"

@@ -11,16 +11,16 @@ from typing import Annotated
 import typer
 
 WRONG_CONFIG = 78
-"""Exit status for a service manager: the rig file is wrong, starting again cannot help (EX_CONFIG of sysexits.h)."""
+"""Exit status for a service manager: the rig file is invalid, a restart does not help (EX_CONFIG of sysexits.h)."""
 
 
 def main(
     rig: Annotated[Path, typer.Argument(help="The rig file, rig.yaml.")],
-    record: Annotated[str | None, typer.Option(help="Begin a take of this name at once.")] = None,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
+    record: Annotated[str | None, typer.Option(help="Start a take of this name at once.")] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print more messages.")] = False,
 ) -> None:
     """Measure: run the daemon of a rig until SIGTERM or Ctrl-C."""
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a wish to reload must not end a daemon that starts or stops
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a request to reload must not end a daemon that starts or stops
     from daemon.bootstrap.run import StopFlag, run_rig
     from daemon.bootstrap.systemd.logging_setup import log_events
     from daemon.cli.options.progress import rendering

@@ -1,4 +1,4 @@
-"""The options ``--key`` and ``--server-key`` of every command that may speak to a daemon on another machine."""
+"""The options ``--key`` and ``--server-key`` of commands for a daemon on another machine."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ KeyOption = Annotated[
 ServerKeyOption = Annotated[
     Path | None,
     typer.Option(
-        "--server-key", envvar="FRINGED_SERVER_KEY", metavar="server.pub", help="The same: that daemon's public key."
+        "--server-key",
+        envvar="FRINGED_SERVER_KEY",
+        metavar="server.pub",
+        help="For a daemon on another machine: its public key.",
     ),
 ]
 
 
 def chosen_keys(key: Path | None, server_key: Path | None) -> Keys | None:
-    """The keys of the two options, None when neither is given."""
+    """The keys of the two options, None without them."""
     if key is None and server_key is None:
         return None
     if key is None or server_key is None:

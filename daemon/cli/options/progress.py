@@ -1,4 +1,4 @@
-"""A progress bar on a terminal, plain lines elsewhere; nothing at all where there is nothing to wait for."""
+"""Progress of long tasks: a bar on a terminal, plain lines otherwise."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 
 @contextmanager
-def rendering(what: str = "Rendering the simulated rig") -> Iterator[Callable[[int, int], None]]:
-    """A callback (done, of); the bar appears with the first call and goes when all is done."""
+def rendering(title: str = "Rendering the simulated rig") -> Iterator[Callable[[int, int], None]]:
+    """Yield a callback (completed, total); the bar appears with the first call and disappears at the end."""
     bar: Any = None
     task: Any = None
-    said = -1
+    printed = -1
 
-    def on_terminal(done: int, of: int) -> None:
+    def on_terminal(completed: int, total: int) -> None:
         nonlocal bar, task
         if bar is None:
             from rich.console import Console
@@ -23,17 +23,17 @@ def rendering(what: str = "Rendering the simulated rig") -> Iterator[Callable[[i
 
             bar = Progress(console=Console(stderr=True), transient=True)
             bar.start()
-            task = bar.add_task(what, total=of)
-        bar.update(task, completed=done, total=of)
-        if done >= of:
+            task = bar.add_task(title, total=total)
+        bar.update(task, completed=completed, total=total)
+        if completed >= total:
             bar.stop()
 
-    def plain(done: int, of: int) -> None:
-        nonlocal said
-        tenth = 10 * done // max(1, of)
-        if tenth > said:
-            said = tenth
-            sys.stderr.write(f"{what}: {done} of {of}\n")
+    def plain(completed: int, total: int) -> None:
+        nonlocal printed
+        tenth = 10 * completed // max(1, total)
+        if tenth > printed:
+            printed = tenth
+            sys.stderr.write(f"{title}: {completed} of {total}\n")
             sys.stderr.flush()
 
     try:

@@ -9,17 +9,17 @@ if TYPE_CHECKING:
     from pipeline.common.settings import Settings
 
 
-def parsed_settings(given: list[str]) -> Settings:
-    """The pipeline's settings with the changes of ``key=value`` texts.
+def parsed_settings(texts: list[str]) -> Settings:
+    """The pipeline's settings changed by ``key=value`` texts.
 
     Raises:
-        DaemonError: a text that is not of this form; PipelineError: a key or a value that the pipeline does not take.
+        DaemonError: a text of another form; PipelineError: an unknown key or invalid value.
     """
     from daemon.common.errors import DaemonError
     from pipeline.common.settings import Settings
 
     changes: dict[str, object] = {}
-    for text in given:
+    for text in texts:
         key, _, value = text.partition("=")
         try:
             changes[key.strip()] = json.loads(value)

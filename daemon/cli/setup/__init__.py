@@ -1,1 +1,1 @@
-"""Commands that set up a machine and a rig, and check them."""
+"""Commands that set up and check a machine and a rig."""

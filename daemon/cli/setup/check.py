@@ -1,4 +1,4 @@
-"""``fringed check``: is a rig.yaml, a calibration, a pattern, a volume or a take right?"""
+"""``fringed check``: check a rig.yaml, a calibration, a pattern, a volume or a take."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _KEY = re.compile(r"(?:cameras|projector|fringed_calibration)(?:\.\w+)*")
 def main(
     files: Annotated[list[Path], typer.Argument(help="rig.yaml, calibration.yaml, pattern.json, volume.json, takes.")],
 ) -> None:
-    """Check files of a rig; every mistake is printed with its place, and the exit status is 1 if there is one."""
+    """Check files of a rig; errors are printed with their position, and the exit status is 1 if there is one."""
     results = [check_file(path) for path in files]
     for path, (good, lines) in zip(files, results, strict=True):
         for line in lines:
@@ -30,7 +30,7 @@ def main(
 
 
 def check_file(path: Path) -> tuple[bool, list[str]]:
-    """Whether a file is good, and its mistakes, or what it is."""
+    """Whether a file is valid, and its errors or a summary."""
     from daemon.common.errors import ConfigError, DaemonError
     from pipeline.common.errors import PipelineError
 
@@ -45,7 +45,7 @@ def check_file(path: Path) -> tuple[bool, list[str]]:
 
 
 def _checker(path: Path) -> Callable[[Path], tuple[bool, list[str]]]:
-    """By what the file is, not only by how it is called."""
+    """The check for a file, by its content and name."""
     if path.is_dir() or path.name.removesuffix(".partial").endswith(".mcap"):
         return _take
     with path.open("rb") as file:
@@ -69,9 +69,9 @@ def _rig(path: Path) -> tuple[bool, list[str]]:
     lines = [f"{path}: good: rig {config.device.name}, cameras by {config.cameras.driver}"]
     problems: list[str] = []
     for name in (config.calibration, config.pattern, config.volume):
-        if isinstance(name, str):  # the files that it names must be right too
-            good, found = check_file(config.path(name, path.parent))
-            (lines if good else problems).extend(found)
+        if isinstance(name, str):  # the files that it names are checked too
+            good, messages = check_file(config.path(name, path.parent))
+            (lines if good else problems).extend(messages)
     if not problems and config.calibration is not None:
         _check_volume(config, path)
     return not problems, problems or lines
@@ -113,7 +113,7 @@ def _calibration(path: Path) -> tuple[bool, list[str]]:
 
 
 def _with_line(path: Path, message: str) -> str:
-    """The message with the line of the key that it names, or of the nearest key around that."""
+    """Add the line of the key in a message, or of the nearest enclosing key."""
     from daemon.config.yaml_source import read_yaml
 
     text = message.removeprefix(f"{path}: ")

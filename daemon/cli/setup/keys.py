@@ -1,4 +1,4 @@
-"""``fringed keys``: who may connect from other machines."""
+"""``fringed keys``: access from other machines."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def _root() -> None:
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Of the machine or the person: laptop.")],
+    name: Annotated[str, typer.Argument(help="Name of the machine or user, such as laptop.")],
     to: Annotated[Path, typer.Option("--to", help="Write the two files here.")] = Path(),
 ) -> None:
-    """Make a key: NAME.key stays with its owner, NAME.pub goes to the rig."""
+    """Create a key: NAME.key for its owner, NAME.pub for the rig."""
     from daemon.common.errors import DaemonError
     from daemon.keys.key_store import write_key
     from fringed.keys import new_key
@@ -40,18 +40,18 @@ def new(
     files = to / f"{name}.key", to / f"{name}.pub"
     for path in files:
         if path.exists():
-            raise DaemonError(f"{path} is there already; it was not changed. Choose another name or remove it")
+            raise DaemonError(f"{path} exists already and was not changed; choose another name or remove it")
     write_key(files[0], key, secret=True)
     write_key(files[1], key, secret=False)
-    typer.echo(f"{files[0]}: keep it to yourself\n{files[1]}: on the rig, fringed keys allow {files[1].name}")
+    typer.echo(f"{files[0]}: keep this file secret\n{files[1]}: on the rig, run fringed keys allow {files[1].name}")
 
 
 @app.command()
 def server(directory: DirOption = None, rig: RigOption = None) -> None:
-    """Make the daemon's own key, if there is none yet; tells the public file for everybody who connects."""
+    """Create the daemon's key unless it exists; print its public file, which every client needs."""
     store = _store(directory, rig)
     key = store.make_server()
-    typer.echo(f"{store.public}: give this file to everybody who connects (--server-key)\n{key.public}")
+    typer.echo(f"{store.public}: copy this file to every client (--server-key)\n{key.public}")
 
 
 @app.command()
@@ -59,11 +59,11 @@ def allow(
     file: Annotated[Path, typer.Argument(help="The public key, NAME.pub.")],
     control: Annotated[str, typer.Option(help="On control: none, view or operate.")] = "none",
     stream: Annotated[str, typer.Option(help="On the stream: none or view.")] = "view",
-    name: Annotated[str | None, typer.Option(help="Another name for it.")] = None,
+    name: Annotated[str | None, typer.Option(help="Another name for the key.")] = None,
     directory: DirOption = None,
     rig: RigOption = None,
 ) -> None:
-    """Let a key connect; again with other roles to change them. It counts at once, no restart is needed."""
+    """Allow a key to connect, or change its roles; effective at once, without a restart."""
     from daemon.common.errors import DaemonError
     from daemon.keys.authorized_keys import Entry, role
     from fringed.keys import read_key
@@ -75,16 +75,16 @@ def allow(
         raise DaemonError(str(error)) from None
     store.make_server()
     store.allow(entry)
-    typer.echo(f"{entry.name}: stream {entry.stream}, control {entry.control}; it needs {store.public}")
+    typer.echo(f"{entry.name}: stream {entry.stream}, control {entry.control}; the client also needs {store.public}")
 
 
 @app.command("list")
 def show(
     directory: DirOption = None,
     rig: RigOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Show every key that may connect, and what it may do."""
+    """List the allowed keys and their roles."""
     store = _store(directory, rig)
     entries = sorted(store.authorized().entries.values(), key=lambda entry: entry.name)
     if as_json:
@@ -93,18 +93,18 @@ def show(
     for entry in entries:
         typer.echo(f"{entry.name:24} stream {entry.stream:8} control {entry.control:8} {entry.public}")
     if not entries:
-        typer.echo(f"nobody may connect: {store.directory} holds no allowed key")
+        typer.echo(f"no key may connect: {store.directory} contains no allowed key")
 
 
 @app.command()
 def revoke(
-    name: Annotated[str, typer.Argument(help="Of the key, as `list` shows it.")],
+    name: Annotated[str, typer.Argument(help="Name of the key, as printed by `list`.")],
     directory: DirOption = None,
     rig: RigOption = None,
 ) -> None:
-    """Let a key connect no more; a running daemon cuts its connections at once."""
+    """Revoke a key; a running daemon closes its connections at once."""
     entry = _store(directory, rig).revoke(name)
-    typer.echo(f"{entry.name} may connect no more")
+    typer.echo(f"{entry.name} is revoked")
 
 
 def _store(directory: Path | None, rig: Path | None) -> KeyStore:
@@ -117,7 +117,7 @@ def _store(directory: Path | None, rig: Path | None) -> KeyStore:
         return KeyStore(default_dir())
     from daemon.config.security import keys_dir
 
-    named = keys_dir(rig)
-    if named is None:
-        raise DaemonError(f"{rig}: security.keys is missing; write `security: {{keys: keys}}` into it, or use --dir")
-    return KeyStore(named)
+    directory = keys_dir(rig)
+    if directory is None:
+        raise DaemonError(f"{rig}: security.keys is missing; add `security: {{keys: keys}}` to it, or use --dir")
+    return KeyStore(directory)

@@ -1,4 +1,4 @@
-"""``fringed projector latency``: how late the light is, seen by the rig's own cameras; the daemon must not run."""
+"""``fringed projector latency``: the delay of the light after the flip, measured with the rig's cameras."""
 
 from __future__ import annotations
 
@@ -16,14 +16,18 @@ _KEY = ("projector", "options", "latency_ms")
 
 
 def main(
-    rig: Annotated[Path, typer.Argument(help="rig.yaml: its cameras, triggered as in a measurement, and projector.")],
-    flashes: Annotated[int, typer.Option(min=1, max=1000, help="More of them narrow it down.")] = 15,
+    rig: Annotated[
+        Path, typer.Argument(help="rig.yaml with its cameras, triggered as in a measurement, and its projector.")
+    ],
+    flashes: Annotated[
+        int, typer.Option(min=1, max=1000, help="Number of flashes; more of them reduce the uncertainty.")
+    ] = 15,
     write: Annotated[
-        bool, typer.Option("--write", help="Put it into rig.yaml as projector.options.latency_ms.")
+        bool, typer.Option("--write", help="Write it into rig.yaml as projector.options.latency_ms.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Flash black and white, and tell how long after the flip the cameras see it."""
+    """Flash black and white, and measure the delay of the light after the flip; no daemon may use the rig."""
     from daemon.common.clock import SystemClock
     from daemon.config import load_rig
     from daemon.live.projection.latency_measurement import measure_latency
@@ -36,31 +40,31 @@ def main(
         raise error.located(rig) from error
 
     try:
-        found = measure_latency(devices.cameras, devices.projector, clock=SystemClock(), flashes=flashes)
+        latency = measure_latency(devices.cameras, devices.projector, clock=SystemClock(), flashes=flashes)
     finally:
         devices.close()
-    typer.echo(json.dumps(asdict(found)) if as_json else told(found))
+    typer.echo(json.dumps(asdict(latency)) if as_json else latency_text(latency))
     if write:
-        store(rig, found.ms)
-        typer.echo(f"{rig}: {'.'.join(_KEY)} is now {found.ms:g}", err=as_json)
+        store(rig, latency.ms)
+        typer.echo(f"{rig}: {'.'.join(_KEY)} is now {latency.ms:g}", err=as_json)
 
 
-def told(found: Latency) -> str:
-    """What was found, in two sentences."""
-    periods = f", {found.frames:.2f} periods of the projector" if found.frames else ""
+def latency_text(latency: Latency) -> str:
+    """Format a measured latency."""
+    periods = f", {latency.frames:.2f} periods of the projector" if latency.frames else ""
     bounds = (
-        f"every flash agrees with {found.earliest_ms:.2f} to {found.latest_ms:.2f} ms"
-        if found.earliest_ms <= found.latest_ms
-        else f"the flashes scatter over {found.latest_ms:.2f} to {found.earliest_ms:.2f} ms: it is not constant"
+        f"every flash agrees with {latency.earliest_ms:.2f} to {latency.latest_ms:.2f} ms"
+        if latency.earliest_ms <= latency.latest_ms
+        else f"the flashes vary between {latency.latest_ms:.2f} and {latency.earliest_ms:.2f} ms: it is not constant"
     )
     return (
-        f"the light comes {found.ms:.2f} ms after the flip{periods}; {bounds} "
-        f"({found.flashes} flashes, dark {found.dark:.0f}, bright {found.bright:.0f} counts)"
+        f"the light follows the flip after {latency.ms:.2f} ms{periods}; {bounds} "
+        f"({latency.flashes} flashes, dark {latency.dark:.0f}, bright {latency.bright:.0f} counts)"
     )
 
 
 def store(rig: Path, latency_ms: float) -> None:
-    """Write it into the rig file, whose other bytes stay."""
+    """Write the latency into the rig file without other changes."""
     from daemon.common.errors import DaemonError
     from daemon.common.files import write_atomically
     from daemon.config import parse_rig
@@ -69,5 +73,5 @@ def store(rig: Path, latency_ms: float) -> None:
     text = rig.read_text(encoding="utf-8")
     config = parse_rig(text, name=str(rig), base_dir=rig.parent, complete=False)
     if config.projector is not None and "latency_frames" in config.projector.options:
-        raise DaemonError(f"{rig}: projector.options.latency_frames tells the latency already; take it out first")
+        raise DaemonError(f"{rig}: projector.options.latency_frames sets the latency already; remove it first")
     write_atomically(rig, with_value(text, _KEY, latency_ms).encode())

@@ -1,4 +1,4 @@
-"""``fringed projector``: find the projector's output, and show images on it to set it up; needs no daemon."""
+"""``fringed projector``: find the projector's output, and show images on it for its setup, without a daemon."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ PNG_LIMIT = 1 << 28
 Display = Annotated[str, typer.Option(help="X display such as :0.", show_default="DISPLAY")]
 Output = Annotated[str | None, typer.Option(help="RandR output such as HDMI-1; see: fringed projector list.")]
 Rig = Annotated[Path | None, typer.Option(help="Take the options from the projector section of this rig.yaml.")]
-AnyMode = Annotated[bool, typer.Option("--any-mode", help="Also where the mode is not the projector's own.")]
-ResetGamma = Annotated[bool, typer.Option("--reset-gamma", help="Make the gamma table linear meanwhile.")]
-Seconds = Annotated[float | None, typer.Option(min=0.1, help="Stop after so many seconds.", show_default="Ctrl-C")]
+AnyMode = Annotated[bool, typer.Option("--any-mode", help="Accept a mode that is not the projector's native one.")]
+ResetGamma = Annotated[bool, typer.Option("--reset-gamma", help="Use a linear gamma table meanwhile.")]
+Seconds = Annotated[float | None, typer.Option(min=0.1, help="Stop after this time.", show_default="Ctrl-C")]
 
 
 @app.callback()
 def _root() -> None:
-    """Find the projector's output, and show images on it to set it up."""
+    """Find the projector's output, and show images on it for its setup."""
 
 
 @app.command("list")
 def list_outputs(
     display: Display = "",
-    everything: Annotated[bool, typer.Option("--all", help="Also outputs with nothing plugged in.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Also outputs without a connected device.")] = False,
 ) -> None:
-    """Print the outputs of an X display, and what stands in the way of exact pixels."""
+    """Print the outputs of an X display, and obstacles to exact pixels."""
     from drivers.projector import outputs
 
     found = [output for output in outputs(display) if everything or output.connected]
     for output in found:
         typer.echo(describe(output))
     if not found:
-        typer.echo("no output has anything plugged in")
+        typer.echo("no output has a connected device")
 
 
 @app.command("test")
@@ -69,7 +69,7 @@ def test(
 
 @app.command("show")
 def show(
-    what: Annotated[str, typer.Argument(metavar="FILE.png|white|black|cross", help="Image of the output's size.")],
+    image: Annotated[str, typer.Argument(metavar="FILE.png|white|black|cross", help="Image of the output's size.")],
     output: Output = None,
     display: Display = "",
     rig: Rig = None,
@@ -80,15 +80,15 @@ def show(
     """Show an image until Ctrl-C."""
     from drivers.projector import images
 
-    made: dict[str, Callable[[tuple[int, int]], Any]] = {
+    generators: dict[str, Callable[[tuple[int, int]], Any]] = {
         "white": lambda size: images.plain(size, 255),
         "black": lambda size: images.plain(size, 0),
         "cross": images.cross,
     }
-    make = made.get(what)
+    make = generators.get(image)
     if make is None:
-        image = read_png(Path(what))
-        make = lambda _: image  # noqa: E731
+        pixels = read_png(Path(image))
+        make = lambda _: pixels  # noqa: E731
     hold(_projector(output, display, rig, any_mode, reset_gamma), make, seconds)
 
 
@@ -100,7 +100,7 @@ def off(
     any_mode: AnyMode = False,
     reset_gamma: ResetGamma = False,
 ) -> None:
-    """Go dark once, and run the projector's open and close commands if rig.yaml has some."""
+    """Show black once, and run the projector's open and close commands of rig.yaml."""
     projector = _projector(output, display, rig, any_mode, reset_gamma)
     projector.open()
     before = projector.notes
@@ -117,7 +117,7 @@ def white(output: Output = None, display: Display = "", rig: Rig = None, seconds
 
 @app.command("cross")
 def cross(output: Output = None, display: Display = "", rig: Rig = None, seconds: Seconds = None) -> None:
-    """Show cross hairs until Ctrl-C: where the axis of the projector points."""
+    """Show cross hairs until Ctrl-C: the direction of the projector's axis."""
     show("cross", output, display, rig, seconds=seconds)
 
 
@@ -129,7 +129,7 @@ def hold(
     make: Callable[[tuple[int, int]], NDArray[np.uint8]],
     seconds: float | None,
 ) -> None:
-    """Show the image that ``make`` gives for the projector's size; say what becomes of it until the end."""
+    """Show the image that ``make`` returns for the projector's size; print problems until the end."""
     info = projector.open()
     try:
         with suppress(KeyboardInterrupt):
@@ -137,36 +137,36 @@ def hold(
             for note in projector.notes:
                 typer.echo(f"note: {note}")
             flip = projector.show(make(info.size))
-            typer.echo(f"shown{_when(flip)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
+            typer.echo(f"shown{_confirmation(flip)}; {'Ctrl-C ends' if seconds is None else f'for {seconds:g} s'}")
             _watch(projector, None if seconds is None else time.monotonic() + seconds)
     finally:
         projector.close()
 
 
 def _watch(projector: OutputProjector | ExternalProjector, deadline: float | None) -> None:
-    told = ""
+    printed = ""
     while deadline is None or time.monotonic() < deadline:
         problem = projector.problem()
-        if problem != told:
-            typer.echo(problem or "all is well again", err=bool(problem))
-            told = problem
+        if problem != printed:
+            typer.echo(problem or "the image is shown again", err=bool(problem))
+            printed = problem
         time.sleep(0.2 if deadline is None else min(0.2, max(0.0, deadline - time.monotonic())))
 
 
-def _when(flip: Flip | None) -> str:
+def _confirmation(flip: Flip | None) -> str:
     if flip is None:
         return ""
     return {
         "present": "; the server confirms the flip",
         "vblank": "; drawn before a vertical blank",
-        "unverified": "; the server tells no flip times",
+        "unverified": "; the server reports no flip times",
     }[flip.source]
 
 
 def describe(output: DetectedOutput) -> str:
-    """One output in a few words."""
+    """Format an output as one line."""
     if not output.connected:
-        return f"{output.name}: nothing plugged in"
+        return f"{output.name}: no connected device"
     if not output.is_on:
         return f"{output.name}: {output.edid_name or 'connected'}, switched off"
     parts = [
@@ -183,7 +183,7 @@ def describe(output: DetectedOutput) -> str:
 
 
 def read_png(path: Path) -> NDArray[np.uint8]:
-    """An 8-bit grey or colour PNG as (H, W, 3) red, green, blue; DaemonError if it is something else."""
+    """Read an 8-bit grey or colour PNG as (H, W, 3) red, green, blue; DaemonError for other files."""
     import cv2
     import numpy as np
 
@@ -191,11 +191,11 @@ def read_png(path: Path) -> NDArray[np.uint8]:
     from daemon.common.files import read_at_most
 
     data = read_at_most(path, PNG_LIMIT, DaemonError)
-    # Images that were compressed with losses are refused: their pixels are no longer those that were meant.
+    # Lossy formats are rejected, because they change pixels.
     is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
     if image is None:
-        raise DaemonError(f"{path}: not an image that can be read; expected an 8-bit PNG")
+        raise DaemonError(f"{path}: not a readable image; expected an 8-bit PNG")
     if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] != 3):
         raise DaemonError(f"{path}: {image.dtype} {image.shape}; expected 8 bits, grey or red-green-blue, no alpha")
     return np.ascontiguousarray(np.repeat(image[..., None], 3, 2) if image.ndim == 2 else image[..., ::-1])
@@ -204,7 +204,7 @@ def read_png(path: Path) -> NDArray[np.uint8]:
 def _projector(
     output: str | None, display: str, rig: Path | None, any_mode: bool, reset_gamma: bool
 ) -> OutputProjector | ExternalProjector:
-    """The projector of the command line, or of a rig file with the command line's changes."""
+    """Open the projector of the command line, or of a rig file with the command line's changes."""
     from daemon.common.errors import DaemonError
     from drivers.projector import open_external, open_projector
 
@@ -224,7 +224,7 @@ def _projector(
 
 
 def _section(rig: Path) -> tuple[str, dict[str, Any]]:
-    """Driver and options of the projector section; the rest of the file may be unfinished."""
+    """Driver and options of the projector section; the rest of the file is not checked."""
     from daemon.common.errors import ConfigError, DaemonError
     from daemon.common.files import read_at_most
     from daemon.config.yaml_source import read_yaml
@@ -236,5 +236,5 @@ def _section(rig: Path) -> tuple[str, dict[str, Any]]:
     if not isinstance(section, dict) or not isinstance(section.get("options", {}), dict):
         raise DaemonError(f"{rig}: no section projector with driver and options")
     if section.get("driver") == "sim":
-        raise DaemonError(f"{rig}: projector.driver is sim, which has no light; there is nothing to show")
+        raise DaemonError(f"{rig}: projector.driver is sim, which cannot show images")
     return str(section.get("driver")), dict(section.get("options", {}))

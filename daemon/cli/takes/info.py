@@ -1,4 +1,4 @@
-"""``fringed info``: what a take holds and whether it is whole."""
+"""``fringed info``: the contents of a take, and whether it is complete."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
-_LONG_BYTES = 100 << 20  # from here on reading takes long enough to tell how far it is
+_LONG_BYTES = 100 << 20  # smaller takes are read without a progress bar
 
 
 def main(
     take: Annotated[Path, typer.Argument(help="The take: its first file, or one of its parts.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print plain JSON.")] = False,
 ) -> None:
-    """Tell what a take holds and whether it is whole; exit status 1 when it is not."""
+    """Show the contents of a take and whether it is complete; exit status 1 if it is not."""
     import json
 
     from daemon.cli.options.progress import rendering
@@ -24,7 +24,7 @@ def main(
 
     with TakeReader(take) as reader, rendering(f"Reading {take.name}") as progress:
         long = reader.size > _LONG_BYTES
-        report = inspect(reader, (lambda done: progress(done, reader.size)) if long else None)
+        report = inspect(reader, (lambda position: progress(position, reader.size)) if long else None)
     if as_json:
         typer.echo(json.dumps(report, indent=2))
     else:
@@ -58,7 +58,7 @@ def rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield name, f"left {counts['left']}, right {counts['right']}"
     yield "images", ", ".join(f"{count} {name}" for name, count in report["pictures"].items()) or "none"
     yield from _time_rows(report)
-    yield from _attached_rows(report)
+    yield from _attachment_rows(report)
     problems = report["problems"] + report["attachment_problems"]
     yield "whole", "yes" if not problems else "NO"
     for problem in problems:
@@ -74,7 +74,7 @@ def _time_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "duration", f"{report['duration_s']:.2f} s{rate}"
 
 
-def _attached_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _attachment_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "attached", ", ".join(f"{name} ({size} B)" for name, size in report["attachments"].items()) or "nothing"
     if "calibration" in report:
         yield "calibration", f"{report['calibration']}, baseline {report['baseline_mm']:.1f} mm"

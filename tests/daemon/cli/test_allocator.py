@@ -1,4 +1,4 @@
-"""The process's settings: memory of large arrays is used again, and what the user says comes first."""
+"""The process's settings: memory of large arrays is reused, and the user's environment has priority."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ print(faults(20))
 def python(code: str, *arguments: str, **environment: str) -> str:
     plain = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "OMP_", "GOMP_"))}
     command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=plain | environment)
-    return done.stdout.strip()
+    process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=plain | environment)
+    return process.stdout.strip()
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
-def test_large_arrays_that_are_made_again_need_no_new_pages() -> None:
+def test_repeated_large_arrays_need_no_new_pages() -> None:
     assert int(python(_FAULTS, "tuned")) < 200
 
 
@@ -55,13 +55,13 @@ _ENVIRONMENT = (
 )
 
 
-def test_idle_threads_sleep_soon_unless_the_user_wants_otherwise() -> None:
+def test_idle_threads_sleep_soon_unless_the_user_sets_otherwise() -> None:
     assert python(_ENVIRONMENT) == f"PASSIVE {SPIN_COUNT}"
     assert python(_ENVIRONMENT, OMP_WAIT_POLICY="ACTIVE") == "ACTIVE None"
     assert python(_ENVIRONMENT, GOMP_SPINCOUNT="7") == "PASSIVE 7"
 
 
-def test_every_command_is_started_so() -> None:
+def test_every_command_starts_with_the_settings() -> None:
     code = "import os, sys; from daemon.cli import entry; entry.run = lambda _: print(os.environ['OMP_WAIT_POLICY']); "
     code += "sys.argv = ['fringed']; entry.main()"
     assert python(code) == "PASSIVE"

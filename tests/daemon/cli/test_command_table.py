@@ -1,4 +1,4 @@
-"""The command line: quick, plain-spoken, with honest exit codes."""
+"""The command line: fast start, one-sentence errors, exit codes."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_help_imports_nothing_heavy_and_names_every_command() -> None:
-    done = python(
+    process = python(
         "import sys; from daemon.cli.entry import run; code = run(['--help'])\n"
         "print(code, sorted({'numpy', 'cv2', 'numba', 'zmq', 'pydantic', 'rerun'} & set(sys.modules)))"
     )
-    assert done.stdout.splitlines()[-1] == "0 []", done.stderr
-    assert all(f"  {name} " in done.stdout for name in COMMANDS)
+    assert process.stdout.splitlines()[-1] == "0 []", process.stderr
+    assert all(f"  {name} " in process.stdout for name in COMMANDS)
 
 
-def test_an_unknown_command_is_wrong_usage() -> None:
-    done = python("import sys; from daemon.cli.entry import run; sys.exit(run(['mesure']))")
-    assert done.returncode == 2 and "No such command 'mesure'" in done.stderr
+def test_an_unknown_command_is_a_usage_error() -> None:
+    process = python("import sys; from daemon.cli.entry import run; sys.exit(run(['mesure']))")
+    assert process.returncode == 2 and "No such command 'mesure'" in process.stderr
 
 
 def test_an_expected_error_is_one_sentence_and_exit_code_1(
@@ -44,7 +44,7 @@ def test_an_expected_error_is_one_sentence_and_exit_code_1(
         entry.run(["run", "--debug"])
 
 
-def test_a_bug_is_not_dressed_up_as_an_expected_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexpected_error_is_not_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(arguments: list[str]) -> int:
         raise KeyError(arguments[0])
 
@@ -53,9 +53,9 @@ def test_a_bug_is_not_dressed_up_as_an_expected_error(monkeypatch: pytest.Monkey
         entry.run(["run"])
 
 
-def test_without_the_packages_of_a_rig_it_tells_how_to_install_them() -> None:
-    done = python(
+def test_without_the_packages_of_a_rig_the_installation_is_described() -> None:
+    process = python(
         "import sys; sys.modules['typer'] = None; from daemon.cli.entry import run; sys.exit(run(['--help']))"
     )
-    assert done.returncode == 1
-    assert "pip install 'fringed[rig]'" in done.stderr and "Traceback" not in done.stderr
+    assert process.returncode == 1
+    assert "pip install 'fringed[rig]'" in process.stderr and "Traceback" not in process.stderr

@@ -222,7 +222,7 @@ def test_errors_on_the_command_line_are_reported(
         ((take, "--out", tmp_path, "--set", "min_modulation"), "expected key=value"),
         ((take, "--out", tmp_path, "--format", "obj"), "expected one of: npz, ply, pcd"),
         ((take, "--out", tmp_path, "--calibration", tmp_path / "bad.yaml"), "bad.yaml"),
-        ((take, "--out", tmp_path, "--calibration", small), "no cloud was reconstructed"),
+        ((take, "--out", tmp_path, "--calibration", small), "use the calibration of the rig that recorded them"),
         ((tmp_path / "empty.mcap", "--out", tmp_path), "empty.mcap"),
         ((tmp_path / "absent.mcap", "--out", tmp_path), "absent.mcap"),
     ):

@@ -1,4 +1,4 @@
-"""The commands that ask a running daemon, as a person types them, and the live page."""
+"""The commands for a running daemon, and the live page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from daemon.cli import command_table
-from daemon.cli.control.get import bounds, listed
+from daemon.cli.control.get import bounds, list_text
 from daemon.cli.control.set import parsed
 from daemon.cli.control.status_page import page, watch
 from daemon.common.errors import ControlError
@@ -21,24 +21,24 @@ from tests.daemon.running_daemon import Running, warmed
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Running, str]]:
     path = tmp_path_factory.mktemp("rig")
-    made = warmed(path)
-    server = ControlServer(f"ipc://{path}/c", made.methods)
+    running = warmed(path)
+    server = ControlServer(f"ipc://{path}/c", running.methods)
     server.start()
-    yield made, server.endpoint
+    yield running, server.endpoint
     server.close()
-    made.stop()
+    running.stop()
 
 
 @pytest.fixture
 def typed(daemon: tuple[Running, str], capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    def run(*words: str) -> str:
-        assert command_table.invoke([*words, "--endpoint", daemon[1], "--timeout", "60"]) == 0
+    def run(*arguments: str) -> str:
+        assert command_table.invoke([*arguments, "--endpoint", daemon[1], "--timeout", "60"]) == 0
         return capsys.readouterr().out
 
     return run
 
 
-def test_a_setting_is_shown_set_and_goes_back_with_a_reload(typed: Callable[..., str]) -> None:
+def test_a_setting_is_shown_set_and_restored_by_a_reload(typed: Callable[..., str]) -> None:
     shown = typed("get", "pairing.tolerance_us")
     assert "pairing.tolerance_us = 2000.0 µs" in shown and "can be set live" in shown
     assert typed("set", "pairing.tolerance_us", "1800") == "pairing.tolerance_us = 1800.0\n"
@@ -57,19 +57,19 @@ def test_all_settings_are_listed(typed: Callable[..., str]) -> None:
     assert "pipeline.overload = skip  (skip | half, live)" in live
 
 
-def test_a_refusal_is_told_in_the_daemons_words(daemon: tuple[Running, str]) -> None:
+def test_a_refusal_raises_the_daemons_message(daemon: tuple[Running, str]) -> None:
     with pytest.raises(ControlError, match=r"device\.name cannot be set live"):
         command_table.invoke(["set", "device.name", "x", "--endpoint", daemon[1], "--timeout", "60"])
 
 
-def test_it_pauses_goes_on_and_takes_a_snapshot(typed: Callable[..., str]) -> None:
+def test_a_daemon_pauses_resumes_and_writes_a_snapshot(typed: Callable[..., str]) -> None:
     assert typed("stop") == "paused\n"
     assert typed("start") == "running\n"
-    assert "points, trigger" in typed("snapshot", "--name", "desk")
+    assert "points, trigger" in typed("snapshot", "--name", "office")
     assert typed("pattern", "black") == "shown: black\n" and typed("pattern", "fringe") == "shown: fringe\n"
 
 
-def test_the_status_is_printed_once_where_there_is_no_terminal(typed: Callable[..., str]) -> None:
+def test_the_status_is_printed_once_without_a_terminal(typed: Callable[..., str]) -> None:
     assert "state" in typed("status") and json.loads(typed("status", "--json"))["state"] == "running"
 
 
@@ -81,11 +81,11 @@ def test_the_page_fits_the_terminal(daemon: tuple[Running, str], width: int) -> 
     lines = console.export_text().splitlines()
     assert max(map(len, lines)) <= width and len(lines) < 45
     text = "\n".join(lines)
-    assert all(word in text for word in ("RUNNING", "clouds", "left", "right", "recorder", "no daemon answers"))
+    assert all(part in text for part in ("RUNNING", "clouds", "left", "right", "recorder", "no daemon answers"))
 
 
 def test_the_page_waits_for_a_daemon_that_does_not_answer() -> None:
-    answers = iter([ControlError("nobody"), ControlError("nobody")])
+    answers = iter([ControlError("no answer"), ControlError("no answer")])
 
     def ask() -> dict[str, object]:
         raise next(answers, KeyboardInterrupt)
@@ -94,11 +94,11 @@ def test_the_page_waits_for_a_daemon_that_does_not_answer() -> None:
     watch(ask, console, sleep=lambda _: None)
 
 
-def test_what_is_no_json_is_text() -> None:
+def test_a_value_that_is_no_json_is_text() -> None:
     assert [parsed(text) for text in ("7", "true", "half", '{"a": 1}')] == [7, True, "half", {"a": 1}]
 
 
-def test_bounds_are_told_in_few_characters() -> None:
+def test_bounds_are_formatted_in_few_characters() -> None:
     assert [bounds(row) for row in ({"min": 0, "max": 5}, {"above": 0, "max": 5}, {"max": 5}, {"min": 1}, {})] == [
         "0 to 5",
         "> 0, up to 5",
@@ -106,4 +106,4 @@ def test_bounds_are_told_in_few_characters() -> None:
         "from 1",
         "",
     ]
-    assert listed([]) == ""
+    assert list_text([]) == ""

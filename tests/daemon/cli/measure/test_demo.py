@@ -1,4 +1,4 @@
-"""The demo's parts: its rig file, its viewer, its line per second."""
+"""The demo's rig file, viewer and status lines."""
 
 from __future__ import annotations
 
@@ -29,34 +29,34 @@ def test_the_demo_writes_a_valid_rig_file(tmp_path: Path, small: bool) -> None:
     assert endpoint in config.stream.endpoints and config.simulation["frames"] == 3
 
 
-def test_the_line_tells_rate_points_and_latency() -> None:
+def test_the_line_contains_rate_points_and_latency() -> None:
     text = demo_processes.line(STATUS)
     assert all(part in text for part in ("4.5 clouds/s", "1000 points", "latency 100 ms", "dropped 2"))
     assert "no cloud yet" in demo_processes.line(STATUS | {"latency_ms": {}})
 
 
 def test_the_demo_ends_after_its_seconds_of_measuring() -> None:
-    now_s, said, stopped = [0.0], [], []
+    now_s, lines, stopped = [0.0], [], []
     report = demo_processes.Report(
-        2.0, stop=lambda: stopped.append(True), viewer=None, say=said.append, now_s=lambda: now_s[0]
+        2.0, stop=lambda: stopped.append(True), viewer=None, echo=lines.append, now_s=lambda: now_s[0]
     )
     for second in (50.0, 51.0, 52.0):
         now_s[0] = second
         report(STATUS | {"state": "starting"} if second == 0 else STATUS)
-    assert len(said) == 3 and stopped == [True]
+    assert len(lines) == 3 and stopped == [True]
 
 
-def test_a_viewer_that_dies_is_told_once_and_measuring_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viewer_that_ends_is_reported_once_and_measuring_continues(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo_processes, "_VIEW", "raise SystemExit(7)")
-    said: list[str] = []
+    lines: list[str] = []
     viewer = demo_processes.Viewer("ipc://nowhere")
-    report = demo_processes.Report(None, stop=lambda: None, viewer=viewer, say=said.append, now_s=lambda: 0.0)
+    report = demo_processes.Report(None, stop=lambda: None, viewer=viewer, echo=lines.append, now_s=lambda: 0.0)
     report(STATUS)
     assert viewer._process is not None
     wait_until(lambda: viewer._process is not None and viewer._process.poll() is not None)
     report(STATUS)
     report(STATUS)
-    assert [text for text in said if "viewer" in text] == ["the viewer ended (exit status 7); measuring goes on"]
+    assert [text for text in lines if "viewer" in text] == ["the viewer ended (exit status 7); measuring continues"]
 
 
 def test_a_viewer_that_hangs_is_ended_with_the_demo(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""``fringed listen`` and the examples, against a publisher that sends until they have enough."""
+"""``fringed listen`` and the examples, with a publisher that sends until they end."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ EXAMPLES = Path(__file__).parents[4] / "examples"
 
 @contextmanager
 def sending() -> Iterator[Publisher]:
-    """A publisher that sends numbered clouds for as long as the block lasts."""
-    done = threading.Event()
-    with clouds.publisher() as made:
+    """A publisher that sends numbered clouds until the block ends."""
+    finished = threading.Event()
+    with clouds.publisher() as publisher:
 
         def send() -> None:
             seq = 0
-            while not done.wait(0.005):
-                if made.has_subscribers("cloud/full"):
-                    made.offer(clouds.item(seq))
+            while not finished.wait(0.005):
+                if publisher.has_subscribers("cloud/full"):
+                    publisher.offer(clouds.item(seq))
                     seq += 1
 
         thread = threading.Thread(target=send)
         thread.start()
         try:
-            yield made
+            yield publisher
         finally:
-            done.set()
+            finished.set()
             thread.join()
 
 
@@ -55,22 +55,22 @@ def listen(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, st
 
 
 def test_listen_reports_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    with sending() as made:
-        status, out = listen(capsys, made.endpoints[0], "--json", "--count", "5")
+    with sending() as publisher:
+        status, out = listen(capsys, publisher.endpoints[0], "--json", "--count", "5")
     reports = [json.loads(line) for line in out.splitlines()]
     assert status == 0 and reports[-1]["clouds"] == 5
     assert reports[-1]["points"] == clouds.item(0).cloud.points and reports[-1]["daemon_latency_ms"] == 21.0
 
 
-def test_listen_reports_for_the_eye(capsys: pytest.CaptureFixture[str]) -> None:
-    with sending() as made:
-        status, out = listen(capsys, made.endpoints[0], "--seconds", "0.5")
+def test_listen_prints_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    with sending() as publisher:
+        status, out = listen(capsys, publisher.endpoints[0], "--seconds", "0.5")
     assert status == 0 and "rig-t:" in out and "clouds/s" in out and "lost" in out
 
 
 def test_listen_saves_the_valid_points(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    with sending() as made:
-        status, _ = listen(capsys, made.endpoints[0], "--save", str(tmp_path / "out"), "--count", "2")
+    with sending() as publisher:
+        status, _ = listen(capsys, publisher.endpoints[0], "--save", str(tmp_path / "out"), "--count", "2")
     files = sorted((tmp_path / "out").iterdir())
     assert status == 0 and len(files) == 2 and all(path.suffix == ".ply" for path in files)
     head, _, body = files[0].read_bytes().partition(b"end_header\n")
@@ -82,7 +82,7 @@ def test_listen_saves_the_valid_points(capsys: pytest.CaptureFixture[str], tmp_p
     np.testing.assert_array_equal(rows["rgb"][:, 1], cloud.gray[valid])
 
 
-def test_listen_without_a_daemon_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_listen_without_a_daemon_reports_no_cloud(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     status, out = listen(capsys, f"ipc://{tmp_path}/none", "--seconds", "0.3", "--count", "1")
     assert status == 1 and "no cloud" in out
 
@@ -100,7 +100,7 @@ def test_the_plain_reader_reads_the_golden_message() -> None:
     )
 
 
-def test_the_plain_reader_is_short_and_its_own() -> None:
+def test_the_plain_reader_is_short_and_independent() -> None:
     text = (EXAMPLES / "02_plain_reader.py").read_text()
     assert len(text.splitlines()) <= 40
     assert "fringed" not in text and "daemon" not in text
@@ -108,13 +108,13 @@ def test_the_plain_reader_is_short_and_its_own() -> None:
 
 @pytest.mark.parametrize("example", ["01_subscribe.py", "02_plain_reader.py"])
 def test_examples_read_a_live_stream(example: str) -> None:
-    with sending() as made:
-        result = run("-W", "error", str(EXAMPLES / example), made.endpoints[0], "3")
+    with sending() as publisher:
+        result = run("-W", "error", str(EXAMPLES / example), publisher.endpoints[0], "3")
     assert (result.returncode, result.stderr) == (0, "")
     assert len(result.stdout.splitlines()) == 3
 
 
-def test_importing_the_client_brings_nothing_of_the_rig() -> None:
+def test_importing_the_client_imports_nothing_of_the_rig() -> None:
     code = (
         "import sys, fringed; light = set(sys.modules); fringed.subscribe\n"
         "assert not {'zmq', 'numpy', 'msgspec'} & light, light\n"

@@ -1,4 +1,4 @@
-"""``info``, ``check`` and ``export`` as a user types them."""
+"""The commands ``info``, ``check`` and ``export``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
 from daemon.cli.entry import run
 from daemon.recording.read.inspect import gaps, inspect, unwrapped
 from daemon.recording.read.take_reader import TakeReader
-from tests.daemon.recording.takes import lone, pair, write
+from tests.daemon.recording.takes import pair, unpaired, write
 
 PATTERN = {
     "kind": "color_fringe",
@@ -32,9 +32,9 @@ def report_of(path: Path) -> dict[str, object]:
         return inspect(take)
 
 
-def test_the_report_counts_pairs_lone_and_double_frames_and_holes(tmp_path: Path) -> None:
+def test_the_report_counts_pairs_unpaired_and_duplicate_frames_and_gaps(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
-    write(path, [pair(1), pair(2), pair(2), lone("left", 4), pair(9)], **GOOD)
+    write(path, [pair(1), pair(2), pair(2), unpaired("left", 4), pair(9)], **GOOD)
     report = report_of(path)
     assert report["whole"]
     assert (report["pairs"], report["frames"]) == (3, {"left": 5, "right": 4})
@@ -45,14 +45,14 @@ def test_the_report_counts_pairs_lone_and_double_frames_and_holes(tmp_path: Path
     assert report["duration_s"] == pytest.approx(8 * 0.033)
 
 
-def test_numbers_that_wrap_leave_no_hole(tmp_path: Path) -> None:
+def test_numbers_that_wrap_leave_no_gap(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
     write(path, [pair(n % 2**32) for n in range(2**32 - 2, 2**32 + 2)], **GOOD)
     report = report_of(path)
     assert (report["first_sequence"], report["last_sequence"], report["missing"]) == (2**32 - 2, 1, 0)
 
 
-def test_unwrapping_takes_the_nearest_number() -> None:
+def test_unwrapping_chooses_the_nearest_number() -> None:
     rng = np.random.default_rng(3)
     true = 5
     last: int | None = None
@@ -73,7 +73,9 @@ def test_all_parts_are_one_take(tmp_path: Path) -> None:
     assert (report["pairs"], report["missing"], report["whole"]) == (6, 0, True)
 
 
-def test_info_of_a_cut_take_says_where_and_gives_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_of_a_truncated_take_reports_the_position_and_exits_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "take.mcap"
     write(path, [pair(n) for n in range(4)], **GOOD)
     whole = path.read_bytes()
@@ -88,7 +90,7 @@ def test_info_of_a_cut_take_says_where_and_gives_1(tmp_path: Path, capsys: pytes
     assert "cut off" in capsys.readouterr().out
 
 
-def test_check_names_file_and_place_of_every_mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_names_file_and_position_of_every_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bad = {
         "calibration.yaml": ("fringed_calibration: 1\ncameras: 3\n", "calibration.yaml:2:1: cameras"),
         "pattern.json": ('{"kind": "color_fringe",\n "kind": 1}', "pattern.json"),
@@ -106,16 +108,14 @@ def test_check_names_file_and_place_of_every_mistake(tmp_path: Path, capsys: pyt
     assert "absent.yaml: No such file" in shown.err
 
 
-def test_check_of_a_take_tells_of_an_attachment_that_cannot_be_used(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_of_a_take_reports_an_unusable_attachment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "take.mcap"
     write(path, [pair(0)], **GOOD)  # its calibration is a stub
     assert run(["check", str(path)]) == 1
     assert "calibration.yaml" in capsys.readouterr().err
 
 
-def saved(directory: Path, count: int) -> None:
+def write_clouds(directory: Path, count: int) -> None:
     directory.mkdir()
     for i in range(count):
         xyz = np.full((8, 10, 3), 1300 + 10 * i, np.float32)
@@ -125,7 +125,7 @@ def saved(directory: Path, count: int) -> None:
 
 
 def test_export_writes_a_file_for_every_cloud(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    saved(tmp_path / "clouds", 3)
+    write_clouds(tmp_path / "clouds", 3)
     for kind in ("ply", "pcd"):
         assert run(["export", str(tmp_path / "clouds"), "--out", str(tmp_path / kind), "--format", kind]) == 0
         assert sorted(p.name for p in (tmp_path / kind).iterdir()) == [f"cloud_{i:06d}.{kind}" for i in range(3)]
@@ -133,12 +133,12 @@ def test_export_writes_a_file_for_every_cloud(tmp_path: Path, capsys: pytest.Cap
     assert "3 images" in capsys.readouterr().out
 
 
-def test_export_refuses_what_makes_no_sense(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    saved(tmp_path / "clouds", 1)
+def test_export_rejects_invalid_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_clouds(tmp_path / "clouds", 1)
     base = ["export", str(tmp_path / "clouds"), "--out"]
     for extra, message in (
         ([str(tmp_path / "x"), "--format", "obj"], "expected one of: npz, ply, pcd"),
-        ([str(tmp_path / "x"), "--set", "min_modulation=7"], "need a take"),
+        ([str(tmp_path / "x"), "--set", "min_modulation=7"], "require a take"),
         ([str(tmp_path / "x.mp4"), "--near", "9", "--far", "8"], "smaller"),
     ):
         assert run(base + extra) == 1
@@ -149,7 +149,7 @@ def test_export_refuses_what_makes_no_sense(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.shared
-def test_the_foreign_take_is_whole(shared_data: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_foreign_take_is_complete(shared_data: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
     path = shared_data("bust", "take.mcap")
     report = report_of(path)
     assert (report["pairs"], report["missing"], report["problems"]) == (1, 0, [])
@@ -158,7 +158,7 @@ def test_the_foreign_take_is_whole(shared_data: Callable[..., Path], capsys: pyt
     assert capsys.readouterr().out.count(": good") == 4
 
 
-def test_a_part_that_cannot_be_read_costs_no_other(tmp_path: Path) -> None:
+def test_an_unreadable_part_does_not_affect_the_others(tmp_path: Path) -> None:
     path = tmp_path / "take.mcap"
     write(path, [pair(n) for n in range(6)], max_part_bytes=12_000, **GOOD)
     before = report_of(path)
@@ -171,7 +171,7 @@ def test_a_part_that_cannot_be_read_costs_no_other(tmp_path: Path) -> None:
     assert any(last.name in problem for problem in report["problems"])  # type: ignore[attr-defined]
 
 
-def test_parts_of_another_take_are_left_alone(tmp_path: Path) -> None:
+def test_parts_of_another_take_are_left_out(tmp_path: Path) -> None:
     write(tmp_path / "take.mcap", [pair(0)], **GOOD)
     write(tmp_path / "take_part002.mcap", [pair(1)], session="another", **GOOD)
     assert report_of(tmp_path / "take.mcap")["pairs"] == 1
