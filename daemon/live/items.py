@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 from drivers.protocols import Frame
-from pipeline.reconstruct.cloud import Cloud
 
 if TYPE_CHECKING:
     from daemon.common.heartbeat import Heartbeat
     from daemon.config.rig_config import RigConfig
     from daemon.rig.open_rig import Rig
+    from pipeline.reconstruct.cloud import Cloud
 
 SINGLE = "single"
 """The mode in which one pair makes a cloud."""

@@ -326,15 +326,15 @@ def test_without_a_temporary_directory_another_is_found(
     assert shot(rig[0], camera).trigger == 0
 
 
-@pytest.mark.slow
-def test_nothing_grows_by_starting_and_opening_again(make: Make, rig: Rig) -> None:
+@pytest.mark.parametrize("openings", [6, pytest.param(30, marks=pytest.mark.long)])
+def test_nothing_grows_by_starting_and_opening_again(make: Make, rig: Rig, openings: int) -> None:
     cable, camera = rig[0], make()
 
     def held() -> tuple[int, int]:
         return len(list(Path("/proc/self/fd").iterdir())), threading.active_count()
 
     before = None
-    for _ in range(20):
+    for _ in range(openings):
         camera.open()
         camera.start()
         shot(cable, camera)

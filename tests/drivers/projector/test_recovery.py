@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from drivers.projector import OutputProjector
 from sim.box.xserver import XServer
@@ -18,7 +19,6 @@ from tests.drivers.projector import x
 from tools.waiting import wait_until
 
 Make = Callable[..., OutputProjector]
-CYCLES = 12
 
 
 def opened(server: XServer, shown: OutputProjector) -> np.ndarray:
@@ -173,13 +173,14 @@ def test_the_window_ends_with_its_parent_and_puts_the_gamma_table_back(own_serve
     assert np.array_equal(x.gamma(server, "DUMMY1"), bent)
 
 
-def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make) -> None:
+@pytest.mark.parametrize("cycles", [4, pytest.param(20, marks=pytest.mark.long)])
+def test_nothing_is_left_behind_by_many_lives(server: XServer, projector: Make, cycles: int) -> None:
     def left() -> tuple[int, int, int]:
         children = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
         return len(list(Path("/proc/self/fd").iterdir())), len(children), threading.active_count()
 
     image, before = x.noise(server, 1), None
-    for cycle in range(CYCLES):
+    for cycle in range(cycles):
         shown = projector(server)
         shown.open()
         shown.show(image)

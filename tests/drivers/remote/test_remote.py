@@ -320,8 +320,8 @@ def test_closing_twice_is_allowed(camera: Any) -> None:
     remote.close()
 
 
-@pytest.mark.slow
-def test_nothing_is_left_behind_by_fifty_openings(camera: Any) -> None:
+@pytest.mark.parametrize("openings", [10, pytest.param(50, marks=pytest.mark.long)])
+def test_nothing_is_left_behind_by_many_openings(camera: Any, openings: int) -> None:
     def held() -> tuple[int, int, int, list[str]]:
         gc.collect()
         maps = Path("/proc/self/maps").read_text()
@@ -334,7 +334,7 @@ def test_nothing_is_left_behind_by_fifty_openings(camera: Any) -> None:
 
     remote = camera(frames=6)
     before = None
-    for _ in range(50):
+    for _ in range(openings):
         remote.open()
         remote.start()
         frames(remote, 6)
