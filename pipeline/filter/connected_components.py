@@ -1,8 +1,8 @@
 """Connected surfaces: neighbours whose absolute phase and match continue.
 
 A row's pixels that hang together are one run; runs of adjacent rows are united where at least one pixel of the one is
-linked with the pixel above it. There are some thousand runs where there are a million pixels: everything that looks
-at every pixel is vector code over rows, and what remains is a union-find over runs.
+linked with the pixel above it. A million pixels give some thousand runs: the pixels are processed by
+vector code over rows, and a union-find runs over the runs.
 """
 
 from __future__ import annotations
@@ -104,14 +104,14 @@ def find_runs(valid: Any, link: Any, start: Any, stop: Any, contact: Any, count:
         count: (2, H) int32, number of runs and of contacts of each row.
     """
     height, width = valid.shape
-    words = (width + 7) // 8
-    for block in prange((height + _ROWS - 1) // _ROWS):
-        event = np.zeros(8 * words, np.uint8)
+    blocks = (width + 7) // 8
+    for band in prange((height + _ROWS - 1) // _ROWS):
+        event = np.zeros(8 * blocks, np.uint8)
         # Most pixels are the inside of a run: eight of them are passed at once.
-        event_words = event.view(np.uint64)
+        event_blocks = event.view(np.uint64)
         joined = np.zeros((2, width + 1), np.uint8)
         touching = np.zeros(width + 1, np.uint8)
-        top = block * _ROWS
+        top = band * _ROWS
         if top > 0:
             _joined(valid[top - 1], link[top - 1], joined[(top + 1) % 2])
         for i in range(top, min(top + _ROWS, height)):
@@ -121,10 +121,10 @@ def find_runs(valid: Any, link: Any, start: Any, stop: Any, contact: Any, count:
                 _touching(valid[i], valid[i - 1], link[i], touching)
             _events(valid[i], here, above, touching, event)
             runs, contacts = 0, 0
-            for word in range(words):
-                if event_words[word] == 0:
+            for eight in range(blocks):
+                if event_blocks[eight] == 0:
                     continue
-                for j in range(8 * word, 8 * word + 8):
+                for j in range(8 * eight, 8 * eight + 8):
                     if event[j] & _START:
                         start[i, runs] = j
                     if event[j] & _CONTACT:

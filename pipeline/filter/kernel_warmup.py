@@ -1,4 +1,4 @@
-"""A contest between surfaces that images of noise never have: it compiles what only real scenes would."""
+"""Compilation of the occlusion kernels by a conflict between surfaces, which images of noise never have."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _SIDE = 16
 
 
 def warm_up_conflicts() -> None:
-    """Let two small surfaces claim the same pixels of another device, in arrays of the kinds that the gates use."""
+    """Let two small surfaces claim the same pixels of another device, in arrays of the types that the filters use."""
     shape = (_SIDE, _SIDE)
     v, u = (PIXEL_STEPS * np.indices(shape)).astype(np.uint16)
     label = (1 + np.arange(_SIDE * _SIDE) % 2).astype(np.uint16).reshape(shape)
     size = np.full(2, label.size // 2, np.int32)
     points = Points.empty(shape)
     points.xyz[..., 2] = np.where(label == 1, 1000, 1100)
-    contest = Uniqueness(shape, (shape,))
+    uniqueness = Uniqueness(shape, (shape,))
     for by_depth in (False, True):
         values = Values((1000 * label).astype(np.int16), by_depth, np.float32(0), np.float32(1e-3))
         valid = np.ones(shape, np.uint8)
-        contest.apply(valid, label, size, u, v, points.depth_mm(1), shape, values, PARAMETER_STEPS // 4, label.size)
+        uniqueness.apply(valid, label, size, u, v, points.depth_mm(1), shape, values, PARAMETER_STEPS // 4, label.size)

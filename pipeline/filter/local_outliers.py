@@ -68,8 +68,8 @@ def local_outliers(valid: Any, first: Any, second: Any, limit: int, largest: int
         out: (H, W) uint8, becomes 1 where all is well, else 0.
     """
     height, width = valid.shape
-    for block in prange((height + _ROWS - 1) // _ROWS):
-        top = block * _ROWS
+    for band in prange((height + _ROWS - 1) // _ROWS):
+        top = band * _ROWS
         bottom = min(top + _ROWS, height)
         # Columns beyond the image's sides stay 0, and rows above and below it count as unknown.
         column1, column2, column_n = (np.zeros(width + 2 * RADIUS, np.int16), np.zeros(width + 2 * RADIUS, np.int16),
@@ -161,18 +161,18 @@ def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
         out: (H, W) uint8, becomes 1 where a pixel of a surface stays, else 0.
     """
     height, width = label.shape
-    words = (width + 7) // 8
+    blocks = (width + 7) // 8
     share_256 = min(int(share * np.float32(256.0)) + 1, 256)
-    for block in prange((height + _ROWS - 1) // _ROWS):
-        top = block * _ROWS
+    for band in prange((height + _ROWS - 1) // _ROWS):
+        top = band * _ROWS
         bottom = min(top + _ROWS, height)
         # Beyond the image there is no surface. Rows are kept in turns of three.
         strength, labels = np.zeros((3, width + 2), np.uint8), np.zeros((3, width + 2), np.uint16)
         best_of_row = np.zeros((3, width), np.uint8)
         least_of_row, most_of_row = np.zeros((3, width), np.uint16), np.zeros((3, width), np.uint16)
         best, least, most = np.empty(width, np.uint8), np.empty(width, np.uint16), np.empty(width, np.uint16)
-        doubt, ignored = np.zeros(8 * words, np.uint8), np.empty(width, np.uint8)
-        doubt_words = doubt.view(np.uint64)
+        doubtful, ignored = np.zeros(8 * blocks, np.uint8), np.empty(width, np.uint8)
+        doubtful_blocks = doubtful.view(np.uint64)
         for i in range(max(0, top - 1), bottom + 1):
             now = i % 3
             s, k = strength[now], labels[now]
@@ -189,11 +189,11 @@ def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
             _largest_of_three(best_of_row[0], best_of_row[1], best_of_row[2], best)
             _least_of_three(least_of_row[0], least_of_row[1], least_of_row[2], least)
             _largest_of_three(most_of_row[0], most_of_row[1], most_of_row[2], most)
-            _perhaps_mixed(strength[here % 3, 1:], best, share_256, least, most, doubt[:width])
-            # Few pixels are in doubt: only those are looked at closely.
-            for word in range(words):
-                if doubt_words[word] == 0:
+            _perhaps_mixed(strength[here % 3, 1:], best, share_256, least, most, doubtful[:width])
+            # Few pixels are doubtful: only those are tested in full.
+            for eight in range(blocks):
+                if doubtful_blocks[eight] == 0:
                     continue
-                for j in range(8 * word, 8 * word + 8):
-                    if doubt[j] != 0 and label[here, j] != 0 and _mixed(label, modulation, here, j, share):
+                for j in range(8 * eight, 8 * eight + 8):
+                    if doubtful[j] != 0 and label[here, j] != 0 and _mixed(label, modulation, here, j, share):
                         out[here, j] = _NO

@@ -1,4 +1,4 @@
-"""Which of two surfaces keeps a pixel of another device that both claim."""
+"""Occlusion conflicts: two surfaces claim the same pixel of another device, and one of them is rejected there."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PARAMETER_STEPS = 16384
 
 
 class Values(NamedTuple):
-    """What must agree among those who see the same pixel: the absolute phase, or else the depth.
+    """The quantity that must agree among points on the same pixel: the absolute phase, or else the depth.
 
     Args:
         phase: (H, W) int16, absolute phase modulo 16 bits.
@@ -36,7 +36,7 @@ class Claims(NamedTuple):
     Args:
         entries: (PARTS) int32, number of claims of each band.
         pixel: flat index; place: claimed pixel, 64 to a shared block; surface of the pixel.
-        depth: mm; value: of :class:`Values`; rival: bits, 1 the nearest at this place is a rival, 2 the farthest.
+        depth: mm; value: of :class:`Values`; conflict: bits, 1 with the nearest claim, 2 with the farthest.
     """
 
     entries: NDArray[np.int32]
@@ -45,11 +45,11 @@ class Claims(NamedTuple):
     surface: NDArray[np.int32]
     depth: NDArray[np.float32]
     value: NDArray[np.int16]
-    rival: NDArray[np.uint8]
+    conflict: NDArray[np.uint8]
 
     @staticmethod
     def empty(parts: int, most: int) -> Claims:
-        """Room for so many claims in each band."""
+        """Space for so many claims in each band."""
         types = (np.int32, np.int32, np.int32, np.float32, np.int16, np.uint8)
         return Claims(np.zeros(parts, np.int32), *(np.empty((parts, most), t) for t in types))
 
@@ -81,17 +81,17 @@ def list_claims(
     parts = entries.shape[0]
     across = (width + 7) // 8
     for part in prange(parts):
-        contested = np.empty(tiles, np.int32)
+        shared_tiles = np.empty(tiles, np.int32)
         n = 0
         for band in range(part * down // parts, (part + 1) * down // parts):
             found = 0
             for tile in range(tiles):
                 if _any_shared(number, box[band, tile], across):
-                    contested[found], found = tile, found + 1
+                    shared_tiles[found], found = tile, found + 1
             # Row by row: memory is read ahead along rows.
             for i in range(TILE_ROWS * band, min(TILE_ROWS * (band + 1), rows)):
                 for m in range(found):
-                    first = TILE_COLUMNS * contested[m]
+                    first = TILE_COLUMNS * shared_tiles[m]
                     for j in range(first, min(first + TILE_COLUMNS, columns)):
                         a, b = np.int32(u[i, j]) // PIXEL_STEPS, np.int32(v[i, j]) // PIXEL_STEPS
                         x, y = a // 8, b // 8
@@ -129,18 +129,19 @@ def nearest_and_farthest(entries: Any, places: Any, depth: Any, near: Any, far: 
 
 
 @serial
-def _differ(surface: Any, value: Any, e: int, rival: int, tolerance: int) -> bool:
-    return bool(surface[e] != surface[rival] and abs(np.int64(np.int16(value[e] - value[rival]))) > tolerance)
+def _differ(surface: Any, value: Any, e: int, other: int, tolerance: int) -> bool:
+    return bool(surface[e] != surface[other] and abs(np.int64(np.int16(value[e] - value[other]))) > tolerance)
 
 
 @parallel
-def contest(
-    entries: Any, places: Any, surface: Any, value: Any, near: Any, far: Any, tolerance: int, rivals: Any, against: Any
+def find_conflicts(
+    entries: Any, places: Any, surface: Any, value: Any, near: Any, far: Any, tolerance: int, conflicts: Any,
+    against: Any,
 ) -> None:  # fmt: skip
-    """Find the claims that another surface contests, and their number by surface.
+    """Find the claims in conflict with another surface, and their number by surface.
 
     Args:
-        entries, places, surface, value: of :class:`Claims`; rivals: likewise, written.
+        entries, places, surface, value: of :class:`Claims`; conflicts: likewise, written.
         near, far: of :func:`nearest_and_farthest`; tolerance: steps of the values up to which claimants agree.
         against: (PARTS, surfaces) int32, zero before.
     """
@@ -155,49 +156,50 @@ def contest(
                 bits = (1 if _differ(surfaces, values, e, a, tolerance) else 0) | (
                     2 if _differ(surfaces, values, e, b, tolerance) else 0
                 )
-            rivals[part, n] = bits
+            conflicts[part, n] = bits
             if bits != 0:
                 against[part, surfaces[e]] += 1
 
 
 @serial
-def _prevails(label: int, depth: float, rival: int, rival_depth: float, size: Any, share: Any, sure: int) -> bool:
-    """Whether a claim beats its rival.
+def _keeps_pixel(label: int, depth: float, other: int, other_depth: float, size: Any, share: Any, sure: int) -> bool:
+    """Whether a claim keeps its pixel against another one.
 
-    A ghost is contested nearly everywhere, a real surface only where another one hides it; of two established real
-    surfaces the nearer hides the other; of small ones the larger is believed.
+    A false surface has conflicts nearly everywhere, a real one only where another one occludes it; of two established
+    real surfaces the nearer occludes the other; of small ones the larger is kept.
     """
-    a, b = share[label], share[rival]
+    a, b = share[label], share[other]
     if max(a, b) > 0.4 and abs(a - b) > 0.25:
         return a < b
-    if size[label] >= sure and size[rival] >= sure:
-        return depth < rival_depth
-    return size[label] > size[rival]
+    if size[label] >= sure and size[other] >= sure:
+        return depth < other_depth
+    return size[label] > size[other]
 
 
 @parallel
 def arbitrate(
-    entries: Any, pixels: Any, places: Any, surface: Any, depth: Any, rivals: Any, near: Any, far: Any,
+    entries: Any, pixels: Any, places: Any, surface: Any, depth: Any, conflicts: Any, near: Any, far: Any,
     size: Any, share: Any, sure: int, valid: Any,
 ) -> None:  # fmt: skip
-    """Forget the contested claims that do not prevail; ``valid`` (flat) is changed.
+    """Reject the points of claims that lose their pixel; ``valid`` (flat) is changed.
 
     Args:
-        entries, pixels, places, surface, depth, rivals: of :class:`Claims`; near, far: of :func:`nearest_and_farthest`.
-        size: pixels of each surface; share: float32, share of them that another surface contests.
+        entries, pixels, places, surface, depth, conflicts: of :class:`Claims`; near, far: of
+            :func:`nearest_and_farthest`.
+        size: pixels of each surface; share: float32, share of them in conflict with another surface.
         sure: size from which a surface is taken as established.
     """
     capacity = places.shape[1]
     surfaces, depths = surface.ravel(), depth.ravel()
     for part in prange(entries.shape[0]):
         for n in range(entries[part]):
-            bits = rivals[part, n]
+            bits = conflicts[part, n]
             if bits == 0:
                 continue
             a, b = near[places[part, n]], far[places[part, n]]
             e = part * capacity + n
             mine, z = surfaces[e], depths[e]
-            wins = (bits & 1) == 0 or _prevails(mine, z, surfaces[a], depths[a], size, share, sure)
-            wins = wins and ((bits & 2) == 0 or _prevails(mine, z, surfaces[b], depths[b], size, share, sure))
-            if not wins:
+            kept = (bits & 1) == 0 or _keeps_pixel(mine, z, surfaces[a], depths[a], size, share, sure)
+            kept = kept and ((bits & 2) == 0 or _keeps_pixel(mine, z, surfaces[b], depths[b], size, share, sure))
+            if not kept:
                 valid[pixels[part, n]] = 0

@@ -1,7 +1,7 @@
-"""One pixel of another device sees (or lights) one surface only: of two that claim it one is forgotten there.
+"""Uniqueness: one pixel of another device shows (or lights) one surface only; of two that claim it one is rejected.
 
 Areas seen by the left camera alone can match areas seen by the right alone with perfect phase; nothing else removes
-them. Most of the other device's image is claimed by one surface only, which blocks of 8 x 8 pixels tell quickly: a
+them. Most of the other device's image is claimed by one surface only, which blocks of 8 x 8 pixels show quickly: a
 tile of the left image claims every block between its least and largest coordinates there. Claims to single pixels
 are compared in the few blocks that several surfaces claim.
 """
@@ -102,7 +102,7 @@ def claim_blocks(
         u, v: (H, W) uint16, pixel in the other device of this width and height, see :mod:`pipeline.match.match_result`.
         box: (tiles down, tiles across, 4) int32, becomes first and last column, first and last row of the blocks that
             a tile's valid pixels lie in.
-        owner: (PARTS, blocks) int32, becomes the claiming surface, NOBODY or SEVERAL, by bands of rows.
+        owner: (PARTS, blocks) int32, becomes the claiming surface, `NOBODY` or `SEVERAL`, by bands of rows.
     """
     rows, columns = valid.shape
     down, tiles = box.shape[:2]
@@ -184,7 +184,7 @@ class Uniqueness:
         tiles = (height + TILE_ROWS - 1) // TILE_ROWS, (width + TILE_COLUMNS - 1) // TILE_COLUMNS
         self._box = np.empty((*tiles, 4), np.int32)
         self._owner, self._number = np.empty((PARTS, blocks), np.int32), np.empty(blocks, np.int32)
-        # Only as much as there are rival claims is ever touched of these.
+        # Only the part with claims in conflict is ever touched.
         rows = -(-tiles[0] // PARTS) * TILE_ROWS
         self._claims = occlusion_conflicts.Claims.empty(PARTS, rows * width)
         self._near, self._far = (np.empty(64 * blocks, np.int32) for _ in range(2))
@@ -193,7 +193,7 @@ class Uniqueness:
         self, valid: NDArray[np.uint8], label: NDArray[np.uint16], size: NDArray[np.int32], u: Any, v: Any, depth: Any,
         device: tuple[int, int], values: occlusion_conflicts.Values, tolerance: int, sure: int,
     ) -> None:  # fmt: skip
-        """Forget what does not prevail in one device.
+        """Reject the points that lose their pixel in one device.
 
         Args:
             valid: (H, W) 0 or 1, changed in place; label: (H, W) one more than the surface of each valid pixel.
@@ -217,8 +217,10 @@ class Uniqueness:
         near, far = self._near[: 64 * shared], self._far[: 64 * shared]
         occlusion_conflicts.nearest_and_farthest(c.entries, c.place, c.depth, near, far)
         against = np.zeros((PARTS, len(size)), np.int32)
-        occlusion_conflicts.contest(c.entries, c.place, c.surface, c.value, near, far, tolerance, c.rival, against)
+        occlusion_conflicts.find_conflicts(
+            c.entries, c.place, c.surface, c.value, near, far, tolerance, c.conflict, against
+        )
         share = (against.sum(axis=0) / size).astype(np.float32)
         occlusion_conflicts.arbitrate(
-            c.entries, c.pixel, c.place, c.surface, c.depth, c.rival, near, far, size, share, sure, valid.reshape(-1)
+            c.entries, c.pixel, c.place, c.surface, c.depth, c.conflict, near, far, size, share, sure, valid.reshape(-1)
         )

@@ -1,7 +1,7 @@
-"""What the sub-pixel match hands to the gates.
+"""The result of the sub-pixel match for the point filters.
 
-The gates look at several planes of a whole image many times, and memory is what they wait for: pixels and phases are
-whole numbers of 16 bits in steps that are fine enough for a gate. Only the cloud itself is float32.
+The filters read several planes of a whole image many times, and memory bandwidth limits them: pixels and phases are
+integers of 16 bits in steps that are fine enough for a filter. Only the cloud itself is float32.
 """
 
 from __future__ import annotations

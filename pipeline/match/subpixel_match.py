@@ -6,8 +6,8 @@ the projector's column lies, find it. Because the match is sought along the ray'
 camera models, the four linear equations of the two views (see :mod:`pipeline.geometry.triangulate`) agree there: the
 point on the ray is their solution.
 
-Everything is done for tiles of one image row (see :mod:`pipeline.common.tile_math`). Two looks at the other image
-serve nine pixels in ten; the others are gathered for a third one.
+Everything is done for tiles of one image row (see :mod:`pipeline.common.tile_math`). Two samples of the other image
+suffice for nine pixels in ten; the others are gathered for a third one.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def refine(
     xyz: Any, sigma: Any, valid: Any, right_u: Any, right_v: Any, projector_u: Any, projector_v: Any,
     absolute_phase: Any, residual_normalised: Any, residual: Any,
 ) -> None:  # fmt: skip
-    """Match and locate every pixel that has an order; all arrays float32 unless said.
+    """Match and locate every pixel that has an order; all arrays float32 unless stated.
 
     Args:
         order: (H, W) int16; rays_x, rays_y: (H, W) ideal normalised points of the pixels.
@@ -110,7 +110,7 @@ def refine(
             for j in range(n):
                 again[left] = j
                 left += (t[OK + j] > _ZERO) & (abs(t[ERROR + j]) >= _CONVERGED)
-            # Most of these are at the border of something, and few: often one look for all of them.
+            # Most of these are at the border of something, and few: often one sample for all of them.
             for o in range(0, left, FEW):
                 some = again[o : min(o + FEW, left)]
                 _gather(t, some, few)

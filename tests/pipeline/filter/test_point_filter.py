@@ -145,19 +145,19 @@ def _unique(
     for p in zip(*np.nonzero(valid), strict=True):
         if x[p] < device[0] and y[p] < device[1]:
             places.setdefault((int(x[p]), int(y[p])), []).append(p)
-    rivals: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    conflicts: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for claimants in places.values():
         ends = {min(claimants, key=lambda p: depth[p]), max(claimants, key=lambda p: depth[p])}
         for p in claimants:
             found = [q for q in ends if label[q] != label[p]]
             found = [q for q in found if abs((int(value[p]) - int(value[q]) + 32768) % 65536 - 32768) > tolerance]
             if found:
-                rivals[p] = found
+                conflicts[p] = found
     share = np.zeros(len(size))
-    for p in rivals:
+    for p in conflicts:
         share[label[p] - 1] += 1 / size[label[p] - 1]
 
-    def prevails(p: tuple[int, int], q: tuple[int, int]) -> bool:
+    def keeps_pixel(p: tuple[int, int], q: tuple[int, int]) -> bool:
         a, b = label[p] - 1, label[q] - 1
         if max(share[a], share[b]) > 0.4 and abs(share[a] - share[b]) > 0.25:
             return bool(share[a] < share[b])
@@ -166,8 +166,8 @@ def _unique(
         return bool(size[a] > size[b])
 
     out = valid.copy()
-    for p, found in rivals.items():
-        out[p] = all(prevails(p, q) for q in found)
+    for p, found in conflicts.items():
+        out[p] = all(keeps_pixel(p, q) for q in found)
     return out
 
 
