@@ -33,12 +33,12 @@ def inventory(producers: Sequence[Path] = (), display: str = "") -> Inventory:
     Args:
         producers: GenTL producers; those of GENICAM_GENTL64_PATH if empty. display: an X display.
     """
-    found = Inventory()
-    for producer in _producers(producers, found.problems):
-        found.genicam += _discovered(f"producer {producer}", lambda p=producer: _genicam(p), found.problems)  # type: ignore[misc]
-    found.v4l2 += _discovered("V4L2", _v4l2, found.problems)
-    found.outputs += _discovered("outputs", lambda: _outputs(display), found.problems)
-    return found
+    devices = Inventory()
+    for producer in _producers(producers, devices.problems):
+        devices.genicam += _discovered(f"producer {producer}", lambda p=producer: _genicam(p), devices.problems)  # type: ignore[misc]
+    devices.v4l2 += _discovered("V4L2", _v4l2, devices.problems)
+    devices.outputs += _discovered("outputs", lambda: _outputs(display), devices.problems)
+    return devices
 
 
 def _producers(paths: Sequence[Path], problems: list[str]) -> list[Path]:
@@ -51,11 +51,11 @@ def _producers(paths: Sequence[Path], problems: list[str]) -> list[Path]:
         return []
 
 
-def _discovered(what: str, discover: Callable[[], list[Device]], problems: list[str]) -> list[Device]:
+def _discovered(source: str, discover: Callable[[], list[Device]], problems: list[str]) -> list[Device]:
     try:
         return discover()
     except (DriverError, OSError) as error:
-        problems.append(f"{what}: {error}")
+        problems.append(f"{source}: {error}")
         return []
 
 
@@ -77,17 +77,17 @@ def _outputs(display: str) -> list[Device]:
     return [msgspec.structs.asdict(output) for output in outputs(display) if output.connected]
 
 
-def lines(found: Inventory) -> Iterator[tuple[str, bool]]:
+def lines(devices: Inventory) -> Iterator[tuple[str, bool]]:
     """The printed lines, and whether each is a heading; keys are printed as rig.yaml expects them."""
     yield "GenICam cameras   cameras.driver: genicam", True
-    for camera in found.genicam:
+    for camera in devices.genicam:
         title = " ".join(part for part in (camera["vendor"], camera["model"]) if part)
         yield _joined(title, f"firmware {camera['version'] or 'unknown'}", camera["transport"], camera["access"]), False
         yield from _keys(camera, "serial", "user_name", "model")
         yield f"      producer: {camera['producer']}", False
-    yield from _nothing(found.genicam)
+    yield from _none(devices.genicam)
     yield "V4L2 cameras      cameras.driver: v4l2", True
-    for camera in found.v4l2:
+    for camera in devices.v4l2:
         yield _joined(camera["card"], camera["driver"], camera["bus"], camera["node"]), False
         yield from _keys(camera, "device")
         if camera["serial"]:
@@ -96,11 +96,11 @@ def lines(found: Inventory) -> Iterator[tuple[str, bool]]:
             yield f"      format: {offer['fourcc']}   size: {_sizes(offer)}", False
         if camera["problem"]:
             yield f"      not usable: {camera['problem']}", False
-    yield from _nothing(found.v4l2)
+    yield from _none(devices.v4l2)
     yield "Projector outputs projector.driver: x11", True
-    for output in found.outputs:
+    for output in devices.outputs:
         yield from _output(output)
-    yield from _nothing(found.outputs)
+    yield from _none(devices.outputs)
 
 
 def _output(output: Device) -> Iterator[tuple[str, bool]]:
@@ -127,8 +127,8 @@ def _quoted(text: str) -> str:
     return text if plain.isalnum() and not plain.isdigit() and not text[0].isdigit() else f'"{text}"'
 
 
-def _nothing(devices: list[Device]) -> Iterator[tuple[str, bool]]:
-    if not devices:
+def _none(group: list[Device]) -> Iterator[tuple[str, bool]]:
+    if not group:
         yield "   none", False
 
 

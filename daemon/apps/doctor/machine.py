@@ -61,10 +61,10 @@ class Machine:
     def entries(self, pattern: str) -> list[Path]:
         """The files below the root that match a pattern, sorted, at most 4096."""
         try:
-            found = sorted(self.root.glob(pattern.lstrip("/")))
+            paths = sorted(self.root.glob(pattern.lstrip("/")))
         except OSError:
             return []
-        return found[:MAX_ENTRIES]
+        return paths[:MAX_ENTRIES]
 
     def programs(self) -> Iterator[Program]:
         """Every running program that has a name."""

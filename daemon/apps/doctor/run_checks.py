@@ -128,7 +128,7 @@ class _CheckProcess:
             os.close(handle)
 
     def end(self) -> str:
-        """End the process and its descendants; return how it ended. Repeated calls are allowed."""
+        """End the process and its descendants; return ending it ended. Repeated calls are allowed."""
         if self._ended:
             return self._ended
         if not self._timed_out:
@@ -140,7 +140,7 @@ class _CheckProcess:
             os.kill(self._process.pid, signal.SIGKILL)
         status = self._process.wait()
         self._output.join(1.0)
-        how = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        output = f"{how}; {self._output.text()}"[:600] if self._output.text() else how
+        ending = f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        output = f"{ending}; {self._output.text()}"[:600] if self._output.text() else ending
         self._ended = "it did not end in time" if self._timed_out else output
         return self._ended

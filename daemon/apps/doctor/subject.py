@@ -98,27 +98,27 @@ class Subject:
         """The existing GenTL producers of the environment and of rig.yaml."""
         from drivers.genicam.options import producers
 
-        found: dict[Path, None] = {}
+        existing: dict[Path, None] = {}
         named = [camera.producer for camera in self.cameras.values() if isinstance(camera, GenicamOptions)]
         for producer in named if self.uses("genicam") else [None]:
             try:
-                found.update(dict.fromkeys(producers(producer, self.base_dir, self.machine.environ)))
+                existing.update(dict.fromkeys(producers(producer, self.base_dir, self.machine.environ)))
             except (ValueError, OSError):
                 continue
-        return list(found)
+        return list(existing)
 
     @cached_property
     def cameras_by_producer(self) -> dict[Path, list[DetectedCamera] | str]:
         """The cameras of each producer, or the reason for a failure."""
         from drivers.genicam import discover
 
-        found: dict[Path, list[DetectedCamera] | str] = {}
+        cameras: dict[Path, list[DetectedCamera] | str] = {}
         for producer in self.producers:
             try:
-                found[producer] = discover([producer])
+                cameras[producer] = discover([producer])
             except (DriverError, OSError) as error:
-                found[producer] = str(error)
-        return found
+                cameras[producer] = str(error)
+        return cameras
 
     @property
     def genicam(self) -> list[DetectedCamera]:

@@ -68,12 +68,12 @@ def clouds_in(directory: Path) -> list[tuple[int, Path]]:
         DaemonError: there are none.
     """
     matches = ((_NAME.fullmatch(path.name), path) for path in directory.iterdir())
-    found = sorted((int(match[1]), path) for match, path in matches if match)
-    if not found:
+    files = sorted((int(match[1]), path) for match, path in matches if match)
+    if not files:
         raise DaemonError(
             f"{directory}: it contains no cloud_NNNNNN.npz; `fringed replay TAKE.mcap --out DIR` writes them"
         )
-    return found
+    return files
 
 
 def read_cloud(path: Path) -> SavedCloud:

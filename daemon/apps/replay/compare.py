@@ -43,11 +43,14 @@ def _cells(before: PairStatistics, now: PairStatistics, golden: Golden) -> Itera
     """Compare the grids cell by cell; a deviation states the number of deviating cells and the worst one."""
     limits, sequence = golden.tolerances, now.sequence
     pixels = _pixels(before.size, golden.cell)
-    counts = _grid(before, "count", pixels.shape), _grid(now, "count", pixels.shape)
+    counts = [_grid(pair.sequence, "count", pair.count, pixels.shape) for pair in (before, now)]
     dense = np.minimum(*counts) >= limits.min_count
-    for name, limit in (("median_mm", limits.depth_mm), ("spread_mm", limits.spread_mm)):
-        old, new = _grid(before, name, pixels.shape), _grid(now, name, pixels.shape)
-        yield from _grid_deviation(sequence, name.removesuffix("_mm"), old, new, dense, limit, "mm", limits)
+    for name, grids, limit in (
+        ("median", (before.median_mm, now.median_mm), limits.depth_mm),
+        ("spread", (before.spread_mm, now.spread_mm), limits.spread_mm),
+    ):
+        old, new = (_grid(sequence, f"{name}_mm", grid, pixels.shape) for grid in grids)
+        yield from _grid_deviation(sequence, name, old, new, dense, limit, "mm", limits)
     old, new = (100 * count / pixels for count in counts)
     every = np.ones_like(dense)
     yield from _grid_deviation(sequence, "filled", old, new, every, limits.count_percent, "%", limits)
@@ -72,15 +75,15 @@ def _grid_deviation(
     )
 
 
-def _grid(pair: PairStatistics, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """One of the grids as an array; GoldenError if its shape does not match the golden file's cell size."""
+def _grid(sequence: int, name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Convert a grid to an array; GoldenError if its shape does not match the golden file's cell size."""
     try:
-        grid = np.array(getattr(pair, name), dtype=np.float64)  # None becomes NaN
+        grid = np.array(values, dtype=np.float64)  # None becomes NaN
     except (TypeError, ValueError) as error:
-        raise GoldenError(f"golden file, pair {pair.sequence}: {name} is invalid: {error}") from error
+        raise GoldenError(f"golden file, pair {sequence}: {name} is invalid: {error}") from error
     if grid.shape != shape:
         raise GoldenError(
-            f"golden file, pair {pair.sequence}: {name} has {grid.shape} cells, its cell size gives {shape}; write it "
+            f"golden file, pair {sequence}: {name} has {grid.shape} cells, its cell size gives {shape}; write it "
             "again with --bless"
         )
     return grid

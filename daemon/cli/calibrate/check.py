@@ -38,13 +38,15 @@ def main(
         raise typer.BadParameter("give either --board or --length")
     cameras = read_cameras(calibration).cameras
     limits = Limits(limit_ppm, limit_mm, limit_px)
-    found = _board(cameras, left, right, board, limits) if board else _bar(cameras, left, right, length or 0.0, limits)
+    results = (
+        _board(cameras, left, right, board, limits) if board else _bar(cameras, left, right, length or 0.0, limits)
+    )
     if as_json:
-        typer.echo(json.dumps([{"view": name} | asdict(one) for name, one in found], indent=2))
+        typer.echo(json.dumps([{"view": name} | asdict(one) for name, one in results], indent=2))
     else:
-        for name, one in found:
+        for name, one in results:
             _print(name, one)
-    if any(one.complaints for _, one in found):
+    if any(one.complaints for _, one in results):
         raise typer.Exit(1)
 
 
@@ -75,7 +77,7 @@ def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits)
     from pipeline.calibrate.length_check import check_length
     from pipeline.calibrate.targets.scale_bar import two_circles
 
-    found = []
+    results = []
     with rendering("Detecting circles") as progress:
         for view in ImagePairs(left, right).views(progress):
             ends, sizes = [], {}
@@ -84,8 +86,8 @@ def _bar(cameras: Cameras, left: str, right: str, length: float, limits: Limits)
                 sizes[device] = image.shape[1::-1]
                 ends.append(two_circles(image, file))
             _same_size(cameras, sizes, *view.files)
-            found.append((view.name, check_length(cameras, length, ends[0], ends[1], limits)))
-    return found
+            results.append((view.name, check_length(cameras, length, ends[0], ends[1], limits)))
+    return results
 
 
 def _same_size(cameras: Cameras, sizes: dict[str, tuple[int, int]], left: str, right: str) -> None:
@@ -99,18 +101,20 @@ def _same_size(cameras: Cameras, sizes: dict[str, tuple[int, int]], left: str, r
             )
 
 
-def _print(name: str, found: Distances) -> None:
-    good = "good" if not found.complaints else "OUT"
-    if found.pairs == 1:
-        typer.echo(f"{name}: {good}: {found.longest_mm:g} mm measured with {found.mean_mm:+.4f} mm", nl=False)
-        typer.echo(f" ({found.scale_ppm:+.0f} ppm); epipolar error {found.epipolar_px:.3f} px rms")
+def _print(name: str, distances: Distances) -> None:
+    good = "good" if not distances.complaints else "OUT"
+    if distances.pairs == 1:
+        typer.echo(f"{name}: {good}: {distances.longest_mm:g} mm measured with {distances.mean_mm:+.4f} mm", nl=False)
+        typer.echo(f" ({distances.scale_ppm:+.0f} ppm); epipolar error {distances.epipolar_px:.3f} px rms")
     else:
-        a, b = found.worst
+        a, b = distances.worst
         typer.echo(
-            f"{name}: {good}: {found.pairs} distances between {found.marks} marks up to {found.longest_mm:.0f} mm: "
-            f"mean {found.mean_mm:+.4f} mm, rms {found.rms_mm:.4f} mm, worst {found.worst_mm:+.4f} mm "
-            f"(marks {a} and {b}); scale {found.scale_ppm:+.0f} ppm; flat within {found.flatness_mm:.4f} mm rms; "
-            f"epipolar error {found.epipolar_px:.3f} px rms"
+            f"{name}: {good}: {distances.pairs} distances between {distances.marks} marks up to "
+            f"{distances.longest_mm:.0f} mm: "
+            f"mean {distances.mean_mm:+.4f} mm, rms {distances.rms_mm:.4f} mm, worst {distances.worst_mm:+.4f} mm "
+            f"(marks {a} and {b}); scale {distances.scale_ppm:+.0f} ppm; flat within {distances.flatness_mm:.4f} mm "
+            "rms; "
+            f"epipolar error {distances.epipolar_px:.3f} px rms"
         )
-    for complaint in found.complaints:
+    for complaint in distances.complaints:
         typer.echo(f"{name}: {complaint}", err=True)

@@ -23,11 +23,11 @@ def import_calibration(
     from daemon.apps.calibration.solve.archive import existing, store
     from daemon.apps.calibration.solve.keep_colors import with_old_colors
 
-    found = read_foreign(files, form=form, size=_size(size), unit_mm=unit_mm)
-    cameras, notes = with_old_colors(found.cameras, existing(out) if not force else None)
-    quality = {"imported_from": found.form, "imported_files": [path.name for path in files]}
+    imported = read_foreign(files, form=form, size=_size(size), unit_mm=unit_mm)
+    cameras, notes = with_old_colors(imported.cameras, existing(out) if not force else None)
+    quality = {"imported_from": imported.form, "imported_files": [path.name for path in files]}
     stored = store(out, cameras, quality=quality, force=force)
-    for note in [*found.notes, *notes, *stored.notes]:
+    for note in [*imported.notes, *notes, *stored.notes]:
         typer.echo(f"note: {note}", err=True)
     typer.echo(f"{out}: baseline {cameras.baseline_mm:.2f} mm, {stored.identity}")
     if stored.kept is not None:

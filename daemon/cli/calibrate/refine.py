@@ -31,12 +31,12 @@ def main(
     with rendering("Reading pairs") as progress:
         drift = (from_rig if source.suffix in (".yaml", ".yml") else from_take)(source, progress)
     with rendering("Estimating the drift") as progress:
-        found = refine(
+        refinement = refine(
             file.calibration, drift.pattern, drift.volume, drift.encoding, drift.pairs, device=device, progress=progress
         )
-    for line in table(found):
+    for line in table(refinement):
         typer.echo(line)
-    if not found.better:
+    if not refinement.better:
         typer.echo("the correction does not improve the validation pairs: nothing is written", err=True)
         raise typer.Exit(1)
     target = out if out is not None else calibration
@@ -47,14 +47,14 @@ def main(
     notes = {
         "refined": {
             "from": file.identity,
-            "device": found.device,
-            "turn_deg": list(found.turn_deg),
-            "before_px": {name: one.value for name, one in found.before.items() if name.endswith("_px")},
-            "after_px": {name: one.value for name, one in found.after.items() if name.endswith("_px")},
+            "device": refinement.device,
+            "turn_deg": list(refinement.turn_deg),
+            "before_px": {name: one.value for name, one in refinement.before.items() if name.endswith("_px")},
+            "after_px": {name: one.value for name, one in refinement.after.items() if name.endswith("_px")},
         }
     }
     stored = archive.store(
-        target, found.calibration, quality=(dict(quality) if isinstance(quality, dict) else {}) | notes
+        target, refinement.calibration, quality=(dict(quality) if isinstance(quality, dict) else {}) | notes
     )
     typer.echo(f"wrote {stored.path}, {stored.identity}")
     if stored.kept is not None:

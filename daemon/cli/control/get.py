@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from daemon.cli.control.ask import Endpoint, RigFile, Timeout, ask
+from daemon.cli.control.daemon_call import Endpoint, RigFile, Timeout, call_daemon
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 
 
@@ -22,7 +22,7 @@ def main(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Show the settings of a running daemon: value, unit, bounds, meaning, and which can be set live."""
-    rows = ask("get", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, detail=True)["settings"]
+    rows = call_daemon("get", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, detail=True)["settings"]
     one = rows[0] if len(rows) == 1 and rows[0]["path"] == path else None
     rows = [row for row in rows if row["live"] or not live]
     if as_json:

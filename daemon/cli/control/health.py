@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.cli.control.ask import control_endpoint
+from daemon.cli.control.daemon_call import control_endpoint
 
 EXIT = {"healthy": 0, "warning": 0, "ill": 1, "unknown": 4}
 NO_DAEMON = 3

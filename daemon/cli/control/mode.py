@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.cli.control.ask import control_endpoint
+from daemon.cli.control.daemon_call import control_endpoint
 
 _TIMEOUT_S = 200.0  # the mode's kernels may have to be compiled
 

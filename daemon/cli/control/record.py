@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from daemon.cli.control.ask import SLOW_S, ask
+from daemon.cli.control.daemon_call import SLOW_S, call_daemon
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 
 _DIRECT = "direct"
@@ -53,7 +53,7 @@ def start(
     params: dict[str, Any] = {"name": name}
     if (before_s := seconds_of(before)) > 0:
         params["before_s"] = before_s
-    answer = ask("record.start", endpoint, rig, SLOW_S, chosen_keys(key, server_key), **params)
+    answer = call_daemon("record.start", endpoint, rig, SLOW_S, chosen_keys(key, server_key), **params)
     early = f", including {answer['before_items']} earlier pairs and unpaired frames" if before_s > 0 else ""
     typer.echo(f"recording to {answer['file']}{early}")
 
@@ -71,7 +71,7 @@ def stop(
     endpoint: Endpoint = None, rig: RigOption = None, key: KeyOption = None, server_key: ServerKeyOption = None
 ) -> None:
     """Stop the take of a running daemon."""
-    answer = ask("record.stop", endpoint, rig, SLOW_S, chosen_keys(key, server_key))
+    answer = call_daemon("record.stop", endpoint, rig, SLOW_S, chosen_keys(key, server_key))
     if "file" not in answer:
         typer.echo("no take is being written")
         return

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from daemon.cli.control.ask import SLOW_S, Endpoint, RigFile, Timeout, ask
+from daemon.cli.control.daemon_call import SLOW_S, Endpoint, RigFile, Timeout, call_daemon
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 
 app = typer.Typer(add_completion=False)
@@ -25,7 +25,7 @@ def main(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Change a setting while the daemon measures; rig.yaml does not change, and a reload restores its value."""
-    answer = ask("set", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, value=parsed(value))
+    answer = call_daemon("set", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, value=parsed(value))
     for name, now in answer.items():
         typer.echo(f"{name} = {json.dumps(now, ensure_ascii=False)}")
 

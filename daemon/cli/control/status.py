@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.cli.control.ask import control_endpoint
+from daemon.cli.control.daemon_call import control_endpoint
 from daemon.cli.control.status_rows import table
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 

@@ -34,7 +34,7 @@ _BAR = 24
 
 
 def watch(
-    ask: Callable[[], dict[str, Any]],
+    request: Callable[[], dict[str, Any]],
     console: Console,
     *,
     period_s: float = 0.5,
@@ -46,7 +46,7 @@ def watch(
         try:
             while True:
                 try:
-                    last, problem = ask(), ""
+                    last, problem = request(), ""
                 except ControlError as error:
                     problem = str(error)
                 live.update(page(last, console.width, problem), refresh=True)

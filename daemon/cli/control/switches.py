@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.cli.control.ask import SLOW_S, Endpoint, RigFile, Timeout, ask
+from daemon.cli.control.daemon_call import SLOW_S, Endpoint, RigFile, Timeout, call_daemon
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 
 
@@ -18,7 +18,7 @@ def reload(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Make a running daemon read rig.yaml and its files again: it applies all changes, or none with the reason."""
-    changed = ask("reload", endpoint, rig, timeout, chosen_keys(key, server_key))["changed"]
+    changed = call_daemon("reload", endpoint, rig, timeout, chosen_keys(key, server_key))["changed"]
     typer.echo(f"changed: {', '.join(changed)}" if changed else "nothing has changed")
 
 
@@ -30,7 +30,7 @@ def start(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Resume measuring in a paused daemon."""
-    typer.echo(ask("start", endpoint, rig, timeout, chosen_keys(key, server_key))["state"])
+    typer.echo(call_daemon("start", endpoint, rig, timeout, chosen_keys(key, server_key))["state"])
 
 
 def stop(
@@ -41,7 +41,7 @@ def stop(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Pause a daemon: it stops measuring and stays connected; `systemctl stop` or Ctrl-C ends it."""
-    typer.echo(ask("stop", endpoint, rig, timeout, chosen_keys(key, server_key))["state"])
+    typer.echo(call_daemon("stop", endpoint, rig, timeout, chosen_keys(key, server_key))["state"])
 
 
 def snapshot(
@@ -53,7 +53,7 @@ def snapshot(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Write the newest cloud of a running daemon into its directory of takes, as .npz."""
-    answer = ask("snapshot", endpoint, rig, timeout, chosen_keys(key, server_key), name=name)
+    answer = call_daemon("snapshot", endpoint, rig, timeout, chosen_keys(key, server_key), name=name)
     typer.echo(f"{answer['file']}: {answer['points']} points, trigger {answer['seq']}")
 
 
@@ -66,6 +66,5 @@ def pattern(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Show the fringe or a plain image, without measuring, on a running daemon's projector."""
-    typer.echo(
-        f"shown: {ask('pattern.show', endpoint, rig, timeout, chosen_keys(key, server_key), name=name)['shown']}"
-    )
+    answer = call_daemon("pattern.show", endpoint, rig, timeout, chosen_keys(key, server_key), name=name)
+    typer.echo(f"shown: {answer['shown']}")

@@ -45,10 +45,10 @@ def list_outputs(
     """Print the outputs of an X display, and obstacles to exact pixels."""
     from drivers.projector import outputs
 
-    found = [output for output in outputs(display) if everything or output.connected]
-    for output in found:
+    listed = [output for output in outputs(display) if everything or output.connected]
+    for output in listed:
         typer.echo(describe(output))
-    if not found:
+    if not listed:
         typer.echo("no output has a connected device")
 
 
@@ -64,7 +64,7 @@ def test(
     """Show the alignment image: frame, 1-pixel checkerboard, grey ramps, colours, cross hairs."""
     from drivers.projector.images import alignment
 
-    hold(_projector(output, display, rig, any_mode, reset_gamma), alignment, seconds)
+    show_image(_projector(output, display, rig, any_mode, reset_gamma), alignment, seconds)
 
 
 @app.command("show")
@@ -89,7 +89,7 @@ def show(
     if make is None:
         pixels = read_png(Path(image))
         make = lambda _: pixels  # noqa: E731
-    hold(_projector(output, display, rig, any_mode, reset_gamma), make, seconds)
+    show_image(_projector(output, display, rig, any_mode, reset_gamma), make, seconds)
 
 
 @app.command("off")
@@ -124,7 +124,7 @@ def cross(output: Output = None, display: Display = "", rig: Rig = None, seconds
 app.command("latency")(latency.main)
 
 
-def hold(
+def show_image(
     projector: OutputProjector | ExternalProjector,
     make: Callable[[tuple[int, int]], NDArray[np.uint8]],
     seconds: float | None,

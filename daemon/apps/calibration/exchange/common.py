@@ -111,9 +111,14 @@ def fewer_terms(device: CameraModel, *, k3: bool) -> tuple[CameraModel, float]:
     columns = [(x * r2, y * r2), (x * r2**2, y * r2**2), (2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)]
     columns += [(x * r2**3, y * r2**3)] if k3 else []
     matrix = np.stack([np.concatenate(pair) for pair in columns], axis=1)
-    found = np.linalg.lstsq(matrix, (target - ideal).T.ravel(), rcond=None)[0]
+    coefficients = np.linalg.lstsq(matrix, (target - ideal).T.ravel(), rcond=None)[0]
     fitted = CameraModel(
-        device.size, bare, np.concatenate([found, np.zeros(5)])[:5], device.rotation, device.translation, device.name
+        device.size,
+        bare,
+        np.concatenate([coefficients, np.zeros(5)])[:5],
+        device.rotation,
+        device.translation,
+        device.name,
     )
     shift = fitted.to_pixels(fitted.distort(ideal)) - pixels
     return fitted, float(np.linalg.norm(shift, axis=1).max())

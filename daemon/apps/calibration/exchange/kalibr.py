@@ -40,21 +40,21 @@ def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
     chain: dict[str, Any] = {}
     notes: list[str] = []
     for number, (side, device) in enumerate((("left", cameras.left), ("right", cameras.right))):
-        kept, error_px = fewer_terms(device, k3=False)
+        reduced, error_px = fewer_terms(device, k3=False)
         notes += loss_note(side, error_px, "Kalibr's radtan", "k3 and no skew")
-        m = kept.matrix
+        m = reduced.matrix
         entry: dict[str, Any] = {
             "camera_model": "pinhole",
             "intrinsics": [float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2])],
             "distortion_model": "radtan",
-            "distortion_coeffs": kept.distortion[:4].tolist(),
-            "resolution": list(kept.size),
+            "distortion_coeffs": reduced.distortion[:4].tolist(),
+            "resolution": list(reduced.size),
             "rostopic": f"/{side}/image_raw",
             "cam_overlaps": [1 - number],
         }
         if number == 1:
             pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = kept.rotation, kept.translation / 1000
+            pose[:3, :3], pose[:3, 3] = reduced.rotation, reduced.translation / 1000
             entry["T_cn_cnm1"] = pose.tolist()
         chain[f"cam{number}"] = entry
     data = yaml.safe_dump(chain, sort_keys=False, default_flow_style=None, width=200).encode()

@@ -56,14 +56,14 @@ def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
     for number, device in enumerate([cameras.left, cameras.right, cameras.projector], 1):
         if device is None:
             continue
-        kept, error_px = fewer_terms(device, k3=True)
+        reduced, error_px = fewer_terms(device, k3=True)
         notes += loss_note(_SIDES[number], error_px, "OpenCV", "skew")
-        storage.write(f"imageSize{number}", np.array([kept.size], dtype=np.float64))
-        storage.write(f"M{number}", kept.matrix)
-        storage.write(f"D{number}", kept.distortion[None])
+        storage.write(f"imageSize{number}", np.array([reduced.size], dtype=np.float64))
+        storage.write(f"M{number}", reduced.matrix)
+        storage.write(f"D{number}", reduced.distortion[None])
         if number > 1:
-            storage.write(_ROTATION[number][0], kept.rotation)
-            storage.write(_TRANSLATION[number][0], kept.translation[:, None])
+            storage.write(_ROTATION[number][0], reduced.rotation)
+            storage.write(_TRANSLATION[number][0], reduced.translation[:, None])
     return {"stereo.yml": storage.releaseAndGetString().encode()}, notes
 
 
@@ -75,17 +75,17 @@ def _matrices(file: NamedFile) -> dict[str, Array]:
         if not storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY):
             raise SourceError(f"{file.name}: not a cv2.FileStorage file")
         root = storage.root()
-        found = {}
+        matrices = {}
         for key in root.keys():  # noqa: SIM118 - a FileNode is no mapping
             node = root.getNode(key)
             value = _numbers_of(node)
             if value is not None:
-                found[key] = value
+                matrices[key] = value
     except (cv2.error, UnicodeDecodeError, SystemError) as error:
         raise SourceError(f"{file.name}: not a cv2.FileStorage file") from error
     finally:
         storage.release()
-    return found
+    return matrices
 
 
 def _numbers_of(node: cv2.FileNode) -> Array | None:

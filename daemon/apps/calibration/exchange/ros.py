@@ -63,9 +63,9 @@ def write(cameras: Cameras) -> tuple[dict[str, bytes], list[str]]:
     notes: list[str] = []
     devices = []
     for side, device in (("left", cameras.left), ("right", cameras.right)):
-        kept, error_px = fewer_terms(device, k3=True)
+        reduced, error_px = fewer_terms(device, k3=True)
         notes += loss_note(side, error_px, "ROS plumb_bob", "skew")
-        devices.append(kept)
+        devices.append(reduced)
     left, right = devices
     r1, r2, p1, p2, *_ = cv2.stereoRectify(
         left.matrix, left.distortion, right.matrix, right.distortion, left.size, right.rotation,

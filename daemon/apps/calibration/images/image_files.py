@@ -57,14 +57,14 @@ def _pixels(path: Path, data: bytes, size: tuple[int, int]) -> Image:
     return np.ascontiguousarray(image[..., 2::-1])  # blue-green-red in OpenCV; a fourth channel is transparency
 
 
-def matching(pattern: str, what: str) -> list[Path]:
-    """Files matching a pattern such as ``L/*.png``, sorted by name; SourceError if there are none or too many."""
+def matching_files(pattern: str, option: str) -> list[Path]:
+    """Files matching_files a pattern such as ``L/*.png``, sorted by name; SourceError if there are none or too many."""
     paths = sorted(Path(name) for name in glob.glob(str(Path(pattern).expanduser()), recursive=True))  # noqa: PTH207
     paths = [path for path in paths if path.is_file()]
     if not paths:
-        raise SourceError(f"{what} {pattern}: no file matches")
+        raise SourceError(f"{option} {pattern}: no file matches")
     if len(paths) > MOST_IMAGES:
-        raise SourceError(f"{what} {pattern}: {len(paths)} files, at most {MOST_IMAGES} are read; name fewer")
+        raise SourceError(f"{option} {pattern}: {len(paths)} files, at most {MOST_IMAGES} are read; name fewer")
     return paths
 
 

@@ -206,8 +206,8 @@ def _images(report: Report) -> str:
         left_out = _EMPTY
         if image.detection is not None:
             marks = image.detection.marks
-            kept = np.isin(marks.ids, residuals.ids) if residuals is not None else np.zeros(len(marks), np.bool_)
-            left_out = marks.pixels[~kept] if residuals is None or len(used) < len(marks) else _EMPTY
+            accepted = np.isin(marks.ids, residuals.ids) if residuals is not None else np.zeros(len(marks), np.bool_)
+            left_out = marks.pixels[~accepted] if residuals is None or len(used) < len(marks) else _EMPTY
         svg = view_image(image.size, image.thumbnail, used, misfit, left_out, scale=scale, color="#35d07f")
         out.append(figure(svg, _caption(image, used, misfit)))
     text = f"Green: used marks; red lines: residuals, {scale:g} times enlarged; amber crosses: marks left out."

@@ -142,8 +142,8 @@ def keep_dated(path: Path, old: CamerasFile | None) -> Path:
 def _stamp(created: Any, path: Path) -> datetime:
     """The date in a calibration, else the time at which its file was written."""
     try:
-        when = created if isinstance(created, datetime) else datetime.fromisoformat(str(created))
-        return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
+        date = created if isinstance(created, datetime) else datetime.fromisoformat(str(created))
+        return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
     except ValueError:
         return datetime.fromtimestamp(path.stat().st_mtime, UTC)
 

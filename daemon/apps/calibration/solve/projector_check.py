@@ -44,15 +44,15 @@ def check_projector(calibration: Calibration, phases: Sequence[tuple[Phases, Pha
     """Check the projector by all pixels of some views and refine it if necessary; None if the pixels do not suffice."""
     try:
         samples = joined(*(samples_of_phases(calibration, left, right) for left, right in phases))
-        found = refine_projector(calibration, samples)
+        refinement = refine_projector(calibration, samples)
     except (CalibrationError, ValueError):
         return None
-    before, after = found.before.systematic_px, found.after.systematic_px
-    if before < WORTH_PX or after > _GAIN * before or not found.better:
+    before, after = refinement.before.systematic_px, refinement.after.systematic_px
+    if before < WORTH_PX or after > _GAIN * before or not refinement.better:
         note = f"all pixels of {len(phases)} views agree with the projector to {before:.3f} px (trinocular residual)"
         return ProjectorCheck(calibration, before, before, False, note)
     note = (
         f"the projector was refined from all pixels of {len(phases)} views: trinocular residual {before:.3f} px "
         f"before, {after:.3f} px after"
     )
-    return ProjectorCheck(found.calibration, after, before, True, note)
+    return ProjectorCheck(refinement.calibration, after, before, True, note)

@@ -139,9 +139,9 @@ def finish(
 
 def html(result: CalibrationResult, *, title: str, created: datetime) -> bytes:
     """The report as HTML."""
-    before, when = result.before, ""
+    before, created_before = result.before, ""
     if before is not None:
-        when = str(before.mapping.get("created", "without a date"))
+        created_before = str(before.mapping.get("created", "without a date"))
     return report_html(
         Report(
             title=title,
@@ -153,7 +153,7 @@ def html(result: CalibrationResult, *, title: str, created: datetime) -> bytes:
             cameras=result.cameras,
             coverage=result.coverage,
             before=None if before is None else before.cameras,
-            before_name=when,
+            before_name=created_before,
             notes=result.notes,
             advice=result.advice,
             problems=result.detected.left_out,

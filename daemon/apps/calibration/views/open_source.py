@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.apps.calibration.errors import SourceError
-from daemon.apps.calibration.images.image_files import MOST_IMAGES, Image, as_raw, matching, read_image
+from daemon.apps.calibration.images.image_files import MOST_IMAGES, Image, as_raw, matching_files, read_image
 from daemon.apps.calibration.views.take_source import TakeSource
 from daemon.apps.calibration.views.view import Progress, Source, View, described_sequence
 from daemon.common.files import read_at_most
@@ -35,7 +35,7 @@ class ImagePairs:
     def __init__(self, left: str, right: str) -> None:
         self.name = f"{left}, {right}"
         self.left_out: list[str] = []
-        self._left, self._right = matching(left, "--left"), matching(right, "--right")
+        self._left, self._right = matching_files(left, "--left"), matching_files(right, "--right")
         if len(self._left) != len(self._right):
             raise SourceError(
                 f"--left {left} names {len(self._left)} images and --right {right} names {len(self._right)}: "

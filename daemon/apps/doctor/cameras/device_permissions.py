@@ -64,12 +64,12 @@ def owner(node: Path) -> str:
 def pending_groups(subject: Subject) -> set[str]:
     """Groups of the user in /etc/group that this process lacks."""
     user, active = pwd.getpwuid(os.geteuid()).pw_name, set(os.getgroups())
-    found = set()
+    groups = set()
     for line in subject.machine.text("/etc/group").splitlines():
         name, _, number, members = [*line.split(":"), "", "", "", ""][:4]
         if user in members.split(",") and number.isdigit() and int(number) not in active:
-            found.add(name)
-    return found
+            groups.add(name)
+    return groups
 
 
 def usb_camera(subject: Subject, device: Path) -> Iterator[Finding]:

@@ -50,22 +50,22 @@ def camera_findings(
     """Check one camera of the rig; the selected camera is added to ``matched``."""
     keys = {"serial": options.serial, "model": options.model, "user_name": options.user_name}
     selection = ", ".join(f"{key} {value}" for key, value in keys.items() if value is not None)
-    found = [camera for camera in connected if fits(camera, options)]
+    selected = [camera for camera in connected if fits(camera, options)]
     name = f"camera {side}"
-    if not found:
+    if not selected:
         others = "; ".join(describe(camera) for camera in connected) or "no camera is connected"
         remedy = f"connect and power it, or correct cameras.{side}.serial; {_LIST}"
         yield area.problem(name, f"{name} ({selection}) is not connected; {others}", remedy)
-    elif len(found) > 1:
-        serials = ", ".join(camera.serial or "?" for camera in found)
+    elif len(selected) > 1:
+        serials = ", ".join(camera.serial or "?" for camera in selected)
         remedy = f"select it by cameras.{side}.serial; {_LIST}"
-        yield area.problem(name, f"{name} ({selection}) selects {len(found)} cameras: {serials}", remedy)
+        yield area.problem(name, f"{name} ({selection}) selects {len(selected)} cameras: {serials}", remedy)
     else:
-        matched[side] = found[0]
-        if found[0].access in ("free", "unknown"):
-            yield area.ok(name, f"{side}: {describe(found[0])}")
+        matched[side] = selected[0]
+        if selected[0].access in ("free", "unknown"):
+            yield area.ok(name, f"{side}: {describe(selected[0])}")
         else:
-            text = f"{side}: {describe(found[0])}, but it is {found[0].access}"
+            text = f"{side}: {describe(selected[0])}, but it is {selected[0].access}"
             yield area.warning(
                 name, text, "end the program that uses it (vendor's viewer, or a daemon: fringed status)"
             )

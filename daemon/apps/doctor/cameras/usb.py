@@ -18,13 +18,13 @@ _SUPER_SPEED = 5000
 
 def check(subject: Subject) -> Iterator[Finding]:
     """Check the memory limit, then every USB3 Vision camera on the bus."""
-    found = devices(subject)
+    cameras = devices(subject)
     used = data_rate.transport_used(subject, "U3V")
-    if not found and used is False:
+    if not cameras and used is False:
         yield area.note("cameras", "no USB3 Vision camera is connected")
         return
-    yield memory(subject, certain=bool(found) or used is True or subject.uses("genicam"))
-    for device in found:
+    yield memory(subject, certain=bool(cameras) or used is True or subject.uses("genicam"))
+    for device in cameras:
         speed = subject.machine.number(device / "speed")
         name = subject.machine.text(device / "product") or device.name
         if speed is not None and speed < _SUPER_SPEED:
@@ -36,12 +36,12 @@ def check(subject: Subject) -> Iterator[Finding]:
 
 def devices(subject: Subject) -> list[Path]:
     """The directories of USB3 Vision devices (class EF, subclass 05) below /sys/bus/usb/devices."""
-    found: dict[Path, None] = {}
+    directories: dict[Path, None] = {}
     for interface in subject.machine.entries("/sys/bus/usb/devices/*:*"):
         kind = [subject.machine.text(interface / f"bInterface{part}").lower() for part in ("Class", "SubClass")]
         if kind == ["ef", "05"]:
-            found[interface.parent / interface.name.partition(":")[0]] = None
-    return list(found)
+            directories[interface.parent / interface.name.partition(":")[0]] = None
+    return list(directories)
 
 
 def memory(subject: Subject, *, certain: bool) -> Finding:

@@ -40,14 +40,14 @@ def camera_findings(
 ) -> Iterator[Finding]:
     """Check one camera of the rig; the selected camera is added to ``matched``."""
     name, key = f"camera {side}", f"cameras.{side}"
-    found = [camera for camera in connected if is_selected(camera, options.device)]
-    if len(found) != 1:
-        candidates = "; ".join(describe(camera) for camera in found or connected) or "no camera is connected"
-        state = "is not connected" if not found else f"selects {len(found)} cameras"
+    selected = [camera for camera in connected if is_selected(camera, options.device)]
+    if len(selected) != 1:
+        candidates = "; ".join(describe(camera) for camera in selected or connected) or "no camera is connected"
+        state = "is not connected" if not selected else f"selects {len(selected)} cameras"
         remedy = f"connect it, or correct {key}.device; {_LIST}"
         yield area.problem(name, f"{name} ({options.device}) {state}; {candidates}", remedy)
         return
-    camera = found[0]
+    camera = selected[0]
     matched[side] = camera.node
     if camera.problem:
         remedy = "end the program that uses it, or join its group: sudo usermod -aG video $USER"

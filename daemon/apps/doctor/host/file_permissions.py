@@ -20,22 +20,22 @@ def check(subject: Subject) -> Iterator[Finding]:
     if config is None:
         yield area.note("files", "no rig.yaml, so no files to check")
         return
-    named = {"rig file": subject.path, "takes": subject.base_dir / Path(config.recording.dir).expanduser()}
+    paths = {"rig file": subject.path, "takes": subject.base_dir / Path(config.recording.dir).expanduser()}
     if config.calibration is not None:
-        named["calibration"] = subject.base_dir / Path(config.calibration).expanduser()
-    for what, path in named.items():
+        paths["calibration"] = subject.base_dir / Path(config.calibration).expanduser()
+    for name, path in paths.items():
         if path is not None and path.exists():
-            yield changeable(what, path)
+            yield changeable(name, path)
     if config.security.keys is not None:
         yield keys(config.path(config.security.keys, subject.base_dir))
 
 
-def changeable(what: str, path: Path) -> Finding:
+def changeable(name: str, path: Path) -> Finding:
     """Check a file or directory that only its owner and its group may change."""
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-        return area.warning(what, f"{path} can be changed by every user (mode {mode:04o})", f"chmod o-w {path}")
-    return area.ok(what, f"{path} cannot be changed by other users (mode {mode:04o})")
+        return area.warning(name, f"{path} can be changed by every user (mode {mode:04o})", f"chmod o-w {path}")
+    return area.ok(name, f"{path} cannot be changed by other users (mode {mode:04o})")
 
 
 def keys(directory: Path) -> Finding:

@@ -57,11 +57,11 @@ def test_the_daemon_has_a_watchdog_and_is_restarted() -> None:
 
 
 def test_directories_of_the_unit_are_those_of_the_table() -> None:
-    daemon, by_path = unit(layout.SERVICE), {place.path: place for place in layout.DIRECTORIES}
+    daemon, by_path = unit(layout.SERVICE), {entry.path: entry for entry in layout.DIRECTORIES}
     for kind, above in (("State", "/var/lib"), ("Cache", "/var/cache"), ("Logs", "/var/log")):
         (name,), (mode,) = daemon[f"{kind}Directory"], daemon[f"{kind}DirectoryMode"]
-        place = by_path[Path(above) / name]
-        assert (place.mode, place.owner, place.group) == (int(mode, 8), layout.USER, layout.USER)
+        entry = by_path[Path(above) / name]
+        assert (entry.mode, entry.owner, entry.group) == (int(mode, 8), layout.USER, layout.USER)
     assert daemon["RuntimeDirectoryMode"] == ["0750"]
     assert f"NUMBA_CACHE_DIR={layout.KERNELS}" in " ".join(daemon["Environment"])
 
@@ -69,10 +69,10 @@ def test_directories_of_the_unit_are_those_of_the_table() -> None:
 def test_modes_and_owners_of_tmpfiles_are_those_of_the_table() -> None:
     lines = (sources() / "tmpfiles.d/fringed.conf").read_text().splitlines()
     listed = {fields[1]: fields[2:5] for line in lines if (fields := line.split()) and fields[0] == "d"}
-    assert set(listed) <= {str(place.path) for place in layout.DIRECTORIES}
-    for place in layout.DIRECTORIES:
-        if str(place.path) in listed:
-            assert listed[str(place.path)] == [f"{place.mode:04o}", place.owner, place.group]
+    assert set(listed) <= {str(entry.path) for entry in layout.DIRECTORIES}
+    for entry in layout.DIRECTORIES:
+        if str(entry.path) in listed:
+            assert listed[str(entry.path)] == [f"{entry.mode:04o}", entry.owner, entry.group]
 
 
 @pytest.mark.parametrize("name", UNITS)
@@ -147,6 +147,6 @@ def test_the_schema_of_the_key_of_the_x_server(tmp_path: Path) -> None:
 
 
 def test_constants_are_plain(tmp_path: Path) -> None:
-    assert json.dumps([str(place.path) for place in layout.DIRECTORIES])
+    assert json.dumps([str(entry.path) for entry in layout.DIRECTORIES])
     assert layout.with_prefix(layout.PREFIX / "bin", tmp_path) == tmp_path / "bin"
     assert layout.with_prefix(layout.CONFIG, tmp_path) == layout.CONFIG

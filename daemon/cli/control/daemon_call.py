@@ -17,7 +17,7 @@ SLOW_S = 30.0
 """Time-out of calls that wait for the pipeline or for a disk."""
 
 
-def ask(
+def call_daemon(
     method: str,
     endpoint: str | None,
     rig: Path | None,
