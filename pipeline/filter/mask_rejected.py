@@ -1,4 +1,4 @@
-"""What the gates did not leave standing, made unknown in the cloud's planes, where the match had written it."""
+"""Rejected points are set to unknown in the planes of the cloud, which the match has written."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _NOWHERE = np.int16(-1)
 
 
 @parallel
-def conceal(valid: Any, order: Any, stride: int, xyz: Any, sigma: Any, order_out: Any) -> None:
-    """Unknown points become NaN; the orders of the others are copied.
+def mask_rejected(valid: Any, order: Any, stride: int, xyz: Any, sigma: Any, order_out: Any) -> None:
+    """Set rejected points to NaN and copy the orders of the others.
 
     Args:
         valid: (h, w) uint8, 1 where a point is certain; order: (h, w) int16.
-        stride: pixel (a, b) of those is the cloud's (every a, every b); in between nothing is known.
+        stride: pixel (a, b) of those is the cloud's (every a, every b); pixels in between are unknown.
         xyz: (H, W, 3), sigma: (H, W), float32, changed; order_out: (H, W) int16, written, -1 where unknown.
     """
     height, width = sigma.shape

@@ -41,7 +41,7 @@ def _squares(
 
 @parallel
 def _forget(doubtful: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, valid: Any) -> None:
-    """Forget the runs of no surface and of doubtful ones."""
+    """Reject the runs of no surface and of doubtful ones."""
     for i in prange(valid.shape[0]):
         for t in range(count[0, i]):
             k = surface[row[i] + t]
@@ -101,9 +101,9 @@ class Gates:
         return valid
 
     def _drop_doubtful(self, match: MatchResult) -> None:
-        """Forget what belongs to no surface, and surfaces that are not large and off the projector's phase as a whole.
+        """Reject what belongs to no surface, and surfaces that are not large and off the projector's phase as a whole.
 
-        A ghost agrees in left and right phase by construction but has no reason to agree with the projector.
+        A false match agrees in left and right phase by construction, but not with the projector.
         """
         f = self._surfaces
         small, sizes = 20 * self._smallest, f.sizes

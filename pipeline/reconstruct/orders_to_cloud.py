@@ -12,7 +12,7 @@ from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
-from pipeline.filter.mask_rejected import conceal
+from pipeline.filter.mask_rejected import mask_rejected
 from pipeline.filter.point_filter import Gates
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult, Points
@@ -90,7 +90,7 @@ class CloudStage:
         valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation)
         watch.lap("gates")
         kept = np.empty(self._size, np.int16)
-        conceal(valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
+        mask_rejected(valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,
