@@ -24,7 +24,9 @@ _NAME = rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)+"
 _COMMAND = re.compile(rf"-m ({_NAME})")
 _LITERAL = re.compile(rf"[\"']({_NAME}(?::\w+)?)[\"']")
 _NO_MODULES = (
-    re.compile(r"(pipeline\.(settings|overload|temporal_prior|threads|nothing)|sim\.(layout|optics|faults))\b.*"),
+    re.compile(
+        r"(pipeline\.(settings|overload|calibration_check|temporal_prior|threads|nothing)|sim\.(layout|optics|faults))\b.*"
+    ),
     re.compile(r"(fringed|benchmarks)\.\w+(\.left|\.json)?|.*\.log"),
 )
 """Keys of rig.yaml; loggers, units and files."""

@@ -173,10 +173,10 @@ def test_the_command_makes_allows_lists_and_revokes(tmp_path: Path, capsys: pyte
     assert read_key(public).public in capsys.readouterr().out
     assert run(["keys", "new", "laptop", "--to", str(tmp_path)]) == 1
     assert run(["keys", "allow", str(public), "--control", "boss", "--dir", keys]) == 1
-    assert "is there already" in (message := capsys.readouterr().err) and "'boss' is no role" in message
+    assert "exists already" in (message := capsys.readouterr().err) and "'boss' is no role" in message
     assert run(["keys", "revoke", "laptop", "--dir", keys]) == 0
     assert run(["keys", "list", "--dir", keys]) == 0
-    assert "nobody may connect" in capsys.readouterr().out
+    assert "no key may connect" in capsys.readouterr().out
 
 
 def test_the_command_finds_the_directory_in_the_rig_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

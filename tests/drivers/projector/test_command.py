@@ -44,7 +44,7 @@ def test_list_tells_each_output_in_a_line(run: Run) -> None:
         "DUMMY0: 640x480 at +0+0, 60.000 Hz, native 640x480, gamma linear, primary",
         "DUMMY1: 320x256 at +640+0, 59.943 Hz, native 320x256, gamma linear",
     ]
-    assert "DUMMY2: nothing plugged in" in run("list", "--all").stdout
+    assert "DUMMY2: no connected device" in run("list", "--all").stdout
 
 
 def test_the_test_image_stands_until_it_is_interrupted(server: XServer) -> None:
@@ -107,7 +107,7 @@ def test_wrong_usage_and_wrong_rigs_are_told(run: Run, tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     for text, complaint in (
         ("projector: {driver: pyglet, options: {output: a, outptu: b}}", "projector.outptu: no such option"),
-        ("projector: {driver: sim}", "which has no light"),
+        ("projector: {driver: sim}", "which cannot show images"),
         ("cameras: {driver: sim}", "no section projector"),
         ("projector: [", "YAML syntax"),
     ):

@@ -13,7 +13,7 @@ def cameras(seed: int = 0, *, skew: bool = False, k3: bool = True, vertical: boo
     rng = np.random.default_rng(seed)
 
     def device(name: str, size: tuple[int, int], turn: np.ndarray, move: np.ndarray) -> CameraModel:
-        fx, fy = rng.uniform(1.5, 4, 2) * size[0] / 1.5
+        fx, fy = rng.uniform(1.5, 4) * rng.uniform(0.9, 1.1, 2) * size[0] / 1.5
         cx, cy = (np.array(size) - 1) / 2 + rng.uniform(-20, 20, 2)
         matrix = np.array([[fx, rng.uniform(-2, 2) if skew else 0.0, cx], [0, fy, cy], [0, 0, 1]])
         distortion = rng.uniform(-1, 1, 5) * (0.1, 0.2, 1e-3, 1e-3, 0.3 if k3 else 0.0)
