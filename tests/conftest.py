@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 HERE = Path(__file__).parent
 UMASK = 0o022
-"""What every test begins with, whoever runs the tests."""
+"""The umask of every test, independent of the caller's."""
 os.umask(UMASK)
 
 WITHOUT_KERNELS = (
@@ -96,7 +96,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @contextmanager
 def _turn(name: Path, alone: bool) -> Iterator[None]:
-    """A lock that many may hold together, or one alone; who waits for it alone is passed by nobody."""
+    """A lock that many may share, or one may hold exclusively; no later caller passes one that waits for it exclusively."""
     with ExitStack() as stack:
         queue = stack.enter_context(name.with_suffix(".queue").open("w"))
         turn = stack.enter_context(name.with_suffix(".turn").open("w"))
@@ -134,7 +134,7 @@ def own_umask() -> Iterator[None]:
 def shared_data() -> Callable[..., Path]:
     """``shared_data("bust", "take.mcap")`` is a file of the public data sets.
 
-    They stand beside the repository (or where FRINGED_SHARED_DATA says) and are no part of it: without them the test
+    They are beside the repository (or where FRINGED_SHARED_DATA points) and no part of it: without them the test
     is skipped, in CI (environment variable CI) it fails.
     """
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
