@@ -96,7 +96,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @contextmanager
 def _turn(name: Path, alone: bool) -> Iterator[None]:
-    """A lock that many may share, or one may hold exclusively; no later caller passes one that waits for it exclusively."""
+    """A lock that many may share, or one may hold exclusively; later callers wait behind one that waits for that."""
     with ExitStack() as stack:
         queue = stack.enter_context(name.with_suffix(".queue").open("w"))
         turn = stack.enter_context(name.with_suffix(".turn").open("w"))
