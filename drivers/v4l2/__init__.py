@@ -1,4 +1,4 @@
-"""Cameras of the kernel's video interface (Video4Linux 2), by the kernel's own requests and mapped buffers."""
+"""Cameras of the kernel's video interface (Video4Linux 2), by ioctl requests and mapped buffers."""
 
 from drivers.v4l2.camera import V4l2Camera, open_camera
 from drivers.v4l2.discovery import DetectedCamera, discover

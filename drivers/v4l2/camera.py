@@ -1,4 +1,4 @@
-"""The camera of the drivers' protocol over a V4L2 device."""
+"""A V4L2 camera behind the drivers' protocol."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _EXPOSURE_UNIT_US = 100.0
 
 
 def open_camera(side: Side, options: Mapping[str, Any], base_dir: Path) -> V4l2Camera:  # noqa: ARG001  # the table's
-    """A camera, closed; ValueError names the option ``cameras.<side>.<key>`` that cannot be."""
+    """Create a closed camera; ValueError names the invalid option ``cameras.<side>.<key>``."""
     return V4l2Camera(side, from_mapping(side, options))
 
 
 @dataclass(slots=True, eq=False)
 class _Opened:
-    """What an open camera holds; ``stream`` while it acquires."""
+    """State of an open camera; ``stream`` while it acquires."""
 
     device: Device
     format: formats.PixelFormat
@@ -48,10 +48,10 @@ class _Opened:
 class V4l2Camera:
     """One camera of the rig.
 
-    A device that is lost is closed at once; ``open`` finds it again when it is back.
+    A lost device is closed at once; ``open`` finds it again when it is back.
 
     Args:
-        side: which camera; options: checked; kernel: the real one if None.
+        side: which camera; options: checked; kernel: the system's if None.
     """
 
     def __init__(self, side: Side, options: Options, *, kernel: Kernel | None = None) -> None:
@@ -63,11 +63,11 @@ class V4l2Camera:
         self._counters: Counter[str] = Counter(dict.fromkeys(COUNTERS, 0))
 
     def health(self) -> CameraHealth:
-        """Frames received, and those that never arrived by reason; V4L2 knows of no temperature."""
+        """Return received frames, and lost ones by reason; V4L2 has no temperature."""
         return CameraHealth(counters=dict(self._counters))
 
     def open(self) -> CameraInfo:
-        """Connect and set everything; CameraInfo.notes tell each setting that was refused or rounded."""
+        """Connect and set up; CameraInfo.notes lists each setting that was refused or rounded."""
         if self._opened is not None:
             raise DriverError(f"{self._name}: open() while it is open; close() it first")
         path = discovery.resolve(self.options.device, self._name, kernel=self._kernel)
@@ -80,7 +80,7 @@ class V4l2Camera:
             raise
 
     def start(self) -> None:
-        """Map the buffers and begin; frame numbers count from 0."""
+        """Map the buffers and start; frame numbers count from 0."""
         opened = self._is_open("start")
         if opened.stream is not None:
             raise DriverError(f"{self._name}: start() while it is acquiring; stop() it first")
@@ -98,7 +98,7 @@ class V4l2Camera:
         opened.stream = stream
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next good frame, or None when none came in time; bad ones are counted and passed over."""
+        """Return the next valid frame, or None when none came in time; invalid ones are counted and skipped."""
         opened = self._is_open("read")
         if opened.stream is None:
             raise DriverError(f"{self._name}: read() before start()")
@@ -114,7 +114,7 @@ class V4l2Camera:
                 return frame
 
     def stop(self) -> None:
-        """Stop; frames not read are dropped, and the buffers given back."""
+        """Stop; frames not yet read are dropped, and the buffers are released."""
         opened = self._opened
         if opened is None or opened.stream is None:
             return
@@ -128,7 +128,7 @@ class V4l2Camera:
             stream.close()
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         opened, self._opened = self._opened, None
         if opened is not None:
             if opened.stream is not None:
@@ -137,7 +137,7 @@ class V4l2Camera:
 
     def _set_up(self, device: Device, path: str) -> CameraInfo:
         current = device.current_format()
-        form = self._chosen(device, v.fourcc_name(current.pixelformat))
+        form = self._choose_format(device, v.fourcc_name(current.pixelformat))
         size = self.options.size or (current.width, current.height)
         pix = device.set_format(form.fourcc, size)
         notes = [f"{form.fourcc}: {form.note}"] if form.note else []
@@ -153,12 +153,12 @@ class V4l2Camera:
         serial = discovery.serial_of(path) or device.bus
         return CameraInfo(device.card, serial, (pix.width, pix.height), form.encoding, exposure_us, tuple(notes))
 
-    def _chosen(self, device: Device, current: str) -> formats.PixelFormat:
-        offered = {found.fourcc: found for found in device.formats()}
+    def _choose_format(self, device: Device, current: str) -> formats.PixelFormat:
+        offered = {form.fourcc: form for form in device.formats()}
         if self.options.format is not None:
             form = formats.named(self.options.format)
             if form is None or (offered and form.fourcc not in offered):
-                listed = "; ".join(str(found) for found in offered.values())
+                listed = "; ".join(map(str, offered.values()))
                 raise SettingRefused(
                     f"{self._name}: {device.card} does not offer the format {self.options.format}; there are: {listed}"
                 )
@@ -167,29 +167,29 @@ class V4l2Camera:
             if code in offered or (not offered and code == current):
                 return form
         listed = ", ".join(offered) or current
-        raise SettingRefused(f"{self._name}: none of the formats of {device.card} can be read: {listed}")
+        raise SettingRefused(f"{self._name}: none of the formats of {device.card} is supported: {listed}")
 
     def _set_frame_rate(self, device: Device) -> list[str]:
-        wanted = self.options.frame_rate_hz
-        if wanted is None:
+        requested = self.options.frame_rate_hz
+        if requested is None:
             return []
-        taken = device.set_frame_rate(wanted)
-        if taken is None:
-            return [f"frame_rate_hz: {wanted:g} was refused, the camera takes no frame rate"]
-        exact = abs(taken / wanted - 1) < 1e-3
-        return [] if exact else [f"frame_rate_hz: {wanted:g} was asked, the camera took {taken:g}"]
+        actual = device.set_frame_rate(requested)
+        if actual is None:
+            return [f"frame_rate_hz: {requested:g} was refused, the camera has no frame rate setting"]
+        exact = abs(actual / requested - 1) < 1e-3
+        return [] if exact else [f"frame_rate_hz: {requested:g} was requested, the camera uses {actual:g}"]
 
     def _trigger_notes(self, controls: Controls) -> list[str]:
         if self.options.trigger == "software":
-            return ["trigger: software: pairs are simultaneous by chance only; whatever moves is measured wrongly"]
+            return ["trigger: software: pairs are simultaneous by chance only; moving objects are measured wrongly"]
         if any("trigger" in name for name in self.options.controls):
             return []
-        offered = [name for name in controls.found if "trigger" in name]
+        offered = [name for name in controls.supported if "trigger" in name]
         hint = f"set {' or '.join(offered)} in controls" if offered else "none of its controls names a trigger"
-        return [f"trigger: hardware is believed, not set: make sure that the wire starts the exposures ({hint})"]
+        return [f"trigger: hardware cannot be verified: make sure that the trigger line starts the exposures ({hint})"]
 
     def _frame(self, opened: _Opened, taken: Taken) -> Frame | None:
-        """The frame as ours, copied out of the buffer; None for one that is not to be used."""
+        """Return the frame, copied out of the buffer; None for an invalid one."""
         clocks = Clocks.now()
         trigger, missing = self._sequence.feed(taken.sequence)
         if missing < 0:
@@ -222,12 +222,12 @@ class V4l2Camera:
         )
 
     def _before_stamp_us(self, opened: _Opened) -> float:
-        """From the start of the exposure to a stamp at the end of the frame."""
+        """Return the time from the start of exposure to a stamp at the end of the frame."""
         return opened.exposure_us + self.options.end_of_frame_delay_us
 
-    def _is_open(self, doing: str) -> _Opened:
+    def _is_open(self, method: str) -> _Opened:
         if self._opened is None:
-            raise DriverError(f"{self._name}: {doing}() while it is closed; open() comes first")
+            raise DriverError(f"{self._name}: {method}() while it is closed; open() comes first")
         return self._opened
 
     def _lost(self) -> None:
@@ -236,7 +236,7 @@ class V4l2Camera:
 
 
 def _exposure_us(controls: Controls) -> tuple[float, str]:
-    """The exposure time that is set, 0 if unknown, and a sentence where that matters."""
+    """Return the exposure time, 0 if unknown, and a note where it is."""
     mode, time = controls.by_id(v.CID_EXPOSURE_AUTO), controls.by_id(v.CID_EXPOSURE_ABSOLUTE)
     if time is None:
         return 0.0, ""

@@ -1,4 +1,4 @@
-"""An open video device: who it is, its pixel formats and sizes, its frame rate; errors in words."""
+"""An open video device: its identity, pixel formats, sizes and frame rate, and its errors as messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.v4l2 import structs as v
 from drivers.v4l2.kernel import Argument, Kernel
 
 _ENTRIES = 256
-"""No list that a device gives is read further than this."""
+"""Limit of a device's lists."""
 
 _GONE = (errno.ENODEV, errno.ENXIO)
 _Structure = TypeVar("_Structure", bound=ctypes.Structure)
@@ -23,7 +23,7 @@ _Structure = TypeVar("_Structure", bound=ctypes.Structure)
 
 @dataclass(frozen=True, slots=True)
 class SupportedFormat:
-    """A pixel format that a device offers; sizes are (width, height), or (smallest, largest) if it takes steps."""
+    """A pixel format of a device; sizes are (width, height), or (smallest, largest) if they are in steps."""
 
     fourcc: str
     description: str
@@ -31,9 +31,9 @@ class SupportedFormat:
     stepwise: bool = False
 
     def __str__(self) -> str:
-        """``YUYV 640x480, 1280x720``, for error messages."""
-        shown = [f"{width}x{height}" for width, height in self.sizes[:12]]
-        sizes = " to ".join(shown) if self.stepwise else ", ".join(shown)
+        """Format as ``YUYV 640x480, 1280x720``, for error messages."""
+        listed = [f"{width}x{height}" for width, height in self.sizes[:12]]
+        sizes = " to ".join(listed) if self.stepwise else ", ".join(listed)
         return f"{self.fourcc} {sizes}".strip() + (", ..." if len(self.sizes) > 12 else "")
 
 
@@ -41,10 +41,10 @@ class Device:
     """A video device, open from construction to ``close``.
 
     Args:
-        name: how messages call it ("camera left"); path: device file.
+        name: for messages ("camera left"); path: device file.
 
     Raises:
-        DeviceLost: the file is not there. DriverError: it cannot be opened, or is no camera of the kind read here.
+        DeviceLost: the file does not exist. DriverError: it cannot be opened, or is not a supported camera.
     """
 
     def __init__(self, kernel: Kernel, path: str, name: str) -> None:
@@ -55,7 +55,7 @@ class Device:
             raise self._cannot_open(error) from error
         try:
             capability = v.Capability()
-            self.request(v.QUERYCAP, capability, "asking what it is")
+            self.request(v.QUERYCAP, capability, "querying its capabilities")
         except DriverError:
             self.close()
             raise
@@ -74,10 +74,10 @@ class Device:
         return self._fd
 
     def close(self) -> None:
-        """Give the descriptor back; may be called twice."""
+        """Close the descriptor; may be called twice."""
         fd, self._fd = self._fd, None
         if fd is not None:
-            with contextlib.suppress(OSError):  # the device is gone, and with it what there was to close
+            with contextlib.suppress(OSError):  # the device may be gone
                 self.kernel.close(fd)
 
     def check_capture(self) -> None:
@@ -85,38 +85,40 @@ class Device:
         if not self.capabilities & v.CAP_VIDEO_CAPTURE:
             if self.capabilities & v.CAP_VIDEO_CAPTURE_MPLANE:
                 raise DriverError(
-                    f"{self.name}: {self.path} ({self.card}) is a multi-planar device, which this driver does not read;"
+                    f"{self.name}: {self.path} ({self.card}) is a multi-planar device, which is not supported;"
                     " use a camera that offers single-planar capture (USB cameras do)"
                 )
             raise DriverError(
-                f"{self.name}: {self.path} ({self.card}) gives no images; a camera often has a second device file for"
-                " metadata only, use the other one"
+                f"{self.name}: {self.path} ({self.card}) has no image capture; a camera often has a second device file"
+                " for metadata only, use the other one"
             )
         if not self.capabilities & v.CAP_STREAMING:
             raise DriverError(f"{self.name}: {self.path} ({self.card}) cannot map its buffers (no streaming capture)")
 
-    def request(self, number: int, argument: Argument, doing: str) -> None:
-        """One request; DeviceLost when the device is gone, else DriverError that says what was being done."""
+    def request(self, number: int, argument: Argument, action: str) -> None:
+        """Execute a request; DeviceLost when the device is gone, else DriverError with the action."""
         try:
             self.kernel.ioctl(self.fd, number, argument)
         except OSError as error:
-            self.fail(error, doing)
+            self.fail(error, action)
 
-    def fail(self, error: OSError, doing: str) -> NoReturn:
-        """Turn the kernel's refusal into an error of ours."""
+    def fail(self, error: OSError, action: str) -> NoReturn:
+        """Raise the driver's error for an error of the kernel."""
         if error.errno in _GONE:
-            raise DeviceLost(f"{self.name}: {self.path} was unplugged (while {doing}); plug it in again") from error
+            raise DeviceLost(f"{self.name}: {self.path} was unplugged (while {action}); plug it in again") from error
         if error.errno == errno.EBUSY:
-            raise DriverError(f"{self.name}: {self.path} is used by another program (while {doing}); end it") from error
+            raise DriverError(
+                f"{self.name}: {self.path} is used by another program (while {action}); end it"
+            ) from error
         if error.errno == errno.ENOSPC:
             raise DriverError(
-                f"{self.name}: the USB bus has not enough bandwidth left (while {doing}); plug the cameras into"
+                f"{self.name}: the USB bus has not enough bandwidth left (while {action}); plug the cameras into"
                 " ports of different controllers, or choose a smaller size, a lower frame rate or a compressed format"
             ) from error
-        raise DriverError(f"{self.name}: {self.path} failed while {doing}: {_words(error)}") from error
+        raise DriverError(f"{self.name}: {self.path} failed while {action}: {_message(error)}") from error
 
     def listed(self, number: int, make: Callable[[int], _Structure]) -> Iterator[_Structure]:
-        """The entries of one of the kernel's lists, until it says that there are no more."""
+        """Yield the entries of one of the kernel's lists, up to its end."""
         for index in range(_ENTRIES):
             entry = make(index)
             try:
@@ -128,7 +130,7 @@ class Device:
             yield entry
 
     def formats(self) -> tuple[SupportedFormat, ...]:
-        """The pixel formats and their sizes."""
+        """Return the pixel formats and their sizes."""
         entries = self.listed(v.ENUM_FMT, lambda index: v.FormatDescription(index=index, type=v.VIDEO_CAPTURE))
         return tuple(self._described(entry) for entry in entries)
 
@@ -136,38 +138,38 @@ class Device:
         make: Callable[[int], v.FrameSize] = lambda i: v.FrameSize(index=i, pixel_format=entry.pixelformat)  # noqa: E731
         sizes: list[tuple[int, int]] = []
         stepwise = False
-        for found in self.listed(v.ENUM_FRAMESIZES, make):
-            if found.type == v.FRAME_SIZE_DISCRETE:
-                sizes.append((found.discrete.width, found.discrete.height))
+        for size in self.listed(v.ENUM_FRAMESIZES, make):
+            if size.type == v.FRAME_SIZE_DISCRETE:
+                sizes.append((size.discrete.width, size.discrete.height))
                 continue
-            steps, stepwise = found.stepwise, True
+            steps, stepwise = size.stepwise, True
             sizes += [(steps.min_width, steps.min_height), (steps.max_width, steps.max_height)]
             break
         text = bytes(entry.description).decode("ascii", "replace")
         return SupportedFormat(v.fourcc_name(entry.pixelformat), text, tuple(sizes), stepwise)
 
     def current_format(self) -> v.PixelFormat:
-        """Size and layout as they are set now."""
+        """Return the present size and layout."""
         form = v.Format(type=v.VIDEO_CAPTURE)
         self.request(v.G_FMT, form, "asking for its format")
         return v.PixelFormat.from_buffer_copy(form.fmt.pix)
 
     def set_format(self, fourcc: str, size: tuple[int, int]) -> v.PixelFormat:
-        """Set pixel format and size; SettingRefused when the device takes others than those."""
+        """Set pixel format and size; SettingRefused when the device uses others."""
         form = v.Format(type=v.VIDEO_CAPTURE)
         pix = form.fmt.pix
         (pix.width, pix.height), pix.pixelformat, pix.field = size, v.fourcc(fourcc), v.FIELD_NONE
         self.request(v.S_FMT, form, f"setting {fourcc} {size[0]}x{size[1]}")
         if (pix.width, pix.height) != size or pix.pixelformat != v.fourcc(fourcc):
-            offered = "; ".join(str(found) for found in self.formats())
+            offered = "; ".join(map(str, self.formats()))
             raise SettingRefused(
-                f"{self.name}: {self.path} does not give {fourcc} {size[0]}x{size[1]}, it proposes"
+                f"{self.name}: {self.path} does not support {fourcc} {size[0]}x{size[1]}, it proposes"
                 f" {v.fourcc_name(pix.pixelformat)} {pix.width}x{pix.height}; there are: {offered}"
             )
         return v.PixelFormat.from_buffer_copy(pix)
 
     def set_frame_rate(self, rate_hz: float) -> float | None:
-        """Set the frame rate; returns the one that it took, or None when it takes none."""
+        """Set the frame rate; return the actual one, or None where it cannot be set."""
         parameters = v.StreamParameters(type=v.VIDEO_CAPTURE)
         try:
             self.kernel.ioctl(self.fd, v.G_PARM, parameters)
@@ -187,9 +189,9 @@ class Device:
             return DeviceLost(f"{self.name}: there is no {self.path}; plug the camera in, or correct its device")
         if error.errno in (errno.EACCES, errno.EPERM):
             return DriverError(f"{self.name}: no permission for {self.path}; add this user to the group 'video'")
-        return DriverError(f"{self.name}: {self.path} cannot be opened: {_words(error)}")
+        return DriverError(f"{self.name}: {self.path} cannot be opened: {_message(error)}")
 
 
-def _words(error: OSError) -> str:
+def _message(error: OSError) -> str:
     code = errno.errorcode.get(error.errno or 0, str(error.errno))
     return f"{os.strerror(error.errno or 0)} ({code})"

@@ -1,4 +1,4 @@
-"""Which cameras are there, and the device file that an option means."""
+"""The cameras of this machine, and the device file of an option."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class DetectedCamera:
     """A capture device of this machine.
 
     Args:
-        path: the lasting one under /dev/v4l/by-id where there is one; node: /dev/videoN.
-        card, driver, bus: as the kernel names it; serial: of the USB device, empty if it has none.
-        formats: what it offers; problem: why it cannot be used, empty if it can.
+        path: the persistent one under /dev/v4l/by-id where there is one; node: /dev/videoN.
+        card, driver, bus: from the kernel; serial: of the USB device, empty if it has none.
+        formats: supported; problem: why it cannot be used, empty if it can.
     """
 
     path: str
@@ -34,45 +34,45 @@ class DetectedCamera:
 
 
 def discover(*, kernel: Kernel | None = None, sysfs: Path = SYSFS, dev: Path = DEV) -> list[DetectedCamera]:
-    """Every device that gives images, also those that cannot be used now, with the reason."""
+    """List every device that captures images; those that cannot be used now have the reason."""
     kernel = kernel or LinuxKernel()
     nodes = sorted(sysfs.glob("video*"), key=lambda entry: (len(entry.name), entry.name)) if sysfs.is_dir() else []
-    found = [_look(kernel, entry, dev) for entry in nodes]
-    return [camera for camera in found if camera is not None]
+    cameras = [_inspect(kernel, entry, dev) for entry in nodes]
+    return [camera for camera in cameras if camera is not None]
 
 
-def resolve(wanted: str, name: str, *, kernel: Kernel, sysfs: Path = SYSFS, dev: Path = DEV) -> str:
-    """The device file of a path, a serial number or a bus.
+def resolve(identifier: str, name: str, *, kernel: Kernel, sysfs: Path = SYSFS, dev: Path = DEV) -> str:
+    """Return the device file of a path, a serial number or a bus.
 
     Raises:
-        DeviceLost: none is there; DriverError: several are meant. Both list what is there.
+        DeviceLost: no camera matches; DriverError: several do. Both list the cameras.
     """
-    if wanted.startswith("/"):
-        return wanted
-    there = discover(kernel=kernel, sysfs=sysfs, dev=dev)
-    hits = [camera for camera in there if wanted in (camera.serial, camera.bus)]
-    if len(hits) == 1:
-        return hits[0].node
-    listed = "; ".join(f"{c.node} {c.card} (serial {c.serial or 'unknown'}, bus {c.bus})" for c in hits or there)
-    if hits:
-        raise DriverError(f"{name}: {len(hits)} cameras are called {wanted!r}: {listed}; name one by its path")
-    raise DeviceLost(f"{name}: no camera has the serial number or bus {wanted!r}; there are: {listed or 'none'}")
+    if identifier.startswith("/"):
+        return identifier
+    cameras = discover(kernel=kernel, sysfs=sysfs, dev=dev)
+    matches = [camera for camera in cameras if identifier in (camera.serial, camera.bus)]
+    if len(matches) == 1:
+        return matches[0].node
+    listed = "; ".join(f"{c.node} {c.card} (serial {c.serial or 'unknown'}, bus {c.bus})" for c in matches or cameras)
+    if matches:
+        raise DriverError(f"{name}: {len(matches)} cameras match {identifier!r}: {listed}; name one by its path")
+    raise DeviceLost(f"{name}: no camera has the serial number or bus {identifier!r}; there are: {listed or 'none'}")
 
 
 def serial_of(node: str, *, sysfs: Path = SYSFS) -> str:
-    """The serial number of the device behind a file such as /dev/video0 (links are followed), empty if it has none."""
+    """Return the serial number of the device of a file such as /dev/video0 (links are followed), empty without one."""
     device = (sysfs / Path(node).resolve().name / "device").resolve()
-    for place in (device, *list(device.parents)[:4]):
+    for directory in (device, *list(device.parents)[:4]):
         try:
-            return (place / "serial").read_text(errors="replace").strip()[:128]
+            return (directory / "serial").read_text(errors="replace").strip()[:128]
         except OSError:
             continue
     return ""
 
 
-def _look(kernel: Kernel, entry: Path, dev: Path) -> DetectedCamera | None:
+def _inspect(kernel: Kernel, entry: Path, dev: Path) -> DetectedCamera | None:
     node = str(dev / entry.name)
-    path, serial = _lasting(node, dev), serial_of(node, sysfs=entry.parent)
+    path, serial = _persistent_path(node, dev), serial_of(node, sysfs=entry.parent)
     try:
         device = Device(kernel, node, f"camera {node}")
     except DriverError as error:
@@ -83,14 +83,14 @@ def _look(kernel: Kernel, entry: Path, dev: Path) -> DetectedCamera | None:
             return None
         offered = () if problem else device.formats()
         return DetectedCamera(path, node, device.card, device.driver, device.bus, serial, offered, problem)
-    except DriverError as error:  # unplugged while it was asked
+    except DriverError as error:  # unplugged during the inspection
         return DetectedCamera(path, node, device.card, device.driver, device.bus, serial, problem=str(error))
     finally:
         device.close()
 
 
 def _problem(device: Device) -> str | None:
-    """Empty for a camera, a reason for one that cannot be read, None for what is no camera at all."""
+    """Return an empty text for a camera, a reason for an unsupported one, None for another device."""
     try:
         device.check_capture()
     except DriverError as error:
@@ -105,8 +105,8 @@ def _card(entry: Path) -> str:
         return ""
 
 
-def _lasting(node: str, dev: Path) -> str:
-    """The path that stays the same when cameras are plugged in another order, if the system makes one."""
+def _persistent_path(node: str, dev: Path) -> str:
+    """Return the path that is independent of the order of plugging in, if the system has one."""
     for folder in ("by-id", "by-path"):
         links = sorted((dev / "v4l" / folder).glob("*")) if (dev / "v4l" / folder).is_dir() else []
         for link in links:

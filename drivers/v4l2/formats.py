@@ -1,7 +1,7 @@
-"""Pixel formats: the bytes of a buffer as an image of ours, in one copy.
+"""Pixel formats: conversion of a buffer to a frame's image, in one copy.
 
-Colour comes out as ``rgb8`` or as an 8-bit mosaic, grey as ``mono8`` or as ``mono16`` that fills its 16 bits. Deeper
-mosaics lose their lower bits, which a note says.
+Colour becomes ``rgb8`` or an 8-bit mosaic, grey ``mono8`` or ``mono16`` scaled to its 16 bits. Deeper mosaics lose
+their lower bits, with a note.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Bytes = memoryview
 
 
 class CorruptFrame(ValueError):
-    """The bytes are no image; ``reason`` is the counter's name."""
+    """The bytes are not a valid image; ``reason`` is the counter's name."""
 
     def __init__(self, reason: str, message: str) -> None:
         self.reason = reason
@@ -28,13 +28,13 @@ class CorruptFrame(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How an image lies in a buffer: (width, height) in pixels, bytes from row to row."""
+    """Layout of an image in a buffer: (width, height) in pixels, bytes from row to row."""
 
     size: tuple[int, int]
     row_bytes: int
 
     def rows(self, data: Bytes, pixel_bytes: int) -> NDArray[np.uint8]:
-        """The (H, width * pixel_bytes) bytes of the image without the rows' padding: a view, nothing is copied."""
+        """Return the (H, width * pixel_bytes) bytes of the image without the rows' padding, as a view."""
         width, height = self.size
         used = width * pixel_bytes
         stride = max(self.row_bytes, used)
@@ -50,11 +50,11 @@ Convert = Callable[[Bytes, Layout], Image]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """A pixel format that the driver reads.
+    """A supported pixel format.
 
     Args:
         fourcc: the kernel's name; alias: the name in its documentation; encoding: of the frames.
-        convert: makes an image of its own; note: what is lost.
+        convert: makes a new image; note: what is lost.
     """
 
     fourcc: str
@@ -75,26 +75,26 @@ def _same(channels: int, reverse: bool = False) -> Convert:
     return convert
 
 
-def _words(data: Bytes, layout: Layout) -> NDArray[np.uint16]:
+def _samples(data: Bytes, layout: Layout) -> NDArray[np.uint16]:
     """16-bit pixels, little-endian; possibly a view into the buffer."""
     return np.ascontiguousarray(layout.rows(data, 2)).view("<u2")
 
 
 def _grey(bits: int) -> Convert:
-    """The value's top bits are repeated below it, so that white is 65535 at every depth."""
+    """Repeat the value's top bits below it, so that white is 65535 at every depth."""
 
     def convert(data: Bytes, layout: Layout) -> Image:
-        words = _words(data, layout)
+        samples = _samples(data, layout)
         if bits == 16:
-            return words.astype(np.uint16)
-        return (words << np.uint16(16 - bits)) | (words >> np.uint16(2 * bits - 16))
+            return samples.astype(np.uint16)
+        return (samples << np.uint16(16 - bits)) | (samples >> np.uint16(2 * bits - 16))
 
     return convert
 
 
 def _deep_mosaic(bits: int) -> Convert:
     def convert(data: Bytes, layout: Layout) -> Image:
-        top: NDArray[np.uint16] = _words(data, layout) >> np.uint16(bits - 8)
+        top: NDArray[np.uint16] = _samples(data, layout) >> np.uint16(bits - 8)
         return np.minimum(top, np.uint16(255)).astype(np.uint8)
 
     return convert
@@ -114,9 +114,9 @@ def _packed_yuv(name: str) -> Convert:
 def _jpeg(data: Bytes, layout: Layout) -> Image:
     import cv2
 
-    raw = bytes(data).rstrip(b"\0")  # cameras fill up to a whole packet
+    raw = bytes(data).rstrip(b"\0")  # cameras pad to a whole packet
     if not raw.startswith(b"\xff\xd8") or b"\xff\xd9" not in raw[-64:]:
-        # A decoder would fill the missing part of the image with grey and say nothing.
+        # A decoder would silently fill the missing part of the image with grey.
         raise CorruptFrame("corrupt_jpeg", f"{len(raw)} bytes do not begin and end like a JPEG")
     try:
         image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -138,13 +138,13 @@ def _mosaics() -> list[PixelFormat]:
         "gbrg": ("GBRG", "GB10", "GB12", "GB16"),
         "bggr": ("BA81", "BG10", "BG12", "BYR2"),
     }
-    found = []
+    mosaics = []
     for order, codes in names.items():
         for code, bits in zip(codes, (8, 10, 12, 16), strict=True):
             convert = _same(1) if bits == 8 else _deep_mosaic(bits)
             note = "" if bits == 8 else f"the mosaic's {bits} bits are reduced to 8"
-            found.append(PixelFormat(code, f"S{order.upper()}{bits}", f"bayer_{order}8", convert, note))
-    return found
+            mosaics.append(PixelFormat(code, f"S{order.upper()}{bits}", f"bayer_{order}8", convert, note))
+    return mosaics
 
 
 FORMATS: dict[str, PixelFormat] = {
@@ -162,19 +162,19 @@ FORMATS: dict[str, PixelFormat] = {
         PixelFormat("Y16", "Y16", "mono16", _grey(16)),
     )
 }
-"""Everything that can be read, the best for measuring in colour first."""
+"""The supported formats, the best for measuring in colour first."""
 
 
 def named(name: str) -> PixelFormat | None:
-    """The format of a four-letter code or of its name in the kernel's documentation."""
-    wanted = name.strip().upper()
-    return next((form for form in FORMATS.values() if wanted in (form.fourcc, form.alias)), None)
+    """Return the format of a four-letter code or of its name in the kernel's documentation."""
+    key = name.strip().upper()
+    return next((form for form in FORMATS.values() if key in (form.fourcc, form.alias)), None)
 
 
 def colour_note(pix: v.PixelFormat) -> str:
-    """A sentence when the camera's luma and chroma are not those that are converted (BT.601, limited range)."""
+    """Return a note when the camera's luma and chroma are not those of the conversion (BT.601, limited range)."""
     other = pix.ycbcr_enc not in (v.YCBCR_ENC_DEFAULT, v.YCBCR_ENC_601)
     other |= pix.ycbcr_enc == v.YCBCR_ENC_DEFAULT and pix.colorspace == v.COLORSPACE_REC709
     if other or pix.quantization == v.QUANTIZATION_FULL_RANGE:
-        return "colours are converted as BT.601 of limited range, but the camera says that it sends another kind"
+        return "colours are converted as BT.601 of limited range, but the camera reports another kind"
     return ""

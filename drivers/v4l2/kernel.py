@@ -1,4 +1,4 @@
-"""The few calls by which the driver reaches the kernel, behind a protocol so that rare answers can be tested."""
+"""The driver's system calls, behind a protocol so that rare results can be tested."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ Argument = ctypes.Structure | ctypes.c_int
 
 
 class Memory(Protocol):
-    """A mapped buffer: readable by ``memoryview``, given back by ``close``."""
+    """A mapped buffer: readable by ``memoryview``, unmapped by ``close``."""
 
     def __buffer__(self, flags: int, /) -> memoryview:
         """The bytes."""
 
     def close(self) -> None:
-        """Unmap; BufferError while a view is still alive."""
+        """Unmap; BufferError while a view exists."""
 
 
 class Kernel(Protocol):
-    """What a driver asks of the operating system; every method may raise OSError."""
+    """The system calls of a driver; every method may raise OSError."""
 
     def open(self, path: str) -> int:
-        """A file descriptor, non-blocking."""
+        """Open a file, non-blocking; return its descriptor."""
 
     def close(self, fd: int) -> None:
-        """Give the descriptor back."""
+        """Close the descriptor."""
 
     def ioctl(self, fd: int, request: int, argument: Argument) -> None:
-        """One request; the answer is written into the argument."""
+        """Execute a request; its result is written into the argument."""
 
     def map(self, fd: int, length: int, offset: int) -> Memory:
-        """The memory of a buffer."""
+        """Map the memory of a buffer."""
 
     def wait(self, fd: int, timeout_s: float) -> bool:
-        """True when a frame or an error waits, False when the time is over."""
+        """Return True when a frame or an error waits, False after the time-out."""
 
 
 class LinuxKernel:
-    """The real one. Requests and waiting let other threads run (the interpreter's lock is released)."""
+    """The system's kernel. Requests and waiting release the interpreter's lock."""
 
     def open(self, path: str) -> int:
         """Open for reading and writing: settings need both."""
@@ -53,7 +53,7 @@ class LinuxKernel:
         os.close(fd)
 
     def ioctl(self, fd: int, request: int, argument: Argument) -> None:
-        """``ioctl(2)``, started again when a signal interrupted it."""
+        """Call ``ioctl(2)``, again when a signal interrupted it."""
         while True:
             try:
                 fcntl.ioctl(fd, request, argument, True)
@@ -62,11 +62,11 @@ class LinuxKernel:
                 continue
 
     def map(self, fd: int, length: int, offset: int) -> Memory:
-        """Shared mapping: the images are read where the device wrote them."""
+        """Map shared: the images are read where the device wrote them."""
         return mmap.mmap(fd, length, mmap.MAP_SHARED, mmap.PROT_READ | mmap.PROT_WRITE, offset=offset)
 
     def wait(self, fd: int, timeout_s: float) -> bool:
-        """``poll(2)``; an error on the descriptor counts as something to fetch: the next request tells which."""
+        """Call ``poll(2)``; an error on the descriptor counts as ready: the next request reports it."""
         poll = select.poll()
         poll.register(fd, select.POLLIN)
         return bool(poll.poll(timeout_s * 1000))

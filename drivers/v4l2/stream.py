@@ -1,4 +1,4 @@
-"""Mapped buffers and the stream over them: request, queue, take, give back."""
+"""Mapped buffers and their stream: request, queue, dequeue, release."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from drivers.v4l2.device import Device
 from drivers.v4l2.kernel import Memory
 
 LEAST_BUFFERS = 2
-"""With a single one the camera would have nowhere to write while an image is read."""
+"""With a single one the camera could not write while an image is read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """A filled buffer, ours until the block in which it was taken ends.
+    """A filled buffer, valid until the end of the block in which it was taken.
 
     Args:
         data: the bytes that the device wrote, in place: valid only until the buffer is queued again.
-        sequence: the driver's number of the frame; timestamp_ns: as the driver gave it; flags: of the buffer.
-        done_ns: when it was fetched, CLOCK_MONOTONIC.
+        sequence: the driver's number of the frame; timestamp_ns: of the driver; flags: of the buffer.
+        done_ns: when it was dequeued, CLOCK_MONOTONIC.
     """
 
     data: memoryview
@@ -37,12 +37,12 @@ class Taken:
 
     @property
     def error(self) -> bool:
-        """The driver says that the image may be corrupt."""
+        """Whether the driver reports that the image may be corrupt."""
         return bool(self.flags & v.BUF_FLAG_ERROR)
 
     @property
     def at_start_of_exposure(self) -> bool:
-        """The time stamp is of the exposure's start; else of the end of the frame."""
+        """Whether the time stamp is of the start of exposure; else of the end of the frame."""
         return bool(self.flags & v.BUF_FLAG_TSTAMP_SRC_SOE)
 
 
@@ -50,24 +50,24 @@ class Stream:
     """A device's buffers, mapped from construction to ``close``.
 
     Args:
-        wanted: how many buffers to ask for; the kernel may grant fewer or more, see ``granted``.
+        requested: number of buffers; the kernel may grant fewer or more, see ``granted``.
 
     Raises:
         DeviceLost, DriverError: no buffers, or too few of them.
     """
 
-    def __init__(self, device: Device, wanted: int) -> None:
+    def __init__(self, device: Device, requested: int) -> None:
         self._device = device
         self._maps: list[Memory] = []
         self._streaming = False
-        request = v.RequestBuffers(count=wanted, type=v.VIDEO_CAPTURE, memory=v.MEMORY_MMAP)
-        device.request(v.REQBUFS, request, f"requesting {wanted} buffers")
+        request = v.RequestBuffers(count=requested, type=v.VIDEO_CAPTURE, memory=v.MEMORY_MMAP)
+        device.request(v.REQBUFS, request, f"requesting {requested} buffers")
         self.granted: int = request.count
         try:
             if self.granted < LEAST_BUFFERS:
                 raise DriverError(
-                    f"{device.name}: {device.path} grants {self.granted} of {wanted} buffers, but {LEAST_BUFFERS} are"
-                    " needed; choose a smaller size or free memory"
+                    f"{device.name}: {device.path} grants {self.granted} of {requested} buffers, but"
+                    f" {LEAST_BUFFERS} are needed; choose a smaller size or free memory"
                 )
             self._maps.extend(self._map(index) for index in range(self.granted))
         except DriverError:
@@ -75,24 +75,24 @@ class Stream:
             raise
 
     def start(self) -> None:
-        """Queue all buffers and begin."""
+        """Queue all buffers and start."""
         for index in range(self.granted):
             self._queue(index)
         self._device.request(v.STREAMON, ctypes.c_int(v.VIDEO_CAPTURE), "starting the stream")
         self._streaming = True
 
     def stop(self) -> None:
-        """End; frames not taken are dropped by the kernel. DeviceLost when the device is gone."""
+        """Stop; frames not taken are dropped by the kernel. DeviceLost when the device is gone."""
         if self._streaming:
             self._streaming = False
             self._device.request(v.STREAMOFF, ctypes.c_int(v.VIDEO_CAPTURE), "stopping the stream")
 
     @contextlib.contextmanager
     def take(self, timeout_s: float) -> Iterator[Taken | None]:
-        """The next filled buffer, queued again when the block ends; None when none came in time.
+        """Dequeue the next filled buffer for a block; None when none came in time.
 
         Raises:
-            DeviceLost: unplugged, or the driver gave the stream up; open the device again.
+            DeviceLost: unplugged, or the driver ended the stream; open the device again.
         """
         buffer = self._dequeue(time.monotonic() + timeout_s)
         if buffer is None:
@@ -115,13 +115,13 @@ class Stream:
             self._queue(buffer.index)
 
     def export(self, index: int) -> int:
-        """A file descriptor of a buffer (DMA-BUF) for other programs or devices; the caller closes it."""
+        """Return a file descriptor of a buffer (DMA-BUF) for other programs or devices; the caller closes it."""
         request = v.ExportBuffer(type=v.VIDEO_CAPTURE, index=index, flags=os.O_CLOEXEC | os.O_RDONLY)
         self._device.request(v.EXPBUF, request, f"exporting buffer {index}")
         return int(request.fd)
 
     def close(self) -> None:
-        """Stop, unmap and give the buffers back; never raises."""
+        """Stop, unmap and release the buffers; never raises."""
         with contextlib.suppress(DriverError):
             self.stop()
         for memory in self._maps:
@@ -130,11 +130,11 @@ class Stream:
         self._maps.clear()
         with contextlib.suppress(DriverError):
             request = v.RequestBuffers(count=0, type=v.VIDEO_CAPTURE, memory=v.MEMORY_MMAP)
-            self._device.request(v.REQBUFS, request, "giving the buffers back")
+            self._device.request(v.REQBUFS, request, "releasing the buffers")
 
     def _map(self, index: int) -> Memory:
         buffer = self._buffer(index)
-        self._device.request(v.QUERYBUF, buffer, f"asking for buffer {index}")
+        self._device.request(v.QUERYBUF, buffer, f"querying buffer {index}")
         try:
             return self._device.kernel.map(self._device.fd, buffer.length, buffer.offset & 0xFFFF_FFFF)
         except OSError as error:
@@ -148,12 +148,12 @@ class Stream:
             buffer = self._buffer(0)
             try:
                 self._device.kernel.ioctl(self._device.fd, v.DQBUF, buffer)
-            except BlockingIOError:  # woken for nothing
+            except BlockingIOError:  # spurious wake-up
                 if time.monotonic() >= end_s:
                     break
                 continue
             except OSError as error:
-                self._broken(error)
+                self._stream_error(error)
             if buffer.index >= len(self._maps):
                 raise DriverError(f"{self._device.name}: the driver gave buffer {buffer.index} of {len(self._maps)}")
             return buffer
@@ -165,7 +165,7 @@ class Stream:
         except OSError as error:
             self._device.fail(error, "waiting for a frame")
 
-    def _broken(self, error: OSError) -> None:
+    def _stream_error(self, error: OSError) -> None:
         if error.errno in (errno.EIO, errno.EPIPE, errno.EINVAL):
             code = errno.errorcode[error.errno]
             raise DeviceLost(

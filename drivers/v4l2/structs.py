@@ -1,4 +1,4 @@
-"""The structures and request numbers of the kernel's video interface that a single-planar capture needs.
+"""The structures and request numbers of the kernel's video interface for single-planar capture.
 
 Layouts are those of 64-bit Linux (linux/videodev2.h); a test compares every size, offset and number with the C header.
 """
@@ -11,7 +11,7 @@ from typing import Final
 
 
 class Capability(ctypes.Structure):
-    """What a device is: ``v4l2_capability``."""
+    """Capabilities of a device: ``v4l2_capability``."""
 
     _fields_ = (
         ("driver", c_char * 16),

@@ -79,7 +79,7 @@ def test_a_device_is_meant_by_path_serial_or_bus(system: tuple[Path, Path]) -> N
     assert resolve("SN-0042", "camera left", kernel=kernel, sysfs=sysfs, dev=dev) == node
     with pytest.raises(DeviceLost, match="SN-0042"):
         resolve("SN-1", "camera left", kernel=kernel, sysfs=sysfs, dev=dev)
-    with pytest.raises(DriverError, match="2 cameras are called 'bus-7'"):
+    with pytest.raises(DriverError, match="2 cameras match 'bus-7'"):
         resolve("bus-7", "camera left", kernel=kernel, sysfs=sysfs, dev=dev)
 
 

@@ -116,7 +116,7 @@ def test_a_camera_of_another_program_is_said_to_be_so() -> None:
     ("capabilities", "said"),
     [
         (v.CAP_VIDEO_CAPTURE_MPLANE | v.CAP_STREAMING, "multi-planar"),
-        (v.CAP_STREAMING, "gives no images"),
+        (v.CAP_STREAMING, "has no image capture"),
         (v.CAP_VIDEO_CAPTURE, "cannot map"),
     ],
 )
@@ -143,7 +143,7 @@ def test_waiting_ends_in_time_or_with_data_and_lets_other_threads_run() -> None:
 
 def test_a_file_that_is_no_camera_is_refused() -> None:
     camera = V4l2Camera("left", from_mapping("left", {"device": "/dev/null"}))
-    with pytest.raises(DriverError, match="asking what it is"):
+    with pytest.raises(DriverError, match="querying its capabilities"):
         camera.open()
     camera = V4l2Camera("left", from_mapping("left", {"device": "/dev/not-there"}))
     with pytest.raises(DeviceLost, match="there is no /dev/not-there"):

@@ -30,7 +30,7 @@ def test_formats_and_sizes_that_are_not_there_are_refused_with_those_there_are()
         opened(kernel, size=[640, 480])
     with pytest.raises(SettingRefused, match="does not offer the format YUYV; there are: GREY"):
         opened(kernel, format="YUYV")
-    with pytest.raises(SettingRefused, match="none of the formats of Fake camera can be read: H264"):
+    with pytest.raises(SettingRefused, match="none of the formats of Fake camera is supported: H264"):
         opened(FakeKernel({"H264": [(32, 16)]}))
     assert not kernel.fds
 
@@ -64,8 +64,8 @@ def test_an_unknown_control_is_refused_with_those_there_are() -> None:
 @pytest.mark.parametrize(
     ("control", "value", "said"),
     [
-        (FakeControl(5, "Gain", value=7), 900, "the camera took 255; 0 to 255"),
-        (FakeControl(5, "Gain", value=7, flags=v.CTRL_FLAG_READ_ONLY), 3, "refused (it can only be read"),
+        (FakeControl(5, "Gain", value=7), 900, "the camera uses 255; 0 to 255"),
+        (FakeControl(5, "Gain", value=7, flags=v.CTRL_FLAG_READ_ONLY), 3, "refused (it is read-only"),
         (FakeControl(5, "Gain", value=7, flags=v.CTRL_FLAG_INACTIVE), 3, "makes it inactive"),
     ],
 )
@@ -98,7 +98,7 @@ def test_controls_of_all_kinds_are_set() -> None:
 def test_the_frame_rate_that_it_took_is_a_note_unless_it_is_the_one_asked_for() -> None:
     assert not any("frame_rate" in note for note in opened(FakeKernel(rates_hz=(15, 30)), frame_rate_hz=30).notes)
     notes = opened(FakeKernel(rates_hz=(15, 30)), frame_rate_hz=25).notes
-    assert "frame_rate_hz: 25 was asked, the camera took 30" in notes
+    assert "frame_rate_hz: 25 was requested, the camera uses 30" in notes
     assert any("takes no frame rate" in note for note in opened(FakeKernel(), frame_rate_hz=25).notes)
 
 

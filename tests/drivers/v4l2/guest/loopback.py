@@ -18,7 +18,7 @@ from drivers.protocols import SIDES, Side
 from drivers.v4l2 import discover
 from drivers.v4l2 import structs as v
 from drivers.v4l2.kernel import LinuxKernel
-from tests.drivers.v4l2.guest.tools import DEADLINE_S, acquiring, read
+from tests.drivers.v4l2.guest.vivid_devices import DEADLINE_S, acquiring, read
 from tools.waiting import wait_until
 
 NODES: dict[Side, str] = {"left": "/dev/video40", "right": "/dev/video41"}

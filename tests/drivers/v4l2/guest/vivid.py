@@ -15,7 +15,7 @@ from drivers.v4l2 import discover
 from drivers.v4l2.device import Device
 from drivers.v4l2.kernel import LinuxKernel
 from drivers.v4l2.stream import Stream
-from tests.drivers.v4l2.guest.tools import MULTIPLANAR, SPARE, VIVID, acquiring, camera, push, read
+from tests.drivers.v4l2.guest.vivid_devices import MULTIPLANAR, SPARE, VIVID, acquiring, camera, push, read
 from tools.waiting import wait_until
 
 PLAIN = {"osd_text_mode": "none", "test_pattern": "100% Red"}
@@ -126,7 +126,7 @@ def test_a_frame_rate_that_was_rounded_is_a_note() -> None:
     made = camera(VIVID, frame_rate_hz=13.7)
     notes = made.open().notes
     made.close()
-    assert any(note.startswith("frame_rate_hz: 13.7 was asked, the camera took") for note in notes), notes
+    assert any(note.startswith("frame_rate_hz: 13.7 was requested, the camera uses") for note in notes), notes
 
 
 def test_frames_are_numbered_without_gaps_and_keep_their_bytes() -> None:
