@@ -1,1 +1,1 @@
-"""Cameras and projectors: protocols and hardware. Nothing here knows of phases or clouds."""
+"""Cameras and projectors: protocols and hardware. Nothing here depends on phases or clouds."""

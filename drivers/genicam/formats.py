@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
-Words = NDArray[np.uint16]
+Samples = NDArray[np.uint16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,11 +139,11 @@ def _bytes(raw: Bytes, pixels: PixelFormat, out: Bytes) -> None:
         out[...] = image
 
 
-def _values(raw: Bytes, pixels: PixelFormat, count: int) -> Words:
+def _values(raw: Bytes, pixels: PixelFormat, count: int) -> Samples:
     """(count,) values of more than 8 bits."""
     if pixels.packing == "plain":
-        words: Words = raw.view("<u2") if raw.ctypes.data % 2 == 0 else raw.copy().view("<u2")
-        return words[:count]
+        samples: Samples = raw.view("<u2") if raw.ctypes.data % 2 == 0 else raw.copy().view("<u2")
+        return samples[:count]
     unpack, per_group, group_bytes = _UNPACK[pixels.packing, pixels.depth]
     groups = -(-count // per_group)
     if raw.size < groups * group_bytes:
@@ -153,13 +153,13 @@ def _values(raw: Bytes, pixels: PixelFormat, count: int) -> Words:
     return out.reshape(-1)[:count]
 
 
-def _unpack_12p(b: Bytes, out: Words) -> None:
+def _unpack_12p(b: Bytes, out: Samples) -> None:
     low, middle, high = (part.astype(np.uint16) for part in b)
     out[0] = low | (middle & 0x0F) << 8
     out[1] = middle >> 4 | high << 4
 
 
-def _unpack_10p(b: Bytes, out: Words) -> None:
+def _unpack_10p(b: Bytes, out: Samples) -> None:
     a, c, d, e, f = (part.astype(np.uint16) for part in b)
     out[0] = a | (c & 0x03) << 8
     out[1] = c >> 2 | (d & 0x0F) << 6
@@ -167,19 +167,19 @@ def _unpack_10p(b: Bytes, out: Words) -> None:
     out[3] = e >> 6 | f << 2
 
 
-def _unpack_12packed(b: Bytes, out: Words) -> None:
+def _unpack_12packed(b: Bytes, out: Samples) -> None:
     first, both, second = (part.astype(np.uint16) for part in b)
     out[0] = first << 4 | both & 0x0F
     out[1] = second << 4 | both >> 4
 
 
-def _unpack_10packed(b: Bytes, out: Words) -> None:
+def _unpack_10packed(b: Bytes, out: Samples) -> None:
     first, both, second = (part.astype(np.uint16) for part in b)
     out[0] = first << 2 | both & 0x03
     out[1] = second << 2 | both >> 4 & 0x03
 
 
-_UNPACK: dict[tuple[str, int], tuple[Callable[[Bytes, Words], None], int, int]] = {
+_UNPACK: dict[tuple[str, int], tuple[Callable[[Bytes, Samples], None], int, int]] = {
     ("p", 12): (_unpack_12p, 2, 3),
     ("p", 10): (_unpack_10p, 4, 5),
     ("packed", 12): (_unpack_12packed, 2, 3),

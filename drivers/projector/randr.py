@@ -24,7 +24,7 @@ REFLECT = 16 | 32
 CHANGES = 1 << 0 | 1 << 1 | 1 << 2  # screen, CRTC and output
 GAMMA_TOLERANCE = 257
 """One step of 8 bits: servers round their linear table in different ways."""
-EDID_LIMIT_WORDS = 8192
+EDID_LIMIT_LONGS = 8192
 FULL_RANGE = {"Broadcast RGB": ("Full",), "underscan": ("off",), "scaling mode": ("None", "Full", "Center")}
 """Properties of outputs that change pixels or their values, and their accepted values."""
 
@@ -330,7 +330,7 @@ class Randr:
         kind, layout, count, left, data = XID(), c_int(), c_ulong(), c_ulong(), c_void_p()
         atom = self._x.atom(name)
         self._lib.XRRGetOutputProperty(
-            *(self._x.handle, output, atom, 0, EDID_LIMIT_WORDS, 0, 0, 0),
+            *(self._x.handle, output, atom, 0, EDID_LIMIT_LONGS, 0, 0, 0),
             *(byref(kind), byref(layout), byref(count), byref(left), byref(data)),
         )
         if not data:

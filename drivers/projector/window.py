@@ -64,7 +64,7 @@ class PatternWindow:
             self._window = _Window(
                 self.width,
                 self.height,
-                display=pyglet.display.Display(display),  # type: ignore[attr-defined]  # so its documentation says
+                display=pyglet.display.Display(display),  # type: ignore[attr-defined]  # as documented
                 style=pyglet.window.Window.WINDOW_STYLE_BORDERLESS,
                 caption="fringed projector",
                 visible=False,

@@ -108,7 +108,7 @@ def test_a_stall_of_two_seconds_moves_nothing(ppm: float, seed: int, at: float) 
 
 
 @pytest.mark.parametrize("jump_s", [-1000, -0.2, 0.2, 1000])
-def test_a_clock_set_anew_is_learnt_anew_from_latches(jump_s: float) -> None:
+def test_a_reset_clock_is_determined_again_from_latches(jump_s: float) -> None:
     rng = np.random.default_rng(1)
     clock = latched(Crystal(10**15, 40), 20, rng)
     moved = Crystal(10**15 + round(jump_s * S) + 21 * S, 40)
@@ -118,7 +118,7 @@ def test_a_clock_set_anew_is_learnt_anew_from_latches(jump_s: float) -> None:
 
 
 @pytest.mark.parametrize("jump_s", [-1000.0, 0.05, 1000.0])
-def test_a_clock_set_anew_is_learnt_anew_from_arrivals(jump_s: float) -> None:
+def test_a_reset_clock_is_determined_again_from_arrivals(jump_s: float) -> None:
     clock, rng = DeviceClock(), np.random.default_rng(2)
     for k in range(600):
         exposed = START + k * S // 30

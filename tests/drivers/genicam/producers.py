@@ -34,8 +34,8 @@ class Ability:
     Args:
         name: of the producer. cameras: how many it has. select: options that fit exactly one of them.
         several: options that fit more than one. trigger: how frames are had in a test. model, size, encoding: of the
-            selected one. stamps: frames carry the camera's time. latches: the camera tells its time when asked.
-        ids: it counts frames. holes: the count may jump, as it runs freely faster than anybody reads.
+            selected one. stamps: frames carry the camera's time. latches: the camera's clock can be read.
+        ids: it counts frames. holes: the count may jump, as it runs freely faster than it is read.
         exclusive: a second process is refused. temperature: it has a thermometer.
     """
 
@@ -167,7 +167,7 @@ def _tlsimu() -> Path:
                     (made / Path(member).name).write_bytes(wheel.read(member))
         try:
             made.rename(cache)
-        except OSError:  # somebody else was quicker
+        except OSError:  # another process was quicker
             if not path.is_file():
                 raise
     return path

@@ -90,7 +90,7 @@ def test_frames_are_numbered_and_timed(bench: Bench) -> None:
     assert times == sorted(times)
 
 
-def test_each_start_counts_anew(bench: Bench) -> None:
+def test_each_start_restarts_the_count(bench: Bench) -> None:
     camera = bench.camera()
     camera.open()
     for _ in range(3):
@@ -143,7 +143,7 @@ def test_a_feature_that_is_not_there_is_named(bench: Bench) -> None:
         bench.camera(features={"NoSuchFeature": 1}).open()
 
 
-def test_a_camera_in_use_says_so(bench: Bench) -> None:
+def test_a_camera_in_use_is_reported(bench: Bench) -> None:
     first = bench.camera()
     first.open()
     second = bench.camera()

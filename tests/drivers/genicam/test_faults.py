@@ -73,7 +73,7 @@ def counter(camera: Camera, name: str) -> int:
 
 
 def lose(camera: Camera) -> str:
-    """Read until the camera is lost; what it says."""
+    """Read until the camera is lost; return the message."""
     with pytest.raises(DeviceLost) as caught:
         for _ in range(100):
             camera.read(0.1)
@@ -162,7 +162,7 @@ def test_exposure_times_follow_a_clock_that_drifts(running: tuple[Cable, Camera]
         assert abs(frame.t_exposure_ns - shift - t_ns) < 1_000_000
 
 
-def test_a_camera_clock_that_is_set_anew_is_learnt_anew(running: tuple[Cable, Camera]) -> None:
+def test_a_camera_clock_that_was_reset_is_determined_again(running: tuple[Cable, Camera]) -> None:
     cable, camera = running
     pulses(cable, 3)
     assert len(pending(camera)) == 3

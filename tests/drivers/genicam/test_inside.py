@@ -31,7 +31,7 @@ def make(serial="A1", **options):
     options = {"producer": str(cti), "serial": serial, "exposure_us": 500.0, **options}
     return GenicamCamera("left", parse("left", options), [cti])
 
-def shot(camera, serial="A1"):
+def expose(camera, serial="A1"):
     assert cables[serial].wait_armed(5)
     cables[serial].pulse()
     frame = camera.read(5.0)
@@ -82,7 +82,7 @@ def test_a_camera_that_vanished_can_be_opened_again_in_the_same_process(program:
         for _ in range(3):
             camera.open()
             camera.start()
-            assert shot(camera).trigger == 0
+            assert expose(camera).trigger == 0
             cables["A1"].unplug()
             lose(camera)
             camera.close()
@@ -99,7 +99,7 @@ def test_images_are_copies(program: Program) -> None:
         kept = []
         for k in range(12):
             cables["A1"].show(np.full((48, 64), 20 * k + 5, np.uint8))
-            kept.append(shot(camera))
+            kept.append(expose(camera))
         assert [int(frame.image[7, 9]) for frame in kept] == [20 * k + 5 for k in range(12)]
         assert all((frame.image == frame.image[0, 0]).all() for frame in kept)
     """)
@@ -142,7 +142,7 @@ def test_the_number_of_buffers_is_what_was_asked_for(program: Program) -> None:
         while (frame := camera.read(0.2)) is not None:
             numbers.append(frame.trigger)
         assert numbers == list(range(7)), numbers
-        assert shot(camera).trigger == 10
+        assert expose(camera).trigger == 10
         counters = camera.health().counters
         assert (counters["no_buffer"], counters["lost"]) == (3, 0), counters
     """)
@@ -157,7 +157,7 @@ def test_nothing_is_left_in_the_temporary_directory(
         for _ in range(3):
             camera.open()
             camera.start()
-            shot(camera)
+            expose(camera)
             camera.close()
         assert os.listdir(os.environ["TMPDIR"]) == []
     """)
@@ -173,7 +173,7 @@ def test_opening_and_closing_does_not_grow(program: Program) -> None:
         for k in range(30):
             camera.open()
             camera.start()
-            shot(camera)
+            expose(camera)
             camera.stop()
             camera.close()
             sizes.append(resident_kb())

@@ -37,7 +37,7 @@ def test_two_cameras_agree_after_a_restart_of_a_count_that_goes_on() -> None:
     assert [numbers.number(k, k * S) for k in (5, 6, 8)] == [0, 1, 3]
 
 
-def test_a_camera_known_to_begin_anew_tells_a_lost_first_frame() -> None:
+def test_a_restarting_counter_reveals_a_lost_first_frame() -> None:
     numbers = TriggerNumbers()
     for first in (0, 0, 3):
         numbers.start()
@@ -60,14 +60,14 @@ def test_counts_wrap_at_32_bits(steps: list[int]) -> None:
     assert [numbers.number(k % (1 << 32), k * S) for k in true] == [k - true[0] for k in true]
 
 
-def test_a_count_that_begins_anew_in_between_goes_on_by_one() -> None:
+def test_a_counter_that_restarts_in_between_continues_by_one() -> None:
     numbers = TriggerNumbers()
     assert [numbers.number(k, 0) for k in (100, 101, 0, 1, 2)] == [0, 1, 2, 3, 4]
     assert numbers.resets == 1
 
 
 @given(st.lists(st.integers(1, 3), min_size=5, max_size=40))
-def test_without_a_count_regular_times_tell_the_gaps(steps: list[int]) -> None:
+def test_without_a_counter_regular_times_reveal_the_gaps(steps: list[int]) -> None:
     for frame_id in (None, 0):
         numbers = TriggerNumbers()
         true = list(itertools.accumulate([0] + [1] * 10 + [k for step in steps for k in (step, 1, 1)]))

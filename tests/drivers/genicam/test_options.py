@@ -14,7 +14,7 @@ GOOD: dict[str, Any] = {"producer": __file__, "serial": "A1"}
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "message"),
     [
         ({"exposure_us": "2000"}, r"cameras\.left\.exposure_us: Expected"),
         ({"exposure_us": -1}, r"cameras\.left\.exposure_us: Expected .*> 0"),
@@ -33,8 +33,8 @@ GOOD: dict[str, Any] = {"producer": __file__, "serial": "A1"}
         ({"producer": "/nowhere/x.cti"}, r"cameras\.left\.producer: there is no GenTL producer /nowhere/x\.cti"),
     ],
 )
-def test_mistakes_are_named(changes: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_mistakes_are_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         open_camera("left", {**GOOD, **changes}, Path("/"))
 
 

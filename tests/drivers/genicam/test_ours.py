@@ -1,4 +1,4 @@
-"""The whole driver on emulated triggered cameras: settings, images to the byte, triggers, what it tells of itself."""
+"""The whole driver on emulated triggered cameras: settings, images to the byte, triggers, health."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def make(ours: Path, opened: Make, rig: Rig) -> Make:  # noqa: ARG001 - the came
     return camera
 
 
-def shot(cable: Cable, camera: Camera, **pulse: Any) -> Frame:
+def expose(cable: Cable, camera: Camera, **pulse: Any) -> Frame:
     """The frame of one pulse."""
     assert cable.wait_armed(5)
     assert cable.pulse(**pulse)
@@ -75,7 +75,7 @@ def test_images_are_exact_and_belong_to_their_pulse(make: Make, rig: Rig) -> Non
         shown = image(cable, k)
         at = time.monotonic_ns()
         real = time.time_ns()
-        frame = shot(cable, camera, t_ns=at)
+        frame = expose(cable, camera, t_ns=at)
         assert frame.trigger == k
         assert (frame.image == mosaic(shown)).all()
         assert frame.exposure_us == 2000.0
@@ -93,7 +93,7 @@ def test_each_format_that_the_camera_has(make: Make, rig: Rig, name: str) -> Non
         return
     camera.start()
     shown = image(cable, 1)
-    frame = shot(cable, camera)
+    frame = expose(cable, camera)
     pixels = BY_NAME[name]
     assert frame.encoding == info.encoding == pixels.encoding
     assert any("reduced to 8" in note for note in info.notes) == pixels.reduced
@@ -103,9 +103,9 @@ def test_each_format_that_the_camera_has(make: Make, rig: Rig, name: str) -> Non
         assert np.abs(frame.image.astype(int) - mosaic(shown)).max() <= (pixels.depth > 8)
     else:
         cable.show(np.full(shown.shape[:2], 65535, np.uint16))
-        assert shot(cable, camera).image.min() == (65535 if pixels.encoding == "mono16" else 255)
+        assert expose(cable, camera).image.min() == (65535 if pixels.encoding == "mono16" else 255)
         cable.show(np.zeros_like(shown))
-        assert shot(cable, camera).image.max() == 0
+        assert expose(cable, camera).image.max() == 0
 
 
 @pytest.mark.parametrize("pattern", ["RG", "GR", "GB", "BG"])
@@ -115,7 +115,7 @@ def test_each_filter(world: Path, ours: Path, opened: Make, pattern: Any) -> Non
         camera.open()
         camera.start()
         shown = image(cable)
-        frame = shot(cable, camera)
+        frame = expose(cable, camera)
         assert frame.encoding == BY_NAME[f"Bayer{pattern}8"].encoding
         assert (frame.image == mosaic(shown, pattern)).all()
 
@@ -127,10 +127,10 @@ def test_a_region_is_cut_out_of_the_image(make: Make, rig: Rig) -> None:
     assert info.notes == ()
     camera.start()
     shown = image(cable)
-    assert (shot(cable, camera).image == mosaic(shown)[4:24, 8:40]).all()
+    assert (expose(cable, camera).image == mosaic(shown)[4:24, 8:40]).all()
 
 
-def test_a_region_off_the_steps_keeps_the_bayer_pattern_and_tells(make: Make, rig: Rig) -> None:
+def test_a_region_off_the_steps_keeps_the_bayer_pattern_with_a_note(make: Make, rig: Rig) -> None:
     cable, camera = rig[0], make(roi={"x": 9, "y": 5, "width": 33, "height": 21})
     info = camera.open()
     assert info.size == (32, 20)
@@ -142,7 +142,7 @@ def test_a_region_off_the_steps_keeps_the_bayer_pattern_and_tells(make: Make, ri
     }
     camera.start()
     shown = image(cable)
-    assert (shot(cable, camera).image == mosaic(shown)[4:24, 8:40]).all()
+    assert (expose(cable, camera).image == mosaic(shown)[4:24, 8:40]).all()
 
 
 def test_without_a_region_the_whole_sensor_is_read_again(make: Make) -> None:
@@ -159,7 +159,7 @@ def test_a_rounded_exposure_is_noted_and_a_wrong_one_refused(make: Make) -> None
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         ({"trigger": {"line": "Line9"}}, "TriggerSource cannot be set to Line9: there are .*Line1"),
         ({"trigger": {"selector": "LineStart"}}, "TriggerSelector cannot be set to LineStart: there are .*FrameStart"),
@@ -167,8 +167,8 @@ def test_a_rounded_exposure_is_noted_and_a_wrong_one_refused(make: Make) -> None
         ({"features": {"ExposureMode": "Magic"}}, "there are Timed, TriggerWidth"),
     ],
 )
-def test_what_the_measurement_depends_on_is_refused(make: Make, options: dict[str, Any], says: str) -> None:
-    with pytest.raises(SettingRefused, match=says):
+def test_what_the_measurement_depends_on_is_refused(make: Make, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingRefused, match=message):
         make(**options).open()
 
 
@@ -185,7 +185,7 @@ def test_a_camera_is_found_by_its_user_name(make: Make, ours: Path, opened: Make
         assert opened({"producer": str(ours), "user_name": "left eye"}).open().serial == "A1"
 
 
-def test_whatever_a_camera_was_left_with_is_set_up_anew(make: Make, rig: Rig) -> None:
+def test_settings_left_in_a_camera_are_overwritten(make: Make, rig: Rig) -> None:
     mess = {
         "AcquisitionMode": "SingleFrame",
         "AcquisitionFrameRateEnable": True,
@@ -204,7 +204,7 @@ def test_whatever_a_camera_was_left_with_is_set_up_anew(make: Make, rig: Rig) ->
     cable, camera = rig[0], make()
     camera.open()
     camera.start()
-    times = [shot(cable, camera).t_exposure_ns for _ in range(5)]
+    times = [expose(cable, camera).t_exposure_ns for _ in range(5)]
     assert max(np.diff(times)) < 900_000_000, "the frame rate limit is still on"
 
 
@@ -214,7 +214,7 @@ def test_the_edge_that_counts(make: Make, rig: Rig, edge: str) -> None:
     camera.open()
     camera.start()
     at = time.monotonic_ns()
-    frame = shot(cable, camera, t_ns=at, width_ns=20_000_000)
+    frame = expose(cable, camera, t_ns=at, width_ns=20_000_000)
     late = frame.t_device_ns - cable.device_ns(at)  # type: ignore[operator]
     assert late == (0 if edge == "rising" else 20_000_000)
 
@@ -224,7 +224,7 @@ def test_delay_and_inverter(make: Make, rig: Rig) -> None:
     camera.open()
     camera.start()
     at = time.monotonic_ns()
-    frame = shot(cable, camera, t_ns=at, width_ns=10_000_000)
+    frame = expose(cable, camera, t_ns=at, width_ns=10_000_000)
     assert frame.t_device_ns == cable.device_ns(at + 13_000_000)
 
 
@@ -235,7 +235,7 @@ def test_pulses_on_other_lines_are_not_seen(make: Make, rig: Rig) -> None:
     assert cable.wait_armed(5)
     cable.pulse(line=1)
     assert cable.wait_idle(5)
-    assert shot(cable, camera, line=2).trigger == 0
+    assert expose(cable, camera, line=2).trigger == 0
     assert cable.state().ignored == 1
 
 
@@ -244,7 +244,7 @@ def test_the_stamp_may_be_of_another_moment(make: Make, rig: Rig) -> None:
     camera.open()
     camera.start()
     at = time.monotonic_ns()
-    assert shot(cable, camera, t_ns=at).t_device_ns == cable.device_ns(at) - 1_500_000
+    assert expose(cable, camera, t_ns=at).t_device_ns == cable.device_ns(at) - 1_500_000
 
 
 def test_two_cameras_agree_on_numbers_and_times(make: Make, rig: Rig) -> None:
@@ -263,7 +263,7 @@ def test_two_cameras_agree_on_numbers_and_times(make: Make, rig: Rig) -> None:
         assert abs(left.t_exposure_ns - right.t_exposure_ns) < 1_000_000
 
 
-def test_health_tells_the_temperature_and_triggers_that_came_too_soon(make: Make, rig: Rig) -> None:
+def test_health_has_the_temperature_and_early_triggers(make: Make, rig: Rig) -> None:
     cable, camera = rig[0], make()
     cable.set_temperature(61.25)
     camera.open()
@@ -275,7 +275,7 @@ def test_health_tells_the_temperature_and_triggers_that_came_too_soon(make: Make
         cable.pulse(at + later)
     assert camera.read(5.0) is not None
     wait_until(lambda: camera.health().counters["missed_trigger"] == 2)
-    assert shot(cable, camera).trigger == 1, "pulses that a camera ignores are not counted as frames"
+    assert expose(cable, camera).trigger == 1, "pulses that a camera ignores are not counted as frames"
     assert camera.health().counters["lost"] == 0
 
 
@@ -286,13 +286,13 @@ def test_old_cameras_count_ticks_of_their_own(world: Path, ours: Path, opened: M
         camera.start()
         for _ in range(3):
             at, real = time.monotonic_ns(), time.time_ns()
-            frame = shot(cable, camera, t_ns=at)
+            frame = expose(cable, camera, t_ns=at)
             assert frame.t_device_ns is not None
             assert abs(frame.t_device_ns - cable.device_ns(at)) < 8
             assert abs(frame.t_exposure_ns - real) < 1_000_000
 
 
-def test_looking_for_cameras_does_not_disturb_an_open_one(make: Make, rig: Rig, ours: Path) -> None:
+def test_listing_cameras_does_not_disturb_an_open_one(make: Make, rig: Rig, ours: Path) -> None:
     cable, camera = rig[0], make()
     camera.open()
     camera.start()
@@ -300,7 +300,7 @@ def test_looking_for_cameras_does_not_disturb_an_open_one(make: Make, rig: Rig, 
     assert found["A1"].access in ("in use", "no access", "open")
     assert found["A2"].access == "free"
     assert found["A2"].transport == "Custom"
-    assert shot(cable, camera).trigger == 0
+    assert expose(cable, camera).trigger == 0
 
 
 def test_a_producer_that_does_not_load_is_reported(opened: Make, tmp_path: Path) -> None:
@@ -323,7 +323,7 @@ def test_without_a_temporary_directory_another_is_found(
     camera = make()
     camera.open()
     camera.start()
-    assert shot(rig[0], camera).trigger == 0
+    assert expose(rig[0], camera).trigger == 0
 
 
 @pytest.mark.parametrize("openings", [6, pytest.param(30, marks=pytest.mark.long)])
@@ -337,7 +337,7 @@ def test_nothing_grows_by_starting_and_opening_again(make: Make, rig: Rig, openi
     for _ in range(openings):
         camera.open()
         camera.start()
-        shot(cable, camera)
+        expose(cable, camera)
         camera.stop()
         camera.close()
         before = before or held()
@@ -346,7 +346,7 @@ def test_nothing_grows_by_starting_and_opening_again(make: Make, rig: Rig, openi
     sizes = []
     for k in range(60):
         camera.start()
-        shot(cable, camera)
+        expose(cable, camera)
         camera.stop()
         if k >= 20:
             sizes.append(_resident_kb(cable.state().open_by))

@@ -37,7 +37,7 @@ def run(server: XServer) -> Run:
     return run
 
 
-def test_list_tells_each_output_in_a_line(run: Run) -> None:
+def test_list_has_a_line_for_each_output(run: Run) -> None:
     done = run("list")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
@@ -55,11 +55,11 @@ def test_the_test_image_stands_until_it_is_interrupted(server: XServer) -> None:
     try:
         wait_until(lambda: np.array_equal(x.grab(server, 1), wanted), what="the image is on the output")
         held.send_signal(signal.SIGINT)
-        said, _ = held.communicate(timeout=30)
+        output, _ = held.communicate(timeout=30)
     finally:
         held.kill()
         held.wait()
-    assert held.returncode == 0 and "320x256 pixels at 59.943 Hz" in said
+    assert held.returncode == 0 and "320x256 pixels at 59.943 Hz" in output
     assert not x.grab(server, 1).any()
 
 
@@ -69,9 +69,9 @@ def test_a_png_of_the_right_size_is_shown_from_a_rig_file_that_is_not_complete(
     image = x.noise(server, 1)
     cv2.imwrite(str(tmp_path / "image.png"), image[..., ::-1])
     rig = tmp_path / "rig.yaml"
-    look = f"import sys; sys.path[:0] = {sys.path!r}; from tests.drivers.projector import x; import numpy as np"
+    program = f"import sys; sys.path[:0] = {sys.path!r}; from tests.drivers.projector import x; import numpy as np"
     saved = "s = type('S', (), {'heads': (x.DESKTOP, x.PROJECTOR), 'display': sys.argv[1]})()"
-    code = f"{look}; {saved}; np.save('seen.npy', x.grab(s, 1))"
+    code = f"{program}; {saved}; np.save('seen.npy', x.grab(s, 1))"
     rig.write_text(
         "projector:\n  driver: pyglet\n  options:\n    output: DUMMY1\n"
         f"    hook: {{show: [[{sys.executable!r}, '-c', {code!r}, {server.display!r}]], timeout_s: 60.0}}\n"
@@ -100,7 +100,7 @@ def test_images_that_are_not_exact_are_refused(run: Run, tmp_path: Path) -> None
         assert done.returncode == 1 and complaint in done.stderr, done.stderr
 
 
-def test_wrong_usage_and_wrong_rigs_are_told(run: Run, tmp_path: Path) -> None:
+def test_wrong_usage_and_wrong_rigs_are_reported(run: Run, tmp_path: Path) -> None:
     assert run("show", "white").returncode == 2
     done = run("test", "--output", "HDMI-9")
     assert done.returncode == 1 and "there are: DUMMY0, DUMMY1" in done.stderr

@@ -1,4 +1,4 @@
-"""Which outputs are fit for exact pixels, and what is said of those that are not."""
+"""Which outputs are fit for exact pixels, and the problems of those that are not."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_another_mode_is_taken_when_any_is_asked_for_and_when_none_is_preferred(
         ([changed(size=(0, 0))], "switched off; run: xrandr --output HDMI-1 --auto"),
     ],
 )
-def test_an_absent_output_is_told_with_what_there_is(found: list[DetectedOutput], complaint: str) -> None:
+def test_an_absent_output_is_reported_with_the_usable_ones(found: list[DetectedOutput], complaint: str) -> None:
     assert complaint in output_problem(found, "HDMI-1")
 
 

@@ -1,4 +1,4 @@
-"""Commands that set projectors up: run in order, bounded in time, their failures told."""
+"""Commands that set projectors up: run in order, bounded in time, their failures reported."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BLACK = np.zeros((4, 6, 3), np.uint8)
 
 def note(word: str) -> list[str]:
     """A command that appends a word, and the name of the output, to the file ``said`` in its directory."""
-    code = f"import os; open('said', 'a').write('{word} ' + os.environ['FRINGED_OUTPUT'] + ';')"
+    code = f"import os; open('log', 'a').write('{word} ' + os.environ['FRINGED_OUTPUT'] + ';')"
     return [sys.executable, "-c", code]
 
 
@@ -36,7 +36,7 @@ def test_hooks_run_at_open_show_and_close_where_the_rig_stands(tmp_path: Path) -
     assert projector.problem() == ""
     projector.close()
     projector.close()
-    assert (tmp_path / "said").read_text() == "a lc;b lc;c lc;c lc;d lc;"
+    assert (tmp_path / "log").read_text() == "a lc;b lc;c lc;c lc;d lc;"
 
 
 def test_nothing_is_taken_for_a_shell_line(tmp_path: Path) -> None:
@@ -45,11 +45,11 @@ def test_nothing_is_taken_for_a_shell_line(tmp_path: Path) -> None:
     assert (tmp_path / "arguments").read_text() == "['$HOME; *', '']"
 
 
-def test_a_command_that_fails_is_told_with_its_words_and_the_next_is_not_run(tmp_path: Path) -> None:
+def test_a_failing_command_is_reported_with_its_output_and_the_next_is_not_run(tmp_path: Path) -> None:
     fails = [sys.executable, "-c", "import sys; print('lamp is cold'); sys.exit(3)"]
     with pytest.raises(DriverError, match="ended with 3: lamp is cold"):
         run(fails, note("never"), directory=tmp_path)
-    assert not (tmp_path / "said").exists()
+    assert not (tmp_path / "log").exists()
 
 
 def test_a_command_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_images_come_whole_and_read_only(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize(("count", "width", "height"), [(1, 7, 5), (2, 7, 6), (65, 1, 1), (0, 7, 5), (1, 9000, 1)])
-def test_images_of_another_size_than_told_are_refused(count: int, width: int, height: int) -> None:
+def test_images_of_another_size_than_announced_are_refused(count: int, width: int, height: int) -> None:
     memfd = messages.pack_images([np.zeros((5, 7, 3), np.uint8)] * 2)
     with pytest.raises(ValueError, match="are not in the"):
         messages.unpack_images(memfd, Show(serial=1, count=count, width=width, height=height))
@@ -60,7 +60,7 @@ def test_images_of_another_size_than_told_are_refused(count: int, width: int, he
         os.fstat(memfd)
 
 
-def test_the_end_is_told_and_nonsense_is_an_error(pair: Pair) -> None:
+def test_the_end_is_reported_and_invalid_data_is_an_error(pair: Pair) -> None:
     pair[0].send(b'{"type":"shout"}')
     with pytest.raises(msgspec.ValidationError):
         messages.receive_from_window(pair[1])

@@ -70,6 +70,6 @@ def test_without_a_display_the_option_is_named(monkeypatch: pytest.MonkeyPatch) 
     ("options", "latency_s"),
     [({}, None), ({"latency_ms": 40.0}, 0.04), ({"latency_frames": 2.0, "refresh_hz": 50.0}, 0.04)],
 )
-def test_the_stored_latency_is_told_in_seconds(options: dict[str, Any], latency_s: float | None) -> None:
+def test_the_stored_latency_is_returned_in_seconds(options: dict[str, Any], latency_s: float | None) -> None:
     projector = open_external({"size": [8, 8], **options}, HERE)
     assert projector.open().latency_s == (None if latency_s is None else pytest.approx(latency_s))

@@ -91,7 +91,7 @@ def test_a_gamma_table_that_is_bent_while_running_is_a_problem_or_mended(own_ser
     mended.open()
     x.bend_gamma(own_server, "DUMMY0")
     x.bend_gamma(own_server, "DUMMY1")
-    wait_until(lambda: "gamma table that is not linear" in checked.problem(), what="the problem is told")
+    wait_until(lambda: "gamma table that is not linear" in checked.problem(), what="the problem is reported")
     wait_until(
         lambda: bool(np.abs(np.diff(np.diff(x.gamma(own_server, "DUMMY1")))).max() <= 1), what="the table is linear"
     )
@@ -103,9 +103,9 @@ def test_another_mode_is_a_problem_until_it_is_undone(own_server: XServer, proje
     shown.open()
     shown.show(image)
     x.set_mode(own_server, "DUMMY1", "640x480")
-    wait_until(lambda: "is 640x480 but the projector's own resolution" in shown.problem(), what="the mode is told")
+    wait_until(lambda: "is 640x480 but the projector's own resolution" in shown.problem(), what="the mode is reported")
     x.set_mode(own_server, "DUMMY1", None)
-    wait_until(lambda: "switched off" in shown.problem(), what="the output is told")
+    wait_until(lambda: "switched off" in shown.problem(), what="the output is reported")
     x.set_mode(own_server, "DUMMY1", own_server.heads[1].mode)
     wait_until(lambda: not shown.problem(), what="all is well")
     wait_until(lambda: np.array_equal(x.grab(own_server, 1), image), what="the image is back")
@@ -130,7 +130,7 @@ def test_a_window_that_is_moved_or_covered_comes_back(own_server: XServer, proje
     wait_until(lambda: not shown.problem(), what="all is well")
 
 
-def test_a_compositor_is_told(own_server: XServer, projector: Make) -> None:
+def test_a_compositor_is_reported(own_server: XServer, projector: Make) -> None:
     with x.client(own_server) as display:
         window = display.screen().root.create_window(0, 0, 8, 8, 0, display.screen().root_depth)
         window.set_selection_owner(display.intern_atom("_NET_WM_CM_S0"), X.CurrentTime)
@@ -157,7 +157,7 @@ def test_the_screen_saver_waits_until_close(own_server: XServer, projector: Make
 
 def test_hooks_run_around_the_window(server: XServer, projector: Make, tmp_path: Path) -> None:
     def note(word: str) -> list[str]:
-        return [sys.executable, "-c", f"import os; open('said', 'a').write('{word} ' + os.environ['FRINGED_OUTPUT'])"]
+        return [sys.executable, "-c", f"import os; open('log', 'a').write('{word} ' + os.environ['FRINGED_OUTPUT'])"]
 
     hook = {"open": [note("open")], "show": [note(" show")], "close": [note(" close")], "timeout_s": 30.0}
     shown = projector(server, hook=hook)
@@ -165,4 +165,4 @@ def test_hooks_run_around_the_window(server: XServer, projector: Make, tmp_path:
     shown.show(x.noise(server, 1))
     assert shown.problem() == ""
     shown.close()
-    assert (tmp_path / "said").read_text() == "open DUMMY1 show DUMMY1 close DUMMY1"
+    assert (tmp_path / "log").read_text() == "open DUMMY1 show DUMMY1 close DUMMY1"

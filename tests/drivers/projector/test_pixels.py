@@ -84,7 +84,7 @@ def test_a_server_with_one_output_will_do(projector: Make) -> None:
         server.stop()
 
 
-def test_flips_are_told_by_the_vertical_blank(server: XServer, projector: Make) -> None:
+def test_flips_are_timed_by_the_vertical_blank(server: XServer, projector: Make) -> None:
     shown = projector(server)
     shown.open()
     assert shown.measured_refresh_hz is None

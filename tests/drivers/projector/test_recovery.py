@@ -1,4 +1,4 @@
-"""Whatever dies, the driver says so, starts it again and shows the last image; and it leaves nothing behind."""
+"""Recovery: the driver reports a process that died, restarts it, shows the last image, leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ def opened(server: XServer, shown: OutputProjector) -> np.ndarray:
 
 
 def watch(shown: OutputProjector) -> tuple[list[str], Callable[[], None]]:
-    """Every problem that is told from now on, and how to end the watch."""
-    said: list[str] = []
+    """Collect every reported problem; return the list and a function that ends it."""
+    problems: list[str] = []
     over = threading.Event()
 
-    def look() -> None:
+    def poll() -> None:
         while not over.wait(0.001):
-            if (problem := shown.problem()) and problem not in said:
-                said.append(problem)
+            if (problem := shown.problem()) and problem not in problems:
+                problems.append(problem)
 
-    thread = threading.Thread(target=look)
+    thread = threading.Thread(target=poll)
     thread.start()
 
     def end() -> None:
         over.set()
         thread.join()
 
-    return said, end
+    return problems, end
 
 
 def recovers(server: XServer, shown: OutputProjector, image: np.ndarray, harm: Callable[[], None], word: str) -> None:
-    """After some harm the problem is told with that word, and then the image is there again, by another window."""
-    first, (said, end) = shown.window_pid, watch(shown)
+    """After a fault the problem is reported with that word, then another window shows the image again."""
+    first, (problems, end) = shown.window_pid, watch(shown)
     try:
         harm()
-        wait_until(lambda: any(word in problem for problem in said), what=f"'{word}' is told, only: {said}")
+        wait_until(lambda: any(word in problem for problem in problems), what=f"'{word}' is reported, only: {problems}")
         wait_until(lambda: not shown.problem(), what="all is well again")
     finally:
         end()
@@ -115,11 +115,11 @@ def test_a_window_taken_off_the_screen_comes_back(server: XServer, projector: Ma
     recovers(server, shown, image, unmap, "taken off the screen")
 
 
-def test_an_x_server_that_dies_is_told_and_used_again(own_server: XServer, projector: Make) -> None:
+def test_an_x_server_that_dies_is_reported_and_used_again(own_server: XServer, projector: Make) -> None:
     shown = projector(own_server)
     image = opened(own_server, shown)
     own_server.kill()
-    wait_until(lambda: "X server" in shown.problem(), what="the server's end is told")
+    wait_until(lambda: "X server" in shown.problem(), what="the server's end is reported")
     wait_until(lambda: "no connection" in shown.problem(), what="it is tried again")
     own_server.restart()
     wait_until(lambda: not shown.problem(), what="all is well again")
@@ -141,7 +141,7 @@ def test_it_closes_at_once_while_the_server_is_gone(own_server: XServer, project
     shown = projector(own_server)
     opened(own_server, shown)
     own_server.kill()
-    wait_until(lambda: "X server" in shown.problem(), what="the server's end is told")
+    wait_until(lambda: "X server" in shown.problem(), what="the server's end is reported")
     shown.close()
     assert "closed" in shown.problem()
 

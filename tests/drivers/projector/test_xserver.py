@@ -1,4 +1,4 @@
-"""The X server without hardware: sizes as asked for, nothing left behind, and words when it does not start."""
+"""The X server without hardware: requested sizes, nothing left behind, and a message when it does not start."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_servers_run_side_by_side_restart_in_place_and_leave_nothing() -> None:
         _ = one.pid
 
 
-def test_a_server_that_does_not_start_says_why() -> None:
+def test_a_server_that_does_not_start_gives_the_reason() -> None:
     running = x.start(XServer())
     try:
         second = XServer()

@@ -1,4 +1,4 @@
-"""A camera for the process tests: its images tell their number, and it fails on command."""
+"""A camera for the process tests: its images encode their number, and it fails on command."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WIDTH, HEIGHT = 48, 32
 
 
 class FakeCamera:
-    """Gives ``frames`` frames as fast as they are read, then does what ``then`` says.
+    """Gives ``frames`` frames as fast as they are read, then acts as in ``then``.
 
     Args:
         options: ``frames``, ``then`` (nothing, lost, bug, exit, kill, hang, hold_lock), ``at_open`` (nothing, refused,
@@ -82,7 +82,7 @@ class FakeCamera:
         if what == "bug":
             raise KeyError("a bug")
         if what == "exit":
-            os.write(2, b"the vendor's library says goodbye\n")
+            os.write(2, b"the vendor's library ends here\n")
             os._exit(3)
         if what == "kill":
             os.kill(os.getpid(), signal.SIGKILL)

@@ -184,18 +184,20 @@ def test_stopping_drops_what_was_not_read_and_starting_goes_on(camera: Any) -> N
 
 
 @pytest.mark.parametrize(
-    ("options", "error", "says"),
+    ("options", "error", "message"),
     [
         ({"at_open": "refused"}, SettingRefused, "exposure_us 1 became 10"),
         ({"at_open": "driver"}, DriverError, "two cameras fit"),
         ({"at_open": "lost"}, DeviceLost, "the plug was pulled"),
         ({"at_open": "bug"}, DriverError, "KeyError"),
-        ({"at_open": "exit"}, DeviceLost, "exit status 3.*says goodbye"),
+        ({"at_open": "exit"}, DeviceLost, "exit status 3.*ends here"),
     ],
 )
-def test_opening_tells_why_it_failed(camera: Any, options: dict[str, Any], error: type[Exception], says: str) -> None:
+def test_opening_reports_why_it_failed(
+    camera: Any, options: dict[str, Any], error: type[Exception], message: str
+) -> None:
     remote = camera(**options)
-    with pytest.raises(error, match=says):
+    with pytest.raises(error, match=message):
         remote.open()
     assert remote.pid is None
 

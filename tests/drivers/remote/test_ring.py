@@ -55,7 +55,7 @@ def test_the_memory_can_neither_shrink_nor_grow() -> None:
 
 
 def test_the_heartbeat_is_read_whole_while_it_is_written() -> None:
-    """A heartbeat that is caught half-written says that the camera's process died hours ago."""
+    """A half-written heartbeat would mean that the camera's process died hours ago."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
         child = subprocess.Popen([sys.executable, "-c", BEATING, str(theirs.fileno())], pass_fds=[theirs.fileno()])
@@ -107,7 +107,7 @@ def test_health_is_never_read_half_written() -> None:
     os.close(writer.fd)
 
 
-def test_the_heartbeat_tells_its_age() -> None:
+def test_the_heartbeat_has_an_age() -> None:
     writer = RingWriter(4, 100)
     reader = RingReader(writer.fd, 4, writer.slot_bytes)
     before = time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""A kernel of our own with one camera: it keeps the rules of the real one and breaks them when told to."""
+"""A simulated kernel with one camera: it follows the rules of the real one and breaks them on request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs the guest's tests in the virtual machine of ``tools/vm`` and collects what each of them said."""
+"""Runs the guest's tests in the virtual machine of ``tools/vm`` and collects their results."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def run(folder: Path) -> tuple[dict[str, str], str]:
     """Build the machine if it is not cached, and run all of the guest's tests.
 
     Returns:
-        The problem of each test that ran, empty for one that passed; and what the machine's console said.
+        The problem of each test that ran, empty for one that passed; and the machine's console output.
     """
     code = folder / "code.tar"
     with tarfile.open(code, "w") as archive:
@@ -65,6 +65,6 @@ def run(folder: Path) -> tuple[dict[str, str], str]:
     results = {}
     for line in (folder / "result.txt").read_text(errors="replace").splitlines():
         if line.startswith("{") and line.endswith("}"):
-            said = json.loads(line)
-            results[said["name"]] = said.get("problem", "")
+            result = json.loads(line)
+            results[result["name"]] = result.get("problem", "")
     return results, console

@@ -180,7 +180,7 @@ def test_a_frame_without_a_stamp_takes_the_hosts_and_is_counted() -> None:
     assert counted(camera) == {"received": 1, "without_timestamp": 1}
 
 
-def test_calls_out_of_order_are_told() -> None:
+def test_calls_out_of_order_are_errors() -> None:
     kernel = FakeKernel()
     camera = made(kernel)
     for wrong in (camera.start, lambda: camera.read(0)):
@@ -202,7 +202,7 @@ def test_calls_out_of_order_are_told() -> None:
     assert not kernel.fds
 
 
-def test_stopping_drops_what_was_not_read_and_counts_anew() -> None:
+def test_stopping_drops_what_was_not_read_and_restarts_the_count() -> None:
     kernel = FakeKernel()
     camera = started(kernel)
     for _ in range(3):

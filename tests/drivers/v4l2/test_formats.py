@@ -148,9 +148,11 @@ def test_formats_are_known_by_code_and_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("encoding", "quantization", "space", "told"),
+    ("encoding", "quantization", "space", "noted"),
     [(0, 0, 8, False), (1, 2, 8, False), (2, 0, 8, True), (0, 1, 8, True), (0, 0, v.COLORSPACE_REC709, True)],
 )
-def test_other_colours_than_those_converted_are_told(encoding: int, quantization: int, space: int, told: bool) -> None:
+def test_other_colours_than_those_converted_are_noted(
+    encoding: int, quantization: int, space: int, noted: bool
+) -> None:
     pix = v.PixelFormat(ycbcr_enc=encoding, quantization=quantization, colorspace=space)
-    assert bool(formats.colour_note(pix)) is told
+    assert bool(formats.colour_note(pix)) is noted

@@ -16,8 +16,8 @@ pytestmark = pytest.mark.timeout(1300)
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], str]:
-    """What each guest's test said, and the console."""
+def guest(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], str]:
+    """Results of the guest's tests, and the console output."""
     reason = machine.missing()
     if reason and os.environ.get("CI", "").lower() in ("1", "true", "yes"):
         pytest.fail(reason)
@@ -28,16 +28,16 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], str]
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", machine.guest_tests())
-def test_in_the_guest(said: tuple[dict[str, str], str], name: str) -> None:
-    results, console = said
-    assert name in results, f"it did not run; the console said:\n{console[-3000:]}"
+def test_in_the_guest(guest: tuple[dict[str, str], str], name: str) -> None:
+    results, console = guest
+    assert name in results, f"it did not run; console output:\n{console[-3000:]}"
     if results[name]:
-        pytest.fail(f"in the guest:\n{results[name]}\nthe console said:\n{console[-1500:]}", pytrace=False)
+        pytest.fail(f"in the guest:\n{results[name]}\nconsole output:\n{console[-1500:]}", pytrace=False)
 
 
 @pytest.mark.long
-def test_the_guest_came_to_its_end(said: tuple[dict[str, str], str]) -> None:
-    results, console = said
+def test_the_guest_reached_its_end(guest: tuple[dict[str, str], str]) -> None:
+    results, console = guest
     assert "end" in results, console[-3000:]
 
 

@@ -67,7 +67,7 @@ def test_a_start_that_fails_leaves_nothing_behind_and_can_be_tried_again(request
     camera.start()
 
 
-def test_a_bus_without_bandwidth_is_told_with_what_helps() -> None:
+def test_a_bus_without_bandwidth_is_reported_with_a_remedy() -> None:
     kernel = FakeKernel()
     camera = made(kernel)
     camera.open()
@@ -89,7 +89,7 @@ def test_a_stream_that_the_driver_gave_up_is_a_lost_camera() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "kind", "said"),
+    ("number", "kind", "message"),
     [
         (errno.ENOENT, DeviceLost, "plug the camera in"),
         (errno.ENODEV, DeviceLost, "plug the camera in"),
@@ -97,15 +97,15 @@ def test_a_stream_that_the_driver_gave_up_is_a_lost_camera() -> None:
         (errno.EMFILE, DriverError, "EMFILE"),
     ],
 )
-def test_a_file_that_cannot_be_opened_says_what_to_do(number: int, kind: type[Exception], said: str) -> None:
+def test_a_file_that_cannot_be_opened_names_the_next_step(number: int, kind: type[Exception], message: str) -> None:
     kernel = FakeKernel()
     kernel.open_errors.append(number)
-    with pytest.raises(DriverError, match=said) as caught:
+    with pytest.raises(DriverError, match=message) as caught:
         opened(kernel)
     assert type(caught.value) is kind
 
 
-def test_a_camera_of_another_program_is_said_to_be_so() -> None:
+def test_a_camera_of_another_program_is_reported() -> None:
     kernel = FakeKernel()
     kernel.errors[v.S_FMT].append(errno.EBUSY)
     with pytest.raises(DriverError, match="used by another program"):
@@ -113,16 +113,16 @@ def test_a_camera_of_another_program_is_said_to_be_so() -> None:
 
 
 @pytest.mark.parametrize(
-    ("capabilities", "said"),
+    ("capabilities", "message"),
     [
         (v.CAP_VIDEO_CAPTURE_MPLANE | v.CAP_STREAMING, "multi-planar"),
         (v.CAP_STREAMING, "has no image capture"),
         (v.CAP_VIDEO_CAPTURE, "cannot map"),
     ],
 )
-def test_devices_that_cannot_be_read_are_refused_in_words(capabilities: int, said: str) -> None:
+def test_unsupported_devices_are_refused_with_a_message(capabilities: int, message: str) -> None:
     kernel = FakeKernel(capabilities=capabilities)
-    with pytest.raises(DriverError, match=said):
+    with pytest.raises(DriverError, match=message):
         opened(kernel)
     assert not kernel.fds
 

@@ -12,7 +12,7 @@ from drivers.v4l2 import open_camera
 from drivers.v4l2.options import from_mapping
 
 
-def test_everything_that_can_be_said() -> None:
+def test_every_option() -> None:
     options = from_mapping(
         "left",
         {
@@ -36,7 +36,7 @@ def test_a_camera_is_made_closed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "key", "said"),
+    ("change", "key", "message"),
     [
         ({"device": None}, "device", "expected `str`"),
         ({"device": " "}, "device", "is empty"),
@@ -55,11 +55,11 @@ def test_a_camera_is_made_closed() -> None:
         ({"end_of_frame_delay_us": -1}, "end_of_frame_delay_us", "expected 0"),
     ],
 )
-def test_every_mistake_names_its_key(change: dict[str, Any], key: str, said: str) -> None:
+def test_every_mistake_names_its_key(change: dict[str, Any], key: str, message: str) -> None:
     with pytest.raises(ValueError) as caught:
         open_camera("right", {"device": "/dev/video0", **change}, Path())
     text = str(caught.value)
-    assert text.startswith(f"cameras.right.{key}") and said in text
+    assert text.startswith(f"cameras.right.{key}") and message in text
 
 
 def test_a_device_is_demanded() -> None:

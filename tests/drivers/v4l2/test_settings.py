@@ -1,4 +1,4 @@
-"""Formats, sizes, controls and frame rates: what the camera took, and what it is told of the rest."""
+"""Formats, sizes, controls and frame rates: actual values, and notes of deviations."""
 
 from __future__ import annotations
 
@@ -62,16 +62,16 @@ def test_an_unknown_control_is_refused_with_those_there_are() -> None:
 
 
 @pytest.mark.parametrize(
-    ("control", "value", "said"),
+    ("control", "value", "message"),
     [
         (FakeControl(5, "Gain", value=7), 900, "the camera uses 255; 0 to 255"),
         (FakeControl(5, "Gain", value=7, flags=v.CTRL_FLAG_READ_ONLY), 3, "refused (it is read-only"),
         (FakeControl(5, "Gain", value=7, flags=v.CTRL_FLAG_INACTIVE), 3, "makes it inactive"),
     ],
 )
-def test_what_the_camera_did_otherwise_is_a_note(control: FakeControl, value: int, said: str) -> None:
+def test_deviations_are_notes(control: FakeControl, value: int, message: str) -> None:
     notes = opened(FakeKernel(controls=[control]), controls={"gain": value}).notes
-    assert any(said in note for note in notes), notes
+    assert any(message in note for note in notes), notes
 
 
 @pytest.mark.parametrize("number", [errno.EBUSY, errno.ERANGE, errno.EINVAL, errno.EIO, errno.EPIPE])
@@ -99,15 +99,15 @@ def test_the_frame_rate_that_it_took_is_a_note_unless_it_is_the_one_asked_for() 
     assert not any("frame_rate" in note for note in opened(FakeKernel(rates_hz=(15, 30)), frame_rate_hz=30).notes)
     notes = opened(FakeKernel(rates_hz=(15, 30)), frame_rate_hz=25).notes
     assert "frame_rate_hz: 25 was requested, the camera uses 30" in notes
-    assert any("takes no frame rate" in note for note in opened(FakeKernel(), frame_rate_hz=25).notes)
+    assert any("has no frame rate setting" in note for note in opened(FakeKernel(), frame_rate_hz=25).notes)
 
 
-def test_an_automatic_exposure_is_unknown_and_told() -> None:
+def test_an_automatic_exposure_is_unknown_and_noted() -> None:
     info = opened(FakeKernel(controls=exposure_controls(mode=3)))
     assert info.exposure_us == 0 and any("automatic" in note for note in info.notes)
 
 
-def test_how_it_is_triggered_is_told() -> None:
+def test_the_trigger_is_noted() -> None:
     trigger = [FakeControl(1, "Trigger Mode", Kind.BOOLEAN, 0, 1)]
     assert any("set trigger_mode in controls" in note for note in opened(FakeKernel(controls=trigger)).notes)
     assert opened(FakeKernel(controls=trigger), controls={"trigger_mode": True}).notes == ()

@@ -69,7 +69,7 @@ CONSTANTS = {
 
 @pytest.fixture(scope="module")
 def header(tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]:
-    """What a C program says of <linux/videodev2.h>."""
+    """Sizes and offsets of <linux/videodev2.h> from a C program."""
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None or not Path("/usr/include/linux/videodev2.h").exists():
         reason = "a C compiler and linux/videodev2.h are needed (packages gcc, linux-libc-dev)"
@@ -86,8 +86,8 @@ def header(tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]:
         f'int main(void) {{\n  printf("{{\\"\\": 0");\n{lines}  printf("}}");\n}}\n'
     )
     subprocess.run([compiler, "-o", folder / "header", folder / "header.c"], check=True, timeout=60)
-    said = subprocess.run([folder / "header"], check=True, capture_output=True, timeout=10).stdout
-    return dict(json.loads(said))
+    output = subprocess.run([folder / "header"], check=True, capture_output=True, timeout=10).stdout
+    return dict(json.loads(output))
 
 
 def c_fields(structure: type[ctypes.Structure]) -> dict[str, str]:

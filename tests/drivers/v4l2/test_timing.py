@@ -41,7 +41,7 @@ def test_triggers_count_frames_and_gaps_also_over_the_wrap(start: int, gaps: lis
         assert trigger == i + 1 + total
 
 
-def test_a_count_that_went_back_is_told() -> None:
+def test_a_decreasing_count_is_reported() -> None:
     sequence = Sequence()
     sequence.feed(100)
     assert sequence.feed(40)[1] == -1

@@ -18,7 +18,7 @@ DRIVERS = (
 LONGEST_S = 120
 
 
-def say(result: dict[str, object]) -> None:
+def report(result: dict[str, object]) -> None:
     sys.stdout.write(json.dumps(result) + "\n")
     sys.stdout.flush()
 
@@ -37,8 +37,8 @@ def main() -> None:
             except BaseException:  # whatever it is, the host shall read it
                 problem = traceback.format_exc()
             result = {"name": f"{name}.{test}", "problem": problem, "seconds": round(time.monotonic() - began, 2)}
-            say(result)
-    say({"name": "end"})
+            report(result)
+    report({"name": "end"})
 
 
 if __name__ == "__main__":

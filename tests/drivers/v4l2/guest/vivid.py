@@ -1,4 +1,4 @@
-"""The kernel's own virtual camera: formats, controls, time stamps, and every fault that it can be told to make."""
+"""The kernel's own virtual camera: formats, controls, time stamps, and every fault that it can inject."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_camera_is_found_by_its_bus() -> None:
     made.close()
 
 
-def test_a_multi_planar_camera_is_refused_in_words() -> None:
+def test_a_multi_planar_camera_is_refused_with_a_message() -> None:
     try:
         camera(MULTIPLANAR).open()
     except DriverError as error:
@@ -95,13 +95,13 @@ def test_a_size_that_is_not_there_is_refused_with_those_there_are() -> None:
 
 
 def test_a_format_that_is_not_there_is_refused_with_those_there_are() -> None:
-    said = refusal(SettingRefused, format="MJPG")
-    assert "YUYV" in said and "MJPG" in said
+    message = refusal(SettingRefused, format="MJPG")
+    assert "YUYV" in message and "MJPG" in message
 
 
 def test_a_control_that_is_not_there_is_refused_with_those_there_are() -> None:
-    said = refusal(SettingRefused, controls={"brightnes": 3})
-    assert "did you mean brightness?" in said and "contrast" in said
+    message = refusal(SettingRefused, controls={"brightnes": 3})
+    assert "did you mean brightness?" in message and "contrast" in message
 
 
 def test_a_menu_entry_that_is_not_there_is_refused_with_those_there_are() -> None:
@@ -252,7 +252,7 @@ def test_unplugged_while_idle_it_is_lost_at_the_start() -> None:
     raise AssertionError("it started")
 
 
-def test_stopping_and_starting_gives_the_buffers_back_and_counts_anew() -> None:
+def test_stopping_and_starting_releases_the_buffers_and_restarts_the_count() -> None:
     with acquiring() as made:
         for _ in range(5):
             read(made)
@@ -261,7 +261,7 @@ def test_stopping_and_starting_gives_the_buffers_back_and_counts_anew() -> None:
         assert read(made).trigger < 100
 
 
-def test_a_camera_in_use_is_refused_in_words() -> None:
+def test_a_camera_in_use_is_refused_with_a_message() -> None:
     with acquiring() as made:
         read(made)
         other = camera(VIVID, "right", size=[640, 360])
