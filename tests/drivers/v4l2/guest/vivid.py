@@ -112,7 +112,7 @@ def test_a_clamped_control_is_a_note_with_the_value_it_took() -> None:
     made = camera(VIVID, controls={"brightness": 999})
     notes = made.open().notes
     made.close()
-    assert any("999" in note and "took 255" in note for note in notes), notes
+    assert any("999" in note and "uses 255" in note for note in notes), notes
 
 
 def test_a_read_only_control_is_a_note() -> None:
