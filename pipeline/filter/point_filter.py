@@ -7,46 +7,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange
 from pipeline.common.settings import Settings
 from pipeline.filter import connected_components
+from pipeline.filter.component_test import component_test
 from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.local_outliers import drop_mixed_edges, local_outliers
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
-from pipeline.filter.uniqueness import PARTS, Uniqueness
+from pipeline.filter.surface_edges import edge_test
+from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
+from pipeline.filter.uniqueness import Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult
 
-_NO = np.uint8(0)
-
-
-@parallel
-def _squares(
-    valid: Any, first: Any, second: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, size: Any,
-    small: int, total: Any,
-) -> None:  # fmt: skip
-    """Sums of squared residuals of the surfaces that are not large, (PARTS, surfaces) int64, by bands of rows."""
-    height = valid.shape[0]
-    parts = total.shape[0]
-    for part in prange(parts):
-        for i in range(part * height // parts, (part + 1) * height // parts):
-            for t in range(count[0, i]):
-                k = surface[row[i] + t]
-                if k < 0 or size[k] >= small:
-                    continue
-                for j in range(start[i, t], stop[i, t]):
-                    a, b = np.int64(first[i, j]), np.int64(second[i, j])
-                    total[part, k] += min(a * a, b * b) if valid[i, j] != 0 else 0
-
-
-@parallel
-def _forget(doubtful: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, valid: Any) -> None:
-    """Reject the runs of no surface and of doubtful ones."""
-    for i in prange(valid.shape[0]):
-        for t in range(count[0, i]):
-            k = surface[row[i] + t]
-            if k < 0 or doubtful[k]:
-                valid[i, start[i, t] : stop[i, t]] = _NO
+LARGE_SHARE = 0.01
+"""Share of the image from which a surface's texture is not tested as a whole."""
+HIGH = 3 * DEVIATION_STEPS
+"""Deviation of the texture from which a pixel inside a surface is tested as one at its edge."""
+EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.6, 0.3
+"""Largest mean loss around an edge pixel with all its neighbours, and how much less for each that lacks."""
+EDGE_MISFIT_RAD = (0.9, 0.9, 0.9, 0.9, 0.8, 0.7, 0.5, 0.3, 0.1)
+"""Phase error of an edge pixel by the number of its neighbours that belong to the surface, radians."""
+MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
+_LOSS = LOSS.astype(np.float32)
 
 
 class Gates:
@@ -57,13 +39,16 @@ class Gates:
         slopes: expected phase steps per pixel of the left image (x, y), radians.
         depth: scale of the parameter s; order_step: change of s from one order to the next.
         smallest: pixels of the smallest connected surface.
+        phase_weight: 0..1, how far the projector's phase distinguishes fringe orders, see :func:`phase_weight`.
     """
 
     def __init__(
         self, shape: tuple[int, int], right: tuple[int, int], projector: tuple[int, int],
         slopes: tuple[float, float], depth: DepthScale, order_step: float, settings: Settings, *, smallest: int,
+        phase_weight: float = 1.0,
     ) -> None:  # fmt: skip
         self._right, self._projector, self._settings, self._smallest = right, projector, settings, smallest
+        self._phase_weight = phase_weight
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
@@ -72,11 +57,14 @@ class Gates:
         self._surfaces = Surfaces(shape)
         self._unique = Uniqueness(shape, (right, projector))
 
-    def certain(self, match: MatchResult, depth_mm: Any, modulation: Any) -> NDArray[np.uint8]:
+    def certain(
+        self, match: MatchResult, depth_mm: Any, modulation: Any, agreement: Agreement, scale: Scale
+    ) -> NDArray[np.uint8]:
         """1 where a point is certain, else 0, (H, W); valid until the next call.
 
         Args:
             match: of the left image; depth_mm: (H, W), float32; modulation: (H, W) uint8, counts.
+            agreement: of the textures, its misfit is raised at the edges of surfaces; scale: of their differences.
         """
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
         limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)
@@ -87,7 +75,11 @@ class Gates:
         surfaces.find(valid, self._link, self._smallest)
         surfaces.paint(label)
         drop_mixed_edges(label, modulation, np.float32(s.edge_modulation), valid)
-        self._drop_doubtful(match)
+        self._test_components(match, agreement, scale)
+        edge_test(
+            label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS), np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF,
+            agreement.misfit, valid,
+        )  # fmt: skip
         by_phase = Values(match.absolute_phase, False, self._base, self._span)
         for u, v, device, values, tolerance in (
             (match.right_u, match.right_v, self._right, by_phase, int(1.5 / (2 * np.pi) * TURN_STEPS)),
@@ -97,25 +89,26 @@ class Gates:
                 valid, label, surfaces.sizes, u, v, depth_mm, device, values, tolerance, 4 * self._smallest
             )
         surfaces.find(valid, self._link, self._smallest)
-        self._drop_doubtful(match)
+        self._test_components(match, agreement, scale)
         return valid
 
-    def _drop_doubtful(self, match: MatchResult) -> None:
-        """Reject what belongs to no surface, and surfaces that are not large and off the projector's phase as a whole.
-
-        A false match agrees in left and right phase by construction, but not with the projector.
-        """
-        f = self._surfaces
-        small, sizes = 20 * self._smallest, f.sizes
-        total = np.zeros((PARTS, len(sizes)), np.int64)
-        _squares(
-            self._valid, match.residual_normalised, match.residual, f.start, f.stop, f.count, f.first, f.surface, sizes,
-            small, total,
+    def _test_components(self, match: MatchResult, agreement: Agreement, scale: Scale) -> None:
+        large = max(20 * self._smallest, int(LARGE_SHARE * self._valid.size))
+        component_test(
+            self._valid, match, agreement.deviation, self._surfaces, large, scale,
+            self._settings.max_surface_error,
+            self._phase_weight,
         )  # fmt: skip
-        largest = (self._settings.max_surface_error / RESIDUAL_STEP) ** 2
-        doubtful = (sizes < small) & (total.sum(axis=0) > largest * sizes)
-        _forget(doubtful, f.start, f.stop, f.count, f.first, f.surface, self._valid)
 
 
 def _steps(residual: float) -> int:
     return min(round(residual / RESIDUAL_STEP), LARGEST_RESIDUAL)
+
+
+def phase_weight(baselines: float, *, linear: bool) -> float:
+    """How far a wrong fringe order shows in the projector's phase, 0..1.
+
+    On a plane an order wrong by m leaves 2 pi frac(m rho), rho the ratio of the baselines left to right and left to
+    projector: nothing where that is a whole number, unless the fringes are frequency-modulated.
+    """
+    return 1.0 if not linear else min(1.0, abs(baselines - round(baselines)) / 0.2)

@@ -13,12 +13,25 @@ from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.filter.mask_rejected import mask_rejected
-from pipeline.filter.point_filter import Gates
+from pipeline.filter.point_filter import HIGH, Gates, phase_weight
+from pipeline.filter.texture_agreement import DEVIATION_STEPS, Agreement, Scale, compare, scale_of, widen_sigma
 from pipeline.geometry.view_tables import View
-from pipeline.match.match_result import MatchResult, Points
+from pipeline.match.match_result import RESIDUAL_STEP, MatchResult, Points
+from pipeline.match.neighbour_orders import Proposals
 from pipeline.match.subpixel_match import refine
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
+
+GOOD = 3 * DEVIATION_STEPS // 2
+"""Deviation of the texture up to which a pixel's order is continued to its neighbours."""
+GAIN = DEVIATION_STEPS
+"""How much less a pixel must deviate with another order."""
+REACH = 8
+"""Distance in pixels over which orders are continued."""
+LARGEST_STEP = 1.5
+"""Largest deviation from the continued phase, radians."""
+LARGEST_RESIDUAL = 0.5
+"""Largest deviation of a continued pixel from the projector's phase, radians."""
 
 
 class CloudStage:
@@ -44,7 +57,10 @@ class CloudStage:
             shape, calibration.right.size, calibration.projector.size,
             (stride * left.slopes[0], stride * left.slopes[1]), left.depth, left.order_step, settings,
             smallest=max(settings.min_component // stride**2, 1),
+            phase_weight=phase_weight(_baselines(calibration), linear=left.linear),
         )  # fmt: skip
+        self._agreement = Agreement.empty(shape)
+        self._proposals = Proposals(shape, stride * left.slopes[0])
 
     def match(
         self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], points: Points | None = None
@@ -53,16 +69,53 @@ class CloudStage:
 
         The points themselves go into ``points``, of the full resolution, if that is given.
         """
-        v = self._view
         points = points or Points.empty(self._size)
+        self._refine(order, (self._rays_x, self._rays_y), left, right, correction, self._stride, points, self._match)
+        return self._match
+
+    def _refine(
+        self, order: Any, rays: tuple[Any, Any], left: Any, right: PhaseMap, correction: NDArray[np.float64],
+        stride: int, points: Points, out: MatchResult,
+    ) -> None:  # fmt: skip
+        v = self._view
         refine(
-            order, self._rays_x, self._rays_y, left.phase, left.descriptors, left.phasor, left.variance,
+            order, *rays, left.phase, left.descriptors, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.phase_to_column, v.column_to_phase, v.linear,
-            correction.astype(np.float32), self._floor_sq, self._correlation, self._stride,
-            points.xyz, points.sigma_mm, *self._match,
+            correction.astype(np.float32), self._floor_sq, self._correlation, stride,
+            points.xyz, points.sigma_mm, *out,
         )  # fmt: skip
-        return self._match
+
+    def _match_neighbours(
+        self, left: PhaseMap, right: PhaseMap, order: Any, scale: Scale, correction: NDArray[np.float64],
+        points: Points,
+    ) -> None:  # fmt: skip
+        """Match pixels that agree badly or not at all with the orders of surfaces beside them, where that agrees."""
+        found = self._proposals.find(
+            order, left.phase, self._agreement.deviation, left.valid, good=GOOD, bad=HIGH, reach=REACH,
+            largest=LARGEST_STEP,
+        )  # fmt: skip
+        deviation, misfit = (plane.reshape(-1) for plane in self._agreement)
+        for pixels, orders in found:
+            shape = (1, len(pixels))
+            some = left.gathered(pixels)
+            rays = self._rays_x.reshape(-1)[pixels][None], self._rays_y.reshape(-1)[pixels][None]
+            again, agreement = MatchResult.empty(shape), Agreement.empty(shape)
+            there = Points.empty(shape)
+            self._refine(orders.reshape(shape), rays, some, right, correction, 1, there, again)
+            compare(again, some, right, scale, agreement)
+            new = agreement.deviation[0]
+            residual = np.minimum(np.abs(again.residual[0]), np.abs(again.residual_normalised[0]))
+            better = (new < HIGH) & (new.astype(np.int16) + GAIN < deviation[pixels])
+            better &= residual * RESIDUAL_STEP < LARGEST_RESIDUAL
+            kept = pixels[better]
+            for plane, values in zip(self._match, again, strict=True):
+                np.asarray(plane).reshape(-1)[kept] = np.asarray(values)[0, better]
+            order.reshape(-1)[kept] = orders[better]
+            deviation[kept], misfit[kept] = new[better], agreement.misfit[0, better]
+            s, width = self._stride, order.shape[1]
+            a, b = s * (kept // width), s * (kept % width)
+            points.xyz[a, b], points.sigma_mm[a, b] = there.xyz[0, better], there.sigma_mm[0, better]
 
     def cloud(
         self,
@@ -76,7 +129,7 @@ class CloudStage:
     ) -> Cloud:
         """The cloud on the left camera's whole pixel grid; ``left`` and ``order`` are of full resolution.
 
-        ``confirm`` may reject points before the point filter.
+        ``confirm`` may reject points before the point filter; then no other orders are tried.
         """
         part, part_order = left, order
         if self._stride > 1:
@@ -87,8 +140,14 @@ class CloudStage:
         if confirm is not None:
             confirm(match)
         watch.lap("refinement")
-        valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation)
+        scale = scale_of(match, part, right)
+        compare(match, part, right, scale, self._agreement)
+        if confirm is None:
+            self._match_neighbours(part, right, part_order, scale, correction, points)
+        watch.lap("agreement")
+        valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation, self._agreement, scale)
         watch.lap("gates")
+        widen_sigma(valid, self._agreement.misfit, part.variance, self._stride, points.sigma_mm)
         kept = np.empty(self._size, np.int16)
         mask_rejected(valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
@@ -102,3 +161,14 @@ class CloudStage:
         )
         watch.lap("output")
         return cloud
+
+
+def _baselines(calibration: Calibration) -> float:
+    """Ratio of the baselines left to right and left to projector, along the former."""
+    left, right, projector = (
+        -device.rotation.T @ device.translation
+        for device in (calibration.left, calibration.right, calibration.projector)
+    )
+    across = right - left
+    share = float((projector - left) @ across / (across @ across))
+    return 1 / share if abs(share) > 1e-6 else 0.5

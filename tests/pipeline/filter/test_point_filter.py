@@ -14,6 +14,7 @@ from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.local_outliers import RADIUS, drop_mixed_edges, local_outliers
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.point_filter import Gates
+from pipeline.filter.texture_agreement import Agreement, Scale
 from pipeline.filter.uniqueness import Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
 from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, TURN_STEPS, MatchResult, Points
@@ -193,6 +194,8 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
         shape, right, projector, (24 * 2 * np.pi / TURN_STEPS, 0.0), DepthScale(1 / 900, 1 / 700 - 1 / 900), 0.1,
         Settings(), smallest=50,
     )  # fmt: skip
+    deviation = rng.integers(0, 40, shape).astype(np.uint8)
+    scale = Scale(0.0, 0.01, 0.0, 0.02, 0.3, 2.4)
     most = numba.get_num_threads()
     results = []
     try:
@@ -202,7 +205,8 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
                 for plane in (depth, *match[1:]):
                     filling: Any = [np.nan, np.inf, 0] if plane.dtype.kind == "f" else [0, 65535, 7]
                     plane[valid == 0] = rng.choice(np.array(filling).astype(plane.dtype), int((valid == 0).sum()))
-                results.append(gates.certain(match, depth, modulation).copy())
+                agreement = Agreement(deviation.copy(), np.zeros(shape, np.uint8))
+                results.append(gates.certain(match, depth, modulation, agreement, scale).copy())
     finally:
         numba.set_num_threads(most)
     assert all((r == results[0]).all() for r in results)

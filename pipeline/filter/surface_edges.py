@@ -1,0 +1,72 @@
+"""Pixels at the edge of a surface, whose window straddles two surfaces: rejected, or given a larger sigma."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.common.jit import parallel, prange, serial
+
+_NO = np.uint8(0)
+REACH = 2
+"""Half width of the neighbourhood that is compared, pixels."""
+
+
+@serial
+def _label_changes(above: Any, here: Any, below: Any, out: Any) -> None:
+    """1 where one of the eight neighbours has another label; the row's ends are edges."""
+    n = here.shape[0]
+    for j in range(1, n - 1):
+        k = here[j]
+        same = (above[j - 1] == k) & (above[j] == k) & (above[j + 1] == k) & (here[j - 1] == k)
+        same &= (here[j + 1] == k) & (below[j - 1] == k) & (below[j] == k) & (below[j + 1] == k)
+        out[j] = np.uint8((not same) & (k != 0))
+    out[0], out[n - 1] = np.uint8(here[0] != 0), np.uint8(here[n - 1] != 0)
+
+
+@serial
+def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tuple[Any, int]:
+    """Mean loss of the surface's pixels within REACH, and how many of the eight neighbours belong to it."""
+    height, width = label.shape
+    k = label[i, j]
+    total, n, beside = 0, 0, 0
+    for y in range(max(0, i - REACH), min(height, i + REACH + 1)):
+        for x in range(max(0, j - REACH), min(width, j + REACH + 1)):
+            if label[y, x] == k:
+                total += losses[deviation[y, x]]
+                n += 1
+                if abs(y - i) <= 1 and abs(x - j) <= 1:
+                    beside += 1
+    return np.float32(total) / np.float32(n), beside - 1
+
+
+@parallel
+def edge_test(
+    label: Any, deviation: Any, losses: Any, high: int, limit: Any, per_neighbour: Any, misfit_of: Any, misfit: Any,
+    valid: Any,
+) -> None:  # fmt: skip
+    """Reject edge pixels, and pixels that deviate, whose surface does not agree in texture around them.
+
+    Args:
+        label: (H, W) uint16, one more than the surface; deviation: (H, W) uint8; losses: by deviation.
+        high: deviation from which a pixel inside a surface is tested, too.
+        limit: mean loss from which a pixel with all its neighbours is rejected; per_neighbour: less for each missing.
+        misfit_of: (9,) uint8, least misfit by the number of neighbours that belong to the surface.
+        misfit: (H, W) uint8, raised; valid: (H, W) uint8, changed.
+    """
+    height, width = label.shape
+    for i in prange(height):
+        doubt = np.empty(width, np.uint8)
+        _label_changes(label[max(i - 1, 0)], label[i], label[min(i + 1, height - 1)], doubt)
+        row, checked = deviation[i], valid[i]
+        for j in range(width):
+            doubt[j] = (doubt[j] | np.uint8((row[j] >= high) & (label[i, j] != 0))) & checked[j]
+        for j in range(width):
+            if doubt[j] == 0:
+                continue
+            loss, beside = _edge_score(label, deviation, losses, i, j)
+            if loss > limit - per_neighbour * np.float32(8 - beside):
+                checked[j] = _NO
+            else:
+                misfit[i, j] = max(misfit[i, j], misfit_of[beside])

@@ -1,0 +1,181 @@
+"""Agreement of both images' textures at matched pixels: mean and fringe amplitude of one surface point are alike.
+
+A wrong match compares two different surface points. The relative differences of mean and amplitude are counted in
+units of their own scatter in this pair, so gain, texture and noise of a rig need no limits of their own.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.jit import parallel, prange, serial
+from pipeline.match.match_result import PIXEL_STEPS, MatchResult
+
+DEVIATION_STEPS = 16
+"""Steps per standard deviation of :attr:`Agreement.deviation`."""
+LOSS = np.log1p((np.arange(256) / DEVIATION_STEPS) ** 2 / 4)
+"""Loss of a deviation, the logarithm of a Student distribution; by steps."""
+NO_MATCH = np.uint8(255)
+"""Deviation of a pixel without a match."""
+MISFIT_STEPS = 256.0
+"""Steps per radian of :attr:`Agreement.misfit`."""
+
+_SAMPLE, _APART = 6, 9
+_LEAST_SAMPLES = 200
+_LEAST_MEAN, _LEAST_AMPLITUDE = 0.012, 0.012
+MEAN_MISFIT, AMPLITUDE_MISFIT = 4.0, 2.0
+"""Squared phase error per squared relative difference of the means, of the amplitudes, beyond :data:`HINGE`."""
+AMPLITUDE_SHARE = 0.1
+"""Weight of the amplitude in the deviation, the mean has the rest: on steep surfaces amplitudes differ, too."""
+HINGE = 1.25
+"""Squared deviations up to which a difference is taken as noise."""
+_SHIFT = int(np.log2(PIXEL_STEPS))
+_HALF, _ROUND, _LAST = PIXEL_STEPS // 2, PIXEL_STEPS - 1, 254
+_OFFSET = np.float32(2.0)
+
+
+class Scale(NamedTuple):
+    """Centre and standard deviation of the relative differences of the means and of the amplitudes.
+
+    Args:
+        matched_loss: mean loss of matched pixels; unrelated_loss: of pixels some distance apart. Where there is no
+            texture, both are alike.
+    """
+
+    mean: float
+    mean_sigma: float
+    amplitude: float
+    amplitude_sigma: float
+    matched_loss: float
+    unrelated_loss: float
+
+
+class Agreement(NamedTuple):
+    """Planes (H, W) on the left camera's pixel grid.
+
+    Args:
+        deviation: uint8, rms deviation of mean and amplitude in :data:`DEVIATION_STEPS`; :data:`NO_MATCH` without one.
+        misfit: uint8, phase error that the difference lets expect beyond noise, in :data:`MISFIT_STEPS`.
+    """
+
+    deviation: NDArray[np.uint8]
+    misfit: NDArray[np.uint8]
+
+    @staticmethod
+    def empty(shape: tuple[int, int]) -> Agreement:
+        """Planes to be written."""
+        return Agreement(np.empty(shape, np.uint8), np.empty(shape, np.uint8))
+
+
+@serial
+def _right_values(valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, width: int, out: Any) -> None:
+    """Means and amplitudes of the right image, linear along the row, nearest row; ``out`` (2, W) float32."""
+    last = mean.shape[0] - 2
+    for j in range(valid.shape[0]):
+        x = np.int32(u[j]) - _HALF
+        at = (np.int32(v[j]) >> _SHIFT) * width + (x >> _SHIFT)
+        at = at if (valid[j] != 0) & (at >= 0) & (at <= last) else np.int32(0)
+        f = (np.float32(x & _ROUND) + np.float32(0.5)) / np.float32(PIXEL_STEPS)
+        a, b = np.float32(mean[at]), np.float32(amplitude[at])
+        out[0, j] = a + f * (np.float32(mean[at + 1]) - a)
+        out[1, j] = b + f * (np.float32(amplitude[at + 1]) - b)
+
+
+@serial
+def _deviations(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any, deviation: Any, misfit: Any) -> None:
+    zero, two, most = np.float32(0.0), np.float32(2.0), np.float32(_LAST)
+    for j in range(valid.shape[0]):
+        a, b = np.float32(mean[j]), np.float32(amplitude[j])
+        t = two * (a - right[0, j]) / (a + right[0, j] + _OFFSET) - s[0]
+        m = two * (b - right[1, j]) / (b + right[1, j] + _OFFSET) - s[2]
+        t, m = t * t, m * m
+        z = np.float32(sqrt((t * s[1] + m * s[3]) * np.float32(0.5))) * np.float32(DEVIATION_STEPS)
+        beyond = s[6] * max(t - s[4], zero) + s[7] * max(m - s[5], zero)
+        e = np.float32(sqrt(beyond)) * np.float32(MISFIT_STEPS)
+        deviation[j] = np.uint8(min(z, most)) if valid[j] != 0 else NO_MATCH
+        misfit[j] = np.uint8(min(e, np.float32(255.0)))
+
+
+@parallel
+def _compare(
+    valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, right_mean: Any, right_amplitude: Any, width: int,
+    scale: Any, deviation: Any, misfit: Any,
+) -> None:  # fmt: skip
+    """Fill the planes of :class:`Agreement`; right images flat, of this width."""
+    for i in prange(valid.shape[0]):
+        right = np.empty((2, valid.shape[1]), np.float32)
+        _right_values(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
+        _deviations(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
+
+
+def compare(match: MatchResult, left: Any, right: Any, scale: Scale, out: Agreement) -> None:
+    """Compare mean and amplitude at every match; ``left``, ``right`` with planes ``mean`` and ``modulation``."""
+    mean_weight, amplitude_weight = 2 * (1 - AMPLITUDE_SHARE), 2 * AMPLITUDE_SHARE
+    s = np.array(
+        [
+            scale.mean, mean_weight * scale.mean_sigma**-2.0,
+            scale.amplitude, amplitude_weight * scale.amplitude_sigma**-2.0,
+            HINGE * scale.mean_sigma**2, HINGE * scale.amplitude_sigma**2, MEAN_MISFIT, AMPLITUDE_MISFIT,
+        ],
+        np.float32,
+    )  # fmt: skip
+    _compare(
+        match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean.reshape(-1),
+        right.modulation.reshape(-1), right.mean.shape[1], s, out.deviation, out.misfit,
+    )  # fmt: skip
+
+
+def scale_of(match: MatchResult, left: Any, right: Any) -> Scale:
+    """Scale of the differences in this pair: medians over every sixth matched pixel of every sixth row."""
+    part = np.s_[::_SAMPLE, ::_SAMPLE]
+    some = match.valid[part] != 0
+    if np.count_nonzero(some) < _LEAST_SAMPLES:
+        return Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)
+    x = match.right_u[part][some].astype(np.int32) // PIXEL_STEPS
+    y = match.right_v[part][some].astype(np.int32) // PIXEL_STEPS
+    height, width = right.mean.shape
+    x, y = np.minimum(x, width - 1), np.minimum(y, height - 1)
+    values: list[float] = []
+    squares = np.zeros((2, len(x)), np.float32)
+    for here, there, least, share in (
+        (left.mean, right.mean, _LEAST_MEAN, 1 - AMPLITUDE_SHARE),
+        (left.modulation, right.modulation, _LEAST_AMPLITUDE, AMPLITUDE_SHARE),
+    ):
+        a, b = here[part][some].astype(np.float32), there[y, x].astype(np.float32)
+        ratio = _relative_difference(a, b)
+        centre = float(np.median(ratio))
+        sigma = max(1.4826 * float(np.median(np.abs(ratio - centre))), least)
+        values += [centre, sigma]
+        squares[0] += share * ((ratio - centre) / sigma) ** 2
+        squares[1] += share * ((_relative_difference(a, np.roll(b, _APART)) - centre) / sigma) ** 2
+    steps = np.minimum(np.sqrt(squares) * DEVIATION_STEPS, _LAST).astype(np.uint8)
+    return Scale(*values, *(float(row.mean()) for row in LOSS[steps]))
+
+
+def _relative_difference(a: Any, b: Any) -> Any:
+    return 2 * (a - b) / (a + b + _OFFSET)
+
+
+@serial
+def _widen_row(valid: Any, misfit: Any, variance: Any, sigma: Any) -> None:
+    one, per = np.float32(1.0), np.float32(0.5 / MISFIT_STEPS**2)
+    for j in range(valid.shape[0]):
+        e = np.float32(misfit[j])
+        if (valid[j] != 0) & (misfit[j] != 0):
+            sigma[j] *= np.float32(sqrt(one + per * e * e / variance[j]))
+
+
+@parallel
+def widen_sigma(valid: Any, misfit: Any, variance: Any, stride: int, sigma: Any) -> None:
+    """Add the misfit to the standard deviation of the points.
+
+    Args:
+        valid, misfit: (h, w) uint8; variance: (h, w) float32, rad^2, of the left phase; the right one's is alike.
+        stride: pixel (a, b) of those is that at (stride a, stride b) of ``sigma`` (H, W) float32, which is changed.
+    """
+    for i in prange(valid.shape[0]):
+        _widen_row(valid[i], misfit[i], variance[i], sigma[stride * i, ::stride])

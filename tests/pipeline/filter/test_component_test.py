@@ -1,0 +1,67 @@
+"""The test of connected surfaces by texture and by the projector's phase."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.filter import connected_components
+from pipeline.filter.component_test import component_test, log_likelihood_ratio
+from pipeline.filter.connected_components import Surfaces
+from pipeline.filter.point_filter import phase_weight
+from pipeline.filter.texture_agreement import DEVIATION_STEPS, Scale
+from pipeline.match.match_result import RESIDUAL_STEP, MatchResult
+
+TEXTURED = Scale(0.0, 0.01, 0.0, 0.02, 0.3, 2.4)
+PLAIN = TEXTURED._replace(unrelated_loss=0.3)
+
+
+def test_the_evidence_for_a_surface_falls_with_its_loss_and_with_its_phase_residual() -> None:
+    loss, rms = np.linspace(0, 4, 30), np.linspace(0.01, 0.5, 30)
+    assert (np.diff(log_likelihood_ratio(100.0, loss, 0.05, TEXTURED, 1.0)) <= 0).all()
+    assert (np.diff(log_likelihood_ratio(100.0, 0.5, rms, TEXTURED, 1.0)) <= 0).all()
+
+
+def test_texture_counts_for_nothing_where_there_is_none() -> None:
+    few, many = (log_likelihood_ratio(500.0, loss, 0.05, PLAIN, 1.0) for loss in (0.1, 3.0))
+    assert few == many == pytest.approx(0.0)
+
+
+def test_the_phase_counts_for_nothing_where_the_layout_is_blind() -> None:
+    assert phase_weight(2.0, linear=True) == 0.0
+    assert phase_weight(2.0, linear=False) == phase_weight(1 / 0.382, linear=True) == 1.0
+    low, high = (log_likelihood_ratio(500.0, 0.3, rms, TEXTURED, 0.0) for rms in (0.01, 0.4))
+    assert low == high
+
+
+def _tested(deviation: Any, residual: Any, scale: Scale) -> Any:
+    """What remains of three surfaces of 30 x 30 pixels side by side."""
+    shape = (30, 90)
+    valid = np.ones(shape, np.uint8)
+    match = MatchResult.empty(shape)
+    match.residual[:] = match.residual_normalised[:] = np.rint(np.repeat(residual, 30) / RESIDUAL_STEP)
+    match.absolute_phase[:] = np.repeat([0, 5000, 10000], 30)
+    match.right_u[:], match.right_v[:] = 8 * np.arange(90), 8 * np.arange(30)[:, None]
+    link = np.empty(shape, np.uint8)
+    connected_components.links(
+        match.absolute_phase, match.right_u.view(np.int16), match.right_v.view(np.int16), 0, 0, link
+    )
+    surfaces = Surfaces(shape)
+    assert surfaces.find(valid, link, 50) == 3
+    steps = np.tile(np.rint(np.repeat(deviation, 30) * DEVIATION_STEPS).astype(np.uint8), (30, 1))
+    component_test(valid, match, steps, surfaces, 10**6, scale, 0.2, 1.0)
+    return valid.reshape(30, 3, 30).mean(axis=(0, 2))
+
+
+def test_a_surface_of_foreign_texture_is_rejected_and_others_stay() -> None:
+    assert (_tested([0.8, 8.0, 1.2], [0.03, 0.06, 0.03], TEXTURED) == [1, 0, 1]).all()
+
+
+def test_a_surface_off_the_projectors_phase_is_rejected_whatever_its_texture() -> None:
+    assert (_tested([0.8, 0.8, 0.8], [0.03, 0.25, -0.3], TEXTURED) == [1, 0, 0]).all()
+
+
+def test_a_glossy_surface_stays_where_the_projector_agrees() -> None:
+    assert (_tested([0.8, 8.0, 0.8], [0.03, 0.01, 0.03], TEXTURED) == [1, 1, 1]).all()
