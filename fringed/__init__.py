@@ -5,7 +5,7 @@
     for cloud in subscribe("tcp://rig:5555"):
         print(cloud.header.seq, cloud.xyz.shape)
 
-Nothing is imported until it is used.
+Modules are imported when a name is first used.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = [
     "subscribe",
 ]
 
-_HOMES = {
+_MODULES = {
     "FringedError": "fringed.errors",
     "KeyFileError": "fringed.errors",
     "Keys": "fringed.keys",
@@ -42,14 +42,14 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for."""
-    if name not in _HOMES:
+    """Import a public name when it is first used."""
+    if name not in _MODULES:
         raise AttributeError(f"module 'fringed' has no attribute {name!r}; it has {', '.join(__all__)}")
-    value = getattr(import_module(_HOMES[name]), name)
+    value = getattr(import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    """The public names."""
+    """Return the public names."""
     return sorted(__all__)

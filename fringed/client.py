@@ -20,16 +20,16 @@ DEFAULT_ENDPOINT = "tcp://127.0.0.1:5555"
 TOPICS = ("cloud/full", "cloud/depth")
 
 _LATEST_QUEUE, _EVERY_QUEUE = 2, 32
-_ASK_AGAIN_S = 2.0
+_REQUEST_AGAIN_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReceivedCloud:
-    """A cloud as it came, on the left camera's pixel grid; the arrays are read-only.
+    """A received cloud on the left camera's pixel grid; the arrays are read-only.
 
     Args:
-        header: numbers, times, session, ...
-        xyz: (H, W, 3) float32, mm, NaN where unknown.
+        header: sequence number, time, session, calibration and statistics.
+        xyz: (H, W, 3) float32, mm, NaN where there is no point.
         gray: (H, W) uint8, the texture; None on ``cloud/depth``.
         sigma: (H, W) float32, mm, one standard deviation along the viewing ray; None on ``cloud/depth``.
     """
@@ -41,22 +41,22 @@ class ReceivedCloud:
 
     @property
     def every(self) -> int:
-        """Spacing of the measured pixels: 2 = an overloaded rig gave every second row and column of its camera."""
+        """Spacing of the measured pixels: 2 means every second row and column of the camera, under load."""
         return _every(self.header)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Where there is a point, (H, W)."""
+        """Mask of the pixels with a point, (H, W)."""
         return np.isfinite(self.xyz[..., 2])
 
     @property
     def points(self) -> NDArray[np.float32]:
-        """The valid points alone, (N, 3), mm."""
+        """The valid points, (N, 3), mm."""
         return self.xyz[self.valid]
 
 
 class _Stream:
-    """What the blocking and the async subscription share; takes messages, never waits."""
+    """Common part of the blocking and the async subscription; receives messages, never waits."""
 
     def __init__(
         self, endpoint: str, topic: str, *, latest: bool, timeout_s: float | None, keys: Keys | None = None
@@ -68,16 +68,16 @@ class _Stream:
         self.received = self.skipped = 0
         self._losses = Losses()
         self._rays: wire.Message | None = None
-        self._asked_s = time.monotonic()
+        self._requested_s = time.monotonic()
         self._clouds = Receiver(endpoint, [topic], queue=_LATEST_QUEUE if latest else _EVERY_QUEUE, keys=keys)
         self._meta: Receiver | None = None
         if topic == "cloud/depth":
-            # A socket of its own: clouds must never push the rays out of a short queue.
+            # A socket of its own: clouds must never displace the rays in a short queue.
             self._meta = Receiver(endpoint, ["meta/rays"], queue=4, keys=keys)
 
     @property
     def lost(self) -> int:
-        """Clouds that were measured, or triggered, and never came here: gaps in ``seq`` within a session."""
+        """Clouds that were triggered and not received: gaps in ``seq`` within a session."""
         return self._losses.count
 
     def close(self) -> None:
@@ -90,12 +90,12 @@ class _Stream:
         return [self._clouds.socket] + ([self._meta.socket] if self._meta is not None else [])
 
     def _take(self) -> ReceivedCloud | None:
-        """The newest (or the next) cloud that is already here."""
+        """Return the newest (or the next) received cloud, if any."""
         self._take_rays()
         frames = self._clouds.take()
         while frames is not None:
             _, header = wire.decode_header(frames)
-            self._losses.see(header.session, header.seq)
+            self._losses.add(header.session, header.seq)
             newer = self._clouds.take() if self.latest else None
             if newer is None:
                 break
@@ -116,28 +116,28 @@ class _Stream:
         grid = (header.height, header.width)
         if self._meta is None:
             _check(message, {"xyz": ("<f4", (*grid, 3)), "gray": ("|u1", grid), "sigma": ("<f4", grid)})
-            made = ReceivedCloud(header, arrays["xyz"], arrays["gray"], arrays["sigma"])
+            cloud = ReceivedCloud(header, arrays["xyz"], arrays["gray"], arrays["sigma"])
         else:
             _check(message, {"z": ("<u2", grid)})
-            if not self._rays_fit(header):
+            if not self._rays_match(header):
                 return None
-            made = ReceivedCloud(header, _rebuilt(message, self._rays), None, None)
+            cloud = ReceivedCloud(header, _points(message, self._rays), None, None)
         self.received += 1
-        return made
+        return cloud
 
-    def _rays_fit(self, header: wire.CloudHeader) -> bool:
-        """Whether the rays at hand are those of this cloud; asks for them if not."""
+    def _rays_match(self, header: wire.CloudHeader) -> bool:
+        """Return whether the received rays belong to this cloud; request them if not."""
         rays = self._rays
         if rays is not None and rays.header.calibration == header.calibration:
             return _rays_of(rays, header).shape[:2] == (header.height, header.width)
         now_s = time.monotonic()
-        if self._meta is not None and now_s - self._asked_s > _ASK_AGAIN_S:
-            self._asked_s = now_s
-            self._meta.ask_again("meta/rays")
+        if self._meta is not None and now_s - self._requested_s > _REQUEST_AGAIN_S:
+            self._requested_s = now_s
+            self._meta.request_again("meta/rays")
         return False
 
     def _silence(self) -> SilenceError:
-        hint = ", does it know this key, and is that its server key?" if self._with_keys else "?"
+        hint = ", does it allow this key, and is that its server key?" if self._with_keys else "?"
         return SilenceError(
             f"no {self.topic} from {self._clouds.endpoint} within {self.timeout_s} s; is a daemon running{hint}"
         )
@@ -147,17 +147,17 @@ class _Stream:
 
 
 class Subscription(_Stream):
-    """Clouds, one after the other; made by :func:`subscribe`."""
+    """Iterator over clouds, created by :func:`subscribe`."""
 
     def __iter__(self) -> Self:
         return self
 
     def __next__(self) -> ReceivedCloud:
-        """The newest cloud that was not yet given (or the next one), waiting for it.
+        """Wait for the newest cloud that was not yet returned (or the next one).
 
         Raises:
-            SilenceError: none came within the time-out; calling again goes on waiting.
-            WireError: a message that does not follow the format; calling again goes on after it.
+            SilenceError: none came within the time-out; another call continues to wait.
+            WireError: a message violates the format; another call continues after it.
         """
         deadline_s = self._deadline_s()
         poller = zmq.Poller()
@@ -178,13 +178,13 @@ class Subscription(_Stream):
 
 
 class AsyncSubscription(_Stream):
-    """Clouds for ``async for``; made by :func:`asubscribe`."""
+    """Asynchronous iterator over clouds, created by :func:`asubscribe`."""
 
     def __aiter__(self) -> Self:
         return self
 
     async def __anext__(self) -> ReceivedCloud:
-        """Like ``Subscription.__next__``, without holding up the event loop."""
+        """Wait like ``Subscription.__next__``, without blocking the event loop."""
         import zmq.asyncio
 
         deadline_s = self._deadline_s()
@@ -213,13 +213,13 @@ def subscribe(
     timeout_s: float | None = None,
     keys: Keys | None = None,
 ) -> Subscription:
-    """Clouds of a daemon, for ``for`` and ``with``; it connects, and connects again, by itself.
+    """Subscribe to the clouds of a daemon, for ``for`` and ``with``; it connects and reconnects by itself.
 
     Args:
         endpoint: ``tcp://HOST:PORT`` or ``ipc://PATH``.
-        topic: ``cloud/full``, or ``cloud/depth`` for a slow line (points only; needs the package blosc2).
-        latest: always give the newest cloud and skip older ones; False: every cloud, as far as the queues reach.
-        timeout_s: longest silence before SilenceError; None waits for ever.
+        topic: ``cloud/full``, or ``cloud/depth`` for slow networks (points only; needs the package blosc2).
+        latest: return the newest cloud and skip older ones; False: every cloud, within the limits of the queues.
+        timeout_s: longest wait before SilenceError; None = no limit.
         keys: for a daemon on another machine: ``Keys.load("laptop.key", "server.pub")``.
     """
     return Subscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
@@ -233,12 +233,12 @@ def asubscribe(
     timeout_s: float | None = None,
     keys: Keys | None = None,
 ) -> AsyncSubscription:
-    """The same for ``async for`` and ``async with``."""
+    """Subscribe like :func:`subscribe`, for ``async for`` and ``async with``."""
     return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
 
 
 def _wait_ms(left_s: float) -> int:
-    """At most a second, so that rays that went astray are asked for again."""
+    """Wait at most a second, so that lost rays are requested again."""
     return max(1, round(1000 * min(left_s, 1.0)))
 
 
@@ -246,8 +246,8 @@ def _check(message: wire.Message, expected: dict[str, tuple[str, tuple[int, ...]
     for name, (dtype, shape) in expected.items():
         array = message.arrays.get(name)
         if array is None or array.dtype.str != dtype or array.shape != shape:
-            came = "is missing" if array is None else f"is {array.dtype.str} {list(array.shape)}"
-            raise WireError(f"{message.topic}: part {name!r} {came}, expected {dtype} {list(shape)}")
+            actual = "is missing" if array is None else f"is {array.dtype.str} {list(array.shape)}"
+            raise WireError(f"{message.topic}: part {name!r} {actual}, expected {dtype} {list(shape)}")
 
 
 def _every(header: wire.Header) -> int:
@@ -256,15 +256,15 @@ def _every(header: wire.Header) -> int:
 
 
 def _rays_of(rays: wire.Message, header: wire.Header) -> NDArray[np.float32]:
-    """The rays of a cloud's pixels, (height, width, 2) if they fit."""
-    known, every = rays.arrays["rays"], _every(header)
-    if isinstance(header, wire.CloudHeader) and known.shape[:2] != (header.height, header.width):
-        return known[::every, ::every]
-    return known
+    """Return the rays of a cloud's pixels, (height, width, 2) if the calibrations match."""
+    array, every = rays.arrays["rays"], _every(header)
+    if isinstance(header, wire.CloudHeader) and array.shape[:2] != (header.height, header.width):
+        return array[::every, ::every]
+    return array
 
 
-def _rebuilt(message: wire.Message, rays: wire.Message | None) -> NDArray[np.float32]:
-    """Points of a depth message: xyz = z * (rx, ry, 1), NaN where the stored number is 0."""
+def _points(message: wire.Message, rays: wire.Message | None) -> NDArray[np.float32]:
+    """Compute the points of a depth message: xyz = z * (rx, ry, 1), NaN where the stored number is 0."""
     part, stored = message.part("z"), message.arrays["z"]
     if rays is None or not isinstance(part.scale, float) or not isinstance(part.offset, float):
         raise WireError(f"{message.topic}: part 'z' needs scale and offset")

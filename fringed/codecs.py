@@ -1,4 +1,4 @@
-"""Compression of parts; the package is loaded when a compressed part is met."""
+"""Compression of message parts; the package is imported at the first compressed part."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _blosc2(where: str) -> Any:
 
 
 def compress(array: NDArray[Any], codec: str) -> bytes:
-    """One blosc2 chunk (byte shuffle, LZ4) of a C contiguous array."""
+    """Compress a C contiguous array to one blosc2 chunk (byte shuffle, LZ4)."""
     if codec != "blosc2":
         raise WireError(f"codec {codec!r} is not one of {', '.join(CODECS)}")
     blosc2 = _blosc2("the part")
@@ -38,10 +38,10 @@ def compress(array: NDArray[Any], codec: str) -> bytes:
 
 
 def decompress(raw: memoryview, size: int, where: str) -> NDArray[np.uint8]:
-    """The bytes of a blosc2 chunk, which must be exactly ``size`` when unpacked."""
+    """Decompress a blosc2 chunk to exactly ``size`` bytes; WireError for anything else."""
     blosc2 = _blosc2(where)
-    if len(raw) < 32:  # the library reads its 32-byte chunk header without asking how much there is
-        raise WireError(f"{where}: {len(raw)} bytes are no blosc2 chunk")
+    if len(raw) < 32:  # the library reads its 32-byte chunk header without checking the length
+        raise WireError(f"{where}: {len(raw)} bytes are not a blosc2 chunk")
     unpacked = int.from_bytes(raw[4:8], "little")
     packed = int.from_bytes(raw[12:16], "little")
     if packed != len(raw) or unpacked != size:
@@ -51,6 +51,6 @@ def decompress(raw: memoryview, size: int, where: str) -> NDArray[np.uint8]:
     out = np.empty(size, np.uint8)
     try:
         blosc2.decompress2(raw.tobytes(), dst=out)
-    except Exception as error:  # the library has several kinds, none documented
-        raise WireError(f"{where}: blosc2 cannot unpack it: {error}") from None
+    except Exception as error:  # the library raises several undocumented types
+        raise WireError(f"{where}: blosc2 cannot decompress it: {error}") from None
     return out

@@ -1,14 +1,14 @@
-"""What can go wrong for a subscriber, each with a name to catch."""
+"""The errors of the client."""
 
 from __future__ import annotations
 
 
 class FringedError(RuntimeError):
-    """Root of the client's errors."""
+    """Base class of the client's errors."""
 
 
 class WireError(FringedError):
-    """A message that does not follow the stream's format; the message tells where."""
+    """A received message violates the stream's format; the text names the part."""
 
 
 class CodecMissingError(WireError):
@@ -16,8 +16,8 @@ class CodecMissingError(WireError):
 
 
 class SilenceError(FringedError, TimeoutError):
-    """No cloud came within the time-out."""
+    """No cloud was received within the time-out."""
 
 
 class KeyFileError(FringedError):
-    """A key file that cannot be used; the message tells file and line, never the key."""
+    """A key file cannot be used; the text names file and line, never the key."""

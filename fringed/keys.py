@@ -1,7 +1,7 @@
-"""Keys for a daemon on another machine: who may connect, and that it is really that daemon (CURVE of ZeroMQ).
+"""Keys for a daemon on another machine, which authenticate client and daemon (CURVE of ZeroMQ).
 
-A key file has a line for each value, ``name: text``; lines that begin with ``#`` are comments. ``*.pub`` holds what
-everybody may know, ``*.key`` the secret as well.
+A key file has a line for each value, ``name: text``; lines that begin with ``#`` are comments. ``*.pub`` holds the
+public key, ``*.key`` the secret as well.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ _FIELDS = ("name", "public", "secret")
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key: ``public`` and ``secret`` are 40 characters of Z85; no secret: only what everybody may know."""
+    """One key: ``public`` and ``secret`` are 40 characters of Z85; ``secret`` is None for a public key."""
 
     name: str
     public: str
     secret: str | None = None
 
     def text(self, *, secret: bool) -> str:
-        """The contents of a file with it."""
-        about = "Keep it to yourself: it lets its owner in." if secret else "Not secret: give it to the other side."
-        lines = [f"# A key of fringed. {about}", f"name: {self.name}", f"public: {self.public}"]
+        """Return the contents of a key file."""
+        comment = "Secret: its owner can connect." if secret else "Not secret: give it to the other side."
+        lines = [f"# A key of fringed. {comment}", f"name: {self.name}", f"public: {self.public}"]
         return "\n".join([*lines, *([f"secret: {self.secret}"] if secret else [])]) + "\n"
 
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """What a client needs: its own pair, and the public key of the daemon."""
+    """Keys of a client: its own pair and the public key of the daemon."""
 
     public: str
     secret: str
@@ -47,71 +47,73 @@ class Keys:
 
     @classmethod
     def load(cls, key: str | Path, server_key: str | Path) -> Keys:
-        """The keys of two files.
+        """Load the keys of two files.
 
         Args:
-            key: ``NAME.key``, made by ``fringed keys new NAME``; server_key: ``server.pub`` of the daemon.
+            key: ``NAME.key`` from ``fringed keys new NAME``; server_key: ``server.pub`` of the daemon.
 
         Raises:
-            KeyFileError: a file that is no key, or a secret that others can read.
+            KeyFileError: a file is not a key, or others can read the secret.
         """
         own, server = read_key(Path(key), secret=True), read_key(Path(server_key))
         return cls(own.public, str(own.secret), server.public)
 
     def apply(self, socket: zmq.Socket[Any]) -> None:
-        """Let a socket that is not connected yet use them."""
+        """Set the keys of a socket before it connects."""
         socket.setsockopt(zmq.CURVE_SERVERKEY, self.server.encode())
         socket.setsockopt(zmq.CURVE_PUBLICKEY, self.public.encode())
         socket.setsockopt(zmq.CURVE_SECRETKEY, self.secret.encode())
 
 
 def new_key(name: str) -> Key:
-    """A fresh pair."""
+    """Create a new pair."""
     if not is_name(name):
-        raise KeyFileError(f"{name!r:.80} is no name of a key: letters, digits, '.', '_' and '-', at most 64")
+        raise KeyFileError(f"{name!r:.80} is not a name of a key: letters, digits, '.', '_' and '-', at most 64")
     public, secret = zmq.curve_keypair()
     return Key(name, public.decode(), secret.decode())
 
 
 def is_name(text: str) -> bool:
-    """Whether a key can have this name."""
+    """Return whether a key can have this name."""
     return bool(_NAME.fullmatch(text))
 
 
 def is_z85(text: str) -> bool:
-    """Whether a text is 32 bytes in Z85, written in the only way that gives these bytes."""
+    """Return whether a text is the canonical Z85 encoding of 32 bytes."""
     if len(text) != 40 or not text.isascii():
         return False
     try:
         data: bytes = z85.decode(text.encode())
         return z85.encode(data) == text.encode()
-    except Exception:  # whatever the decoder stumbles over, it is no key
+    except Exception:  # the decoder raises several types for invalid text
         return False
 
 
 def read_key(path: Path, *, secret: bool = False) -> Key:
-    """The key of a file; ``secret``: the secret must be there, and hidden from others.
+    """Read the key of a file; ``secret``: it must hold the secret, unreadable for others.
 
     Raises:
-        KeyFileError: with file and line, and what to do.
+        KeyFileError: with file, line and next step.
     """
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_BYTES:
             raise KeyFileError(f"{path}: not a key file (a plain file of at most {MAX_BYTES} bytes)")
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise KeyFileError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not text'}") from error
+    except OSError as error:
+        raise KeyFileError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise KeyFileError(f"{path}: cannot be read: not text") from error
     key = parse_key(text, str(path))
     if key.secret is not None and status.st_mode & (stat.S_IRWXO | stat.S_IWGRP):
-        raise KeyFileError(f"{path}: others can read or change this secret; chmod 600 {path}, better make a new key")
+        raise KeyFileError(f"{path}: others can read or change this secret; chmod 600 {path}, better create a new key")
     if secret and key.secret is None:
         raise KeyFileError(f"{path}: no secret in it; name the file that ends with .key")
     return key
 
 
 def parse_key(text: str, where: str) -> Key:
-    """The key of a text; ``where`` stands in the messages."""
+    """Parse the key of a text; messages begin with ``where``."""
     values: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -120,7 +122,7 @@ def parse_key(text: str, where: str) -> Key:
         if not colon or field not in _FIELDS:
             raise KeyFileError(f"{where}:{number}: expected one of {', '.join(_FIELDS)} with a colon")
         if field in values:
-            raise KeyFileError(f"{where}:{number}: {field} stands here twice")
+            raise KeyFileError(f"{where}:{number}: {field} is defined twice")
         if not (is_name(value) if field == "name" else is_z85(value)):
             raise KeyFileError(f"{where}:{number}: {_expected(field)}")
         values[field] = value
@@ -129,11 +131,11 @@ def parse_key(text: str, where: str) -> Key:
             raise KeyFileError(f"{where}: {field} is missing")
     key = Key(values["name"], values["public"], values.get("secret"))
     if key.secret is not None and zmq.curve_public(key.secret.encode()).decode() != key.public:
-        raise KeyFileError(f"{where}: public and secret do not belong together; make a new key")
+        raise KeyFileError(f"{where}: public and secret do not match; create a new key")
     return key
 
 
 def _expected(field: str) -> str:
     if field == "name":
         return "a name has letters, digits, '.', '_' and '-', at most 64"
-    return f"the {field} key is not 40 characters of Z85"  # the value itself may be a secret: never shown
+    return f"the {field} key is not 40 characters of Z85"  # the value itself may be a secret

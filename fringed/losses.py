@@ -1,4 +1,4 @@
-"""Losses seen by a subscriber: gaps in the numbers of the clouds of one session."""
+"""Count of lost clouds: gaps in the sequence numbers of one session."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ _MODULUS = 1 << 32
 
 
 class Losses:
-    """Counts the numbers that were passed over; a new session starts afresh, numbers wrap at 2**32."""
+    """Counts the missing sequence numbers; a new session starts a new sequence, numbers wrap at 2**32."""
 
     def __init__(self) -> None:
         self.count = 0
         self._session: str | None = None
         self._last = 0
 
-    def see(self, session: str, seq: int) -> None:
-        """Take note of a message."""
+    def add(self, session: str, seq: int) -> None:
+        """Add the number of a received message."""
         if session == self._session:
             step = (seq - self._last) % _MODULUS
             if step == 0 or step >= _MODULUS // 2:

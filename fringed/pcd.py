@@ -1,4 +1,4 @@
-"""Clouds as PCD 0.7 files: binary, the known points alone."""
+"""Clouds as PCD 0.7 files: binary, valid points only."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ROW = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
 
 
 def pcd_bytes(xyz: NDArray[np.float32], gray: NDArray[np.uint8]) -> bytes:
-    """The bytes of a PCD file; lengths in millimetres.
+    """Encode a cloud as a PCD file; lengths in millimetres.
 
     Args:
         xyz: (..., 3), mm; points that are not finite are left out.

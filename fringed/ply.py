@@ -1,4 +1,4 @@
-"""Clouds as PLY files: binary, little-endian, the valid points alone."""
+"""Clouds as PLY files: binary, little-endian, valid points only."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 
 def ply_bytes(xyz: NDArray[np.float32], gray: NDArray[np.uint8] | None = None) -> bytes:
-    """The bytes of a PLY file.
+    """Encode a cloud as a PLY file; lengths in millimetres.
 
     Args:
         xyz: (..., 3), mm; points that are not finite are left out.
-        gray: (...) texture, written as red, green and blue so that every viewer shows it.
+        gray: (...) texture, written as equal red, green and blue, which viewers support.
     """
     valid = np.isfinite(xyz).all(axis=-1)
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]

@@ -1,4 +1,4 @@
-"""The socket below every subscriber: connects, reconnects, never keeps more than a few messages."""
+"""The socket of every subscriber: connects, reconnects, and keeps few messages."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from fringed.keys import Keys
 
 
 class Receiver:
-    """Messages of some topics, one thread only. The connection is made, and made again, in the background.
+    """Receives messages of some topics in one thread; connects and reconnects in the background.
 
     Args:
         endpoint: of the daemon's stream; topics: prefixes.
         queue: messages that wait here before further ones are lost.
-        keys: for a daemon on another machine; a key that is allowed later gets in by itself.
+        keys: for a daemon on another machine; a key that is authorised later connects by itself.
 
     Raises:
-        FringedError: an endpoint that ZeroMQ cannot connect to.
+        FringedError: ZeroMQ cannot connect to the endpoint.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Receiver:
         for option, value in _OPTIONS.items():
             self.socket.setsockopt(option, value)
         self.socket.setsockopt(zmq.RCVHWM, queue)
-        if keys is not None and not endpoint.startswith("ipc://"):  # which is this machine's and plain
+        if keys is not None and not endpoint.startswith("ipc://"):  # ipc stays on this machine and needs no keys
             keys.apply(self.socket)
         try:
             for topic in topics:
@@ -53,32 +53,32 @@ class Receiver:
             ) from None
 
     def poll(self, timeout_s: float) -> bool:
-        """Wait until something is there."""
+        """Wait for a message; return whether there is one."""
         return bool(self.socket.poll(max(0, round(1000 * timeout_s))))
 
     def take(self) -> list[Any] | None:
-        """The frames of the next message, or None; does not wait."""
+        """Return the frames of the next message, or None; does not wait."""
         try:
             return self.socket.recv_multipart(zmq.NOBLOCK, copy=False)
         except zmq.Again:
             return None
 
     def receive(self, timeout_s: float) -> wire.Message | None:
-        """The next message, decoded, or None when none comes in time.
+        """Return the next message, decoded, or None when none comes in time.
 
         Raises:
-            WireError: a message that does not follow the format; the next call goes on after it.
+            WireError: a message violates the format; the next call continues after it.
         """
         frames = self.take() if self.poll(timeout_s) else None
         return None if frames is None else wire.decode(frames)
 
-    def ask_again(self, topic: str) -> None:
-        """Subscribe anew, which makes the daemon send what it retains of this topic."""
+    def request_again(self, topic: str) -> None:
+        """Subscribe again, upon which the daemon sends the retained message of this topic."""
         self.socket.unsubscribe(topic)
         self.socket.subscribe(topic)
 
     def close(self) -> None:
-        """Let go of the socket; may be called twice."""
+        """Close the socket; may be called twice."""
         self.socket.close(linger=0)
         if self._own:
             self._context.term()
@@ -90,8 +90,8 @@ class Receiver:
         self.close()
 
 
-# A dead peer is noticed by the keep-alive of TCP, within seconds. Not by the heartbeats of ZeroMQ: with a short queue
-# they end the process of a slow reader (libzmq #3937, "Assertion failed: _input_stopped").
+# TCP keep-alive detects a dead peer within seconds. ZeroMQ's heartbeats are not used: with a short queue they end the
+# process of a slow reader (libzmq #3937, "Assertion failed: _input_stopped").
 _OPTIONS = {
     zmq.LINGER: 0,
     zmq.TCP_KEEPALIVE: 1,

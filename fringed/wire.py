@@ -1,7 +1,7 @@
 """The stream's messages, version 1: ``[topic][header][part 0][part 1]...``.
 
 The header is UTF-8 JSON of at most 4 KiB; parts are little-endian, C order, one for each row of ``header.parts``.
-Decoding is strict about everything that a size or a type hangs on, and passes over keys that it does not know.
+Decoding is strict about everything that determines a size or a type, and ignores unknown keys.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Side = Annotated[int, Meta(ge=0, le=MAX_SIDE)]
 
 
 class Part(Struct, frozen=True, kw_only=True):
-    """A row of ``header.parts``; where ``scale`` stands, value = stored * scale + offset and 0 stored is unknown."""
+    """A row of ``header.parts``; with ``scale``, value = stored * scale + offset, and a stored 0 means unknown."""
 
     name: Name
     dtype: str
@@ -46,7 +46,7 @@ class Part(Struct, frozen=True, kw_only=True):
 
 
 class Header(Struct, frozen=True, kw_only=True):
-    """What every message tells; ``t_ns`` is CLOCK_REALTIME, for clouds the start of exposure."""
+    """Header of every message; ``t_ns`` is CLOCK_REALTIME, for clouds the start of exposure."""
 
     kind: Name
     v: Count = VERSION
@@ -60,7 +60,7 @@ class Header(Struct, frozen=True, kw_only=True):
 
 
 class CloudHeader(Header, frozen=True, kw_only=True):
-    """Header of a cloud: organised on the left camera's grid of ``width`` x ``height`` pixels."""
+    """Header of a cloud, organised on the left camera's grid of ``width`` x ``height`` pixels."""
 
     frame: str = "left"
     unit: str = "mm"
@@ -83,7 +83,7 @@ class Message:
     arrays: dict[str, Array]
 
     def part(self, name: str) -> Part:
-        """The row of an array."""
+        """Return the row of an array."""
         return next(part for part in self.header.parts if part.name == name)
 
 
@@ -100,7 +100,7 @@ def encode(
     *,
     rows: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> list[Any]:
-    """Frames of a message, ready for ``send_multipart``.
+    """Encode a message as frames for ``send_multipart``.
 
     Args:
         topic: ASCII; header: its ``parts`` are filled in here.
@@ -108,7 +108,7 @@ def encode(
         rows: further keys of an array's row, by name: ``codec``, ``scale``, ``offset``, ``media``.
 
     Raises:
-        WireError: a header over 4 KiB, an array of a type that the format does not know.
+        WireError: a header over 4 KiB, or an array of an unsupported type.
     """
     parts, bodies = [], []
     for name, array in (arrays or {}).items():
@@ -122,27 +122,27 @@ def encode(
 
 
 def decode(frames: Sequence[Any]) -> Message:
-    """The message in these frames (bytes, memoryviews or ``zmq.Frame``); its arrays are views of them.
+    """Decode the message in these frames (bytes, memoryviews or ``zmq.Frame``); its arrays are views of them.
 
     Raises:
-        WireError: anything that does not follow the format.
+        WireError: the message violates the format.
         CodecMissingError: a part needs a package that is not installed.
     """
     topic, header = decode_header(frames)
     if len(frames) != 2 + len(header.parts):
-        raise WireError(f"{topic}: {len(frames) - 2} parts came, the header tells of {len(header.parts)}")
+        raise WireError(f"{topic}: {len(frames) - 2} parts received, the header lists {len(header.parts)}")
     arrays: dict[str, Array] = {}
     for part, frame in zip(header.parts, frames[2:], strict=True):
         if part.name in arrays:
-            raise WireError(f"{topic}: two parts are called {part.name!r}")
+            raise WireError(f"{topic}: two parts are named {part.name!r}")
         arrays[part.name] = _decode_part(topic, part, _view(frame))
     return Message(topic, header, arrays)
 
 
 def decode_header(frames: Sequence[Any]) -> tuple[str, Header]:
-    """Topic and header alone; the parts are not looked at."""
+    """Decode topic and header only; the parts are not checked."""
     if len(frames) < 2:
-        raise WireError(f"a message has at least a topic and a header, {len(frames)} frames came")
+        raise WireError(f"a message has at least a topic and a header, {len(frames)} frames received")
     return _topic(_view(frames[0])), _header(_view(frames[1]))
 
 
@@ -165,12 +165,12 @@ def _header(raw: memoryview) -> Header:
         raise WireError(f"header of {len(raw)} bytes, limit {MAX_HEADER_BYTES}")
     try:
         text = raw.tobytes().decode("utf-8")
-        told = _version_decoder.decode(text)
-        if told.v != VERSION:
+        version = _version_decoder.decode(text)
+        if version.v != VERSION:
             raise WireError(
-                f"message version {told.v}; this reader knows version {VERSION}: update the fringed package"
+                f"message version {version.v}; this client supports version {VERSION}: update the fringed package"
             )
-        return _decoders.get(told.kind, _plain_decoder).decode(text)
+        return _decoders.get(version.kind, _plain_decoder).decode(text)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise WireError(f"header: {error}") from None
 
@@ -187,7 +187,7 @@ def _decode_part(topic: str, part: Part, raw: memoryview) -> Array:
         raise WireError(f"{where}: {size} bytes, limit {MAX_PART_BYTES}")
     body: Any = raw if part.codec == "none" else codecs.decompress(raw, size, where)
     if len(body) != size:
-        raise WireError(f"{where}: {len(body)} bytes came, shape {list(part.shape)} of {part.dtype} takes {size}")
+        raise WireError(f"{where}: {len(body)} bytes received, shape {list(part.shape)} of {part.dtype} needs {size}")
     return np.frombuffer(body, dtype).reshape(part.shape)
 
 

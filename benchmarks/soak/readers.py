@@ -31,7 +31,7 @@ class Reader:
         while (frames := self.receiver.take()) is not None:
             _, header = wire.decode_header(frames)
             self.received += 1
-            self.losses.see(header.session, header.seq)
+            self.losses.add(header.session, header.seq)
             self.latencies_ms.append((time.time_ns() - header.t_ns) / 1e6)
 
     def forget(self) -> None:

@@ -90,4 +90,4 @@ class NewestMessages:
             _, header = wire.decode_header(frames)
         except WireError:
             return
-        self._losses.see(header.session, header.seq)
+        self._losses.add(header.session, header.seq)

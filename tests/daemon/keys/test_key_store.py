@@ -40,12 +40,12 @@ def test_a_key_comes_back_from_its_files_as_it_was(tmp_path: Path) -> None:
         (lambda text: text.replace("name: laptop", "name: ../x"), "k:2: a name has"),
         (lambda text: text.replace("public: ", "public: x"), "k:3: the public key is not"),
         (lambda text: text.replace("secret: ", "secret: x"), "k:4: the secret key is not"),
-        (lambda text: text + "name: laptop\n", "k:5: name stands here twice"),
+        (lambda text: text + "name: laptop\n", "k:5: name is defined twice"),
         (lambda text: text + "what\n", "k:5: expected one of"),
         (lambda text: text.replace("name", "#name"), "k: name is missing"),
         (
             lambda text: parse_key(text, "k").text(secret=True).replace(text[-41:-1], new_key("x").secret or ""),
-            "belong",
+            "do not match",
         ),
     ],
 )

@@ -151,10 +151,10 @@ def test_every_frame_mode_gives_them_all_in_order() -> None:
 def test_gaps_in_the_numbers_are_losses() -> None:
     losses = Losses()
     for session, seq in (("a", 5), ("a", 6), ("a", 9), ("a", 9), ("a", 8), ("a", 10), ("b", 100), ("b", 101)):
-        losses.see(session, seq)
+        losses.add(session, seq)
     assert losses.count == 2
     for seq in ((1 << 32) - 1, 1):
-        losses.see("c", seq)
+        losses.add("c", seq)
     assert losses.count == 3
 
 
