@@ -27,9 +27,14 @@ _starting = threading.Lock()
 _thread: threading.Thread | None = None
 
 
+def set_death_signal(number: signal.Signals) -> None:
+    """Let the kernel send a signal to this process when the thread that started it ends."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
+
+
 def die_with_parent(parent: int) -> None:
     """Let the kernel kill this child process when the thread that started it ends; called in the child."""
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    set_death_signal(signal.SIGKILL)
     if os.getppid() != parent:
         raise SystemExit("the process that started this one is gone")
 

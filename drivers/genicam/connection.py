@@ -208,9 +208,9 @@ def _find_temporary_directory() -> None:
     try:
         tempfile.gettempdir()
     except FileNotFoundError:
-        for place in (*(os.environ.get(name, "").split(":")[0] for name in _TEMPORARY), "/dev/shm"):  # noqa: S108
-            if place and os.access(place, os.W_OK):
-                tempfile.tempdir = place
+        for directory in (*(os.environ.get(name, "").split(":")[0] for name in _TEMPORARY), "/dev/shm"):  # noqa: S108
+            if directory and os.access(directory, os.W_OK):
+                tempfile.tempdir = directory
                 return
         raise DriverError(
             "no directory for temporary files; under systemd set PrivateTmp=yes or RuntimeDirectory="

@@ -5,7 +5,6 @@ It ends with its socket, its parent, the X server or the window; a watchdog ends
 
 from __future__ import annotations
 
-import ctypes
 import faulthandler
 import os
 import selectors
@@ -15,6 +14,7 @@ import sys
 import time
 from types import FrameType
 
+from drivers.child_process import set_death_signal
 from drivers.errors import DriverError, SettingRefused
 from drivers.projector.messages import (
     Close,
@@ -33,7 +33,6 @@ from drivers.projector.xlib import Connection, catch_errors
 
 HEARTBEAT_S = 1.0
 WATCHDOG_S = 30.0
-PR_SET_PDEATHSIG = 1
 
 
 class ParentDiedError(Exception):
@@ -183,7 +182,7 @@ def main(number: str) -> int:
     sock = socket.socket(fileno=int(number))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, who closes us
     signal.signal(signal.SIGTERM, _parent_died)
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    set_death_signal(signal.SIGTERM)
     faulthandler.dump_traceback_later(WATCHDOG_S, exit=True)
     return Child(sock).run()
 

@@ -80,7 +80,7 @@ class OutputSetup:
         attributes = xlib.XSetWindowAttributes(override_redirect=1)
         self._x.lib.XChangeWindowAttributes(self._x.handle, windows[0], xlib.CW_OVERRIDE_REDIRECT, byref(attributes))
         self._x.lib.XSelectInput(self._x.handle, windows[0], xlib.VISIBILITY_CHANGE | xlib.STRUCTURE_NOTIFY)
-        self._place()
+        self._place_window()
 
     def take_events(self) -> bool:
         """Handle the connection's events; return whether anything changed that :meth:`problem` should check."""
@@ -160,7 +160,7 @@ class OutputSetup:
         if self._windows is None:
             return ""
         if self._geometry() != self._rectangle():
-            self._place()
+            self._place_window()
             now = self._geometry()
             if now != self._rectangle():
                 return f"another program moves the window: {now} (x, y, width, height), not {self._rectangle()}"
@@ -172,7 +172,7 @@ class OutputSetup:
                 return f"another window covers the image on output {self.output.name}"
         return ""
 
-    def _place(self) -> None:
+    def _place_window(self) -> None:
         assert self._windows is not None  # noqa: S101 - for the type checker
         x, y, width, height = self._rectangle()
         self._x.lib.XMoveResizeWindow(self._x.handle, self._windows[0], x, y, width, height)

@@ -59,8 +59,8 @@ class WindowProcess:
         self.stderr.close()
         self.sock.close()
         lines = self._output.decode(errors="replace").strip().splitlines()
-        how = f"signal {-status}" if status < 0 else f"exit status {status}"
-        return f"{lines[-1][:300]} ({how})" if lines else how
+        ending = f"signal {-status}" if status < 0 else f"exit status {status}"
+        return f"{lines[-1][:300]} ({ending})" if lines else ending
 
     def kill(self) -> None:
         """Kill it."""

@@ -125,7 +125,7 @@ class Stream:
         with contextlib.suppress(DriverError):
             self.stop()
         for memory in self._maps:
-            with contextlib.suppress(BufferError, OSError):  # a view is still alive: the mapping goes with it
+            with contextlib.suppress(BufferError, OSError):  # a view still exists: the mapping is freed with it
                 memory.close()
         self._maps.clear()
         with contextlib.suppress(DriverError):

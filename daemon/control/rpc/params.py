@@ -11,7 +11,7 @@ from daemon.control.rpc.protocol import INVALID_PARAMS, RpcError
 def number(
     params: Mapping[str, Any], key: str, default: float, least: float, most: float, *, whole: bool = False
 ) -> float:
-    """Return a number between two limits, ``whole`` ones only if asked for."""
+    """Return a number between two limits, a whole one if ``whole``."""
     value = params.get(key, default)
     kind = int if whole else int | float
     if isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:

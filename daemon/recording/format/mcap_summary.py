@@ -49,7 +49,7 @@ class Contents:
         self,
         offset: int,
         length: int,
-        places: list[tuple[int, int, int]],
+        entries: list[tuple[int, int, int]],
         indexes: list[bytes],
         compression: str,
         stored: int,
@@ -58,11 +58,11 @@ class Contents:
         """Add the chunk at this offset, directly followed by its message indexes.
 
         Args:
-            places: (channel, log_ns, offset in the chunk) of every message; indexes: one a channel, by its number.
+            entries: (channel, log_ns, offset in the chunk) of every message; indexes: one a channel, by its number.
             stored, size: bytes with and without compression.
         """
-        times = [log_ns for _, log_ns, _ in places]
-        channels = sorted({number for number, _, _ in places})
+        times = [log_ns for _, log_ns, _ in entries]
+        channels = sorted({number for number, _, _ in entries})
         starts, at = {}, offset + length
         for number, index in zip(channels, indexes, strict=True):
             starts[number] = at
@@ -80,7 +80,7 @@ class Contents:
                 uncompressed_size=size,
             )
         )
-        self.messages.update(number for number, _, _ in places)
+        self.messages.update(number for number, _, _ in entries)
         self.first_ns = min(times) if self.first_ns is None else min(self.first_ns, *times)
         self.last_ns = max(self.last_ns, *times)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from daemon.recording.format.part_names import CALIBRATION, PATTERN, RIG, VOLUME
 from daemon.recording.read.part_reader import PartReader
-from daemon.recording.read.take_reader import TakeReader
+from daemon.recording.read.take_reader import Counts, TakeReader
 from drivers.protocols import SIDES, TRIGGER_MODULUS, Frame, Side
 from pipeline.common.errors import PipelineError
 
@@ -18,13 +18,9 @@ _MAX_GAPS = 8
 
 
 @dataclass(slots=True)
-class _Tally:
+class _Tally(Counts):
     """Totals over the frames of a take."""
 
-    frames: Counter[Side] = field(default_factory=Counter)
-    pairs: int = 0
-    unpaired: Counter[Side] = field(default_factory=Counter)
-    duplicates: Counter[Side] = field(default_factory=Counter)
     images: Counter[str] = field(default_factory=Counter)
     numbers: set[int] = field(default_factory=set)
     times_ns: list[int] = field(default_factory=list)
@@ -37,16 +33,16 @@ class _Tally:
         self.unpaired["left"] += len(left - right)
         self.unpaired["right"] += len(right - left)
 
-    def frame(self, frame: Frame, seen: dict[Side, set[int]]) -> None:
+    def frame(self, frame: Frame, triggers: dict[Side, set[int]]) -> None:
         """Add a frame."""
         self.frames[frame.side] += 1
         height, width = frame.image.shape[:2]
         self.images[f"{frame.side} {frame.encoding} {width} x {height}"] += 1
         self.last = unwrapped(frame.trigger, self.last)
-        if frame.trigger in seen[frame.side]:
+        if frame.trigger in triggers[frame.side]:
             self.duplicates[frame.side] += 1
             return
-        seen[frame.side].add(frame.trigger)
+        triggers[frame.side].add(frame.trigger)
         if self.last not in self.numbers:
             self.numbers.add(self.last)
             self.times_ns.append(frame.t_exposure_ns)
@@ -74,12 +70,12 @@ def inspect(take: TakeReader, progress: Callable[[int], Any] | None = None) -> d
     """
     tally, done = _Tally(), 0
     for part in take.parts:
-        seen: dict[Side, set[int]] = {side: set() for side in SIDES}
+        triggers: dict[Side, set[int]] = {side: set() for side in SIDES}
         for frame, location in part.frames():
-            tally.frame(frame, seen)
+            tally.frame(frame, triggers)
             if progress is not None:
                 progress(done + location.chunk.offset)
-        tally.part(seen)
+        tally.part(triggers)
         done += part.index.size
     files = [_file(part) for part in take.parts]
     return {

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from daemon.recording.format.errors import TakeError
@@ -79,7 +78,7 @@ class TakeReader:
     def __enter__(self) -> TakeReader:
         return self
 
-    def __exit__(self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _add_part(self, path: Path) -> None:
@@ -162,11 +161,6 @@ class TakeReader:
         return data, f"{self.path}:{name}"
 
     @property
-    def summary(self) -> Counts:
-        """The counts of the last iteration."""
-        return self.counts
-
-    @property
     def truncated_at(self) -> int | None:
         """First lost byte of the first part that has no end; None for a take whose parts all have one."""
         return next((part.index.readable_to for part in self._parts if not part.index.whole), None)
@@ -208,22 +202,22 @@ class _Matcher:
 
     def __init__(self, part: PartReader, counts: Counts) -> None:
         self._part, self._counts = part, counts
-        self._seen: dict[Side, set[int]] = {"left": set(), "right": set()}
+        self._numbers: dict[Side, set[int]] = {"left": set(), "right": set()}
         self._waiting: OrderedDict[tuple[Side, int], FrameLocation] = OrderedDict()
-        self._held: OrderedDict[tuple[Side, int], Frame] = OrderedDict()
+        self._frames: OrderedDict[tuple[Side, int], Frame] = OrderedDict()
 
     def match(self, frame: Frame, location: FrameLocation) -> TakePair | None:
         """Return the pair that this frame completes, if any."""
-        if frame.trigger in self._seen[frame.side]:
+        if frame.trigger in self._numbers[frame.side]:
             self._counts.duplicates[frame.side] += 1
             return None
-        self._seen[frame.side].add(frame.trigger)
+        self._numbers[frame.side].add(frame.trigger)
         other: Side = "right" if frame.side == "left" else "left"
         key = (other, frame.trigger)
         if key not in self._waiting:
             self._wait(frame, location)
             return None
-        partner = self._held.pop(key, None) or self._part.frame_at(self._waiting[key])
+        partner = self._frames.pop(key, None) or self._part.frame_at(self._waiting[key])
         del self._waiting[key]
         if partner is None:
             self._counts.unpaired[frame.side] += 1
@@ -239,9 +233,9 @@ class _Matcher:
     def _wait(self, frame: Frame, location: FrameLocation) -> None:
         key = (frame.side, frame.trigger)
         self._waiting[key] = location
-        self._held[key] = frame
-        if len(self._held) > WAITING_FRAMES:
-            self._held.popitem(last=False)
+        self._frames[key] = frame
+        if len(self._frames) > WAITING_FRAMES:
+            self._frames.popitem(last=False)
 
     def finish(self) -> None:
         """Count the frames that still wait as unpaired."""

@@ -72,7 +72,7 @@ class PartChain:
         self._finished: deque[_Finished] = deque()
         self.part: PartWriter | None = None
         self.files: tuple[str, ...] = ()
-        self.begun = self.removed = self.removed_bytes = 0
+        self.opened = self.removed = self.removed_bytes = 0
         self.begin()
 
     def begin(self, continues: str = "") -> None:
@@ -95,7 +95,7 @@ class PartChain:
         else:
             raise FileExistsError(errno.EEXIST, "a hundred parts of this name exist", str(self._path))
         self.part, self._number, self._frames = part, number, 0
-        self.begun += 1
+        self.opened += 1
         self.files = (*self.files[1 - _LISTED_FILES :], str(part.partial))
 
     def handle(self) -> int | None:
@@ -177,7 +177,7 @@ class PartChain:
         part.abandon()
         if self._frames:
             log.warning("%s stays unfinished, up to its last whole pair it can be read: %s", part.partial, error)
-        elif self.begun > 1:
+        elif self.opened > 1:
             with suppress(OSError):  # nothing is in it
                 part.partial.unlink()
                 self.files = self.files[:-1]

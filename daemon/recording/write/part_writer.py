@@ -107,35 +107,35 @@ class PartWriter:
     def write(self, *frames: Frame) -> None:
         """Write frames that belong together as one chunk; ImageError, and nothing written, if one is invalid."""
         records: list[_Piece] = []
-        places: list[tuple[int, int, int]] = []
+        entries: list[tuple[int, int, int]] = []
         size = 0
         for frame in frames:
             head, pixels = pieces(frame.t_exposure_ns, frame.side, frame.encoding, frame.image)
             number, length = CHANNELS[frame.side], 22 + len(head) + len(pixels)
-            places.append((number, frame.t_host_ns, size))
+            entries.append((number, frame.t_host_ns, size))
             fields = (number, frame.trigger, frame.t_host_ns, frame.t_exposure_ns)
             records += [struct.pack("<BQHIQQ", Opcode.MESSAGE, length, *fields) + head, pixels]
             size += RECORD_HEAD + length
-        self._chunk(records, size, places)
+        self._chunk(records, size, entries)
 
-    def _chunk(self, records: list[_Piece], size: int, places: list[tuple[int, int, int]]) -> None:
+    def _chunk(self, records: list[_Piece], size: int, entries: list[tuple[int, int, int]]) -> None:
         crc = 0
         for piece in records:
             crc = zlib.crc32(piece, crc)
         stored: list[_Piece] = records if self._compress is None else [self._compress(b"".join(records))]
         stored_size = sum(map(len, stored))
         name = self._compression.encode()
-        times = [log_ns for _, log_ns, _ in places]
+        times = [log_ns for _, log_ns, _ in entries]
         length = 40 + len(name) + stored_size
         head = struct.pack("<BQQQQII", Opcode.CHUNK, length, min(times), max(times), size, crc, len(name)) + name
         head += struct.pack("<Q", stored_size)
         indexes = [
-            _bytes(mcap_records.MessageIndex(number, [(log_ns, at) for n, log_ns, at in places if n == number]))
-            for number in sorted({number for number, _, _ in places})
+            _bytes(mcap_records.MessageIndex(number, [(log_ns, at) for n, log_ns, at in entries if n == number]))
+            for number in sorted({number for number, _, _ in entries})
         ]
         start = self._end
         self._append([head, *stored, *indexes])
-        self._contents.chunk(start, RECORD_HEAD + length, places, indexes, self._compression, stored_size, size)
+        self._contents.chunk(start, RECORD_HEAD + length, entries, indexes, self._compression, stored_size, size)
 
     def _append(self, data: Sequence[_Piece]) -> None:
         """Write pieces in one call; truncate what a full disk has taken of them."""

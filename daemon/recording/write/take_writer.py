@@ -129,7 +129,7 @@ class TakeWriter:
             "recording": self._thread.is_alive() and not self._queue.closing and not progress.failed,
             "file": str(self._path),
             "files": list(chain.files),
-            "parts": chain.begun,
+            "parts": chain.opened,
             "queued": len(self._queue),
             "dropped": self._queue.drops(),
             "synced": self._sync.status(),

@@ -33,12 +33,12 @@ class TriggerLedger:
         """Return why these frames of one number must not be written into this part; None if they may."""
         for frame in frames:
             slot = frame.trigger % _SLOTS
-            held = int(self._parts[slot])
-            if not held or int(self._numbers[slot]) != frame.trigger:
+            written_in = int(self._parts[slot])
+            if not written_in or int(self._numbers[slot]) != frame.trigger:
                 continue
             if abs(int(self._times[slot]) - frame.t_exposure_ns) > self._tolerance_ns:
                 return NUMBER_CONFLICT
-            if held != part:
+            if written_in != part:
                 return PARTNER_IN_EARLIER_PART
         return None
 

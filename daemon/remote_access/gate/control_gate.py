@@ -26,7 +26,7 @@ from daemon.remote_access.gate.curve_socket import CurveSocket
 from fringed.keys import Key
 
 _MOST_WAITING, _MOST_WAITING_EACH = 256, 16
-_PATIENCE_S = 120.0
+_TIMEOUT_S = 120.0
 _PER_SECOND = 500.0  # requests forwarded; further ones wait in the senders' queues
 _AT_ONCE = 64
 
@@ -161,7 +161,7 @@ class ControlGate:
             self._waiting[self._number] = _Waiting(envelope, request["id"], time.monotonic())
 
     def _make_room(self, envelope: list[bytes]) -> None:
-        oldest_s = time.monotonic() - _PATIENCE_S
+        oldest_s = time.monotonic() - _TIMEOUT_S
         for number in [number for number, one in self._waiting.items() if one.since_s < oldest_s]:
             del self._waiting[number]
         own = sum(one.envelope[0] == envelope[0] for one in self._waiting.values())

@@ -70,7 +70,7 @@ class CurveSocket:
             elif event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 self.accepted += 1
 
-    def _open(self, server: Key, patience_s: float) -> None:
+    def _open(self, server: Key, timeout_s: float) -> None:
         self.socket: zmq.Socket[Any] = self._context.socket(self._kind)
         # Only where needed: IPv4 addresses would be reported in the form of IPv6.
         ipv6 = {zmq.IPV6: int(any("[" in endpoint for endpoint in self.endpoints))}
@@ -83,14 +83,14 @@ class CurveSocket:
         self.socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
         self.monitor = self.socket.get_monitor_socket(_FAILED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
         try:
-            self.endpoints = [self._bind(endpoint, patience_s) for endpoint in self.endpoints]
+            self.endpoints = [self._bind(endpoint, timeout_s) for endpoint in self.endpoints]
         except BaseException:
             self.close()
             raise
 
-    def _bind(self, endpoint: str, patience_s: float) -> str:
+    def _bind(self, endpoint: str, timeout_s: float) -> str:
         """Bind an address and return it with its real port; ZeroMQ may still be closing its earlier socket there."""
-        deadline_s = time.monotonic() + patience_s
+        deadline_s = time.monotonic() + timeout_s
         while True:
             with suppress(zmq.Again):
                 try:

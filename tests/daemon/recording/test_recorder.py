@@ -181,7 +181,7 @@ def test_the_status_has_a_line_for_it(tmp_path: Path) -> None:
     rig = Rig("before_s: 1")
     recorder = recorder_of(rig, tmp_path)
     rig.measures(recorder, 0, 10)
-    assert recorder_text(recorder.status()) == "off, 0.5 s before now kept"
+    assert recorder_text(recorder.status()) == "off, 0.5 s kept before a start"
     recorder.start("a")
     rig.measures(recorder, 10, 3)
     wait_until(lambda: recorder.status()["pairs"] == 3)

@@ -47,7 +47,7 @@ def test_what_was_written_is_read(tmp_path: Path, encoding: str, compression: st
     with TakeReader(path) as take:
         for number, read in enumerate(take.pairs()):
             assert_is(read, number, encoding)
-        assert take.summary.pairs == 3
+        assert take.counts.pairs == 3
         assert take.truncated_at is None
         assert take.problems == []
         assert take.attachments["calibration.yaml"] == CALIBRATION
@@ -89,9 +89,9 @@ def test_pairs_come_whatever_the_order_and_double_frames_are_ignored(tmp_path: P
         assert [p.sequence for p in pairs] == list(range(29, -1, -1))
         for read in pairs:
             assert_is(read, read.sequence)
-        assert dict(take.summary.duplicates) == {"left": 1, "right": 1}
-        assert dict(take.summary.unpaired) == {"left": 1}
-        assert dict(take.summary.frames) == {"left": 32, "right": 31}
+        assert dict(take.counts.duplicates) == {"left": 1, "right": 1}
+        assert dict(take.counts.unpaired) == {"left": 1}
+        assert dict(take.counts.frames) == {"left": 32, "right": 31}
         assert len(list(take.pairs())) == 30
 
 

@@ -35,11 +35,11 @@ def clock_sync() -> ClockSync:
     if is_installed("chronyc"):
         try:
             answer = run_program(["chronyc", "-c", "tracking"], _TIMEOUT_S)
-            found = chrony(answer.out) if answer.status == 0 else None
+            sync = chrony(answer.out) if answer.status == 0 else None
         except OSError:
-            found = None
-        if found is not None:
-            return found
+            sync = None
+        if sync is not None:
+            return sync
     return kernel() or (ClockSync("systemd", True) if _TIMESYNCD.exists() else ClockSync())
 
 
