@@ -1,1 +1,1 @@
-"""The report of a calibration: one HTML file that needs nothing else, neither scripts nor other files."""
+"""The report of a calibration: one HTML file without scripts or external files."""

@@ -1,1 +1,1 @@
-"""From the marks of all views to calibration.yaml: solved, checked, written, the old one kept."""
+"""From the marks of all views to calibration.yaml: solution, checks, report and file."""

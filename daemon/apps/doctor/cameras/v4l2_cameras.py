@@ -55,7 +55,7 @@ def camera_findings(
         return
     formats = {offer.fourcc: offer for offer in camera.formats}
     if options.format is not None and options.format not in formats:
-        text = f"{side}: {camera.node} does not offer {options.format}, but {', '.join(formats) or 'nothing'}"
+        text = f"{side}: {camera.node} does not offer {options.format}; it offers {', '.join(formats) or 'no format'}"
         yield area.problem(name, text, f"correct {key}.format")
         return
     offers = [formats[options.format]] if options.format is not None else list(formats.values())

@@ -61,7 +61,7 @@ def test_a_fitting_calibration_and_unusable_images_are_rejected(rig: Rig) -> Non
     with pytest.raises(CalibrationError, match="at least 2"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured[:1])
     empty = [tuple(np.full_like(image, 40) for image in pair) for pair in captured]
-    with pytest.raises(CalibrationError, match="smooth pieces"):
+    with pytest.raises(CalibrationError, match="smooth patches"):
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", empty)  # type: ignore[arg-type]
 
 

@@ -91,8 +91,8 @@ def test_a_daemon_reports_its_health(start: Start, fringed: Callable[..., subpro
         wait_until(
             lambda: (answer(client, "health") or {"values": {}})["values"].get("modulation_left_red") is not None, 60
         )
-        with urllib.request.urlopen(status["health"]["metrics"], timeout=30) as answer:
-            assert 'fringed_rule_open{rule="least_disk_free_gb"} 1' in answer.read().decode()
+        with urllib.request.urlopen(status["health"]["metrics"], timeout=30) as response:
+            assert 'fringed_rule_open{rule="least_disk_free_gb"} 1' in response.read().decode()
     endpoint = ("--endpoint", f"ipc://{directory}/c", "--timeout", "30")
     done = fringed("health", *endpoint, "--png", str(directory / "h.png"), "--html", str(directory / "h.html"))
     assert done.returncode == 0 and done.stdout.startswith("WARNING"), done.stdout + done.stderr
