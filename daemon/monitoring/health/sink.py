@@ -20,7 +20,6 @@ from daemon.monitoring.health.monitor import Monitor, number_or_none
 from daemon.monitoring.health.observe.clock_sync import ClockSync, clock_sync
 from daemon.monitoring.health.observe.host_probe import Probe, free_gb, memory_mb
 from daemon.monitoring.health.observe.illumination import Illumination
-from daemon.monitoring.health.prometheus.exposition import exposition
 from daemon.monitoring.health.prometheus.http_server import MetricsServer
 from daemon.monitoring.health.quantities import NAMES
 from daemon.rig.calibration_file import created_at, load_mapping
@@ -51,7 +50,11 @@ class Health:
         self._clock: Clock = clock or SystemClock()
         self._base_dir, health = base_dir, config.health
         self.monitor = Monitor(health)
-        self._metrics = None if health.metrics_port is None else MetricsServer(health.metrics_port, self.metrics)
+        self._metrics: MetricsServer | None = None
+        if health.metrics_port is not None:
+            from daemon.monitoring.health.prometheus.exposition import exposition  # loads prometheus_client
+
+            self._metrics = MetricsServer(health.metrics_port, lambda: exposition(self.report()))
         self._illumination, self._created = Illumination(rig.calibration, rig.pattern), _created(config, rig)
         self._takes = config.path(config.recording.dir, base_dir)
         self._queue: LatestWinsQueue[CloudItem | dict[str, Any]] = LatestWinsQueue(4)
@@ -140,10 +143,6 @@ class Health:
                 for column, name in enumerate(names)
             },
         }
-
-    def metrics(self) -> str:
-        """Return the report as Prometheus metrics."""
-        return exposition(self.report())
 
     def _run(self) -> None:
         with suppress(OSError):

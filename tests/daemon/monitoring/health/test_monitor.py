@@ -129,7 +129,9 @@ def test_the_reports_are_plain_and_bounded() -> None:
     text = report_text(report, [event.as_dict() for event in course.monitor.rules.events()])
     assert "ILL" in text and max(len(line) for line in text.splitlines()) <= 80
     page = exposition(report)
-    assert 'fringed_health{verdict="ill"} 1\n' in page and 'fringed_drops_total{reason="pairs_not_ready"} 3\n' in page
+    assert (
+        'fringed_health{verdict="ill"} 1.0\n' in page and 'fringed_drops_total{reason="pairs_not_ready"} 3.0\n' in page
+    )
     assert " nan" not in page.lower()
 
 
