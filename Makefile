@@ -40,11 +40,12 @@ test-all: test  ## `make test`, then the long tests (full size, many repeats, vi
 	tools/system-packages vm
 	$(BIN)/python -m pytest -m long --verbose
 
-check: $(DEV)  ## style, types and layers only
+check: $(DEV)  ## style, types, layers and language only
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tools.language
 
 audit: $(RIG)  ## known vulnerabilities of the pinned dependencies; NOT AUDITED without a source of advisories
 	$(BIN)/python tools/audit.py

@@ -27,11 +27,11 @@ _TEXTURE_FLOOR = -2.0
 """Logarithm of the share of true surfaces, glossy ones, whose texture differs between the cameras."""
 _PHASE_LIMIT, _TEXTURE_LIMIT = 3.0, 6.0
 _NEUTRAL_RESIDUAL = 0.05
-"""Rms of the phase against the projector at which it says nothing, radians."""
+"""Rms of the phase against the projector at which it is no evidence, radians."""
 _LOSS_VARIANCE = 0.5
 FALSE_SHARE, BLIND_SHARE = 0.3, 0.12
-"""Where between both means the loss of a surface says nothing: false ones agree in part, by chance and by the search
-for the best order; the second where the projector's phase does not help."""
+"""Share between both means at which the loss of a surface is no evidence: false ones agree in part, by chance and by
+the search for the best order; the second where the projector's phase does not help."""
 LEAST_RATIO = -1.0
 """Logarithm of the likelihood ratio below which a surface is rejected."""
 
