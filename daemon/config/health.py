@@ -43,9 +43,7 @@ class HealthLimits(Section):
     ] = 70.0
     least_disk_free_gb: Annotated[Positive | None, Field(description="Free space where takes are written, GB.")] = 5.0
     clock_offset_ms: Annotated[Positive | None, Field(description="The clock against its time servers, ms.")] = 10.0
-    clock_synchronised: Annotated[
-        bool, Field(description="Whether a clock that is not synchronised raises an event.")
-    ] = False
+    clock_synchronised: Annotated[bool, Field(description="Raise an event while the clock is unsynchronised.")] = False
     calibration_age_d: Annotated[Positive | None, Field(description="Days since the calibration.")] = 90.0
     memory_mb: Annotated[Positive | None, Field(description="Memory of the daemon, MB.")] = None
 
@@ -58,15 +56,9 @@ class Health(Section):
     window_s: Annotated[int, Field(ge=2, le=60, description="Seconds over which quantities are evaluated.")] = 5
     raise_s: Annotated[
         float,
-        Field(
-            ge=0,
-            le=3600,
-            description="Seconds beyond the limit before an event; above window_s, one outlier raises none.",
-        ),
+        Field(ge=0, le=3600, description="Seconds beyond a limit before an event; over window_s, outliers raise none."),
     ] = 8.0
-    clear_s: Annotated[
-        float, Field(ge=0, le=3600, description="Seconds well within the limit before an event is cleared.")
-    ] = 10.0
+    clear_s: Annotated[float, Field(ge=0, le=3600, description="Seconds well within it before the event ends.")] = 10.0
     margin: Annotated[float, Field(ge=0, le=0.9, description="How far within its limit is well within, share.")] = 0.1
     history_h: Annotated[float, Field(ge=0.1, le=72, description="Hours of minutes kept in memory.")] = 12.0
     metrics_port: Annotated[

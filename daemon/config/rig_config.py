@@ -44,9 +44,7 @@ class Pairing(Section):
         2000.0
     )
     max_wait_ms: Annotated[float, Field(gt=0, le=60000, description="How long a frame waits for its partner.")] = 500.0
-    resync_after: Annotated[
-        int, Field(ge=2, le=100, description="Frames before another trigger count is accepted.")
-    ] = 3
+    resync_after: Annotated[int, Field(ge=2, le=100, description="Frames before another trigger count is used.")] = 3
 
 
 class Volume(Section):
@@ -124,9 +122,7 @@ class Recording(Section):
     ] = 1024
     sync: Annotated[
         Literal["chunk", "1s", "none"],
-        Field(
-            description="When takes are synchronised with the disk: after each pair, each second, or when a part ends."
-        ),
+        Field(description="Takes are synchronised with the disk after each pair, each second, or after a part."),
     ] = "1s"
     retry_s: Annotated[
         float, Field(ge=0.1, le=60, description="How often a take that the disk interrupted tries to resume.")

@@ -29,18 +29,7 @@ from drivers import child_process
 from drivers.errors import DeviceLost, DriverError, SettingRefused
 from drivers.protocols import CameraHealth, CameraInfo, Frame, Side
 from drivers.remote import messages
-from drivers.remote.messages import (
-    Command,
-    Configure,
-    Done,
-    Failed,
-    FrameReady,
-    FrameTaken,
-    Opened,
-    SlotReleased,
-    ToChild,
-    ToParent,
-)
+from drivers.remote.messages import Command, Configure, Done, Failed, FrameReady, FrameTaken, Opened, SlotReleased
 from drivers.remote.outbox import WINDOW
 from drivers.remote.ring import RingReader, added
 
@@ -187,7 +176,7 @@ class RemoteCamera:
             raise DeviceLost(f"the {self.side} camera is not open")
         return self._child
 
-    def _command(self, child: _Process, action: Any, timeout_s: float) -> ToParent:
+    def _command(self, child: _Process, action: Any, timeout_s: float) -> messages.ToParent:
         """Send a command and wait for its answer; frames that come meanwhile are dropped."""
         self._number += 1
         self._send(child, Command(self._number, action))
@@ -203,7 +192,7 @@ class RemoteCamera:
                 raise _ERRORS[message.kind](message.message)
         return self._lost(f"it did not {action} within {timeout_s:g} s")
 
-    def _receive(self, child: _Process, timeout_s: float) -> ToParent | None:
+    def _receive(self, child: _Process, timeout_s: float) -> messages.ToParent | None:
         while child.backlog:
             self._send(child, SlotReleased(child.backlog.popleft()))
         if not child.poll.poll(timeout_s * 1000):
@@ -259,7 +248,7 @@ class RemoteCamera:
         if silent_s > self._limits.silence_s:
             self._lost(f"it has sent no heartbeat for {silent_s:.1f} s")
 
-    def _send(self, child: _Process, message: ToChild) -> None:
+    def _send(self, child: _Process, message: messages.ToChild) -> None:
         try:
             child.socket.send(messages.encode(message))
         except OSError as error:

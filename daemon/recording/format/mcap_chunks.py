@@ -7,18 +7,10 @@ from collections.abc import Iterator
 from typing import BinaryIO
 
 from daemon.recording.format.mcap_index import FileIndex, read_record, split_records
-from daemon.recording.format.mcap_records import (
-    MAX_CHUNK,
-    RECORD_HEAD,
-    Cursor,
-    DamageError,
-    Message,
-    Opcode,
-    RecordLocation,
-)
+from daemon.recording.format.mcap_records import MAX_CHUNK, RECORD_HEAD, Cursor, DamageError, Location, Message, Opcode
 
 
-def load(file: BinaryIO, location: RecordLocation) -> bytes | memoryview:
+def load(file: BinaryIO, location: Location) -> bytes | memoryview:
     """Return the records of a chunk (or the one record of a message outside chunks) as bytes.
 
     Raises:

@@ -18,8 +18,8 @@ from daemon.recording.format.mcap_records import (
     Channel,
     Cursor,
     DamageError,
+    Location,
     Opcode,
-    RecordLocation,
     Schema,
     indexed_location,
 )
@@ -41,8 +41,8 @@ class FileIndex:
     """
 
     size: int
-    data: list[RecordLocation] = field(default_factory=list)
-    small: list[RecordLocation] = field(default_factory=list)
+    data: list[Location] = field(default_factory=list)
+    small: list[Location] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     messages: Counter[int] = field(default_factory=Counter)
@@ -105,7 +105,7 @@ def read_index(file: BinaryIO) -> FileIndex:
         return index
 
 
-def read_record(file: BinaryIO, location: RecordLocation, limit: int) -> bytes:
+def read_record(file: BinaryIO, location: Location, limit: int) -> bytes:
     """Return the content of a record, whose head must match ``location``."""
     if not RECORD_HEAD <= location.length <= limit:
         raise DamageError(f"a record of {location.length} bytes, limit {limit}")
@@ -199,7 +199,7 @@ def _by_walking(file: BinaryIO, size: int) -> FileIndex:
     return index
 
 
-def _count(file: BinaryIO, location: RecordLocation, index: FileIndex) -> None:
+def _count(file: BinaryIO, location: Location, index: FileIndex) -> None:
     """Add counts and times from the heads of chunks and their indexes; no message is read."""
     file.seek(location.offset + RECORD_HEAD)
     head = Cursor(file.read(min(22, location.length - RECORD_HEAD)))
@@ -214,7 +214,7 @@ def _count(file: BinaryIO, location: RecordLocation, index: FileIndex) -> None:
         index.extend_times(t_ns, t_ns)
 
 
-def _next(file: BinaryIO, index: FileIndex) -> RecordLocation | None:
+def _next(file: BinaryIO, index: FileIndex) -> Location | None:
     """Return the next record's location; None, with ``problem`` set, where there is none."""
     offset = index.readable_to
     file.seek(offset)
@@ -222,7 +222,7 @@ def _next(file: BinaryIO, index: FileIndex) -> RecordLocation | None:
     if len(head) < RECORD_HEAD:
         index.problem = f"the file was cut off at byte {index.size}"
         return None
-    location = RecordLocation(head[0], offset, RECORD_HEAD + int.from_bytes(head[1:], "little"))
+    location = Location(head[0], offset, RECORD_HEAD + int.from_bytes(head[1:], "little"))
     if head[0] == 0 or location.length > max(MAX_CHUNK, MAX_SMALL_RECORD):
         index.problem = f"damaged at byte {offset}: there is no record; what follows cannot be read"
         return None

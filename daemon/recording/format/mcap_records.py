@@ -174,7 +174,7 @@ class Metadata:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordLocation:
+class Location:
     """Location of a record in the file, its nine bytes of head included."""
 
     opcode: int
@@ -187,11 +187,11 @@ class RecordLocation:
         return self.offset + self.length
 
 
-def indexed_location(opcode: int, data: bytes | memoryview) -> RecordLocation:
+def indexed_location(opcode: int, data: bytes | memoryview) -> Location:
     """Return the location that an index record points at."""
     cursor = Cursor(data)
     if opcode == Opcode.CHUNK_INDEX:
         cursor.take(16)
-        return RecordLocation(Opcode.CHUNK, cursor.u64(), cursor.u64())
+        return Location(Opcode.CHUNK, cursor.u64(), cursor.u64())
     kind = Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA
-    return RecordLocation(kind, cursor.u64(), cursor.u64())
+    return Location(kind, cursor.u64(), cursor.u64())

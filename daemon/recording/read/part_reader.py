@@ -14,10 +14,10 @@ from daemon.recording.format.mcap_records import (
     MAX_SMALL_RECORD,
     Attachment,
     DamageError,
+    Location,
     Message,
     Metadata,
     Opcode,
-    RecordLocation,
 )
 from daemon.recording.format.raw_image import ImageError, decode
 from drivers.protocols import SIDES, Frame, Side
@@ -32,7 +32,7 @@ _MAX_PROBLEMS = 20
 class FrameLocation:
     """Location of a frame: its chunk, and the offset of the message inside it."""
 
-    chunk: RecordLocation
+    chunk: Location
     offset: int
 
 
@@ -106,7 +106,7 @@ class PartReader:
                 return self._frame(message, location.chunk)
         return None
 
-    def _load(self, location: RecordLocation) -> bytes | memoryview | None:
+    def _load(self, location: Location) -> bytes | memoryview | None:
         try:
             return mcap_chunks.load(self._file, location)
         except DamageError as error:
@@ -115,7 +115,7 @@ class PartReader:
         except OSError as error:
             raise TakeError(f"{self.path}: byte {location.offset}: {error}") from error
 
-    def _frame(self, message: Message, location: RecordLocation) -> Frame | None:
+    def _frame(self, message: Message, location: Location) -> Frame | None:
         side = self._side(message.channel_id, location)
         if side is None:
             return None
@@ -126,7 +126,7 @@ class PartReader:
             return None
         return Frame(side, message.sequence, message.publish_ns, message.log_ns, image.encoding, image.image)
 
-    def _side(self, channel_id: int, location: RecordLocation) -> Side | None:
+    def _side(self, channel_id: int, location: Location) -> Side | None:
         """Return the camera of a channel; None for channels of other topics."""
         channel = self.index.channels.get(channel_id)
         if channel is None:
