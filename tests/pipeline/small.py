@@ -9,10 +9,10 @@ from pipeline.common.settings import Settings
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
-from sim.render.render_pair import render_pair
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
+from tests.renders import render_pair
 
 LAYOUT = RigLayout().scaled(0.375)
 SETTINGS = Settings(min_component=40)

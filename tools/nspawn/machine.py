@@ -11,6 +11,7 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -191,8 +192,9 @@ class Machine:
         assert self._outer is not None
         for boot in _children(self._outer.pid):
             for leader in _children(boot):
-                if Path(f"/proc/{leader}/comm").read_text().strip() in ("systemd", "init"):
-                    self.leader = leader
+                with suppress(OSError):  # it may have ended since
+                    if Path(f"/proc/{leader}/comm").read_text().strip() in ("systemd", "init"):
+                        self.leader = leader
         return self.leader != 0
 
     def _booted(self) -> bool:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from daemon.live.items import Pair
 from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame
-from sim.render.render_pair import render_pair
 from sim.rig import rig_files
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene import named_scenes
+from tests.renders import render_pair
 
 LAYOUT = RigLayout().scaled(0.125)
 OPTICS = Optics()

@@ -15,11 +15,12 @@ from pipeline.reconstruct.consistency import ColumnScan, Reading
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
-from sim.render.render_pair import RenderedPair, render_pair
+from sim.render.render_pair import RenderedPair
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
 from sim.scene.shapes import rotation_about
+from tests.renders import render_pair
 
 LAYOUT = RigLayout().scaled(0.5)
 STANDARD = Optics()

@@ -14,10 +14,11 @@ from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.volume import Volume
 from sim.evaluate.score import score
-from sim.render.render_pair import render_counts, render_pair, with_noise
+from sim.render.render_pair import render_counts, with_noise
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
+from tests.renders import render_pair
 
 SMALL = RigLayout().scaled(0.375)
 SETTINGS = Settings(min_component=40)

@@ -16,12 +16,12 @@ from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration, ColorModel, from_mapping, to_mapping
 from pipeline.rig.lateral_chromatic import ColorDisplacement, ColorOffset, LateralChromatic, Registration
 from sim.evaluate.score import score
-from sim.render.render_pair import render_pair
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
 from tests.pipeline.decode.test_decoder import COLOR, INNER, SHIFTS, decoder, mosaic, smooth_phase, wrapped
 from tests.pipeline.rigs import rig
 from tests.pipeline.small import LAYOUT, PERIODS, SETTINGS
+from tests.renders import render_pair
 
 LATERAL_CHROMATIC = LateralChromatic(
     ColorDisplacement(np.array([0.1, -0.2]), -1e-3, 0.02), ColorDisplacement(np.array([0.0, 0.1]), 1e-3)

@@ -71,8 +71,9 @@ def test_a_drift_that_several_devices_explain_requires_the_device(rig: Rig) -> N
         refine(rig.calibration, rig.pattern, rig.volume, "rgb8", captured)
 
 
-def test_the_command_confirms_before_it_writes(rig: Rig, tmp_path: Path) -> None:
-    options = {"live": True, "scene": "moving", "frames": 2, "layout": {"scale": SCALE}, "rate_hz": 10.0}
+def test_the_command_confirms_before_it_writes(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drift_pairs, "MOST_PAIRS", 6)
+    options = {"live": True, "scene": "moving", "frames": 2, "layout": {"scale": SCALE}, "rate_hz": 30.0}
     off = rotated(rig.calibration, "right", (0.0, -0.03, 0.0))
     file = tmp_path / "calibration.yaml"
     file.write_bytes(calibration_bytes(off, quality={"rms_stereo_px": 0.05}))

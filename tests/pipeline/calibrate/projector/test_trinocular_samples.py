@@ -9,10 +9,10 @@ import pytest
 
 from pipeline.calibrate.projector.trinocular_residual import moved, refine_projector, spread
 from pipeline.calibrate.projector.trinocular_samples import PairSampler
-from sim.render.render_pair import render_pair
 from sim.rig.layout import RigLayout
 from sim.rig.optics import Optics
 from sim.scene.named_scenes import build
+from tests.renders import render_pair
 
 DISTURBANCE = {"cx": 0.25, "rotation_y": np.deg2rad(0.01), "focal": 1e-4}
 
