@@ -18,18 +18,7 @@ from daemon.common.errors import ControlError
 _COLORS = {"running": "green", "degraded": "yellow", "paused": "cyan", "starting": "blue", "stopping": "red"}
 _WIDE = 110
 _CAMERA = {"acquiring": "green", "paused": "cyan", "lost": "red"}
-_ELSEWHERE = (
-    "state",
-    "warning",
-    "device",
-    "clouds",
-    "points",
-    "pairs",
-    "latency",
-    "published",
-    "dropped",
-    "calibration",
-)
+_UPPER = ("state", "warning", "device", "clouds", "points", "pairs", "latency", "published", "dropped", "calibration")
 _BAR = 24
 
 
@@ -122,7 +111,7 @@ def _cameras(status: dict[str, Any]) -> RenderableType:
 def _rest(status: dict[str, Any]) -> RenderableType:
     """The remaining rows of the plain status."""
     table = _two_columns()
-    shown = [(name, value) for name, value in rows(status) if name not in _ELSEWHERE]
+    shown = [(name, value) for name, value in rows(status) if name not in _UPPER]
     for name, value in _without_cameras(shown):
         table.add_row(name, Text(value.partition(";")[0] if name == "self-check" else value))
     problem = status.get("selfcheck", {}).get("problem")
