@@ -38,7 +38,7 @@ def by_case(cases: Sequence[Case], seeds: int) -> tuple[list[Table], dict[str, A
     figures: dict[str, Any] = {}
     promises = []
     for case in cases:
-        found = _mean([_of_seed(case, seed) for seed in range(seeds)])
+        found = _mean([errors_of(case, seed) for seed in range(seeds)])
         figures[case.name] = asdict(found)
         rings = [found.rings[name] for name in _RINGS]
         points.add(
@@ -64,7 +64,8 @@ def by_case(cases: Sequence[Case], seeds: int) -> tuple[list[Table], dict[str, A
     return [points, sigmas], figures, promises
 
 
-def _of_seed(case: Case, seed: int) -> PointErrors:
+def errors_of(case: Case, seed: int) -> PointErrors:
+    """Errors of one pair of a case, rendered or from disk."""
     pair = rendered.stored_pair(case, seed)
     cloud = case.reconstructor().reconstruct(pair.left, pair.right)
     volume = case.layout.volume()
@@ -92,7 +93,7 @@ def main(given: list[str]) -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="", help="those whose name contains this")
     options = parser.parse_args(given)
-    cases = [_scaled(case, options.scale) for case in HARD if options.case in case.name]
+    cases = [scaled(case, options.scale) for case in HARD if options.case in case.name]
     tables, _, promises = by_case(cases, options.seeds)
     console = Console(width=None if sys.stdout.isatty() else 170)
     for table in tables:
@@ -102,7 +103,8 @@ def main(given: list[str]) -> int:
     return 0 if all(kept for _, kept in promises) else 1
 
 
-def _scaled(case: Case, scale: float) -> Case:
+def scaled(case: Case, scale: float) -> Case:
+    """The case with fewer pixels and fringes."""
     if scale == 1.0:
         return case
     layout = case.layout.scaled(scale)
