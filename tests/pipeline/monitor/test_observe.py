@@ -109,7 +109,7 @@ def test_no_surface_gives_no_reading() -> None:
     plane = np.full((height, width), 50, np.uint8)
     cloud = Cloud(nothing, nothing[..., 0], plane, (plane, plane), np.zeros((height, width), np.int16))
     seen = made.observer.observe(left, right, cloud)
-    assert not seen.readings and seen.patches == 0 and seen.lit == 1.0 and seen.known == 0.0
+    assert not seen.readings and seen.patches == 0 and seen.lit == 1.0 and seen.valid == 0.0
     with pytest.raises(ImageError):
         made.observer.observe(left[:-1], right, cloud)
 
