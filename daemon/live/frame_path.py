@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping
 
+from daemon.common import threads
 from daemon.common.counters import Counters
 from daemon.common.errors import DaemonError
 from daemon.config.rig_config import RigConfig
@@ -14,7 +15,7 @@ from daemon.live.compatibility import serial_problem
 from daemon.live.items import Sink
 from daemon.live.processing.reconstructor_factory import make_reconstructor, warm_up
 from daemon.live.processing.worker import CloudReconstructor, Worker
-from daemon.live.projection.mode_controller import ModeController, ModeOutputs
+from daemon.live.projection.mode_controller import ModeController
 from daemon.live.router import Router
 from daemon.rig.open_rig import Rig
 from drivers.protocols import SIDES, Clock, Side
@@ -51,8 +52,10 @@ class FramePath:
         self.pairer = pairer = LockedPairer(
             pairing_settings(config.pairing), paired=router.pair, unpaired=router.unpaired, drops=drops, clock=clock
         )
-        outputs = ModeOutputs(router.emit, self.worker.offer, drops, lambda: pairer.counter_restarts)
-        self.mode_controller = ModeController(config, rig, outputs, clock=clock)
+        self.mode_controller = ModeController(
+            config, rig, emit=router.emit, measure=self.worker.offer, drops=drops,
+            counter_restarts=lambda: pairer.counter_restarts, clock=clock,
+        )  # fmt: skip
         router.connect(self.mode_controller, self.worker.offer)
         self.cameras: dict[Side, CameraThread] = {
             side: CameraThread(
@@ -115,3 +118,19 @@ class FramePath:
             raise DaemonError(problem)
         encodings = [self.cameras[side].status.encoding for side in SIDES]
         return make_reconstructor(config, rig, settings, encodings, self._clock, plan=self.mode_controller.plan)
+
+
+def reserve_cpus(cpus: Iterable[int]) -> frozenset[int]:
+    """Keep all threads of this process off these processors, as far as there are others.
+
+    Returns:
+        The processors that the threads used before; empty where nothing was changed.
+    """
+    reserved, available = frozenset(cpus), threads.available()
+    missing = sorted(reserved - available)
+    if missing:
+        raise DaemonError(f"pipeline.cpus: {missing} cannot be used, there are {sorted(available)}")
+    if not reserved or not available - reserved:
+        return frozenset()
+    threads.pin(threads.ids(), available - reserved)
+    return available

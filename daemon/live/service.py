@@ -14,9 +14,8 @@ from daemon.common.errors import DaemonError
 from daemon.common.stop_event import StopEvent
 from daemon.config.rig_config import RigConfig
 from daemon.live.compatibility import projector_problem
-from daemon.live.frame_path import FramePath
+from daemon.live.frame_path import FramePath, reserve_cpus
 from daemon.live.items import Pair, Sink
-from daemon.live.processing.reserved_cpus import reserve_cpus
 from daemon.live.status import State, Status
 from daemon.live.status_report import degraded_reasons, make_status
 from daemon.rig.open_rig import Rig

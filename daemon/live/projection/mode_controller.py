@@ -10,7 +10,6 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,28 +33,31 @@ log = logging.getLogger("fringed.sequence")
 _SOON_NS = 5_000_000_000  # a clock that was set back must not delay the pairs for longer
 
 
-@dataclass(frozen=True, slots=True)
-class ModeOutputs:
-    """Consumers of raw pairs, of complete sets and of counts; and how often the cameras' counters restarted."""
-
-    emit: Callable[[Pair], None]
-    measure: Callable[[ImageSet], None]
-    drops: Counters
-    counter_restarts: Callable[[], int]
-
-
 class ModeController:
     """Decides what the projector shows, and who may use it.
 
     Args:
-        config, rig: of the daemon; outputs: must be quick.
+        config, rig: of the daemon.
+        emit: takes the raw pairs of a set; measure: takes complete sets. Both must be quick.
+        drops: counts incomplete sets; counter_restarts: how often the cameras' counters restarted.
     """
 
-    def __init__(self, config: RigConfig, rig: Rig, outputs: ModeOutputs, *, clock: Clock) -> None:
-        self._config, self._rig, self._outputs, self._clock = config, rig, outputs, clock
+    def __init__(
+        self,
+        config: RigConfig,
+        rig: Rig,
+        *,
+        emit: Callable[[Pair], None],
+        measure: Callable[[ImageSet], None],
+        drops: Counters,
+        counter_restarts: Callable[[], int],
+        clock: Clock,
+    ) -> None:
+        self._config, self._rig, self._clock = config, rig, clock
+        self._emit, self._measure, self._drops, self._counter_restarts = emit, measure, drops, counter_restarts
         self.plan: ModePlan | None = make_plan(config.mode, config.sequence, rig)
         self._player = SequencePlayer(
-            self._capture, confirmed=outputs.emit, complete=self._complete, dropped=lambda: self._incomplete(1)
+            self._capture, confirmed=emit, complete=self._complete, dropped=lambda: self._incomplete(1)
         )
         frames = 1 if self.plan is None else len(self.plan.sequence)
         self._assembler: SetAssembler[Pair] = SetAssembler(frames, config.sequence.first_trigger)
@@ -97,12 +99,12 @@ class ModeController:
     def accept(self, pair: Pair) -> bool:
         """Take a pair that belongs to a set, or to nothing; False: it is measured by itself."""
         if self._changing:
-            self._outputs.drops.add("pairs_mode_changing")
+            self._drops.add("pairs_mode_changing")
             return True
         if self.plan is None:
             early = 0 < self._lit_ns - pair.t_ns < _SOON_NS
             if early:
-                self._outputs.drops.add("pairs_mode_changing")
+                self._drops.add("pairs_mode_changing")
             return early
         if self.stored:
             self._assemble(pair)
@@ -225,16 +227,16 @@ class ModeController:
 
     def _complete(self, image_set: ImageSet) -> None:
         self.sets += 1
-        self._outputs.measure(image_set)
+        self._measure(image_set)
 
     def _incomplete(self, count: int) -> None:
         if count:
             self.incomplete += count
-            self._outputs.drops.add("sets_incomplete", count)
+            self._drops.add("sets_incomplete", count)
 
     def _assemble(self, pair: Pair) -> None:
         """Take a pair of a projector that holds the images; called for one pair at a time."""
-        self._outputs.emit(pair)
+        self._emit(pair)
         before = self._assembler.incomplete
         pairs = self._assembler.feed(pair.seq, pair.t_ns, pair)
         self._incomplete(self._assembler.incomplete - before)
@@ -243,7 +245,7 @@ class ModeController:
 
     def _lost_count(self) -> bool:
         """Whether it is unknown which stored image a trigger shows."""
-        return self._assembler.restarts > 0 or self._outputs.counter_restarts() > 0
+        return self._assembler.restarts > 0 or self._counter_restarts() > 0
 
     def _first_image(self, plan: ModePlan | None) -> NDArray[np.uint8]:
         rig = self._rig
