@@ -71,9 +71,9 @@ class FramePath:
 
     def warm_reconstructor(self) -> CloudReconstructor:
         """Make a reconstructor with all kernels compiled, which takes up to a minute after an update."""
-        made = self._reconstructor(self.config, self.rig, self.settings)
-        warm_up(made, self.config.pipeline)
-        return made
+        reconstructor = self._reconstructor(self.config, self.rig, self.settings)
+        warm_up(reconstructor, self.config.pipeline)
+        return reconstructor
 
     def change(self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]) -> None:
         """Apply all of this between two pairs, or nothing of it.
@@ -94,14 +94,14 @@ class FramePath:
         self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]
     ) -> CloudReconstructor | None:
         """In the pipeline's thread: first what can fail, then what cannot."""
-        made = None
+        reconstructor = None
         before, after = ((c.pipeline.overload, c.pipeline.temporal_prior, c.mode) for c in (self.config, config))
         other_kernels = rig is not self.rig or before != after
         other_check = config.pipeline.calibration_check != self.config.pipeline.calibration_check
         if settings != self.settings or other_kernels or other_check:
-            made = self._reconstructor(config, rig, settings)
+            reconstructor = self._reconstructor(config, rig, settings)
             if other_kernels:
-                warm_up(made, config.pipeline)
+                warm_up(reconstructor, config.pipeline)
         self.config, self.rig, self.settings = config, rig, settings
         self.pairer.configure(pairing_settings(config.pairing))
         self.worker.configure(config.pipeline)
@@ -110,7 +110,7 @@ class FramePath:
                 commit()
             except Exception:  # one failure must not keep the rest from being done
                 log.exception("a change failed")
-        return made
+        return reconstructor
 
     def _reconstructor(self, config: RigConfig, rig: Rig, settings: Settings) -> CloudReconstructor:
         problem = serial_problem(rig.serials, {side: self.cameras[side].status.serial for side in SIDES})

@@ -177,11 +177,11 @@ class Service:
         if self._stop.is_set():
             return
         self.mode_controller.release("start")
-        made = self.worker.start(self.path.warm_reconstructor)
-        while not made.done() and not self._stop.wait(_TICK_S):
+        started = self.worker.start(self.path.warm_reconstructor)
+        while not started.done() and not self._stop.wait(_TICK_S):
             self._housekeeping()
-        if made.done():
-            made.result()
+        if started.done():
+            started.result()
             self._ready = not self._stop.is_set()
             self._note_state()
             for warning in self.status().warnings:

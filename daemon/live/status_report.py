@@ -25,17 +25,17 @@ def degraded_reasons(path: FramePath) -> tuple[str, ...]:
     reasons += filter(None, (*sizes, path.mode_controller.problem()))
     if path.worker.stride > 1:
         reasons.append("the pipeline is overloaded: every second pixel is measured")
-    found = path.worker.consistency
-    if found is not None and found.verdict == "inconsistent":
-        reasons.append(f"the images contradict the calibration: {found.reason}")
+    consistency = path.worker.consistency
+    if consistency is not None and consistency.verdict == "inconsistent":
+        reasons.append(f"the images contradict the calibration: {consistency.reason}")
     problems = {name: sink.status().get("problem") for name, sink in path.router.sinks.items()}
     return (*reasons, *(f"{name}: {problem}" for name, problem in problems.items() if problem))
 
 
 def _calibration_check(path: FramePath) -> dict[str, Any]:
     """Policy, verdict on the last pair with its readings, and how many clouds were withheld."""
-    found = path.worker.consistency
-    values = {"verdict": "unknown", "reason": "", "readings": {}} if found is None else found.as_mapping()
+    consistency = path.worker.consistency
+    values = {"verdict": "unknown", "reason": "", "readings": {}} if consistency is None else consistency.as_mapping()
     return {"policy": path.config.pipeline.calibration_check, **values, "withheld": path.worker.withheld}
 
 

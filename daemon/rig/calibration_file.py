@@ -184,12 +184,12 @@ def load_mapping(data: bytes, name: str) -> dict[str, Any]:
     return mapping
 
 
-def _unfolded(value: Any, known: dict[int, int]) -> int:
+def _unfolded(value: Any, counts: dict[int, int]) -> int:
     """Number of values with every alias written out; one that holds itself counts as too many."""
     if not isinstance(value, dict | list):
         return 1
-    if id(value) not in known:
-        known[id(value)] = VALUES_LIMIT + 1
+    if id(value) not in counts:
+        counts[id(value)] = VALUES_LIMIT + 1
         inner = value.values() if isinstance(value, dict) else value
-        known[id(value)] = 1 + sum(_unfolded(item, known) for item in inner)
-    return known[id(value)]
+        counts[id(value)] = 1 + sum(_unfolded(item, counts) for item in inner)
+    return counts[id(value)]

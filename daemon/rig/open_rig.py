@@ -102,8 +102,8 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
 
 def serials_of(file: CalibrationFile) -> dict[Side, str]:
     """Serial numbers of the calibrated cameras, those that the calibration file names."""
-    found = {side: file.mapping["cameras"][side].get("serial") for side in SIDES}
-    return {side: str(serial) for side, serial in found.items() if serial}
+    serials = {side: file.mapping["cameras"][side].get("serial") for side in SIDES}
+    return {side: str(serial) for side, serial in serials.items() if serial}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

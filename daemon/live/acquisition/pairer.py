@@ -112,7 +112,7 @@ class _Camera:
 
     shift: int = 0
     waiting: list[_Entry] = field(default_factory=list)
-    seen: deque[tuple[int, int]] = field(default_factory=deque)
+    history: deque[tuple[int, int]] = field(default_factory=deque)
     expired: deque[tuple[int, int]] = field(default_factory=deque)
     last_paired: int | None = None
 
@@ -135,7 +135,7 @@ class Pairer:
         self.outcomes: dict[Side, Counter[FrameOutcome]] = {side: Counter() for side in SIDES}
         self.received: Counter[Side] = Counter()
         self._cameras: dict[Side, _Camera] = {
-            side: _Camera(seen=deque(maxlen=self.settings.history), expired=deque(maxlen=self.settings.history))
+            side: _Camera(history=deque(maxlen=self.settings.history), expired=deque(maxlen=self.settings.history))
             for side in SIDES
         }
         self._count = TriggerCount()
@@ -170,7 +170,7 @@ class Pairer:
         if rejected is not None:
             return [*events, self._lost(entry, rejected)]
         self._mark_ambiguous(own, entry)
-        own.seen.append((frame.trigger, frame.t_exposure_ns))
+        own.history.append((frame.trigger, frame.t_exposure_ns))
         partner = self._partner(entry)
         if partner is not None and self._confirmed:
             return [*events, self._pair(entry, partner)]
@@ -196,7 +196,7 @@ class Pairer:
         """Unconfirm the shift: a camera was started again, so its count may have moved or restarted."""
         self._confirmed, self._observations = False, 0
         # Numbers from before the restart must not contradict those after it.
-        self._cameras[side].seen.clear()
+        self._cameras[side].history.clear()
         self._cameras[side].expired.clear()
 
     def flush(self) -> list[Event]:
@@ -209,12 +209,12 @@ class Pairer:
     def _rejection(self, frame: Frame) -> FrameOutcome | None:
         if frame.t_host_ns - frame.t_exposure_ns > self.settings.stale_ns:
             return FrameOutcome.STALE
-        seen = self._cameras[frame.side].seen
-        again = any(number == frame.trigger and self._same_time(t_ns, frame.t_exposure_ns) for number, t_ns in seen)
+        history = self._cameras[frame.side].history
+        again = any(number == frame.trigger and self._same_time(t_ns, frame.t_exposure_ns) for number, t_ns in history)
         return FrameOutcome.DUPLICATE if again else None
 
     def _mark_ambiguous(self, camera: _Camera, entry: _Entry) -> None:
-        recent = islice(reversed(camera.seen), _CONTRADICTION_WINDOW)
+        recent = islice(reversed(camera.history), _CONTRADICTION_WINDOW)
         entry.ambiguous = any(self._contradict(entry, number, t_ns) for number, t_ns in recent)
         for other in camera.waiting:
             other.ambiguous |= self._contradict(entry, other.frame.trigger, other.frame.t_exposure_ns)

@@ -216,9 +216,9 @@ class Worker:
                 continue
             self.heartbeat.expect(_MAKE_S)
             try:
-                made = make()
-                if made is not None:
-                    self._reconstructor = made
+                reconstructor = make()
+                if reconstructor is not None:
+                    self._reconstructor = reconstructor
                     self._prior.reset()
                     self._freeze()  # the reconstructor that was frozen before can be freed
                 done.set_result(None)
@@ -262,20 +262,21 @@ class Worker:
         if single and self._load.measured((now_ns - began_ns) / 1e6, stride, now_ns):
             log.info("load: every %s pixel is measured", "second" if self._load.stride == 2 else "single")
 
-    def _note_consistency(self, found: Consistency | None) -> None:
+    def _note_consistency(self, consistency: Consistency | None) -> None:
         """Log a change of the verdict and count what was withheld."""
         before = "unknown" if self.consistency is None else self.consistency.verdict
-        self.consistency = found
-        if found is None:
+        self.consistency = consistency
+        if consistency is None:
             return
-        if found.verdict == "inconsistent":
+        verdict = consistency.verdict
+        if verdict == "inconsistent":
             self.withheld += self._config.calibration_check == "withhold"
-        if found.verdict == before or ("unknown" in (found.verdict, before) and found.verdict != "inconsistent"):
+        if verdict == before or ("unknown" in (verdict, before) and verdict != "inconsistent"):
             return
-        if found.verdict == "consistent":
+        if verdict == "consistent":
             log.info("calibration check: consistent again")
         else:
-            log.warning("calibration check: %s: %s", found.verdict, found.reason)
+            log.warning("calibration check: %s: %s", verdict, consistency.reason)
 
     def _note(self, item: CloudItem, now_ns: int) -> None:
         self.latency_ms.note(item.latency_ms)

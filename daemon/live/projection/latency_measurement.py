@@ -73,21 +73,21 @@ def measure_latency(
         meters = [_LightMeter(side, camera, clock, timeout_s) for side, camera in cameras.items()]
         for camera in cameras.values():
             camera.start()
-        found = _flash(meters, projector, (black, white), clock, flashes)
+        measurements = _flash(meters, projector, (black, white), clock, flashes)
     finally:
         for camera in cameras.values():
             camera.close()
         projector.close()
-    middles = [0.5 * (low + high) for low, high, _, _ in found]
+    middles = [0.5 * (low + high) for low, high, _, _ in measurements]
     ms = max(0.0, median(middles))  # below: the flip is known less well than the latency
     return Latency(
         ms=round(ms, 2),
-        earliest_ms=round(max(low for low, _, _, _ in found), 2),
-        latest_ms=round(min(high for _, high, _, _ in found), 2),
+        earliest_ms=round(max(low for low, _, _, _ in measurements), 2),
+        latest_ms=round(min(high for _, high, _, _ in measurements), 2),
         flashes=flashes,
         frames=round(ms * info.refresh_hz / 1e3, 2),
-        dark=round(mean(dark for _, _, dark, _ in found), 1),
-        bright=round(mean(bright for _, _, _, bright in found), 1),
+        dark=round(mean(dark for _, _, dark, _ in measurements), 1),
+        bright=round(mean(bright for _, _, _, bright in measurements), 1),
     )
 
 
@@ -99,7 +99,7 @@ def _flash(
     flashes: int,
 ) -> list[tuple[float, float, float, float]]:
     """Bounds in ms, dark and bright counts of every flash and camera."""
-    found = []
+    measurements = []
     for _ in range(flashes):
         projector.show(images[0])
         shown_ns = clock.realtime_ns()
@@ -108,8 +108,8 @@ def _flash(
         flipped_ns = clock.realtime_ns() if flip is None or flip.source == "unverified" else flip.t_realtime_ns
         for meter, level in zip(meters, dark, strict=True):
             before_ns, after_ns, bright = meter.brighter(level)
-            found.append(((before_ns - flipped_ns) / 1e6, (after_ns - flipped_ns) / 1e6, level, bright))
-    return found
+            measurements.append(((before_ns - flipped_ns) / 1e6, (after_ns - flipped_ns) / 1e6, level, bright))
+    return measurements
 
 
 class _LightMeter:

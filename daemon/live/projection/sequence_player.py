@@ -141,7 +141,7 @@ class SequencePlayer:
             self._complete(ImageSet(tuple(self._pairs(capture, images)), mode))
             self._sets += 1
             if self.problem:
-                log.info("sequence: the images are seen again")
+                log.info("sequence: the images are confirmed again")
                 self.problem = ""
 
     def _pairs(self, capture: ConfirmedCapture, images: list[NDArray[np.uint8]]) -> list[Pair]:

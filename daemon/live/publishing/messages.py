@@ -122,11 +122,11 @@ def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
     height, width = item.cloud.gray.shape
     valid = item.cloud.points / (width * height)
     stats: dict[str, Any] = {"valid": round(valid, 4), "latency_ms": round(item.latency_ms, 2), "dropped": item.dropped}
-    found = item.cloud.consistency
-    if found is not None:
-        stats["calibration"] = found.verdict
-        if found.verdict == "inconsistent":
-            stats["reason"] = found.reason[:_REASON_LENGTH]
+    consistency = item.cloud.consistency
+    if consistency is not None:
+        stats["calibration"] = consistency.verdict
+        if consistency.verdict == "inconsistent":
+            stats["reason"] = consistency.reason[:_REASON_LENGTH]
     if item.stride > 1:
         stats["every"] = item.stride  # the grid has every second row and column of the camera
     if item.frames > 1:
