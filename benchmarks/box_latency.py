@@ -99,7 +99,7 @@ def measure(options: argparse.Namespace) -> Table:
     times = Times()
     with Box(box_options) as box:
         os.environ[GENTL_DIR] = str(box.gentl_dir)
-        box.world.put_on_stage(RecordedScene(box.stage))
+        box.world.set_stage(RecordedScene(box.stage))
         with Daemon(box, report=times.report, temporal_prior=True) as daemon:
             daemon.step_until_pair()
             _run(box, daemon, times, options)

@@ -142,7 +142,7 @@ def test_each_fault_affects_its_camera_and_is_recorded(name: str) -> None:
     assert (len(bench.frames("left")), len(bench.frames("right"))) == (left, right)
     if fault.kind is not FaultKind.EXTRA_FIRST:
         assert [s.index for s in shown if s.faults["left"] is fault.kind] == [
-            i for i in range(6) if fault.strikes(i, "left")
+            i for i in range(6) if fault.affects(i, "left")
         ]
         assert bench.world.ledger.counts["left", fault.kind] > 0
 
