@@ -216,7 +216,7 @@ def test_only_the_fringes_of_the_chosen_channels_count() -> None:
 def test_images_that_cannot_be_decoded_are_refused_with_the_reason() -> None:
     with pytest.raises(PatternError, match="at least 3"):
         wrapped_phase([np.zeros((2, 2))] * 2, [0.0, 1.0])
-    with pytest.raises(PatternError, match="apart"):
+    with pytest.raises(PatternError, match="do not separate"):
         wrapped_phase([np.zeros((2, 2))] * 3, [0.0, 0.0, 1.0])
     fine = wrapped_phase([np.zeros((2, 2))] * 3, [0.0, 2.0, 4.0])
     with pytest.raises(PatternError, match="at most 1"):
