@@ -111,7 +111,7 @@ def test_a_disturbance_is_reported_within_five_seconds_and_so_is_its_end(
     rows = [json.loads(line) for line in (tmp_path / "selfcheck" / "history.jsonl").read_text().splitlines()]
     assert [row["event"] for row in rows if row["event"] in ("drifted", "ok")] == ["drifted", "ok"] * 3
     assert rows[-1]["event"] == "stopped"
-    assert caplog.text.count("self-check: the rig is as it was") == 3
+    assert caplog.text.count("self-check: the rig matches its calibration again") == 3
     known = json.loads((tmp_path / "selfcheck" / "references.json").read_text())["calibrations"]
     assert len(known) == 1
 
