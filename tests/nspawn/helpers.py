@@ -19,7 +19,7 @@ SERVICE = "fringed.service"
 RIG = "/etc/fringed/rig.yaml"
 _SHOWN = "ActiveState", "SubState", "MainPID", "NRestarts", "StatusText", "Result"
 
-MARKS = [pytest.mark.nspawn, pytest.mark.slow, pytest.mark.timeout(600)]
+MARKS = [pytest.mark.nspawn, pytest.mark.xdist_group("nspawn"), pytest.mark.slow, pytest.mark.timeout(600)]
 """Every wait in these tests has its own limit and reports the journal; the time-out is the last resort."""
 
 

@@ -13,7 +13,7 @@ import pytest
 from tools.nspawn import Machine, MachineError
 from tools.waiting import wait_until
 
-pytestmark = pytest.mark.nspawn
+pytestmark = [pytest.mark.nspawn, pytest.mark.xdist_group("nspawn"), pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +66,6 @@ def test_it_ends_with_the_process_that_started_it(end: signal.Signals) -> None:
         assert Path(f"/proc/{leader}/comm").read_text().strip() == "systemd"
     finally:
         starter.send_signal(end)
-        starter.communicate(timeout=60)
+        starter.communicate(timeout=150)
     wait_until(lambda: not Path(f"/proc/{leader}").exists(), 60, "the end of the container's systemd")
     assert "fringed-nspawn" not in Path("/proc/mounts").read_text()
