@@ -18,12 +18,14 @@ _FLAGS: dict[str, Any] = {
     "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"},
 }
 
-serial = numba.njit(**_FLAGS)
-parallel = numba.njit(parallel=True, **_FLAGS)
-ordered = numba.njit(**_FLAGS | {"fastmath": _FLAGS["fastmath"] | {"nnan"}})
+serial = numba.njit(no_cfunc_wrapper=True, **_FLAGS)
+ordered = numba.njit(no_cfunc_wrapper=True, **_FLAGS | {"fastmath": _FLAGS["fastmath"] | {"nnan"}})
 """For code without NaN: minima become vector instructions."""
-inline = numba.njit(inline="always", **{k: v for k, v in _FLAGS.items() if k != "cache"})
-prange = numba.prange
+inline = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FLAGS)
+"""For functions that kernels call: LLVM copies them into the caller. numba's own ``inline="always"`` does that before
+type inference, and compiles several times as long."""
+body = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FLAGS)
+"""For functions that only :mod:`pipeline.common.parallel_for` calls."""
 
 
 @serial

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pipeline.common.settings import Settings
 from pipeline.decode.chromatic_phase import ChromaticCorrection, chromatic_correction
 from pipeline.decode.kernels.decode_bayer import decode_bayer
-from pipeline.decode.kernels.decode_rgb import decode_rgb
+from pipeline.decode.kernels.decode_rgb import BANDS, decode_rgb
 from pipeline.decode.kernels.local_mean import BoxMean
 from pipeline.decode.kernels.mosaic_fit import EIGHTHS
 from pipeline.decode.kernels.window_fit import weights_of
@@ -148,9 +148,9 @@ class Decoder:
             modulation, planes["valid"], planes["saturated"],
         )  # fmt: skip
         if self._mosaic is None:
-            decode_rgb(image.reshape(height, 3 * width), *common)
+            decode_rgb(BANDS, image.reshape(height, 3 * width), *common)
         else:
-            decode_bayer(image, self._mosaic, *common)
+            decode_bayer(BANDS, image, self._mosaic, *common)
         return PhaseMap(
             planes["phasor"], planes["descriptors"], mean, planes["variance"],
             float(planes["saturated"].sum()) / (height * width), planes["phase"],

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 
 _TILE = 16
 _SAMPLES = _TILE * _TILE
@@ -37,7 +38,11 @@ def estimate(image: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel:
     """
     height, colors = image.shape[0], 1 if image.ndim == 2 else 3
     rows, shift = (step, 0) if along == 0 else (0, step * colors)
-    levels, squares = _tiles(image.reshape(height, -1), colors, rows, shift)
+    samples = image.reshape(height, -1)
+    columns = (samples.shape[1] - 2 * shift) // (_TILE * colors)
+    bands = max(0, (height - 2 * rows - _TILE) // (_BANDS_APART * _TILE) + 1)
+    levels, squares = np.zeros((bands, columns, colors), np.int32), np.zeros((bands, columns, colors), np.int32)
+    _tiles(bands, samples, colors, rows, shift, levels, squares)
     levels, squares = levels.ravel(), squares.ravel()
     usable = (levels > 4 * _SAMPLES) & (levels < 235 * _SAMPLES)
     if np.count_nonzero(usable) < 20:
@@ -56,69 +61,58 @@ def _add_row(first: Any, middle: Any, last: Any, levels: Any, squares: Any) -> N
 
 
 @parallel
-def _tiles(image: Any, colors: int, rows: int, shift: int) -> tuple[Any, Any]:
-    """Sums over the tiles in every third band of them, in whole numbers.
+def _tiles(band: int, image: Any, colors: int, rows: int, shift: int, levels: Any, squares: Any) -> None:
+    """Sums over the tiles of one of every third bands of them, in whole numbers.
 
     Args:
         image: (H, W * colors) uint8, colours interleaved.
         rows, shift: distance of the samples that are subtracted, in rows and in elements of a row.
-
-    Returns:
-        sums of the samples, and of their squared second differences, (bands, tiles, colors) int32.
+        levels, squares: (bands, tiles, colors) int32, zero before; sums of the samples, and of their squared second
+            differences.
     """
-    height = image.shape[0] - 2 * rows
-    width = image.shape[1] - 2 * shift
-    columns = width // (_TILE * colors)
-    bands = max(0, (height - _TILE) // (_BANDS_APART * _TILE) + 1)
-    levels, squares = np.zeros((bands, columns, colors), np.int32), np.zeros((bands, columns, colors), np.int32)
+    columns = levels.shape[1]
     n = columns * _TILE * colors
-    for band in prange(bands):
-        top = band * _BANDS_APART * _TILE
-        level, square = np.zeros(n, np.int32), np.zeros(n, np.int32)
-        for i in range(top, top + _TILE):
-            _add_row(image[i][:n], image[i + rows][shift : shift + n],
-                     image[i + 2 * rows][2 * shift : 2 * shift + n], level, square)  # fmt: skip
-        j = 0
-        for tile in range(columns):
-            for _ in range(_TILE):
-                for k in range(colors):
-                    levels[band, tile, k] += level[j]
-                    squares[band, tile, k] += square[j]
-                    j += 1
-    return levels, squares
+    top = band * _BANDS_APART * _TILE
+    level, square = np.zeros(n, np.int32), np.zeros(n, np.int32)
+    for i in range(top, top + _TILE):
+        _add_row(image[i][:n], image[i + rows][shift : shift + n],
+                 image[i + 2 * rows][2 * shift : 2 * shift + n], level, square)  # fmt: skip
+    j = 0
+    for tile in range(columns):
+        for _ in range(_TILE):
+            for k in range(colors):
+                levels[band, tile, k] += level[j]
+                squares[band, tile, k] += square[j]
+                j += 1
 
 
-@serial
-def _points(order: Any, levels: Any, squares: Any, points: Any) -> None:
-    """Mean brightness and variance of the quietest fifth of each group of tiles, ``points`` (groups, 2).
+def _points(order: NDArray[np.int64], levels: NDArray[np.int32], squares: NDArray[np.int32], groups: int) -> Any:
+    """Mean brightness and variance of the quietest fifth of each group of tiles, (groups, 2).
 
     Args:
         order: tiles by brightness, which are split into groups as equal as possible.
         levels, squares: sums over each tile.
     """
-    groups, n = points.shape[0], order.shape[0]
-    start = 0
-    for g in range(groups):
-        stop = start + n // groups + (1 if g < n % groups else 0)
-        total, spread = 0.0, np.empty(stop - start)
-        for k in range(start, stop):
-            total += levels[order[k]]
-            spread[k - start] = squares[order[k]]
-        position = 0.2 * (stop - start - 1)
-        below = int(position)
-        above = min(below + 1, stop - start - 1)
-        partitioned = np.partition(spread, above)
-        low = partitioned[: below + 1].max()
-        points[g, 0] = total / (stop - start) / _SAMPLES
-        points[g, 1] = (low + (position - below) * (partitioned[above] - low)) / (6 * _SAMPLES)
-        start = stop
+    return np.array(
+        [
+            (levels[group].mean() / _SAMPLES, _lowest_fifth(squares[group]) / (6 * _SAMPLES))
+            for group in np.array_split(order, groups)
+        ]
+    )
+
+
+def _lowest_fifth(values: NDArray[np.int32]) -> float:
+    """What ``np.quantile(values, 0.2)`` gives, in a fraction of its time."""
+    position = 0.2 * (len(values) - 1)
+    below = int(position)
+    low, high = np.partition(values, (below, below + 1))[below : below + 2]
+    return float(low + (position - below) * (high - low))
 
 
 def _line(levels: NDArray[np.int32], squares: NDArray[np.int32]) -> NoiseModel:
     # Sums of 256 samples of 8 bits fit into 16 bits, for which the stable sort is a fast radix sort.
     order = np.argsort(levels.astype(np.uint16), kind="stable")
-    points = np.empty((max(2, min(12, len(order) // 30)), 2))
-    _points(order, levels, squares, points)
+    points = _points(order, levels, squares, max(2, min(12, len(order) // 30)))
     # A tile holds some 250 nearly independent differences: its lowest fifth is 8 % too low on average.
     x, y = points[:, 0], 1.08 * points[:, 1]
     weight = 1 / np.maximum(y, _QUANTISATION) ** 2

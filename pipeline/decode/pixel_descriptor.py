@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import inline, parallel, prange, serial
+from pipeline.common.jit import inline, serial
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import angle, whole_turns
 
 VALID = np.int32(256)
@@ -77,12 +78,11 @@ def complete_row(phase: Any, valid: Any, mean: Any, out: Any) -> None:
 
 
 @parallel
-def descriptors_without_color(phase: Any, valid: Any, mean: Any, out: Any) -> None:
+def descriptors_without_color(i: int, phase: Any, valid: Any, mean: Any, out: Any) -> None:
     """Descriptors (H, W) of images in which both phases are the same; the others as in :func:`complete_row`."""
-    for i in prange(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = _normalised_bits(phase[i, j])
-        complete_row(phase[i], valid[i], mean[i], out[i])
+    for j in range(out.shape[1]):
+        out[i, j] = _normalised_bits(phase[i, j])
+    complete_row(phase[i], valid[i], mean[i], out[i])
 
 
 def normalised_phase(descriptors: NDArray[np.int32]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange
+from pipeline.common.parallel_for import parallel
 from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.texture_agreement import LOSS, Scale
 from pipeline.filter.uniqueness import PARTS
@@ -38,38 +38,38 @@ LEAST_RATIO = -1.0
 
 @parallel
 def _sums(
-    valid: Any, first: Any, second: Any, deviation: Any, losses: Any, start: Any, stop: Any, count: Any, row: Any,
-    surface: Any, size: Any, large: int, total: Any,
+    part: int, valid: Any, first: Any, second: Any, deviation: Any, losses: Any, start: Any, stop: Any, count: Any, row:
+    Any, surface: Any, size: Any, large: int, total: Any,
 ) -> None:  # fmt: skip
     """Sums of squared residuals and of losses, and pixels, of surfaces below a size, (3, PARTS, surfaces) int64."""
     height = valid.shape[0]
     parts = total.shape[1]
-    for part in prange(parts):
-        for i in range(part * height // parts, (part + 1) * height // parts):
-            for t in range(count[0, i]):
-                k = surface[row[i] + t]
-                if k < 0 or size[k] >= large:
-                    continue
-                squares, loss, pixels = np.int64(0), np.int64(0), 0
-                for j in range(start[i, t], stop[i, t]):
-                    if valid[i, j] != 0:
-                        a, b = np.int64(first[i, j]), np.int64(second[i, j])
-                        squares += min(a * a, b * b)
-                        loss += losses[deviation[i, j]]
-                        pixels += 1
-                total[0, part, k] += squares
-                total[1, part, k] += loss
-                total[2, part, k] += pixels
+    for i in range(part * height // parts, (part + 1) * height // parts):
+        for t in range(count[0, i]):
+            k = surface[row[i] + t]
+            if k < 0 or size[k] >= large:
+                continue
+            squares, loss, pixels = np.int64(0), np.int64(0), 0
+            for j in range(start[i, t], stop[i, t]):
+                if valid[i, j] != 0:
+                    a, b = np.int64(first[i, j]), np.int64(second[i, j])
+                    squares += min(a * a, b * b)
+                    loss += losses[deviation[i, j]]
+                    pixels += 1
+            total[0, part, k] += squares
+            total[1, part, k] += loss
+            total[2, part, k] += pixels
 
 
 @parallel
-def reject_surfaces(rejected: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, valid: Any) -> None:
+def reject_surfaces(
+    i: int, rejected: Any, start: Any, stop: Any, count: Any, row: Any, surface: Any, valid: Any
+) -> None:
     """Reject the pixels of runs of no surface and of rejected ones."""
-    for i in prange(valid.shape[0]):
-        for t in range(count[0, i]):
-            k = surface[row[i] + t]
-            if k < 0 or rejected[k]:
-                valid[i, start[i, t] : stop[i, t]] = _NO
+    for t in range(count[0, i]):
+        k = surface[row[i] + t]
+        if k < 0 or rejected[k]:
+            valid[i, start[i, t] : stop[i, t]] = _NO
 
 
 def component_test(
@@ -87,7 +87,7 @@ def component_test(
     f = surfaces
     total = np.zeros((3, PARTS, len(f.sizes)), np.int64)
     _sums(
-        valid, match.residual_normalised, match.residual, deviation, _LOSSES, f.start, f.stop, f.count, f.first,
+        PARTS, valid, match.residual_normalised, match.residual, deviation, _LOSSES, f.start, f.stop, f.count, f.first,
         f.surface, f.sizes, valid.size, total,
     )  # fmt: skip
     squares, loss, pixels = total.sum(axis=1).astype(np.float64)
@@ -95,7 +95,7 @@ def component_test(
     rms = RESIDUAL_STEP * np.sqrt(squares / n)
     ratio = log_likelihood_ratio(n, loss / n / _LOSS_STEPS, rms, scale, phase_weight)
     rejected = (rms > largest_rms) | ((f.sizes < large) & (ratio < LEAST_RATIO))
-    reject_surfaces(rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
+    reject_surfaces(len(valid), rejected, f.start, f.stop, f.count, f.first, f.surface, valid)
 
 
 def log_likelihood_ratio(pixels: Any, mean_loss: Any, rms: Any, scale: Scale, phase_weight: float) -> Any:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import blocks, parallel
 from pipeline.match.match_result import PIXEL_STEPS, TURN_STEPS
 
 LEFT, UP = np.uint8(1), np.uint8(2)
@@ -45,7 +46,7 @@ def _continues(
 
 
 @parallel
-def links(absolute_phase: Any, right_u: Any, right_v: Any, slope_x: int, slope_y: int, out: Any) -> None:
+def links(i: int, absolute_phase: Any, right_u: Any, right_v: Any, slope_x: int, slope_y: int, out: Any) -> None:
     """Bits LEFT and UP of every pixel into ``out`` (H, W) uint8; of no meaning beside unknown pixels.
 
     Args:
@@ -53,16 +54,13 @@ def links(absolute_phase: Any, right_u: Any, right_v: Any, slope_x: int, slope_y
             :mod:`pipeline.match.match_result`, modulo 16 bits.
         slope_x, slope_y: expected change of the phase per pixel, steps.
     """
-    height, width = absolute_phase.shape
+    width = absolute_phase.shape[1]
     last = width - 1
-    for i in prange(height):
-        a, u, v = absolute_phase[i], right_u[i], right_v[i]
-        out[i, :] = _NO
-        _continues(a[1:], a[:last], u[1:], u[:last], v[1:], v[:last], slope_x, PIXEL_STEPS, 0, LEFT, out[i, 1:])
-        if i > 0:
-            _continues(
-                a, absolute_phase[i - 1], u, right_u[i - 1], v, right_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i]
-            )
+    a, u, v = absolute_phase[i], right_u[i], right_v[i]
+    out[i, :] = _NO
+    _continues(a[1:], a[:last], u[1:], u[:last], v[1:], v[:last], slope_x, PIXEL_STEPS, 0, LEFT, out[i, 1:])
+    if i > 0:
+        _continues(a, absolute_phase[i - 1], u, right_u[i - 1], v, right_v[i - 1], slope_y, 0, PIXEL_STEPS, UP, out[i])
 
 
 @serial
@@ -95,7 +93,7 @@ def _events(valid: Any, joined: Any, joined_above: Any, touching: Any, out: Any)
 
 
 @parallel
-def find_runs(valid: Any, link: Any, start: Any, stop: Any, contact: Any, count: Any) -> None:
+def find_runs(band: int, valid: Any, link: Any, start: Any, stop: Any, contact: Any, count: Any) -> None:
     """Runs of every row, and the columns in which they begin to touch runs of the row above.
 
     Args:
@@ -105,35 +103,34 @@ def find_runs(valid: Any, link: Any, start: Any, stop: Any, contact: Any, count:
     """
     height, width = valid.shape
     blocks = (width + 7) // 8
-    for band in prange((height + _ROWS - 1) // _ROWS):
-        event = np.zeros(8 * blocks, np.uint8)
-        # Most pixels are the inside of a run: eight of them are passed at once.
-        event_blocks = event.view(np.uint64)
-        joined = np.zeros((2, width + 1), np.uint8)
-        touching = np.zeros(width + 1, np.uint8)
-        top = band * _ROWS
-        if top > 0:
-            _joined(valid[top - 1], link[top - 1], joined[(top + 1) % 2])
-        for i in range(top, min(top + _ROWS, height)):
-            here, above = joined[i % 2], joined[(i + 1) % 2]
-            _joined(valid[i], link[i], here)
-            if i > 0:
-                _touching(valid[i], valid[i - 1], link[i], touching)
-            _events(valid[i], here, above, touching, event)
-            runs, contacts = 0, 0
-            for eight in range(blocks):
-                if event_blocks[eight] == 0:
-                    continue
-                for j in range(8 * eight, 8 * eight + 8):
-                    if event[j] & _START:
-                        start[i, runs] = j
-                    if event[j] & _CONTACT:
-                        contact[i, contacts] = j
-                        contacts += 1
-                    if event[j] & _STOP:
-                        stop[i, runs] = j + 1
-                        runs += 1
-            count[0, i], count[1, i] = runs, contacts
+    event = np.zeros(8 * blocks, np.uint8)
+    # Most pixels are the inside of a run: eight of them are passed at once.
+    event_blocks = event.view(np.uint64)
+    joined = np.zeros((2, width + 1), np.uint8)
+    touching = np.zeros(width + 1, np.uint8)
+    top = band * _ROWS
+    if top > 0:
+        _joined(valid[top - 1], link[top - 1], joined[(top + 1) % 2])
+    for i in range(top, min(top + _ROWS, height)):
+        here, above = joined[i % 2], joined[(i + 1) % 2]
+        _joined(valid[i], link[i], here)
+        if i > 0:
+            _touching(valid[i], valid[i - 1], link[i], touching)
+        _events(valid[i], here, above, touching, event)
+        runs, contacts = 0, 0
+        for eight in range(blocks):
+            if event_blocks[eight] == 0:
+                continue
+            for j in range(8 * eight, 8 * eight + 8):
+                if event[j] & _START:
+                    start[i, runs] = j
+                if event[j] & _CONTACT:
+                    contact[i, contacts] = j
+                    contacts += 1
+                if event[j] & _STOP:
+                    stop[i, runs] = j + 1
+                    runs += 1
+        count[0, i], count[1, i] = runs, contacts
 
 
 @serial
@@ -195,14 +192,13 @@ def unite(
 
 
 @parallel
-def paint(start: Any, stop: Any, count: Any, first: Any, surface: Any, label: Any) -> None:
+def paint(i: int, start: Any, stop: Any, count: Any, first: Any, surface: Any, label: Any) -> None:
     """One more than each pixel's surface into ``label`` (H, W) uint16, 0 where there is none."""
-    for i in prange(label.shape[0]):
-        label[i, :] = 0
-        for t in range(count[0, i]):
-            k = surface[first[i] + t]
-            if k >= 0:
-                label[i, start[i, t] : stop[i, t]] = k + 1
+    label[i, :] = 0
+    for t in range(count[0, i]):
+        k = surface[first[i] + t]
+        if k >= 0:
+            label[i, start[i, t] : stop[i, t]] = k + 1
 
 
 class Surfaces:
@@ -224,7 +220,7 @@ class Surfaces:
 
     def find(self, valid: NDArray[np.uint8], link: NDArray[np.uint8], smallest: int) -> int:
         """Find the surfaces of at least ``smallest`` pixels; their number."""
-        find_runs(valid, link, self.start, self.stop, self.contact, self.count)
+        find_runs(blocks(len(valid), _ROWS), valid, link, self.start, self.stop, self.contact, self.count)
         number = unite(
             self.start,
             self.stop,
@@ -241,4 +237,4 @@ class Surfaces:
 
     def paint(self, label: NDArray[np.uint16]) -> None:
         """One more than each pixel's surface, 0 where there is none."""
-        paint(self.start, self.stop, self.count, self.first, self.surface, label)
+        paint(len(label), self.start, self.stop, self.count, self.first, self.surface, label)

@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 
 RADIUS = 3
 """Half width of the neighbourhood whose mean residual counts, pixels."""
 
-_ROWS = 32
+ROWS = 32
 _YES, _NO = np.uint8(1), np.uint8(0)
 
 
@@ -57,7 +58,7 @@ def _agreeing(
 
 
 @parallel
-def local_outliers(valid: Any, first: Any, second: Any, limit: int, largest: int, out: Any) -> None:
+def local_outliers(band: int, valid: Any, first: Any, second: Any, limit: int, largest: int, out: Any) -> None:
     """Known pixels with a small residual and one that stays near the mean of its 7 x 7 neighbourhood.
 
     Args:
@@ -68,36 +69,35 @@ def local_outliers(valid: Any, first: Any, second: Any, limit: int, largest: int
         out: (H, W) uint8, becomes 1 where all is well, else 0.
     """
     height, width = valid.shape
-    for band in prange((height + _ROWS - 1) // _ROWS):
-        top = band * _ROWS
-        bottom = min(top + _ROWS, height)
-        # Columns beyond the image's sides stay 0, and rows above and below it count as unknown.
-        column1, column2, column_n = (np.zeros(width + 2 * RADIUS, np.int16), np.zeros(width + 2 * RADIUS, np.int16),
-                                      np.zeros(width + 2 * RADIUS, np.int16))  # fmt: skip
-        n, sum1, sum2 = np.empty(width, np.int16), np.empty(width, np.int16), np.empty(width, np.int16)
-        window, columns = np.empty(width, np.int16), np.empty(width, np.int16)
+    top = band * ROWS
+    bottom = min(top + ROWS, height)
+    # Columns beyond the image's sides stay 0, and rows above and below it count as unknown.
+    column1, column2, column_n = (np.zeros(width + 2 * RADIUS, np.int16), np.zeros(width + 2 * RADIUS, np.int16),
+                                  np.zeros(width + 2 * RADIUS, np.int16))  # fmt: skip
+    n, sum1, sum2 = np.empty(width, np.int16), np.empty(width, np.int16), np.empty(width, np.int16)
+    window, columns = np.empty(width, np.int16), np.empty(width, np.int16)
+    for j in range(width):
+        columns[j] = min(width, j + RADIUS + 1) - max(0, j - RADIUS)
+    nothing = np.zeros(width, np.uint8)
+    first_row = max(0, top - RADIUS)
+    for i in range(first_row, bottom + RADIUS):
+        old = i - 2 * RADIUS - 1
+        came, gone = min(i, height - 1), max(old, 0)
+        came_known = valid[came] if i < height else nothing
+        gone_known = valid[gone] if old >= first_row else nothing
+        _shift(first[came], came_known, first[gone], gone_known, column1)
+        _shift(second[came], came_known, second[gone], gone_known, column2)
+        _shift_count(came_known, gone_known, column_n)
+        middle = i - RADIUS
+        if middle < top:
+            continue
+        _across(column1, sum1)
+        _across(column2, sum2)
+        _across(column_n, n)
+        within = min(height, middle + RADIUS + 1) - max(0, middle - RADIUS)
         for j in range(width):
-            columns[j] = min(width, j + RADIUS + 1) - max(0, j - RADIUS)
-        nothing = np.zeros(width, np.uint8)
-        first_row = max(0, top - RADIUS)
-        for i in range(first_row, bottom + RADIUS):
-            old = i - 2 * RADIUS - 1
-            came, gone = min(i, height - 1), max(old, 0)
-            came_known = valid[came] if i < height else nothing
-            gone_known = valid[gone] if old >= first_row else nothing
-            _shift(first[came], came_known, first[gone], gone_known, column1)
-            _shift(second[came], came_known, second[gone], gone_known, column2)
-            _shift_count(came_known, gone_known, column_n)
-            middle = i - RADIUS
-            if middle < top:
-                continue
-            _across(column1, sum1)
-            _across(column2, sum2)
-            _across(column_n, n)
-            within = min(height, middle + RADIUS + 1) - max(0, middle - RADIUS)
-            for j in range(width):
-                window[j] = within * columns[j]
-            _agreeing(valid[middle], first[middle], second[middle], n, sum1, sum2, window, limit, largest, out[middle])
+            window[j] = within * columns[j]
+        _agreeing(valid[middle], first[middle], second[middle], n, sum1, sum2, window, limit, largest, out[middle])
 
 
 @serial
@@ -150,7 +150,7 @@ def _mixed(label: Any, modulation: Any, i: int, j: int, share: Any) -> bool:
 
 
 @parallel
-def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
+def drop_mixed_edges(band: int, label: Any, modulation: Any, share: Any, out: Any) -> None:
     """Surfaces without the pixels at their border whose modulation falls below a share of that next to them.
 
     At the border of a surface a pixel that sees only half of it, or half in shadow, mixes two phases.
@@ -163,37 +163,36 @@ def drop_mixed_edges(label: Any, modulation: Any, share: Any, out: Any) -> None:
     height, width = label.shape
     blocks = (width + 7) // 8
     share_256 = min(int(share * np.float32(256.0)) + 1, 256)
-    for band in prange((height + _ROWS - 1) // _ROWS):
-        top = band * _ROWS
-        bottom = min(top + _ROWS, height)
-        # Beyond the image there is no surface. Rows are kept in turns of three.
-        strength, labels = np.zeros((3, width + 2), np.uint8), np.zeros((3, width + 2), np.uint16)
-        best_of_row = np.zeros((3, width), np.uint8)
-        least_of_row, most_of_row = np.zeros((3, width), np.uint16), np.zeros((3, width), np.uint16)
-        best, least, most = np.empty(width, np.uint8), np.empty(width, np.uint16), np.empty(width, np.uint16)
-        doubtful, ignored = np.zeros(8 * blocks, np.uint8), np.empty(width, np.uint8)
-        doubtful_blocks = doubtful.view(np.uint64)
-        for i in range(max(0, top - 1), bottom + 1):
-            now = i % 3
-            s, k = strength[now], labels[now]
-            if i < height:
-                _pad(label[i], modulation[i], k, s, out[i] if top <= i < bottom else ignored)
-            else:
-                s[:], k[:] = _NO, 0
-            _largest_of_three(s, s[1:], s[2:], best_of_row[now])
-            _least_of_three(k, k[1:], k[2:], least_of_row[now])
-            _largest_of_three(k, k[1:], k[2:], most_of_row[now])
-            here = i - 1
-            if here < top:
+    top = band * ROWS
+    bottom = min(top + ROWS, height)
+    # Beyond the image there is no surface. Rows are kept in turns of three.
+    strength, labels = np.zeros((3, width + 2), np.uint8), np.zeros((3, width + 2), np.uint16)
+    best_of_row = np.zeros((3, width), np.uint8)
+    least_of_row, most_of_row = np.zeros((3, width), np.uint16), np.zeros((3, width), np.uint16)
+    best, least, most = np.empty(width, np.uint8), np.empty(width, np.uint16), np.empty(width, np.uint16)
+    doubtful, ignored = np.zeros(8 * blocks, np.uint8), np.empty(width, np.uint8)
+    doubtful_blocks = doubtful.view(np.uint64)
+    for i in range(max(0, top - 1), bottom + 1):
+        now = i % 3
+        s, k = strength[now], labels[now]
+        if i < height:
+            _pad(label[i], modulation[i], k, s, out[i] if top <= i < bottom else ignored)
+        else:
+            s[:], k[:] = _NO, 0
+        _largest_of_three(s, s[1:], s[2:], best_of_row[now])
+        _least_of_three(k, k[1:], k[2:], least_of_row[now])
+        _largest_of_three(k, k[1:], k[2:], most_of_row[now])
+        here = i - 1
+        if here < top:
+            continue
+        _largest_of_three(best_of_row[0], best_of_row[1], best_of_row[2], best)
+        _least_of_three(least_of_row[0], least_of_row[1], least_of_row[2], least)
+        _largest_of_three(most_of_row[0], most_of_row[1], most_of_row[2], most)
+        _perhaps_mixed(strength[here % 3, 1:], best, share_256, least, most, doubtful[:width])
+        # Few pixels are doubtful: only those are tested in full.
+        for eight in range(blocks):
+            if doubtful_blocks[eight] == 0:
                 continue
-            _largest_of_three(best_of_row[0], best_of_row[1], best_of_row[2], best)
-            _least_of_three(least_of_row[0], least_of_row[1], least_of_row[2], least)
-            _largest_of_three(most_of_row[0], most_of_row[1], most_of_row[2], most)
-            _perhaps_mixed(strength[here % 3, 1:], best, share_256, least, most, doubtful[:width])
-            # Few pixels are doubtful: only those are tested in full.
-            for eight in range(blocks):
-                if doubtful_blocks[eight] == 0:
-                    continue
-                for j in range(8 * eight, 8 * eight + 8):
-                    if doubtful[j] != 0 and label[here, j] != 0 and _mixed(label, modulation, here, j, share):
-                        out[here, j] = _NO
+            for j in range(8 * eight, 8 * eight + 8):
+                if doubtful[j] != 0 and label[here, j] != 0 and _mixed(label, modulation, here, j, share):
+                    out[here, j] = _NO

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import parallel, prange
+from pipeline.common.parallel_for import parallel
 
 _NAN = np.float32(np.nan)
 _NOWHERE = np.int16(-1)
 
 
 @parallel
-def mask_rejected(valid: Any, order: Any, stride: int, xyz: Any, sigma: Any, order_out: Any) -> None:
+def mask_rejected(i: int, valid: Any, order: Any, stride: int, xyz: Any, sigma: Any, order_out: Any) -> None:
     """Set rejected points to NaN and copy the orders of the others.
 
     Args:
@@ -21,26 +21,25 @@ def mask_rejected(valid: Any, order: Any, stride: int, xyz: Any, sigma: Any, ord
         stride: pixel (a, b) of those is the cloud's (every a, every b); pixels in between are unknown.
         xyz: (H, W, 3), sigma: (H, W), float32, changed; order_out: (H, W) int16, written, -1 where unknown.
     """
-    height, width = sigma.shape
-    for i in prange(height):
-        if stride != 1:
-            order_out[i, :] = _NOWHERE
-            if i % stride != 0:
-                xyz[i, :, :], sigma[i, :] = _NAN, _NAN
-                continue
-            for j in range(width):
-                if j % stride != 0:
-                    xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
-        a = i // stride
-        here, orders = valid[a], order[a]
-        if stride == 1:
-            out = order_out[i]
-            for j in range(width):
-                one = orders[j]
-                out[j] = one if here[j] != 0 else _NOWHERE
-        for b in range(here.shape[0]):
-            m = np.uint32(stride * b)
-            if here[b] == 0:
-                xyz[i, m, 0], xyz[i, m, 1], xyz[i, m, 2], sigma[i, m] = _NAN, _NAN, _NAN, _NAN
-            elif stride != 1:
-                order_out[i, m] = orders[b]
+    width = sigma.shape[1]
+    if stride != 1:
+        order_out[i, :] = _NOWHERE
+        if i % stride != 0:
+            xyz[i, :, :], sigma[i, :] = _NAN, _NAN
+            return
+        for j in range(width):
+            if j % stride != 0:
+                xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
+    a = i // stride
+    here, orders = valid[a], order[a]
+    if stride == 1:
+        out = order_out[i]
+        for j in range(width):
+            one = orders[j]
+            out[j] = one if here[j] != 0 else _NOWHERE
+    for b in range(here.shape[0]):
+        m = np.uint32(stride * b)
+        if here[b] == 0:
+            xyz[i, m, 0], xyz[i, m, 1], xyz[i, m, 2], sigma[i, m] = _NAN, _NAN, _NAN, _NAN
+        elif stride != 1:
+            order_out[i, m] = orders[b]

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 from pipeline.match.match_result import PIXEL_STEPS
 
 TILE_ROWS, TILE_COLUMNS = 8, 16
@@ -65,8 +66,8 @@ def _any_shared(number: Any, box: Any, across: int) -> bool:
 
 @parallel
 def list_claims(
-    valid: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, box: Any, number: Any,
-    entries: Any, pixels: Any, places: Any, surfaces: Any, depths: Any, all_values: Any,
+    part: int, valid: Any, label: Any, u: Any, v: Any, depth: Any, values: Any, width: int, height: int, box: Any,
+    number: Any, entries: Any, pixels: Any, places: Any, surfaces: Any, depths: Any, all_values: Any,
 ) -> None:  # fmt: skip
     """List the pixels that claim shared blocks, by bands of rows.
 
@@ -80,35 +81,34 @@ def list_claims(
     down, tiles = box.shape[:2]
     parts = entries.shape[0]
     across = (width + 7) // 8
-    for part in prange(parts):
-        shared_tiles = np.empty(tiles, np.int32)
-        n = 0
-        for band in range(part * down // parts, (part + 1) * down // parts):
-            found = 0
-            for tile in range(tiles):
-                if _any_shared(number, box[band, tile], across):
-                    shared_tiles[found], found = tile, found + 1
-            # Row by row: memory is read ahead along rows.
-            for i in range(TILE_ROWS * band, min(TILE_ROWS * (band + 1), rows)):
-                for m in range(found):
-                    first = TILE_COLUMNS * shared_tiles[m]
-                    for j in range(first, min(first + TILE_COLUMNS, columns)):
-                        a, b = np.int32(u[i, j]) // PIXEL_STEPS, np.int32(v[i, j]) // PIXEL_STEPS
-                        x, y = a // 8, b // 8
-                        inside = (valid[i, j] != 0) & (a < width) & (b < height)
-                        k = number[y * across + x if inside else 0]
-                        if k < 0 or not inside:
-                            continue
-                        pixels[part, n] = i * columns + j
-                        places[part, n] = k * 64 + (b & 7) * 8 + (a & 7)
-                        surfaces[part, n], depths[part, n] = np.int32(label[i, j]) - 1, depth[i, j]
-                        if values.by_depth:
-                            s = (np.float32(1.0) / depth[i, j] - values.base) / values.span
-                            all_values[part, n] = np.int16(np.int32(s * np.float32(PARAMETER_STEPS)))
-                        else:
-                            all_values[part, n] = values.phase[i, j]
-                        n += 1
-        entries[part] = n
+    shared_tiles = np.empty(tiles, np.int32)
+    n = 0
+    for band in range(part * down // parts, (part + 1) * down // parts):
+        found = 0
+        for tile in range(tiles):
+            if _any_shared(number, box[band, tile], across):
+                shared_tiles[found], found = tile, found + 1
+        # Row by row: memory is read ahead along rows.
+        for i in range(TILE_ROWS * band, min(TILE_ROWS * (band + 1), rows)):
+            for m in range(found):
+                first = TILE_COLUMNS * shared_tiles[m]
+                for j in range(first, min(first + TILE_COLUMNS, columns)):
+                    a, b = np.int32(u[i, j]) // PIXEL_STEPS, np.int32(v[i, j]) // PIXEL_STEPS
+                    x, y = a // 8, b // 8
+                    inside = (valid[i, j] != 0) & (a < width) & (b < height)
+                    k = number[y * across + x if inside else 0]
+                    if k < 0 or not inside:
+                        continue
+                    pixels[part, n] = i * columns + j
+                    places[part, n] = k * 64 + (b & 7) * 8 + (a & 7)
+                    surfaces[part, n], depths[part, n] = np.int32(label[i, j]) - 1, depth[i, j]
+                    if values.by_depth:
+                        s = (np.float32(1.0) / depth[i, j] - values.base) / values.span
+                        all_values[part, n] = np.int16(np.int32(s * np.float32(PARAMETER_STEPS)))
+                    else:
+                        all_values[part, n] = values.phase[i, j]
+                    n += 1
+    entries[part] = n
 
 
 @serial
@@ -135,7 +135,7 @@ def _differ(surface: Any, value: Any, e: int, other: int, tolerance: int) -> boo
 
 @parallel
 def find_conflicts(
-    entries: Any, places: Any, surface: Any, value: Any, near: Any, far: Any, tolerance: int, conflicts: Any,
+    part: int, entries: Any, places: Any, surface: Any, value: Any, near: Any, far: Any, tolerance: int, conflicts: Any,
     against: Any,
 ) -> None:  # fmt: skip
     """Find the claims in conflict with another surface, and their number by surface.
@@ -147,18 +147,17 @@ def find_conflicts(
     """
     capacity = places.shape[1]
     surfaces, values = surface.ravel(), value.ravel()
-    for part in prange(entries.shape[0]):
-        for n in range(entries[part]):
-            a, b = near[places[part, n]], far[places[part, n]]
-            e = part * capacity + n
-            bits = 0
-            if a != b:
-                bits = (1 if _differ(surfaces, values, e, a, tolerance) else 0) | (
-                    2 if _differ(surfaces, values, e, b, tolerance) else 0
-                )
-            conflicts[part, n] = bits
-            if bits != 0:
-                against[part, surfaces[e]] += 1
+    for n in range(entries[part]):
+        a, b = near[places[part, n]], far[places[part, n]]
+        e = part * capacity + n
+        bits = 0
+        if a != b:
+            bits = (1 if _differ(surfaces, values, e, a, tolerance) else 0) | (
+                2 if _differ(surfaces, values, e, b, tolerance) else 0
+            )
+        conflicts[part, n] = bits
+        if bits != 0:
+            against[part, surfaces[e]] += 1
 
 
 @serial
@@ -178,7 +177,7 @@ def _keeps_pixel(label: int, depth: float, other: int, other_depth: float, size:
 
 @parallel
 def arbitrate(
-    entries: Any, pixels: Any, places: Any, surface: Any, depth: Any, conflicts: Any, near: Any, far: Any,
+    part: int, entries: Any, pixels: Any, places: Any, surface: Any, depth: Any, conflicts: Any, near: Any, far: Any,
     size: Any, share: Any, sure: int, valid: Any,
 ) -> None:  # fmt: skip
     """Reject the points of claims that lose their pixel; ``valid`` (flat) is changed.
@@ -191,15 +190,14 @@ def arbitrate(
     """
     capacity = places.shape[1]
     surfaces, depths = surface.ravel(), depth.ravel()
-    for part in prange(entries.shape[0]):
-        for n in range(entries[part]):
-            bits = conflicts[part, n]
-            if bits == 0:
-                continue
-            a, b = near[places[part, n]], far[places[part, n]]
-            e = part * capacity + n
-            mine, z = surfaces[e], depths[e]
-            kept = (bits & 1) == 0 or _keeps_pixel(mine, z, surfaces[a], depths[a], size, share, sure)
-            kept = kept and ((bits & 2) == 0 or _keeps_pixel(mine, z, surfaces[b], depths[b], size, share, sure))
-            if not kept:
-                valid[pixels[part, n]] = 0
+    for n in range(entries[part]):
+        bits = conflicts[part, n]
+        if bits == 0:
+            continue
+        a, b = near[places[part, n]], far[places[part, n]]
+        e = part * capacity + n
+        mine, z = surfaces[e], depths[e]
+        kept = (bits & 1) == 0 or _keeps_pixel(mine, z, surfaces[a], depths[a], size, share, sure)
+        kept = kept and ((bits & 2) == 0 or _keeps_pixel(mine, z, surfaces[b], depths[b], size, share, sure))
+        if not kept:
+            valid[pixels[part, n]] = 0

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.filter import connected_components
 from pipeline.filter.component_test import component_test
 from pipeline.filter.connected_components import Surfaces
-from pipeline.filter.local_outliers import drop_mixed_edges, local_outliers
+from pipeline.filter.local_outliers import ROWS, drop_mixed_edges, local_outliers
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.surface_edges import edge_test
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
@@ -67,18 +68,24 @@ class Gates:
             agreement: of the textures, its misfit is raised at the edges of surfaces; scale: of their differences.
         """
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
+        bands = blocks(len(valid), ROWS)
         limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)
-        local_outliers(match.valid, match.residual_normalised, match.residual, limit, largest, valid)
+        local_outliers(bands, match.valid, match.residual_normalised, match.residual, limit, largest, valid)
         connected_components.links(
-            match.absolute_phase, match.right_u.view(np.int16), match.right_v.view(np.int16), *self._slopes, self._link
+            len(valid),
+            match.absolute_phase,
+            match.right_u.view(np.int16),
+            match.right_v.view(np.int16),
+            *self._slopes,
+            self._link,
         )
         surfaces.find(valid, self._link, self._smallest)
         surfaces.paint(label)
-        drop_mixed_edges(label, modulation, np.float32(s.edge_modulation), valid)
+        drop_mixed_edges(bands, label, modulation, np.float32(s.edge_modulation), valid)
         self._test_components(match, agreement, scale)
         edge_test(
-            label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS), np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF,
-            agreement.misfit, valid,
+            len(label), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS), np.float32(LOSS_PER_NEIGHBOUR),
+            MISFIT_OF, agreement.misfit, valid,
         )  # fmt: skip
         by_phase = Values(match.absolute_phase, False, self._base, self._span)
         for u, v, device, values, tolerance in (

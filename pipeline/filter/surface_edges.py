@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 
 _NO = np.uint8(0)
 REACH = 2
@@ -43,8 +44,8 @@ def _edge_score(label: Any, deviation: Any, losses: Any, i: int, j: int) -> tupl
 
 @parallel
 def edge_test(
-    label: Any, deviation: Any, losses: Any, high: int, limit: Any, per_neighbour: Any, misfit_of: Any, misfit: Any,
-    valid: Any,
+    i: int, label: Any, deviation: Any, losses: Any, high: int, limit: Any, per_neighbour: Any, misfit_of: Any, misfit:
+    Any, valid: Any,
 ) -> None:  # fmt: skip
     """Reject edge pixels, and pixels that deviate, whose surface does not agree in texture around them.
 
@@ -56,17 +57,16 @@ def edge_test(
         misfit: (H, W) uint8, raised; valid: (H, W) uint8, changed.
     """
     height, width = label.shape
-    for i in prange(height):
-        doubt = np.empty(width, np.uint8)
-        _label_changes(label[max(i - 1, 0)], label[i], label[min(i + 1, height - 1)], doubt)
-        row, checked = deviation[i], valid[i]
-        for j in range(width):
-            doubt[j] = (doubt[j] | np.uint8((row[j] >= high) & (label[i, j] != 0))) & checked[j]
-        for j in range(width):
-            if doubt[j] == 0:
-                continue
-            loss, beside = _edge_score(label, deviation, losses, i, j)
-            if loss > limit - per_neighbour * np.float32(8 - beside):
-                checked[j] = _NO
-            else:
-                misfit[i, j] = max(misfit[i, j], misfit_of[beside])
+    doubt = np.empty(width, np.uint8)
+    _label_changes(label[max(i - 1, 0)], label[i], label[min(i + 1, height - 1)], doubt)
+    row, checked = deviation[i], valid[i]
+    for j in range(width):
+        doubt[j] = (doubt[j] | np.uint8((row[j] >= high) & (label[i, j] != 0))) & checked[j]
+    for j in range(width):
+        if doubt[j] == 0:
+            continue
+        loss, beside = _edge_score(label, deviation, losses, i, j)
+        if loss > limit - per_neighbour * np.float32(8 - beside):
+            checked[j] = _NO
+        else:
+            misfit[i, j] = max(misfit[i, j], misfit_of[beside])

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 from pipeline.match.match_result import PIXEL_STEPS, MatchResult
 
 DEVIATION_STEPS = 16
@@ -102,14 +103,13 @@ def _deviations(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any, devia
 
 @parallel
 def _compare(
-    valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, right_mean: Any, right_amplitude: Any, width: int,
+    i: int, valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, right_mean: Any, right_amplitude: Any, width: int,
     scale: Any, deviation: Any, misfit: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of :class:`Agreement`; right images flat, of this width."""
-    for i in prange(valid.shape[0]):
-        right = np.empty((2, valid.shape[1]), np.float32)
-        _right_values(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
-        _deviations(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
+    right = np.empty((2, valid.shape[1]), np.float32)
+    _right_values(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
+    _deviations(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
 
 
 def compare(match: MatchResult, left: Any, right: Any, scale: Scale, out: Agreement) -> None:
@@ -124,7 +124,7 @@ def compare(match: MatchResult, left: Any, right: Any, scale: Scale, out: Agreem
         np.float32,
     )  # fmt: skip
     _compare(
-        match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean.reshape(-1),
+        len(match.valid), match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean.reshape(-1),
         right.modulation.reshape(-1), right.mean.shape[1], s, out.deviation, out.misfit,
     )  # fmt: skip
 
@@ -170,12 +170,11 @@ def _widen_row(valid: Any, misfit: Any, variance: Any, sigma: Any) -> None:
 
 
 @parallel
-def widen_sigma(valid: Any, misfit: Any, variance: Any, stride: int, sigma: Any) -> None:
+def widen_sigma(i: int, valid: Any, misfit: Any, variance: Any, stride: int, sigma: Any) -> None:
     """Add the misfit to the standard deviation of the points.
 
     Args:
         valid, misfit: (h, w) uint8; variance: (h, w) float32, rad^2, of the left phase; the right one's is alike.
         stride: pixel (a, b) of those is that at (stride a, stride b) of ``sigma`` (H, W) float32, which is changed.
     """
-    for i in prange(valid.shape[0]):
-        _widen_row(valid[i], misfit[i], variance[i], sigma[stride * i, ::stride])
+    _widen_row(valid[i], misfit[i], variance[i], sigma[stride * i, ::stride])

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 from pipeline.filter import occlusion_conflicts
 from pipeline.filter.occlusion_conflicts import TILE_COLUMNS, TILE_ROWS
 from pipeline.match.match_result import OUTSIDE, PIXEL_STEPS
@@ -93,7 +94,7 @@ def _claim(owner: Any, block: int, surface: Any) -> None:
 
 @parallel
 def claim_blocks(
-    valid: Any, label: Any, u: Any, v: Any, width: int, height: int, box: Any, owner: Any
+    part: int, valid: Any, label: Any, u: Any, v: Any, width: int, height: int, box: Any, owner: Any
 ) -> None:  # fmt: skip
     """Note which surface claims which block of the other device.
 
@@ -109,49 +110,48 @@ def claim_blocks(
     across = (width + 7) // 8
     last_x, last_y = (width - 1) // 8, (height - 1) // 8
     n = tiles * TILE_COLUMNS
-    for part in prange(owner.shape[0]):
-        mine = owner[part]
-        mine[:] = NOBODY
-        low_u, high_u, low_v, high_v, spare = (np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16),
-            np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16))  # fmt: skip
-        row = np.empty(columns, np.uint16)
-        low, high = np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16)
-        for band in range(part * down // owner.shape[0], (part + 1) * down // owner.shape[0]):
-            low_u[:], high_u[:], low_v[:], high_v[:] = _NOWHERE, _ZERO, _NOWHERE, _ZERO
-            low[:], high[:] = _NOWHERE, _ZERO
-            top, bottom = band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)
-            for i in range(top, bottom):
-                _masked(valid[i], u[i], row)
-                _least_known(row, low_u)
-                _most_known(row, high_u)
-                _masked(valid[i], v[i], row)
-                _least_known(row, low_v)
-                _most_known(row, high_v)
-                _least_label(label[i], low)
-                _most(label[i], high[:columns], high[:columns])
-            _least_of_16(low_u, spare, n)
-            _most_of_16(high_u, spare, n)
-            _least_of_16(low_v, spare, n)
-            _most_of_16(high_v, spare, n)
-            _least_of_16(low, spare, n)
-            _most_of_16(high, spare, n)
-            for tile in range(tiles):
-                j = tile * TILE_COLUMNS
-                x0, x1 = low_u[j] // BLOCK_STEPS, min((high_u[j] - 1) // BLOCK_STEPS, last_x)
-                y0, y1 = low_v[j] // BLOCK_STEPS, min((high_v[j] - 1) // BLOCK_STEPS, last_y)
-                box[band, tile, 0], box[band, tile, 1], box[band, tile, 2], box[band, tile, 3] = x0, x1, y0, y1
-                if high[j] == 0:
-                    box[band, tile, 1] = -1
-                elif high[j] == low[j] + 1:
-                    for y in range(y0, y1 + 1):
-                        for x in range(x0, x1 + 1):
-                            _claim(mine, y * across + x, np.int32(low[j]))
-                else:
-                    for i in range(top, bottom):
-                        for m in range(j, min(j + TILE_COLUMNS, columns)):
-                            x, y = u[i, m] // BLOCK_STEPS, v[i, m] // BLOCK_STEPS
-                            if valid[i, m] and x <= last_x and y <= last_y:
-                                _claim(mine, y * across + x, np.int32(label[i, m]) - 1)
+    mine = owner[part]
+    mine[:] = NOBODY
+    low_u, high_u, low_v, high_v, spare = (np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16),
+        np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16))  # fmt: skip
+    row = np.empty(columns, np.uint16)
+    low, high = np.empty(n + 16, np.uint16), np.empty(n + 16, np.uint16)
+    for band in range(part * down // owner.shape[0], (part + 1) * down // owner.shape[0]):
+        low_u[:], high_u[:], low_v[:], high_v[:] = _NOWHERE, _ZERO, _NOWHERE, _ZERO
+        low[:], high[:] = _NOWHERE, _ZERO
+        top, bottom = band * TILE_ROWS, min((band + 1) * TILE_ROWS, rows)
+        for i in range(top, bottom):
+            _masked(valid[i], u[i], row)
+            _least_known(row, low_u)
+            _most_known(row, high_u)
+            _masked(valid[i], v[i], row)
+            _least_known(row, low_v)
+            _most_known(row, high_v)
+            _least_label(label[i], low)
+            _most(label[i], high[:columns], high[:columns])
+        _least_of_16(low_u, spare, n)
+        _most_of_16(high_u, spare, n)
+        _least_of_16(low_v, spare, n)
+        _most_of_16(high_v, spare, n)
+        _least_of_16(low, spare, n)
+        _most_of_16(high, spare, n)
+        for tile in range(tiles):
+            j = tile * TILE_COLUMNS
+            x0, x1 = low_u[j] // BLOCK_STEPS, min((high_u[j] - 1) // BLOCK_STEPS, last_x)
+            y0, y1 = low_v[j] // BLOCK_STEPS, min((high_v[j] - 1) // BLOCK_STEPS, last_y)
+            box[band, tile, 0], box[band, tile, 1], box[band, tile, 2], box[band, tile, 3] = x0, x1, y0, y1
+            if high[j] == 0:
+                box[band, tile, 1] = -1
+            elif high[j] == low[j] + 1:
+                for y in range(y0, y1 + 1):
+                    for x in range(x0, x1 + 1):
+                        _claim(mine, y * across + x, np.int32(low[j]))
+            else:
+                for i in range(top, bottom):
+                    for m in range(j, min(j + TILE_COLUMNS, columns)):
+                        x, y = u[i, m] // BLOCK_STEPS, v[i, m] // BLOCK_STEPS
+                        if valid[i, m] and x <= last_x and y <= last_y:
+                            _claim(mine, y * across + x, np.int32(label[i, m]) - 1)
 
 
 @serial
@@ -206,21 +206,33 @@ class Uniqueness:
         width, height = device
         blocks = ((width + 7) // 8) * ((height + 7) // 8)
         owner, number, c = self._owner[:, :blocks], self._number[:blocks], self._claims
-        claim_blocks(valid, label, u, v, width, height, self._box, owner)
+        claim_blocks(PARTS, valid, label, u, v, width, height, self._box, owner)
         shared = number_shared(owner, number)
         if not shared:
             return
         occlusion_conflicts.list_claims(
-            valid, label, u, v, depth, values, width, height, self._box, number,
+            PARTS, valid, label, u, v, depth, values, width, height, self._box, number,
             c.entries, c.pixel, c.place, c.surface, c.depth, c.value,
         )  # fmt: skip
         near, far = self._near[: 64 * shared], self._far[: 64 * shared]
         occlusion_conflicts.nearest_and_farthest(c.entries, c.place, c.depth, near, far)
         against = np.zeros((PARTS, len(size)), np.int32)
         occlusion_conflicts.find_conflicts(
-            c.entries, c.place, c.surface, c.value, near, far, tolerance, c.conflict, against
+            PARTS, c.entries, c.place, c.surface, c.value, near, far, tolerance, c.conflict, against
         )
         share = (against.sum(axis=0) / size).astype(np.float32)
         occlusion_conflicts.arbitrate(
-            c.entries, c.pixel, c.place, c.surface, c.depth, c.conflict, near, far, size, share, sure, valid.reshape(-1)
+            PARTS,
+            c.entries,
+            c.pixel,
+            c.place,
+            c.surface,
+            c.depth,
+            c.conflict,
+            near,
+            far,
+            size,
+            share,
+            sure,
+            valid.reshape(-1),
         )

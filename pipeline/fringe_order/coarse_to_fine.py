@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, parallel, prange, serial
+from pipeline.common.jit import inline, serial
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import whole_turns
 from pipeline.fringe_order.semi_global_aggregation import NONE
 
@@ -81,7 +82,6 @@ def _between_rows(
                              phase[i + 2 * down, j] + half - total - middle)  # fmt: skip
 
 
-@parallel
 def interpolate_orders(
     coarse: Any, confident: Any, phase: Any, valid: Any, top: int, down: int, left: int, step: int, slope_x: Any,
     slope_y: Any, certain: Any,
@@ -93,18 +93,33 @@ def interpolate_orders(
         phase, valid: (H, W) of the image; lattice pixel (a, b) is row ``top + down a``, column ``left + step b``.
         slope_x, slope_y: expected phase steps per pixel, radians.
     """
-    h, w = certain.shape
-    for a2 in prange((h + 1) // 2):
-        a = 2 * a2
-        for b2 in range((w + 1) // 2):
-            certain[a, 2 * b2] = coarse[a2, b2] if confident[a2, b2] != 0 else NONE
-        _between_columns(phase[top + down * a], valid[top + down * a], left, step, slope_x, certain[a])
-    for a2 in prange(h // 2):
-        a = 2 * a2 + 1
-        row = certain[a]
-        if a + 1 < h:
-            _between_rows(phase, valid, top + down * (a - 1), down, left, step, slope_y, certain[a - 1],
-                          certain[a + 1], row)  # fmt: skip
-            _between_columns(phase[top + down * a], valid[top + down * a], left, step, slope_x, row)
-        else:
-            row[:] = NONE
+    h = len(certain)
+    _even_row((h + 1) // 2, coarse, confident, phase, valid, top, down, left, step, slope_x, certain)
+    _odd_row(h // 2, phase, valid, top, down, left, step, slope_x, slope_y, certain)
+
+
+@parallel
+def _even_row(
+    k: int, coarse: Any, confident: Any, phase: Any, valid: Any, top: int, down: int, left: int, step: int,
+    slope_x: Any, certain: Any,
+) -> None:  # fmt: skip
+    """Lattice row 2 k: confident orders, and those between them."""
+    a = 2 * k
+    for b in range((certain.shape[1] + 1) // 2):
+        certain[a, 2 * b] = coarse[k, b] if confident[k, b] != 0 else NONE
+    _between_columns(phase[top + down * a], valid[top + down * a], left, step, slope_x, certain[a])
+
+
+@parallel
+def _odd_row(
+    k: int, phase: Any, valid: Any, top: int, down: int, left: int, step: int, slope_x: Any, slope_y: Any, certain: Any
+) -> None:
+    """Lattice row 2 k + 1, from the rows above and below."""
+    a = 2 * k + 1
+    row = certain[a]
+    if a + 1 < certain.shape[0]:
+        _between_rows(phase, valid, top + down * (a - 1), down, left, step, slope_y, certain[a - 1],
+                      certain[a + 1], row)  # fmt: skip
+        _between_columns(phase[top + down * a], valid[top + down * a], left, step, slope_x, row)
+    else:
+        row[:] = NONE

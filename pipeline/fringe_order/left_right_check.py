@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.pixel_descriptor import bias_of
 from pipeline.fringe_order.semi_global_aggregation import NONE
@@ -25,10 +26,14 @@ def cross_check(
 ) -> None:  # fmt: skip
     """Write the orders (h, w) of a view's lattice that the other view confirms to ``confirmed``, NONE elsewhere."""
     t, o = view.table, other.table
+    n, m = other_order.shape
+    # With a border of two undecided pixels no access needs a test for the lattice's end.
+    other_absolute = np.empty((n + 4, m + 4), np.float32)
+    slopes = np.float32(other.slopes[0]), np.float32(other.slopes[1])
+    _other_absolute_row(n + 4, other_order, o.top, o.down, o.left, o.step, other_phases.phase, *slopes, other_absolute)
     _cross_check(
-        order, t.top, t.down, t.left, t.step, t.lines, view.first_axis, phases.phase, phases.descriptors,
-        other_order, o.top, o.down, o.left, o.step, other_phases.phase, view.phase_to_column,
-        correction.astype(np.float32), np.float32(other.slopes[0]), np.float32(other.slopes[1]),
+        len(order), order, t.top, t.down, t.left, t.step, t.lines, view.first_axis, phases.phase, phases.descriptors,
+        other_absolute, o.top, o.down, o.left, o.step, view.phase_to_column, correction.astype(np.float32), *slopes,
         np.float32(view.settings.max_check), confirmed,
     )  # fmt: skip
 
@@ -90,64 +95,67 @@ def _nearest(pixel: Any, first: Any, per_step: Any, count: int, out: Any) -> Non
 
 
 @parallel
+def _other_absolute_row(
+    p: int, order: Any, top: int, down: int, left: int, step: int, phase: Any, slope_x: Any, slope_y: Any, out: Any
+) -> None:
+    """Row p of the flattened absolute phases with a border of two undecided pixels, ``out`` (h + 4, w + 4)."""
+    n, m = order.shape
+    out[p, :] = _NAN
+    if 2 <= p < n + 2:
+        flattened_row(order[p - 2], top + down * (p - 2), left, step, phase, slope_x, slope_y, out[p, 2 : m + 2])
+
+
+@parallel
 def _cross_check(
-    order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
-    descriptors: Any, other_order: Any, other_top: int, other_down: int, other_left: int, other_step: int,
-    other_phase: Any, table: Any, correction: Any, slope_x: Any, slope_y: Any, limit: Any, confirmed: Any,
+    a: int, order: Any, top: int, down: int, left: int, step: int, lines: Any, axis: int, phase: Any,
+    descriptors: Any, other_absolute: Any, other_top: int, other_down: int, other_left: int, other_step: int,
+    table: Any, correction: Any, slope_x: Any, slope_y: Any, limit: Any, confirmed: Any,
 ) -> None:  # fmt: skip
-    """Keep orders where the search from the other camera's side gives the same absolute phase.
+    """Keep orders of lattice row a where the search from the other camera's side gives the same absolute phase.
 
     Args:
         order, confirmed: (h, w) int16, the second is written; top .. step: position of the lattice in the image.
         lines: (7, h, w), of :class:`pipeline.geometry.ray_tables.RayTable`; axis: 0 = phase grows along u.
         phase, descriptors: of this image.
-        other_order .. other_phase: the same of the other camera.
+        other_absolute: of :func:`_other_absolute_row`; other_top .. other_step: position of the other lattice.
         table: even-grid table phase -> projector coordinate; correction: of the columns; all float32.
         slope_x, slope_y: the other image's expected phase steps per pixel.
     """
-    h, w = order.shape
-    n, m = other_order.shape
-    # With a border of two undecided pixels no access needs a test for the lattice's end.
-    other_absolute = np.empty((n + 4, m + 4), np.float32)
-    for p in prange(n + 4):
-        other_absolute[p, :] = _NAN
-        if 2 <= p < n + 2:
-            flattened_row(other_order[p - 2], other_top + other_down * (p - 2), other_left, other_step, other_phase,
-                          slope_x, slope_y, other_absolute[p, 2 : m + 2])  # fmt: skip
+    w = order.shape[1]
+    n, m = other_absolute.shape[0] - 4, other_absolute.shape[1] - 4
     first, per_step = table[0], _ONE / table[1]
     last = np.float32(table.shape[0] - 3)
     r0, c0 = np.float32(other_top), np.float32(other_left)
     per_row, per_column = _ONE / np.float32(other_down), _ONE / np.float32(other_step)
-    for a in prange(h):
-        floats = np.empty((8, w), np.float32)
-        wrapped, bias, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
-        x, y = (floats[6], floats[7]) if axis == 0 else (floats[7], floats[6])
-        index, p, q = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.int32)
-        i = top + down * a
-        for b in range(w):
-            j = np.uint32(left + step * b)
-            wrapped[b], index[b] = phase[i, j], descriptors[i, j]
-        for b in range(w):
-            bias[b] = bias_of(index[b], wrapped[b])
-        _projector_positions(order[a], wrapped, bias, first, per_step, last, absolute, index, part)
-        for b in range(w):
-            k = np.uint32(index[b] + 2)
-            low[b], high[b] = table[k], table[k + np.uint32(1)]
-        _other_positions(low, high, part, lines[:, a], correction, floats[6], floats[7])
-        _nearest(y, r0, per_row, n, p)
-        _nearest(x, c0, per_column, m, q)
-        for b in range(w):
-            absolute[b] -= slope_x * x[b] + slope_y * y[b]
-        for b in range(w):
-            confirmed[a, b] = UNDECIDED
-            if order[a, b] == UNDECIDED or p[b] < -1 or q[b] < -1:
-                continue
-            # The middle comes first because it nearly always decides.
-            row, column, value = np.uint32(p[b] + 1), np.uint32(q[b] + 1), absolute[b]
-            good = abs(other_absolute[row + np.uint32(1), column + np.uint32(1)] - value) < limit
-            for t in range(9):
-                if good:
-                    break
-                good = abs(other_absolute[row + np.uint32(t // 3), column + np.uint32(t % 3)] - value) < limit
+    floats = np.empty((8, w), np.float32)
+    wrapped, bias, absolute, part, low, high = floats[0], floats[1], floats[2], floats[3], floats[4], floats[5]
+    x, y = (floats[6], floats[7]) if axis == 0 else (floats[7], floats[6])
+    index, p, q = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.int32)
+    i = top + down * a
+    for b in range(w):
+        j = np.uint32(left + step * b)
+        wrapped[b], index[b] = phase[i, j], descriptors[i, j]
+    for b in range(w):
+        bias[b] = bias_of(index[b], wrapped[b])
+    _projector_positions(order[a], wrapped, bias, first, per_step, last, absolute, index, part)
+    for b in range(w):
+        k = np.uint32(index[b] + 2)
+        low[b], high[b] = table[k], table[k + np.uint32(1)]
+    _other_positions(low, high, part, lines[:, a], correction, floats[6], floats[7])
+    _nearest(y, r0, per_row, n, p)
+    _nearest(x, c0, per_column, m, q)
+    for b in range(w):
+        absolute[b] -= slope_x * x[b] + slope_y * y[b]
+    for b in range(w):
+        confirmed[a, b] = UNDECIDED
+        if order[a, b] == UNDECIDED or p[b] < -1 or q[b] < -1:
+            continue
+        # The middle comes first because it nearly always decides.
+        row, column, value = np.uint32(p[b] + 1), np.uint32(q[b] + 1), absolute[b]
+        good = abs(other_absolute[row + np.uint32(1), column + np.uint32(1)] - value) < limit
+        for t in range(9):
             if good:
-                confirmed[a, b] = order[a, b]
+                break
+            good = abs(other_absolute[row + np.uint32(t // 3), column + np.uint32(t % 3)] - value) < limit
+        if good:
+            confirmed[a, b] = order[a, b]

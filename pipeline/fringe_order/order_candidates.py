@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.jit import inline
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE, clamped, decay, whole_turns
 from pipeline.decode.pixel_descriptor import RADIANS, VALID, bias_of, mean_of, normalised_units, phase_units, units
 
@@ -175,7 +176,7 @@ def candidate_costs(
 
 
 @parallel
-def order_limits(along: Any, limits: Any, phases: Any, correction: Any, rays: Any) -> None:
+def order_limits(a: int, along: Any, limits: Any, phases: Any, correction: Any, rays: Any) -> None:
     """The last two numbers of ``rays`` (h, w, RAY) float32, from each ray's range of s; the second < the first: none.
 
     Args:
@@ -184,19 +185,18 @@ def order_limits(along: Any, limits: Any, phases: Any, correction: Any, rays: An
             :mod:`pipeline.reconstruct.column_correction`.
     """
     last = phases.shape[0] - 1
-    for a in prange(rays.shape[0]):
-        for b in range(rays.shape[1]):
-            ends = np.empty(2)
-            for e in range(2):
-                s = limits[e, a, b]
-                u = (along[0, a, b] + along[1, a, b] * s) / (1.0 + along[2, a, b] * s)
-                ends[e] = u + correction[0] + correction[1] * u + correction[2] * (rays[a, b, 5] + rays[a, b, 6] * u)
-            low, high = min(ends[0], ends[1]), max(ends[0], ends[1])
-            if high < -0.5 or low > last + 0.5:
-                rays[a, b, 7], rays[a, b, 8] = np.float32(0.0), np.float32(-100.0)
-                continue
-            ends[0], ends[1] = max(low, -0.5), min(high, last + 0.5)
-            for e in range(2):
-                i = min(max(int(np.floor(ends[e])), 0), last - 1)
-                ends[e] = phases[i] + (ends[e] - i) * (phases[i + 1] - phases[i])
-            rays[a, b, 7], rays[a, b, 8] = ends[0], ends[1]
+    for b in range(rays.shape[1]):
+        ends = np.empty(2)
+        for e in range(2):
+            s = limits[e, a, b]
+            u = (along[0, a, b] + along[1, a, b] * s) / (1.0 + along[2, a, b] * s)
+            ends[e] = u + correction[0] + correction[1] * u + correction[2] * (rays[a, b, 5] + rays[a, b, 6] * u)
+        low, high = min(ends[0], ends[1]), max(ends[0], ends[1])
+        if high < -0.5 or low > last + 0.5:
+            rays[a, b, 7], rays[a, b, 8] = np.float32(0.0), np.float32(-100.0)
+            continue
+        ends[0], ends[1] = max(low, -0.5), min(high, last + 0.5)
+        for e in range(2):
+            i = min(max(int(np.floor(ends[e])), 0), last - 1)
+            ends[e] = phases[i] + (ends[e] - i) * (phases[i + 1] - phases[i])
+        rays[a, b, 7], rays[a, b, 8] = ends[0], ends[1]

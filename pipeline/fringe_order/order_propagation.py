@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import inline, parallel, prange, serial
+from pipeline.common.jit import inline, serial
+from pipeline.common.parallel_for import blocks, parallel
 from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order.left_right_check import UNDECIDED, flattened_row
 from pipeline.geometry.view_tables import View
@@ -25,7 +26,12 @@ def propagate(view: View, phases: PhaseMap, order: NDArray[np.int16], out: NDArr
     """Write the order of every pixel to ``out`` (H, W), from those of the view's lattice (h, w)."""
     t = view.table
     slope_x, slope_y = np.float32(view.slopes[0]), np.float32(view.slopes[1])
-    _propagate(order, t.top, t.down, t.left, t.step, phases.phase, phases.valid, slope_x, slope_y, out)
+    lowest = -t.top // t.down
+    strips = (len(out) - 1 - t.top) // t.down - lowest + 1
+    _propagate(
+        blocks(strips, _STRIPS), order, t.top, t.down, t.left, t.step, phases.phase, phases.valid, slope_x, slope_y,
+        lowest, strips, out,
+    )  # fmt: skip
 
 
 @serial
@@ -61,43 +67,44 @@ def _least_deviating(
 
 @parallel
 def _propagate(
-    order: Any, top: int, down: int, left: int, step: int, phase: Any, valid: Any, slope_x: Any, slope_y: Any, out: Any
-) -> None:
+    block: int, order: Any, top: int, down: int, left: int, step: int, phase: Any, valid: Any, slope_x: Any,
+    slope_y: Any, lowest: int, strips: int, out: Any,
+) -> None:  # fmt: skip
     """Order of every pixel, ``out`` (H, W) int16, from the lattice pixels around it.
 
     A pixel takes the order of that one of its (up to four) decided neighbours whose phase continues to it with the
     least deviation; without such a neighbour it stays unknown.
+
+    Args:
+        lowest: lattice row at or above the image's first row; strips: between lattice rows, from that one on.
     """
     height, width = phase.shape
     h, w = order.shape
-    lowest = (0 - top) // down
-    strips = (height - 1 - top) // down - lowest + 1
     before = step * ((left + step - 1) // step)
     offset = before - left
-    for block in prange((strips + _STRIPS - 1) // _STRIPS):
-        node = np.empty(w, np.float32)
-        wide = np.empty((2, max(width + offset, before + w * step) + step), np.float32)
-        expected = np.empty(width, np.float32)
-        distance, distance_next = np.empty(width, np.float32), np.empty(width, np.float32)
-        for j in range(width):
-            past = (j - left) % step
-            distance[j], distance_next[j] = _PER_PIXEL * np.float32(past), _PER_PIXEL * np.float32(step - past)
-        start = lowest + block * _STRIPS
-        for a in range(start, min(start + _STRIPS, lowest + strips) + 1):
-            # Lattice row a closes the strip that row a - 1 opens.
-            if 0 <= a < h:
-                flattened_row(order[a], top + down * a, left, step, phase, slope_x, slope_y, node)
-                _expanded(node, step, before, wide[a % 2])
-            else:
-                wide[a % 2, :] = _NAN
-            if a == start:
-                continue
-            upper, lower = wide[(a + 1) % 2, offset:], wide[a % 2, offset:]
-            above = top + (a - 1) * down
-            for i in range(max(above, 0), min(above + down, height)):
-                for j in range(width):
-                    expected[j] = slope_x * np.float32(j) + slope_y * np.float32(i) - phase[i, j]
-                _least_deviating(
-                    expected, valid[i], upper, upper[step:], lower, lower[step:], distance, distance_next,
-                    _PER_PIXEL * np.float32(i - above), _PER_PIXEL * np.float32(above + down - i), out[i],
-                )  # fmt: skip
+    node = np.empty(w, np.float32)
+    wide = np.empty((2, max(width + offset, before + w * step) + step), np.float32)
+    expected = np.empty(width, np.float32)
+    distance, distance_next = np.empty(width, np.float32), np.empty(width, np.float32)
+    for j in range(width):
+        past = (j - left) % step
+        distance[j], distance_next[j] = _PER_PIXEL * np.float32(past), _PER_PIXEL * np.float32(step - past)
+    start = lowest + block * _STRIPS
+    for a in range(start, min(start + _STRIPS, lowest + strips) + 1):
+        # Lattice row a closes the strip that row a - 1 opens.
+        if 0 <= a < h:
+            flattened_row(order[a], top + down * a, left, step, phase, slope_x, slope_y, node)
+            _expanded(node, step, before, wide[a % 2])
+        else:
+            wide[a % 2, :] = _NAN
+        if a == start:
+            continue
+        upper, lower = wide[(a + 1) % 2, offset:], wide[a % 2, offset:]
+        above = top + (a - 1) * down
+        for i in range(max(above, 0), min(above + down, height)):
+            for j in range(width):
+                expected[j] = slope_x * np.float32(j) + slope_y * np.float32(i) - phase[i, j]
+            _least_deviating(
+                expected, valid[i], upper, upper[step:], lower, lower[step:], distance, distance_next,
+                _PER_PIXEL * np.float32(i - above), _PER_PIXEL * np.float32(above + down - i), out[i],
+            )  # fmt: skip

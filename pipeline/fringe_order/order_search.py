@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.parallel_for import blocks
 from pipeline.decode.decoder import PhaseMap
 from pipeline.fringe_order import order_candidates, phase_links, semi_global_aggregation, strip_search
 from pipeline.fringe_order.coarse_to_fine import interpolate_orders
@@ -67,8 +68,8 @@ class OrderSearch:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""
         fine, v, t = self._fine, self._view, self._view.table
         strip_search.update_prior(
-            order, fine.certain, fine.first, fine.count, fine.costs, v.labels, np.float32(v.settings.follow_cost),
-            t.top, t.down, t.left, t.step, reference.phase, fine.expected,
+            len(order), order, fine.certain, fine.first, fine.count, fine.costs, v.labels,
+            np.float32(v.settings.follow_cost), t.top, t.down, t.left, t.step, reference.phase, fine.expected,
         )  # fmt: skip
         self._has_prior = True
 
@@ -103,16 +104,17 @@ class _Lattice:
         view, table, s = self._view, self.table, self._view.settings
         single = correction.astype(np.float32)
         if self._correction is None or not np.array_equal(correction, self._correction):
-            order_candidates.order_limits(table.along, table.limits, view.column_to_phase, single, self._rays)
+            order_candidates.order_limits(
+                len(self._rays), table.along, table.limits, view.column_to_phase, single, self._rays
+            )
             self._correction = correction.copy()
         strip_search.search_rows(
-            table.top, table.down, table.left, table.step, stride, self._rays,
-            reference.phase, reference.descriptors, reference.valid, other.descriptors,
+            blocks(table.shape[0], strip_search.STRIP), table.top, table.down, table.left, table.step, stride,
+            self._rays, reference.phase, reference.descriptors, reference.valid, other.descriptors,
             view.phase_to_column, view.linear, single, np.float32(view.extent), view.labels, view.first_axis,
             np.float32(view.slopes[0]), np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight),
-            np.float32(s.switch_penalty),
-            self.certain, self.expected, refresh, np.float32(s.follow_cost),
-            self.costs, self._total, self.first, self.count,
+            np.float32(s.switch_penalty), self.certain, self.expected, refresh, np.float32(s.follow_cost), self.costs,
+            self._total, self.first, self.count,
         )  # fmt: skip
 
     def decide(self, reference: PhaseMap) -> None:
@@ -120,10 +122,11 @@ class _Lattice:
         view, table = self._view, self.table
         penalty = view.settings.switch_penalty
         phase_links.column_links(
-            reference.phase, reference.valid, table.top, table.down, table.left, table.step, np.float32(view.slopes[1]),
-            self.count, self._jump, self._weight,
+            len(self._jump), reference.phase, reference.valid, table.top, table.down, table.left, table.step,
+            np.float32(view.slopes[1]), self.count, self._jump, self._weight,
         )  # fmt: skip
         semi_global_aggregation.along_columns(
-            self.costs, self.first, self.count, self._jump, self._weight, np.float32(penalty), view.labels,
-            np.float32(CONFIDENT_LEAD * penalty), self._total, self.order, self.confident,
+            blocks(table.shape[1], semi_global_aggregation.BLOCK), self.costs, self.first, self.count, self._jump,
+            self._weight, np.float32(penalty), view.labels, np.float32(CONFIDENT_LEAD * penalty), self._total,
+            self.order, self.confident,
         )  # fmt: skip

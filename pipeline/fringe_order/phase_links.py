@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.jit import inline
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import decay, whole_turns
 
 _TURN, _FOUR, _EIGHT = np.float32(2 * pi), np.float32(4), np.float32(8)
@@ -57,29 +58,38 @@ def row_links(phase: Any, valid: Any, j0: int, step: int, slope: Any, count: Any
 
 @parallel
 def column_links(
-    phase: Any, valid: Any, i0: int, down: int, j0: int, step: int, slope: Any, count: Any, jump: Any, weight: Any
+    a: int,
+    phase: Any,
+    valid: Any,
+    i0: int,
+    down: int,
+    j0: int,
+    step: int,
+    slope: Any,
+    count: Any,
+    jump: Any,
+    weight: Any,
 ) -> None:
     """Link each lattice pixel to its upper neighbour; as :func:`row_links`, for the whole lattice (h, w)."""
-    h, w = jump.shape
-    for a in prange(h):
-        if a == 0:
-            jump[0, :] = 0
-            weight[0, :] = _ZERO
+    w = jump.shape[1]
+    if a == 0:
+        jump[0, :] = 0
+        weight[0, :] = _ZERO
+        return
+    top = i0 + down * (a - 1)
+    for b in range(w):
+        if count[a, b] <= 1 and count[a - 1, b] <= 1:
             continue
-        top = i0 + down * (a - 1)
-        for b in range(w):
-            if count[a, b] <= 1 and count[a - 1, b] <= 1:
-                continue
-            m = np.uint32(j0 + step * b)
-            total, last, worst, all_valid = _ZERO, _ZERO, _ZERO, True
-            for s in range(down):
-                d = phase[top + s + 1, m] - phase[top + s, m] - slope
-                d -= _TURN * whole_turns(d)
-                worst = max(worst, abs(d - last) if s > 0 else _ZERO)
-                last = d
-                total += d + slope
-                all_valid &= valid[top + s + 1, m]
-            worst = _HALF * abs(last) if down == 1 else worst
-            change, smooth = _link(total, phase[top, m], phase[top + down, m], worst, all_valid)
-            both = valid[top, m] & valid[top + down, m]
-            jump[a, b], weight[a, b] = np.int32(change) if both else 0, smooth if both else _ZERO
+        m = np.uint32(j0 + step * b)
+        total, last, worst, all_valid = _ZERO, _ZERO, _ZERO, True
+        for s in range(down):
+            d = phase[top + s + 1, m] - phase[top + s, m] - slope
+            d -= _TURN * whole_turns(d)
+            worst = max(worst, abs(d - last) if s > 0 else _ZERO)
+            last = d
+            total += d + slope
+            all_valid &= valid[top + s + 1, m]
+        worst = _HALF * abs(last) if down == 1 else worst
+        change, smooth = _link(total, phase[top, m], phase[top + down, m], worst, all_valid)
+        both = valid[top, m] & valid[top + down, m]
+        jump[a, b], weight[a, b] = np.int32(change) if both else 0, smooth if both else _ZERO

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import ordered, parallel, prange
+from pipeline.common.jit import ordered
+from pipeline.common.parallel_for import parallel
 from pipeline.fringe_order.order_candidates import COST_IMPOSSIBLE
 
 BLOCK = 16
@@ -92,8 +93,8 @@ def along_row(
 
 @parallel
 def along_columns(
-    costs: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int, margin: Any, total: Any,
-    order: Any, confident: Any,
+    group: int, costs: Any, first: Any, count: Any, jump: Any, weight: Any, penalty: Any, labels: int, margin: Any,
+    total: Any, order: Any, confident: Any,
 ) -> None:  # fmt: skip
     """Both vertical paths, and the decision.
 
@@ -108,48 +109,47 @@ def along_columns(
     """
     h, w = first.shape
     flat_costs, flat_total = costs.reshape(-1), total.reshape(-1)
-    for group in prange((w + BLOCK - 1) // BLOCK):
-        b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
-        size = 3 * labels
-        paths = np.full(2 * BLOCK * size, COST_IMPOSSIBLE)
-        least, last, side = np.full(BLOCK, COST_IMPOSSIBLE), np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
-        for direction in range(2):
-            last[:] = 0
-            for t in range(h):
-                a = t if direction == 0 else h - 1 - t
-                q, link = (a - 1, a) if direction == 0 else (a + 1, a + 1)
-                most = 0
+    b0, b1 = group * BLOCK, min(w, group * BLOCK + BLOCK)
+    size = 3 * labels
+    paths = np.full(2 * BLOCK * size, COST_IMPOSSIBLE)
+    least, last, side = np.full(BLOCK, COST_IMPOSSIBLE), np.zeros(BLOCK, np.int32), np.zeros(BLOCK, np.int32)
+    for direction in range(2):
+        last[:] = 0
+        for t in range(h):
+            a = t if direction == 0 else h - 1 - t
+            q, link = (a - 1, a) if direction == 0 else (a + 1, a + 1)
+            most = 0
+            for b in range(b0, b1):
+                most = max(most, count[a, b])
+            if most <= 1:
                 for b in range(b0, b1):
-                    most = max(most, count[a, b])
-                if most <= 1:
+                    last[b - b0] = count[a, b]
+                if direction == 1:
                     for b in range(b0, b1):
-                        last[b - b0] = count[a, b]
+                        one, none = np.int16(first[a, b]), np.int16(NONE)
+                        order[a, b], confident[a, b] = one if count[a, b] == 1 else none, count[a, b]
+                continue
+            for b in range(b0, b1):
+                n, p = count[a, b], b - b0
+                if n <= 1:
+                    last[p] = n
                     if direction == 1:
-                        for b in range(b0, b1):
-                            one, none = np.int16(first[a, b]), np.int16(NONE)
-                            order[a, b], confident[a, b] = one if count[a, b] == 1 else none, count[a, b]
+                        order[a, b], confident[a, b] = first[a, b] if n == 1 else NONE, n
                     continue
-                for b in range(b0, b1):
-                    n, p = count[a, b], b - b0
-                    if n <= 1:
-                        last[p] = n
-                        if direction == 1:
-                            order[a, b], confident[a, b] = first[a, b] if n == 1 else NONE, n
-                        continue
-                    at, offset, switch_cost = (a * w + b) * labels, 0, penalty
-                    if t > 0:
-                        change = jump[link, b] if direction == 0 else -jump[link, b]
-                        offset, switch_cost = first[a, b] - change - first[q, b], penalty * weight[link, b]
-                    old = (2 * p + side[p]) * size
-                    new = (2 * p + 1 - side[p]) * size
-                    if last[p] <= 1:
-                        least[p] = _start_path(paths, old, labels, last[p])
-                    least[p] = _advance(flat_costs, at, paths, old, new, least[p], labels, offset, switch_cost, _ONE,
-                                        flat_total)  # fmt: skip
-                    last[p], side[p] = n, 1 - side[p]
-                    if direction == 1:
-                        where, lead = _best_label(flat_total, at, labels)
-                        order[a, b], confident[a, b] = first[a, b] + where, 1 if lead >= margin else 0
+                at, offset, switch_cost = (a * w + b) * labels, 0, penalty
+                if t > 0:
+                    change = jump[link, b] if direction == 0 else -jump[link, b]
+                    offset, switch_cost = first[a, b] - change - first[q, b], penalty * weight[link, b]
+                old = (2 * p + side[p]) * size
+                new = (2 * p + 1 - side[p]) * size
+                if last[p] <= 1:
+                    least[p] = _start_path(paths, old, labels, last[p])
+                least[p] = _advance(flat_costs, at, paths, old, new, least[p], labels, offset, switch_cost, _ONE,
+                                    flat_total)  # fmt: skip
+                last[p], side[p] = n, 1 - side[p]
+                if direction == 1:
+                    where, lead = _best_label(flat_total, at, labels)
+                    order[a, b], confident[a, b] = first[a, b] + where, 1 if lead >= margin else 0
 
 
 @ordered

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import parallel, prange
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
 
 from pipeline.fringe_order.order_candidates import (  # isort: skip
@@ -28,7 +28,7 @@ _TURN, _NAN, _ZERO = np.float32(2 * np.pi), np.float32(np.nan), np.float32(0)
 
 @parallel
 def search_rows(
-    top: int, down: int, left: int, step: int, stride: int, rays: Any,
+    strip: int, top: int, down: int, left: int, step: int, stride: int, rays: Any,
     phase: Any, descriptors: Any, valid: Any, other_descriptors: Any,
     columns: Any, linear: bool, correction: Any, extent: Any, labels: int, axis: int, slope: Any,
     inv: Any, texture: Any, penalty: Any, certain: Any, expected: Any, refresh: int, limit: Any,
@@ -59,85 +59,84 @@ def search_rows(
     flat_expected, flat_first, flat_count = expected.reshape(-1), first.reshape(-1), count.reshape(-1)
     flat_phase, flat_descriptors, flat_costs = phase.reshape(-1), descriptors.reshape(-1), costs.reshape(-1)
     flat_other = other_descriptors.reshape(-1)
-    for strip in prange((h + STRIP - 1) // STRIP):
-        a0, a1 = strip * STRIP, min(strip * STRIP + STRIP, h)
-        t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
-        # 0: to be searched, 1: left out, 2: as expected, 3: contradicts the prior, or is not yet compared with it.
-        state = np.zeros((STRIP, w), np.int8)
-        nodes, pixels = np.empty(STRIP * w, np.int32), np.empty(STRIP * w, np.int32)
-        n = 0
-        for a in range(a0, a1):
-            use_prior = refresh >= 0 and a % REFRESH != refresh
-            row_state = state[a - a0]
-            for b in range(w):
-                pixel = (top + down * a, left + step * b)
-                flat_first[a * w + b], flat_count[a * w + b] = 0, 0
-                if a % stride or not valid[pixel]:
-                    row_state[b] = 1
-                elif certain[a, b] != NONE:
-                    row_state[b] = 1
-                    flat_first[a * w + b], flat_count[a * w + b] = certain[a, b], 1
-                elif use_prior and expected[a, b] == expected[a, b]:
-                    row_state[b] = 3
-                    nodes[n], pixels[n] = a * w + b, pixel[0] * pixels_across + pixel[1]
+    a0, a1 = strip * STRIP, min(strip * STRIP + STRIP, h)
+    t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
+    # 0: to be searched, 1: left out, 2: as expected, 3: contradicts the prior, or is not yet compared with it.
+    state = np.zeros((STRIP, w), np.int8)
+    nodes, pixels = np.empty(STRIP * w, np.int32), np.empty(STRIP * w, np.int32)
+    n = 0
+    for a in range(a0, a1):
+        use_prior = refresh >= 0 and a % REFRESH != refresh
+        row_state = state[a - a0]
+        for b in range(w):
+            pixel = (top + down * a, left + step * b)
+            flat_first[a * w + b], flat_count[a * w + b] = 0, 0
+            if a % stride or not valid[pixel]:
+                row_state[b] = 1
+            elif certain[a, b] != NONE:
+                row_state[b] = 1
+                flat_first[a * w + b], flat_count[a * w + b] = certain[a, b], 1
+            elif use_prior and expected[a, b] == expected[a, b]:
+                row_state[b] = 3
+                nodes[n], pixels[n] = a * w + b, pixel[0] * pixels_across + pixel[1]
+                n += 1
+    for o in range(0, n, TILE):
+        m = min(TILE, n - o)
+        part = nodes[o : o + m]
+        load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
+                   flat_first, flat_count, labels)  # fmt: skip
+        apply_prior(t, part, m, flat_expected)
+        candidate_costs(t, k, 0, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture)
+        for j in range(m):
+            node = np.uint32(part[j])
+            if t[COST + j] <= limit and t[MOVE + j] >= _ZERO:
+                state[part[j] // w - a0, part[j] % w] = 2
+                flat_first[node] += np.int32(t[MOVE + j])
+                flat_count[node] = 1
+                flat_costs[node * np.uint32(labels)] = t[COST + j]
+    n = 0
+    for b0 in range(0, w, _CELL):
+        b1 = min(b0 + _CELL, w)
+        agree, contradict = 0, 0
+        for a in range(a1 - a0):
+            for b in range(b0, b1):
+                agree += state[a, b] == 2
+                contradict += state[a, b] == 3
+        doubtful = contradict * _FEW > agree + contradict
+        for a in range(a1 - a0):
+            for b in range(b0, b1):
+                if state[a, b] != 1 and (state[a, b] != 2 or doubtful):
+                    nodes[n] = (a0 + a) * w + b
+                    pixels[n] = (top + down * (a0 + a)) * pixels_across + left + step * b
                     n += 1
-        for o in range(0, n, TILE):
-            m = min(TILE, n - o)
-            part = nodes[o : o + m]
-            load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
-                       flat_first, flat_count, labels)  # fmt: skip
-            apply_prior(t, part, m, flat_expected)
-            candidate_costs(t, k, 0, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture)
+    for o in range(0, n, TILE):
+        m = min(TILE, n - o)
+        part = nodes[o : o + m]
+        most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
+                          flat_first, flat_count, labels)  # fmt: skip
+        for j in range(m):
+            base = np.uint32(part[j] * labels)
+            for order in range(np.uint32(labels)):
+                flat_costs[base + order] = COST_IMPOSSIBLE
+        for order in range(most):
+            candidate_costs(t, k, order, columns, linear, correction, extent, flat_other, width, height, axis, inv,
+                            texture)  # fmt: skip
             for j in range(m):
                 node = np.uint32(part[j])
-                if t[COST + j] <= limit and t[MOVE + j] >= _ZERO:
-                    state[part[j] // w - a0, part[j] % w] = 2
-                    flat_first[node] += np.int32(t[MOVE + j])
-                    flat_count[node] = 1
-                    flat_costs[node * np.uint32(labels)] = t[COST + j]
-        n = 0
-        for b0 in range(0, w, _CELL):
-            b1 = min(b0 + _CELL, w)
-            agree, contradict = 0, 0
-            for a in range(a1 - a0):
-                for b in range(b0, b1):
-                    agree += state[a, b] == 2
-                    contradict += state[a, b] == 3
-            doubtful = contradict * _FEW > agree + contradict
-            for a in range(a1 - a0):
-                for b in range(b0, b1):
-                    if state[a, b] != 1 and (state[a, b] != 2 or doubtful):
-                        nodes[n] = (a0 + a) * w + b
-                        pixels[n] = (top + down * (a0 + a)) * pixels_across + left + step * b
-                        n += 1
-        for o in range(0, n, TILE):
-            m = min(TILE, n - o)
-            part = nodes[o : o + m]
-            most = load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
-                              flat_first, flat_count, labels)  # fmt: skip
-            for j in range(m):
-                base = np.uint32(part[j] * labels)
-                for order in range(np.uint32(labels)):
-                    flat_costs[base + order] = COST_IMPOSSIBLE
-            for order in range(most):
-                candidate_costs(t, k, order, columns, linear, correction, extent, flat_other, width, height, axis, inv,
-                                texture)  # fmt: skip
-                for j in range(m):
-                    node = np.uint32(part[j])
-                    if order < flat_count[node]:
-                        flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
-        jump, weight = np.empty(w, np.int32), np.empty(w, np.float32)
-        paths = np.full(6 * labels, COST_IMPOSSIBLE)
-        for a in range(a0, a1):
-            i = top + down * a
-            if a % stride == 0:
-                row_links(phase[i], valid[i], left, step, slope, count[a], jump, weight)
-                along_row(costs[a], first[a], count[a], jump, weight, penalty, labels, paths, total[a])
+                if order < flat_count[node]:
+                    flat_costs[node * np.uint32(labels) + np.uint32(order)] = t[COST + j]
+    jump, weight = np.empty(w, np.int32), np.empty(w, np.float32)
+    paths = np.full(6 * labels, COST_IMPOSSIBLE)
+    for a in range(a0, a1):
+        i = top + down * a
+        if a % stride == 0:
+            row_links(phase[i], valid[i], left, step, slope, count[a], jump, weight)
+            along_row(costs[a], first[a], count[a], jump, weight, penalty, labels, paths, total[a])
 
 
 @parallel
 def update_prior(
-    order: Any, certain: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int,
+    a: int, order: Any, certain: Any, first: Any, count: Any, costs: Any, labels: int, limit: Any, top: int, down: int,
     left: int, step: int, phase: Any, expected: Any,
 ) -> None:  # fmt: skip
     """Absolute phases of lattice pixels whose order costs at most ``limit``, NaN elsewhere; see :func:`search_rows`.
@@ -147,15 +146,14 @@ def update_prior(
         first, count: of the candidates of the last search; orders beyond them cost too much.
         expected: (h, w) float32, written.
     """
-    h, w = order.shape
-    for a in prange(h):
-        i = top + down * a
-        for b in range(w):
-            value = _NAN
-            label = order[a, b] - first[a, b]
-            good = order[a, b] != NONE and 0 <= label < count[a, b]
-            if good and certain[a, b] == NONE:
-                good = costs[a, np.uint32(b * labels + label)] <= limit
-            if good:
-                value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])
-            expected[a, b] = value
+    w = order.shape[1]
+    i = top + down * a
+    for b in range(w):
+        value = _NAN
+        label = order[a, b] - first[a, b]
+        good = order[a, b] != NONE and 0 <= label < count[a, b]
+        if good and certain[a, b] == NONE:
+            good = costs[a, np.uint32(b * labels + label)] <= limit
+        if good:
+            value = phase[i, np.uint32(left + step * b)] + _TURN * np.float32(order[a, b])
+        expected[a, b] = value

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 
 _PER_TURN = np.float32(0.5 / np.pi)
 _TURN = np.float32(2 * np.pi)
@@ -54,8 +55,8 @@ def _propose_row(
 
 @parallel
 def propose(
-    order: Any, phase: Any, deviation: Any, usable: Any, slope: Any, good: int, bad: int, reach: int, largest: Any,
-    ahead: Any, behind: Any, count: Any,
+    i: int, order: Any, phase: Any, deviation: Any, usable: Any, slope: Any, good: int, bad: int, reach: int, largest:
+    Any, ahead: Any, behind: Any, count: Any,
 ) -> None:  # fmt: skip
     """Proposals for every pixel, from the left (``ahead``) and from the right (``behind``), (H, W) int16.
 
@@ -66,10 +67,9 @@ def propose(
         slope: expected phase step along the row, radians; reach: pixels; largest: deviation from the continued phase.
         count: (H,) int32, number of proposals.
     """
-    for i in prange(order.shape[0]):
-        count[i] = _propose_row(
-            order[i], phase[i], deviation[i], usable[i], slope, good, bad, reach, largest, ahead[i], behind[i]
-        )
+    count[i] = _propose_row(
+        order[i], phase[i], deviation[i], usable[i], slope, good, bad, reach, largest, ahead[i], behind[i]
+    )
 
 
 class Proposals:
@@ -85,8 +85,8 @@ class Proposals:
     ) -> list[tuple[NDArray[np.int64], NDArray[np.int16]]]:  # fmt: skip
         """Flat numbers of pixels and the orders proposed for them, from the left, then from the right."""
         propose(
-            order, phase, deviation, usable, self._slope, good, bad, reach, np.float32(largest), self._ahead,
-            self._behind, self._count,
+            len(order), order, phase, deviation, usable, self._slope, good, bad, reach, np.float32(largest),
+            self._ahead, self._behind, self._count,
         )  # fmt: skip
         if not self._count.any():
             return []

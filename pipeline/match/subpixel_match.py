@@ -20,7 +20,8 @@ from pipeline.match.epipolar_search import (  # isort: skip
     ACROSS, BIAS, ERROR, EX, EY, FEW, FRACTION, IM, INTEGER_SLOTS, OK, PHI, RE, RX, RY, SIZE, SLOPE, SLOTS, SQUARE, T0,
     T1, U, V, VARIANCE, W, X, Y, columns_of, errors, evidence, look_up, meet, move, pixel, projected_phase, ray,
 )  # fmt: skip
-from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.jit import inline
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE, clamped, root
 from pipeline.decode.packed_phasor import imaginary, real
 from pipeline.decode.pixel_descriptor import bias_of
@@ -28,7 +29,7 @@ from pipeline.match.match_result import LARGEST_RESIDUAL, OUTSIDE, PIXEL_STEPS, 
 
 _COHERENCE_SQ = np.float32(0.16)
 _CONVERGED = np.float32(0.1)
-_ROWS = 8
+ROWS = 8
 """Rows that share their scratch arrays."""
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _TURN = np.float32(2 * np.pi)
@@ -39,7 +40,7 @@ _PER_TURN = np.float32(TURN_STEPS / (2 * np.pi))
 
 @parallel
 def refine(
-    order: Any, rays_x: Any, rays_y: Any, phase: Any, descriptors: Any, phasor: Any, variance: Any,
+    block: int, order: Any, rays_x: Any, rays_y: Any, phase: Any, descriptors: Any, phasor: Any, variance: Any,
     other: Any, other_variance: Any, device: Any, projector: Any, axis: int, base: float, span: float,
     columns: Any, phases: Any, linear: bool, correction: Any, floor_sq: float, correlation: float, stride: int,
     xyz: Any, sigma: Any, valid: Any, right_u: Any, right_v: Any, projector_u: Any, projector_v: Any,
@@ -68,88 +69,87 @@ def refine(
     tiles = (width + TILE - 1) // TILE
     delta = np.float32(0.01 * span)
     loss = _TWO * (_ONE - correlation)
-    for block in prange((height + _ROWS - 1) // _ROWS):
-        t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
-        few, few_k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
-        again = np.empty(TILE, np.int32)
-        for number in range(_ROWS * tiles):
-            i, tile = block * _ROWS + number // tiles, number % tiles
-            if i >= height:
-                break
-            j0 = tile * TILE
-            n = min(TILE, width - j0)
-            found = 0
-            row = order[i, j0 : j0 + n]
+    t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
+    few, few_k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
+    again = np.empty(TILE, np.int32)
+    for number in range(ROWS * tiles):
+        i, tile = block * ROWS + number // tiles, number % tiles
+        if i >= height:
+            break
+        j0 = tile * TILE
+        n = min(TILE, width - j0)
+        found = 0
+        row = order[i, j0 : j0 + n]
+        for j in range(n):
+            active = row[j] != -32768
+            found += active
+            t[OK + j] = _ONE if active else _ZERO
+        if found == 0:
             for j in range(n):
-                active = row[j] != -32768
-                found += active
-                t[OK + j] = _ONE if active else _ZERO
-            if found == 0:
-                for j in range(n):
-                    valid[i, np.uint32(j0 + j)] = 0
-                continue
-            _load(t, n, row, phase[i, j0 : j0 + n], descriptors[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
-                  rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
-            columns_of(t, k, columns, linear)
-            meet(t, projector, axis, correction)
-            for j in range(TILE):
-                ax, ay, az = ray(t, device, j)
-                w = t[W + j]
-                x, y = pixel(device, ax, ay, az, w)
-                x1, y1 = pixel(device, ax, ay, az, w + delta)
-                t[X + j], t[Y + j] = x, y
-                t[EX + j], t[EY + j] = (x1 - x) / delta, (y1 - y) / delta
-                t[T0 + j] = w
-            look_up(t, k, flat, along, across, other_width, other_height, TILE)
-            errors(t, axis, TILE)
-            move(t, TILE)
-            look_up(t, k, flat, along, across, other_width, other_height, TILE)
-            errors(t, axis, TILE)
-            evidence(t, k, flat_variance, along, across, TILE)
-            left = 0
-            for j in range(n):
-                again[left] = j
-                left += (t[OK + j] > _ZERO) & (abs(t[ERROR + j]) >= _CONVERGED)
-            # Most of these are at the border of something, and few: often one sample for all of them.
-            for o in range(0, left, FEW):
-                some = again[o : min(o + FEW, left)]
-                _gather(t, some, few)
-                move(few, FEW)
-                look_up(few, few_k, flat, along, across, other_width, other_height, FEW)
-                errors(few, axis, FEW)
-                evidence(few, few_k, flat_variance, along, across, FEW)
-                _put_back(few, some, t)
-            for j in range(TILE):
-                f, slope, ex, ey = t[ERROR + j], t[SLOPE + j], t[EX + j], t[EY + j]
-                x, y, size = t[X + j], t[Y + j], t[SIZE + j]
-                good = (abs(f) < _CONVERGED) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[SQUARE + j])
-                good &= abs(t[W + j] - t[T0 + j]) * abs(slope) < np.float32(3.0)
-                good &= (x >= _ONE) & (y >= _ONE)
-                good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
-                by = -f / slope
-                w = t[W + j] + by
-                s = (w - base) / span
-                good &= (s > np.float32(-0.02)) & (s < np.float32(1.02))
-                a, b = t[FRACTION + j], t[ACROSS + j]
-                v = t[VARIANCE + j] * (_ONE - loss * a * (_ONE - a)) * (_ONE - loss * b * (_ONE - b))
-                good &= v < _ONE
-                active = t[OK + j]
-                t[OK + j] = active if good else _ZERO
-                t[W + j] = w
-                t[X + j], t[Y + j] = x + ex * by, y + ey * by
-                t[VARIANCE + j] = v
-                t[SLOPE + j] = abs(slope)
-            for j in range(TILE):
-                ax, ay, az = ray(t, projector, j)
-                t[U + j], t[V + j] = pixel(projector, ax, ay, az, t[W + j])
-            projected_phase(t, k, axis, phases, linear, correction)
-            for j in range(TILE):
-                t[T1 + j] = t[PHI + j] - t[T0 + j]
-                t[T0 + j] = t[T1 + j] + t[BIAS + j]
-            end = j0 + n
-            _store_phases(t, n, absolute_phase[i, j0:end], residual_normalised[i, j0:end], residual[i, j0:end])
-            _store_places(t, n, right_u[i, j0:end], right_v[i, j0:end], projector_u[i, j0:end], projector_v[i, j0:end])
-            _store_points(t, n, variance[i, j0:end], j0, stride, xyz[stride * i], sigma[stride * i], valid[i, j0:end])
+                valid[i, np.uint32(j0 + j)] = 0
+            continue
+        _load(t, n, row, phase[i, j0 : j0 + n], descriptors[i, j0 : j0 + n], phasor[i, j0 : j0 + n],
+              rays_x[i, j0 : j0 + n], rays_y[i, j0 : j0 + n])  # fmt: skip
+        columns_of(t, k, columns, linear)
+        meet(t, projector, axis, correction)
+        for j in range(TILE):
+            ax, ay, az = ray(t, device, j)
+            w = t[W + j]
+            x, y = pixel(device, ax, ay, az, w)
+            x1, y1 = pixel(device, ax, ay, az, w + delta)
+            t[X + j], t[Y + j] = x, y
+            t[EX + j], t[EY + j] = (x1 - x) / delta, (y1 - y) / delta
+            t[T0 + j] = w
+        look_up(t, k, flat, along, across, other_width, other_height, TILE)
+        errors(t, axis, TILE)
+        move(t, TILE)
+        look_up(t, k, flat, along, across, other_width, other_height, TILE)
+        errors(t, axis, TILE)
+        evidence(t, k, flat_variance, along, across, TILE)
+        left = 0
+        for j in range(n):
+            again[left] = j
+            left += (t[OK + j] > _ZERO) & (abs(t[ERROR + j]) >= _CONVERGED)
+        # Most of these are at the border of something, and few: often one sample for all of them.
+        for o in range(0, left, FEW):
+            some = again[o : min(o + FEW, left)]
+            _gather(t, some, few)
+            move(few, FEW)
+            look_up(few, few_k, flat, along, across, other_width, other_height, FEW)
+            errors(few, axis, FEW)
+            evidence(few, few_k, flat_variance, along, across, FEW)
+            _put_back(few, some, t)
+        for j in range(TILE):
+            f, slope, ex, ey = t[ERROR + j], t[SLOPE + j], t[EX + j], t[EY + j]
+            x, y, size = t[X + j], t[Y + j], t[SIZE + j]
+            good = (abs(f) < _CONVERGED) & (size >= floor_sq) & (size > _COHERENCE_SQ * t[SQUARE + j])
+            good &= abs(t[W + j] - t[T0 + j]) * abs(slope) < np.float32(3.0)
+            good &= (x >= _ONE) & (y >= _ONE)
+            good &= (x < np.float32(other_width - 2)) & (y < np.float32(other_height - 2))
+            by = -f / slope
+            w = t[W + j] + by
+            s = (w - base) / span
+            good &= (s > np.float32(-0.02)) & (s < np.float32(1.02))
+            a, b = t[FRACTION + j], t[ACROSS + j]
+            v = t[VARIANCE + j] * (_ONE - loss * a * (_ONE - a)) * (_ONE - loss * b * (_ONE - b))
+            good &= v < _ONE
+            active = t[OK + j]
+            t[OK + j] = active if good else _ZERO
+            t[W + j] = w
+            t[X + j], t[Y + j] = x + ex * by, y + ey * by
+            t[VARIANCE + j] = v
+            t[SLOPE + j] = abs(slope)
+        for j in range(TILE):
+            ax, ay, az = ray(t, projector, j)
+            t[U + j], t[V + j] = pixel(projector, ax, ay, az, t[W + j])
+        projected_phase(t, k, axis, phases, linear, correction)
+        for j in range(TILE):
+            t[T1 + j] = t[PHI + j] - t[T0 + j]
+            t[T0 + j] = t[T1 + j] + t[BIAS + j]
+        end = j0 + n
+        _store_phases(t, n, absolute_phase[i, j0:end], residual_normalised[i, j0:end], residual[i, j0:end])
+        _store_places(t, n, right_u[i, j0:end], right_v[i, j0:end], projector_u[i, j0:end], projector_v[i, j0:end])
+        _store_points(t, n, variance[i, j0:end], j0, stride, xyz[stride * i], sigma[stride * i], valid[i, j0:end])
 
 
 @inline

@@ -71,8 +71,8 @@ class ColorSets:
         other, _, other_order = second.orders(lefts[1], rights[1], watch)
         left, right, order = decided
         agreed_orders(
-            order, left.phase, left.descriptors, left.valid, other_order, other.phase, other.descriptors, other.valid,
-            self._ratio, WORST_DEVIATION, self._order, self._deviation, self._lit,
+            len(order), order, left.phase, left.descriptors, left.valid, other_order, other.phase, other.descriptors,
+            other.valid, self._ratio, WORST_DEVIATION, self._order, self._deviation, self._lit,
         )  # fmt: skip
         moved = temporal_unwrapping.reject_moved(
             self._order, self._unused, self._lit, self._deviation, left.variance, np.float32(0.5), WORST_DEVIATION,

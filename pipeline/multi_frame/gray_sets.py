@@ -88,7 +88,7 @@ class GraySets:
 
     def _confirm(self, match: MatchResult, right: SetPhase) -> None:
         temporal_unwrapping.confirm(
-            match.valid, match.absolute_phase, match.right_u, match.right_v, right.absolute_phase,
+            len(match.valid), match.valid, match.absolute_phase, match.right_u, match.right_v, right.absolute_phase,
             np.float32(TURN_STEPS / _TURN), np.float32(self._settings.max_check),
         )  # fmt: skip
 

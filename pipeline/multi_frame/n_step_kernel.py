@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import angle, clamped, root
 
 BIT_STEPS = np.float32(64.0)
@@ -76,8 +77,8 @@ def load_row(
 
 @parallel
 def phases(
-    stack: Any, channels: int, scale: float, black: Any, share: Any, saturation: float, floor: float, gain: float,
-    index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, harmonic: Any, bit_index: Any, bit_sign: Any,
+    i: int, stack: Any, channels: int, scale: float, black: Any, share: Any, saturation: float, floor: float, gain:
+    float, index: Any, first: Any, solve: Any, rest: Any, rest_first: Any, harmonic: Any, bit_index: Any, bit_sign: Any,
     phase: Any, amplitude: Any, variance: Any, mean: Any, misfit: Any, bits: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Phase, amplitude and fit of every fringe of a set.
@@ -96,66 +97,64 @@ def phases(
         bits: (n, H, W) int8, written: each bit's contrast to the mean, in :data:`BIT_STEPS` per amplitude.
         saturated: (H,) int32, pixels with a saturated sample.
     """
-    height, width = mean.shape
+    width = mean.shape[1]
     frames, fringes = stack.shape[0], first.shape[0] - 1
-    for i in prange(height):
-        row = np.empty((frames + 2, width), np.float32)
-        work = np.empty((6, width), np.float32)
-        saturated[i] = load_row(stack, i, channels, scale, black, share, saturation, row)
-        total, square, residual = work[3], work[4], work[5]
+    row = np.empty((frames + 2, width), np.float32)
+    work = np.empty((6, width), np.float32)
+    saturated[i] = load_row(stack, i, channels, scale, black, share, saturation, row)
+    total, square, residual = work[3], work[4], work[5]
+    for j in range(width):
+        total[j], square[j], residual[j] = _ZERO, _ZERO, _ZERO
+    n_residuals = 0
+    for q in range(fringes):
+        a, re, im = work[0], work[1], work[2]
         for j in range(width):
-            total[j], square[j], residual[j] = _ZERO, _ZERO, _ZERO
-        n_residuals = 0
-        for q in range(fringes):
-            a, re, im = work[0], work[1], work[2]
+            a[j], re[j], im[j] = _ZERO, _ZERO, _ZERO
+        spread = _ZERO
+        for m in range(first[q], first[q + 1]):
+            s0, s1, s2 = solve[0, m], solve[1, m], solve[2, m]
+            spread += np.float32(0.5) * (s1 * s1 + s2 * s2)
+            line = row[index[m]]
             for j in range(width):
-                a[j], re[j], im[j] = _ZERO, _ZERO, _ZERO
-            spread = _ZERO
-            for m in range(first[q], first[q + 1]):
-                s0, s1, s2 = solve[0, m], solve[1, m], solve[2, m]
-                spread += np.float32(0.5) * (s1 * s1 + s2 * s2)
-                line = row[index[m]]
-                for j in range(width):
-                    a[j] += s0 * line[j]
-                    re[j] += s1 * line[j]
-                    im[j] += s2 * line[j]
+                a[j] += s0 * line[j]
+                re[j] += s1 * line[j]
+                im[j] += s2 * line[j]
+        for j in range(width):
+            phase[q, i, j] = angle(re[j], im[j])
+        for j in range(width):
+            size = re[j] * re[j] + im[j] * im[j] + _TINY
+            light = a[j] if a[j] > _ZERO else _ZERO
+            # Of a sample: (floor + gain * counts) of each channel, over the sum of their responses.
+            noise = floor * row[frames + 1, j] + gain * light * row[frames, j]
+            amplitude[q, i, j] = root(size)
+            variance[q, i, j] = spread * noise / size
+            total[j] += a[j]
+            square[j] += a[j] * a[j]
+        for m in range(rest_first[q], rest_first[q + 1]):
             for j in range(width):
-                phase[q, i, j] = angle(re[j], im[j])
-            for j in range(width):
-                size = re[j] * re[j] + im[j] * im[j] + _TINY
                 light = a[j] if a[j] > _ZERO else _ZERO
-                # Of a sample: (floor + gain * counts) of each channel, over the sum of their responses.
                 noise = floor * row[frames + 1, j] + gain * light * row[frames, j]
-                amplitude[q, i, j] = root(size)
-                variance[q, i, j] = spread * noise / size
-                total[j] += a[j]
-                square[j] += a[j] * a[j]
-            for m in range(rest_first[q], rest_first[q + 1]):
-                for j in range(width):
-                    light = a[j] if a[j] > _ZERO else _ZERO
-                    noise = floor * row[frames + 1, j] + gain * light * row[frames, j]
-                    size = re[j] * re[j] + im[j] * im[j] + _TINY
-                    over = _ZERO
-                    for k in range(first[q + 1] - first[q]):
-                        over += rest[m, k] * row[index[first[q] + k], j]
-                    over -= (
-                        harmonic[q, 0] * (re[j] * re[j] - im[j] * im[j])
-                        - harmonic[q, 1] * np.float32(2) * re[j] * im[j]
-                    ) / root(size)
-                    residual[j] += (over * over - noise) / size
-                n_residuals += 1
-        n = np.float32(fringes)
+                size = re[j] * re[j] + im[j] * im[j] + _TINY
+                over = _ZERO
+                for k in range(first[q + 1] - first[q]):
+                    over += rest[m, k] * row[index[first[q] + k], j]
+                over -= (
+                    harmonic[q, 0] * (re[j] * re[j] - im[j] * im[j]) - harmonic[q, 1] * np.float32(2) * re[j] * im[j]
+                ) / root(size)
+                residual[j] += (over * over - noise) / size
+            n_residuals += 1
+    n = np.float32(fringes)
+    for j in range(width):
+        middle = total[j] / n
+        mean[i, j] = middle if middle > _ZERO else _ZERO
+        difference = square[j] - n * middle * middle
+        size = amplitude[0, i, j] * amplitude[0, i, j] + _TINY
+        # The means' own noise: that of a phase times the amplitude, less a half.
+        misfit[i, j] = (residual[j] + difference / size - (n - _ONE) * np.float32(0.5) * variance[0, i, j]) / (
+            np.float32(n_residuals) + n - _ONE + _TINY
+        )
+    for b in range(bit_index.shape[0]):
+        line, sign = row[bit_index[b]], bit_sign[b] * BIT_STEPS
         for j in range(width):
-            middle = total[j] / n
-            mean[i, j] = middle if middle > _ZERO else _ZERO
-            difference = square[j] - n * middle * middle
-            size = amplitude[0, i, j] * amplitude[0, i, j] + _TINY
-            # The means' own noise: that of a phase times the amplitude, less a half.
-            misfit[i, j] = (residual[j] + difference / size - (n - _ONE) * np.float32(0.5) * variance[0, i, j]) / (
-                np.float32(n_residuals) + n - _ONE + _TINY
-            )
-        for b in range(bit_index.shape[0]):
-            line, sign = row[bit_index[b]], bit_sign[b] * BIT_STEPS
-            for j in range(width):
-                value = sign * (line[j] - mean[i, j]) / (amplitude[0, i, j] + _TINY)
-                bits[b, i, j] = np.int8(np.int32(np.rint(clamped(value, -_MOST, _MOST))))
+            value = sign * (line[j] - mean[i, j]) / (amplitude[0, i, j] + _TINY)
+            bits[b, i, j] = np.int8(np.int32(np.rint(clamped(value, -_MOST, _MOST))))

@@ -107,8 +107,8 @@ class SetDecoder:
         )  # fmt: skip
         harmonic = second_harmonics(self._plan, self._stack, self._channels, float(min_amplitude)).astype(np.float32)
         n_step_kernel.phases(
-            *given, harmonic, self._bit_index, self._bit_sign, self._phase, self._amplitude, self._variance, self._mean,
-            self._misfit, self._bits, self._saturated,
+            len(self._mean), *given, harmonic, self._bit_index, self._bit_sign, self._phase, self._amplitude,
+            self._variance, self._mean, self._misfit, self._bits, self._saturated,
         )  # fmt: skip
         self._decide(min_amplitude)
         return self._unwrapped(min_amplitude)
@@ -120,13 +120,13 @@ class SetDecoder:
         if plan.bits:
             fringe = plan.fringes[0]
             temporal_unwrapping.by_bits(
-                *planes, self._bits, self._number, np.float32(plan.bits[0][1].cells / fringe.periods),
+                len(self._order), *planes, self._bits, self._number, np.float32(plan.bits[0][1].cells / fringe.periods),
                 len(fringe.frames), min_amplitude, self._misfit, self._order, self._phasor,
             )  # fmt: skip
         else:
             temporal_unwrapping.by_phase(
-                *planes, self._ratio, self._weight, min_amplitude, np.float32(self._limits[0]), self._misfit,
-                self._order, self._phasor,
+                len(self._order), *planes, self._ratio, self._weight, min_amplitude, np.float32(self._limits[0]),
+                self._misfit, self._order, self._phasor,
             )  # fmt: skip
 
     def _unwrapped(self, min_amplitude: np.float32) -> SetPhase:
@@ -138,16 +138,16 @@ class SetDecoder:
         )  # fmt: skip
         phase, variance, mean = self._phase[0], self._variance[0], self._mean
         if self._window:
-            smooth(absolute_phase, variance, self._order, phase, self._phasor, *self._spare[:2])
+            smooth(len(self._order), absolute_phase, variance, self._order, phase, self._phasor, *self._spare[:2])
             absolute_phase, variance = self._spare[0], self._spare[1]
         if self._mosaic:
-            blend(self._mean, self._spare[2])
+            blend(len(self._mean), self._mean, self._spare[2])
             mean = self._spare[2]
         counts = np.rint(mean).clip(0, 255).astype(np.uint8)
         modulation = np.minimum(amplitude, 255).astype(np.uint8)
         share = float(self._saturated.sum()) / self._saturated.size / self._phase_limits.size[0]
         valid = self._order != temporal_unwrapping.NONE
-        descriptors_without_color(phase, valid, counts, self._descriptors)
+        descriptors_without_color(len(phase), phase, valid, counts, self._descriptors)
         found = PhaseMap(self._phasor, self._descriptors, counts, variance, share, phase, modulation, valid)
         return SetPhase(found, self._order, absolute_phase, int(moved))
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import inline, parallel, prange
+from pipeline.common.jit import inline
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import whole_turns
 from pipeline.decode.packed_phasor import PHASOR_SCALE, pack
 from pipeline.multi_frame.n_step_kernel import BIT_STEPS
@@ -31,8 +32,8 @@ def _wrapped(a: Any) -> Any:
 
 @parallel
 def by_phase(
-    phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, ratio: Any, share: Any, min_amplitude: float,
-    max_deviation: float, misfit: Any, order: Any, phasor: Any,
+    i: int, phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, ratio: Any, share: Any, min_amplitude:
+    float, max_deviation: float, misfit: Any, order: Any, phasor: Any,
 ) -> None:  # fmt: skip
     """Orders from several fringes, and the phase of the first averaged with those of the others.
 
@@ -46,45 +47,44 @@ def by_phase(
         misfit: (H, W), to which the mean square of that deviation, less its noise, is added.
         order: (H, W) int16, written, NONE where unknown; phasor: (H, W) int32, packed, 0 where unknown.
     """
-    fringes, height, width = phase.shape
+    fringes, width = phase.shape[0], phase.shape[2]
     others = np.float32(fringes - 1)
     most = others * np.float32(max_deviation) * np.float32(max_deviation)
-    for i in prange(height):
-        for j in range(width):
-            order[i, j], phasor[i, j] = NONE, 0
-            usable = True
-            for q in range(fringes):
-                usable &= amplitude[q, i, j] >= min_amplitude
-            if not usable or not high[i, j] > low[i, j]:
-                continue
-            main = phase[0, i, j]
-            k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
-            k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
-            best, second, chosen = _FAR, _FAR, int(k0)
-            for k in range(k0, k1 + 1):
-                cost = _ZERO
-                for q in range(1, fringes):
-                    deviation = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(k)))
-                    cost += deviation * deviation
-                if cost < best:
-                    second, best, chosen = best, cost, k
-                elif cost < second:
-                    second = cost
-            if best > most:
-                misfit[i, j] += best / others
-                continue
-            if best * _CLEAR > second:
-                continue
-            shift, noise, expected = _ZERO, share[0] * share[0] * variance[0, i, j], _ZERO
+    for j in range(width):
+        order[i, j], phasor[i, j] = NONE, 0
+        usable = True
+        for q in range(fringes):
+            usable &= amplitude[q, i, j] >= min_amplitude
+        if not usable or not high[i, j] > low[i, j]:
+            continue
+        main = phase[0, i, j]
+        k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
+        k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
+        best, second, chosen = _FAR, _FAR, int(k0)
+        for k in range(k0, k1 + 1):
+            cost = _ZERO
             for q in range(1, fringes):
-                deviation = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(chosen)))
-                shift += share[q] * deviation / ratio[q]
-                noise += (share[q] / ratio[q]) ** 2 * variance[q, i, j]
-                expected += variance[q, i, j] + ratio[q] * ratio[q] * variance[0, i, j]
-            misfit[i, j] += (best - expected) / others
-            main += shift
-            phase[0, i, j], variance[0, i, j], order[i, j] = main, noise, np.int16(chosen)
-            phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
+                deviation = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(k)))
+                cost += deviation * deviation
+            if cost < best:
+                second, best, chosen = best, cost, k
+            elif cost < second:
+                second = cost
+        if best > most:
+            misfit[i, j] += best / others
+            continue
+        if best * _CLEAR > second:
+            continue
+        shift, noise, expected = _ZERO, share[0] * share[0] * variance[0, i, j], _ZERO
+        for q in range(1, fringes):
+            deviation = _wrapped(phase[q, i, j] - ratio[q] * (main + _TURN * np.float32(chosen)))
+            shift += share[q] * deviation / ratio[q]
+            noise += (share[q] / ratio[q]) ** 2 * variance[q, i, j]
+            expected += variance[q, i, j] + ratio[q] * ratio[q] * variance[0, i, j]
+        misfit[i, j] += (best - expected) / others
+        main += shift
+        phase[0, i, j], variance[0, i, j], order[i, j] = main, noise, np.int16(chosen)
+        phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
 
 
 @inline
@@ -140,7 +140,7 @@ def _unevenness(bits: Any, number: Any, i: int, j: int, place: Any) -> Any:
 
 @parallel
 def by_bits(
-    phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, bits: Any, number: Any, per_period: float,
+    i: int, phase: Any, amplitude: Any, variance: Any, low: Any, high: Any, bits: Any, number: Any, per_period: float,
     steps: int, min_amplitude: float, misfit: Any, order: Any, phasor: Any,
 ) -> None:  # fmt: skip
     """Orders of one fringe from the bits of a Gray code.
@@ -152,36 +152,31 @@ def by_bits(
             fringe.
         misfit: (H, W), to which the mean square deviation of the bits' contrasts, less its noise, is added.
     """
-    height, width = order.shape
-    for i in prange(height):
-        for j in range(width):
-            order[i, j], phasor[i, j] = NONE, 0
-            if not amplitude[0, i, j] >= min_amplitude or not high[i, j] > low[i, j]:
-                continue
-            main = phase[0, i, j]
-            k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
-            k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
-            best, second, chosen = -_FAR, -_FAR, int(k0)
-            for k in range(k0, k1 + 1):
-                contrast = _least_contrast_at(
-                    bits, number, i, j, (main / _TURN + np.float32(k)) * np.float32(per_period)
-                )
-                if contrast > best:
-                    second, best, chosen = best, contrast, k
-                elif contrast > second:
-                    second = contrast
-            if best < _CERTAIN or second > -_CERTAIN:
-                continue
-            place = (main / _TURN + np.float32(chosen)) * np.float32(per_period)
-            noise = np.float32(0.5) * np.float32(steps) * variance[0, i, j]
-            misfit[i, j] += _unevenness(bits, number, i, j, place) - noise
-            order[i, j] = np.int16(chosen)
-            phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
+    for j in range(order.shape[1]):
+        order[i, j], phasor[i, j] = NONE, 0
+        if not amplitude[0, i, j] >= min_amplitude or not high[i, j] > low[i, j]:
+            continue
+        main = phase[0, i, j]
+        k0 = np.int32(np.ceil((low[i, j] - main) / _TURN))
+        k1 = np.int32(np.floor((high[i, j] - main) / _TURN))
+        best, second, chosen = -_FAR, -_FAR, int(k0)
+        for k in range(k0, k1 + 1):
+            contrast = _least_contrast_at(bits, number, i, j, (main / _TURN + np.float32(k)) * np.float32(per_period))
+            if contrast > best:
+                second, best, chosen = best, contrast, k
+            elif contrast > second:
+                second = contrast
+        if best < _CERTAIN or second > -_CERTAIN:
+            continue
+        place = (main / _TURN + np.float32(chosen)) * np.float32(per_period)
+        noise = np.float32(0.5) * np.float32(steps) * variance[0, i, j]
+        misfit[i, j] += _unevenness(bits, number, i, j, place) - noise
+        order[i, j] = np.int16(chosen)
+        phasor[i, j] = pack(UNIT * np.cos(main), UNIT * np.sin(main), PHASOR_SCALE)
 
 
-@parallel
 def reject_moved(
-    order: Any, phasor: Any, amplitude: Any, misfit: Any, variance: Any, min_amplitude: float, limit: float,
+    order: Any, phasor: Any, amplitude: Any, misfit: Any, variance: Any, min_amplitude: Any, limit: Any,
     absolute_phase: Any,
 ) -> int:  # fmt: skip
     """Reject pixels whose images, and those of their neighbours, contradict each other, and count them.
@@ -198,37 +193,50 @@ def reject_moved(
     Returns:
         Number of lit pixels with motion.
     """
-    height, width = order.shape
-    vote = np.empty((height, width), np.uint8)
-    moved = np.zeros(height, np.int64)
+    vote, moved = np.empty(order.shape, np.uint8), np.zeros(len(order), np.int64)
     largest = np.float32(limit) * np.float32(limit)
-    for i in prange(height):
-        for j in range(width):
-            lit = amplitude[i, j] >= min_amplitude
-            vote[i, j] = (2 if misfit[i, j] > largest + _UNCERTAIN * variance[i, j] else 1) if lit else 0
-    for i in prange(height):
-        for j in range(width):
-            if vote[i, j]:
-                lit, against = 0, 0
-                for y in range(max(0, i - 2), min(height, i + 3)):
-                    for x in range(max(0, j - 2), min(width, j + 3)):
-                        lit += vote[y, x] != 0
-                        against += vote[y, x] == 2
-                if 2 * against >= lit:
-                    moved[i] += 1
-                    order[i, j] = NONE
-                elif misfit[i, j] > np.float32(9) * (largest + _UNCERTAIN * variance[i, j]):
-                    order[i, j] = NONE
-            if order[i, j] == NONE:
-                phasor[i, j], absolute_phase[i, j] = 0, np.float32(np.nan)
-            else:
-                absolute_phase[i, j] += _TURN * np.float32(order[i, j])
-    return moved.sum()
+    _vote_row(len(order), amplitude, misfit, variance, min_amplitude, largest, vote)
+    _reject_row(len(order), vote, order, phasor, misfit, variance, largest, absolute_phase, moved)
+    return int(moved.sum())
+
+
+@parallel
+def _vote_row(
+    i: int, amplitude: Any, misfit: Any, variance: Any, min_amplitude: float, largest: Any, vote: Any
+) -> None:  # fmt: skip
+    """2 where a lit pixel's images contradict each other, 1 where they do not, 0 where it is dark."""
+    for j in range(vote.shape[1]):
+        lit = amplitude[i, j] >= min_amplitude
+        vote[i, j] = (2 if misfit[i, j] > largest + _UNCERTAIN * variance[i, j] else 1) if lit else 0
+
+
+@parallel
+def _reject_row(
+    i: int, vote: Any, order: Any, phasor: Any, misfit: Any, variance: Any, largest: Any, absolute_phase: Any,
+    moved: Any,
+) -> None:  # fmt: skip
+    height, width = order.shape
+    for j in range(width):
+        if vote[i, j]:
+            lit, against = 0, 0
+            for y in range(max(0, i - 2), min(height, i + 3)):
+                for x in range(max(0, j - 2), min(width, j + 3)):
+                    lit += vote[y, x] != 0
+                    against += vote[y, x] == 2
+            if 2 * against >= lit:
+                moved[i] += 1
+                order[i, j] = NONE
+            elif misfit[i, j] > np.float32(9) * (largest + _UNCERTAIN * variance[i, j]):
+                order[i, j] = NONE
+        if order[i, j] == NONE:
+            phasor[i, j], absolute_phase[i, j] = 0, np.float32(np.nan)
+        else:
+            absolute_phase[i, j] += _TURN * np.float32(order[i, j])
 
 
 @parallel
 def confirm(
-    valid: Any, absolute_phase: Any, right_u: Any, right_v: Any, other: Any, per_turn: float, limit: float
+    i: int, valid: Any, absolute_phase: Any, right_u: Any, right_v: Any, other: Any, per_turn: float, limit: float
 ) -> None:
     """Reject matches whose pixel in the other image has another absolute phase, or none.
 
@@ -237,15 +245,14 @@ def confirm(
             :class:`pipeline.match.match_result.MatchResult`.
         other: (H, W) float32, absolute phases of the other image; limit: radians.
     """
-    for i in prange(valid.shape[0]):
-        for j in range(valid.shape[1]):
-            if valid[i, j] == 0:
-                continue
-            y, x = np.int32(right_v[i, j]) >> 3, np.int32(right_u[i, j]) >> 3
-            deviation = np.int32(32768)
-            if y < other.shape[0] and x < other.shape[1] and other[y, x] == other[y, x]:
-                deviation = np.int32(np.rint(other[y, x] * np.float32(per_turn))) - np.int32(absolute_phase[i, j])
-                deviation &= np.int32(65535)
-                deviation = min(deviation, np.int32(65536) - deviation)
-            if not np.float32(deviation) < np.float32(limit) * np.float32(per_turn):
-                valid[i, j] = np.uint8(0)
+    for j in range(valid.shape[1]):
+        if valid[i, j] == 0:
+            continue
+        y, x = np.int32(right_v[i, j]) >> 3, np.int32(right_u[i, j]) >> 3
+        deviation = np.int32(32768)
+        if y < other.shape[0] and x < other.shape[1] and other[y, x] == other[y, x]:
+            deviation = np.int32(np.rint(other[y, x] * np.float32(per_turn))) - np.int32(absolute_phase[i, j])
+            deviation &= np.int32(65535)
+            deviation = min(deviation, np.int32(65536) - deviation)
+        if not np.float32(deviation) < np.float32(limit) * np.float32(per_turn):
+            valid[i, j] = np.uint8(0)

@@ -40,8 +40,9 @@ class Consistency:
     cause: str = ""
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values: verdict, reason, and value and sigma of each reading."""
-        readings = {name: [round(one.value, 5), round(one.sigma, 5)] for name, one in self.readings.items()}
+        """Plain values for files and messages: verdict, reason, and value and sigma of each reading."""
+        # Encoders of messages refuse numpy's floats, which arithmetic of the readings may give.
+        readings = {name: [round(float(x), 5) for x in (one.value, one.sigma)] for name, one in self.readings.items()}
         return {"verdict": self.verdict, "reason": self.reason, "readings": readings}
 
     @property

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
@@ -18,7 +19,7 @@ from pipeline.filter.texture_agreement import DEVIATION_STEPS, Agreement, Scale,
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import RESIDUAL_STEP, MatchResult, Points
 from pipeline.match.neighbour_orders import Proposals
-from pipeline.match.subpixel_match import refine
+from pipeline.match.subpixel_match import ROWS, refine
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
 
@@ -79,7 +80,7 @@ class CloudStage:
     ) -> None:  # fmt: skip
         v = self._view
         refine(
-            order, *rays, left.phase, left.descriptors, left.phasor, left.variance,
+            blocks(len(order), ROWS), order, *rays, left.phase, left.descriptors, left.phasor, left.variance,
             right.phasor, right.variance, v.other, v.projector, v.first_axis,
             np.float32(v.depth.base), np.float32(v.depth.span), v.phase_to_column, v.column_to_phase, v.linear,
             correction.astype(np.float32), self._floor_sq, self._correlation, stride,
@@ -147,9 +148,9 @@ class CloudStage:
         watch.lap("agreement")
         valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation, self._agreement, scale)
         watch.lap("gates")
-        widen_sigma(valid, self._agreement.misfit, part.variance, self._stride, points.sigma_mm)
+        widen_sigma(len(valid), valid, self._agreement.misfit, part.variance, self._stride, points.sigma_mm)
         kept = np.empty(self._size, np.int16)
-        mask_rejected(valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
+        mask_rejected(len(kept), valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(
             xyz=points.xyz,
             sigma_mm=points.sigma_mm,

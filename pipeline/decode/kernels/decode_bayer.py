@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.common.jit import parallel, prange, serial
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
 from pipeline.common.tile_math import TILE
 from pipeline.decode.kernels.chromatic_correction import DESIGN_ROWS, correct_phasors, corrected_design, units_of_row
+from pipeline.decode.kernels.decode_rgb import BANDS
 from pipeline.decode.kernels.local_mean import advance, means_of_row, mirrored, shared_row
 from pipeline.decode.kernels.local_normalisation import balance_of_row, normalised_row
 from pipeline.decode.kernels.mosaic_fit import (
@@ -26,8 +28,6 @@ from pipeline.decode.kernels.row_output import angles_of_row, counts_of_row, des
 from pipeline.decode.kernels.three_step import levels_of_row
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.decode.pixel_descriptor import complete_row, normalised_phase_row
-
-BANDS = 12
 
 
 @serial
@@ -72,10 +72,10 @@ def _write_tile(tile: Any, unit_re: Any, unit_im: Any, re: Any, im: Any, mean: A
 
 @parallel
 def decode_bayer(
-    image: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any, radius: int,
-    nominal: Any, saturation: float, floor: float, gain: float, min_modulation: float, along: int, over: int,
-    drops: Any, scale: float, chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance: Any,
-    phase: Any, modulation: Any, valid: Any, saturated: Any,
+    band: int, image: Any, mosaic: Any, black: Any, rows: Any, solution: Any, unmix: Any, ideal: Any, weights: Any,
+    radius: int, nominal: Any, saturation: float, floor: float, gain: float, min_modulation: float, along: int, over:
+    int, drops: Any, scale: float, chromatic: Any, table_step: int, phasor: Any, descriptors: Any, mean: Any, variance:
+    Any, phase: Any, modulation: Any, valid: Any, saturated: Any,
 ) -> None:  # fmt: skip
     """Fill the planes of a :class:`pipeline.decode.decoder.PhaseMap`; image (H, W) uint8, mosaic (2, 2) channels.
 
@@ -87,81 +87,80 @@ def decode_bayer(
     # A tile may extend beyond the end of a row.
     stride = row_stride(width + TILE + 4)
     wide = row_stride(3 * width + 6 * along)
-    for band in prange(BANDS):
-        low, high = band * height // BANDS, (band + 1) * height // BANDS
-        slab = np.zeros((5 * ring + 15, stride), np.float32)
-        levels, design = slab[0:3], slab[3:9]
-        re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
-        balance, units, samples = slab[12:15], slab[15 : 15 + 2 * ring], slab[15 + 2 * ring : 15 + 4 * ring]
-        plain = slab[15 + 4 * ring :]
-        boxes = np.zeros((2 + over, wide), np.uint16)
-        once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
-        shorts = np.zeros((10 + 2 * over, 2 * wide), np.uint16)
-        padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
-        work, means, halo, cache = shorts[2:4], shorts[4, : 3 * width], shorts[5:8], shorts[8:]
-        cached_rows = np.full(cache.shape[0], -1)
-        tile = np.zeros(MOSAIC_SLOTS * TILE, np.float32)
-        _design_rows(mosaic, rows, design)
-        start = shared_row(low)
-        middle_row, entered = start - 1, start - over
-        for y in range(max(low - radius, 0), min(high + radius, height)):
-            guess = _first_guess(image, y, mosaic, halo, cache, cached_rows)
-            levels_of_row(guess, np.float32(1 / EIGHTHS), black, levels)
-            if low <= y < high:
-                if middle_row < shared_row(y):
-                    middle_row = shared_row(y)
-                    while entered < middle_row + over - 1:
-                        entered += 1
-                        keep = 1 if entered > start else 0
-                        entering, leaving = mirrored(entered, height), mirrored(entered - keep * over, height)
-                        advance(_first_guess(image, entering, mosaic, halo, cache, cached_rows),
-                                _first_guess(image, leaving, mosaic, halo, cache, cached_rows), keep, drops[0],
-                                drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
-                    means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
-                    balance_of_row(means, scale, black, unmix, balance)
-                normalised_row(levels, balance, unmix, ideal, re, im)
-                if table_step > 0:
-                    correct_phasors(chromatic, table_step, y, re, im)
-                normalised_phase_row(re, im, descriptors[y])
-            k = y % ring
-            rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
+    low, high = band * height // BANDS, (band + 1) * height // BANDS
+    slab = np.zeros((5 * ring + 15, stride), np.float32)
+    levels, design = slab[0:3], slab[3:9]
+    re, im, w = slab[9, :width], slab[10, :width], slab[11, :width]
+    balance, units, samples = slab[12:15], slab[15 : 15 + 2 * ring], slab[15 + 2 * ring : 15 + 4 * ring]
+    plain = slab[15 + 4 * ring :]
+    boxes = np.zeros((2 + over, wide), np.uint16)
+    once, twice, before = boxes[0, : 3 * width], boxes[1, : 3 * width], boxes[2:]
+    shorts = np.zeros((10 + 2 * over, 2 * wide), np.uint16)
+    padded, middle = shorts[0, : 3 * (width + 2 * along - 2)], shorts[1, : 3 * (width + along - 1)]
+    work, means, halo, cache = shorts[2:4], shorts[4, : 3 * width], shorts[5:8], shorts[8:]
+    cached_rows = np.full(cache.shape[0], -1)
+    tile = np.zeros(MOSAIC_SLOTS * TILE, np.float32)
+    _design_rows(mosaic, rows, design)
+    start = shared_row(low)
+    middle_row, entered = start - 1, start - over
+    for y in range(max(low - radius, 0), min(high + radius, height)):
+        guess = _first_guess(image, y, mosaic, halo, cache, cached_rows)
+        levels_of_row(guess, np.float32(1 / EIGHTHS), black, levels)
+        if low <= y < high:
+            if middle_row < shared_row(y):
+                middle_row = shared_row(y)
+                while entered < middle_row + over - 1:
+                    entered += 1
+                    keep = 1 if entered > start else 0
+                    entering, leaving = mirrored(entered, height), mirrored(entered - keep * over, height)
+                    advance(_first_guess(image, entering, mosaic, halo, cache, cached_rows),
+                            _first_guess(image, leaving, mosaic, halo, cache, cached_rows), keep, drops[0],
+                            drops[1], once, before[(entered - start) % over], twice)  # fmt: skip
+                means_of_row(twice, along, drops[2], drops[3], padded, middle, work, means)
+                balance_of_row(means, scale, black, unmix, balance)
+            normalised_row(levels, balance, unmix, ideal, re, im)
             if table_step > 0:
-                correct_phasors(chromatic, table_step, y, units[k, :width], units[ring + k, :width])
-                units_of_row(units[k, :width], units[ring + k, :width])
-            n_saturated = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], saturation,
-                                         samples[k], samples[ring + k])  # fmt: skip
-            if low <= y < high:
-                saturated[y] = n_saturated
-                if y < edge or y >= height - edge:
-                    phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
-                    counts_of_row(plain[k, :width], mean[y])
-                    complete_row(phase[y], valid[y], mean[y], descriptors[y])
-            i = y - radius
-            if table_step > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
-                corrected_design(mosaic, rows, chromatic, table_step, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
-            if low <= i and edge <= i < height - edge:
-                p, q, r = (i - 1) % ring, i % ring, (i + 1) % ring
-                for o in range(edge, width - edge, TILE):
-                    e = o + TILE
-                    start_tile(tile, units[p, o:e], units[ring + p, o:e], units[q, o - 1 : e - 1],
-                               units[ring + q, o - 1 : e - 1], units[q, o:e], units[ring + q, o:e],
-                               units[q, o + 1 : e + 1], units[ring + q, o + 1 : e + 1],
-                               units[r, o:e], units[ring + r, o:e], nominal, radius)  # fmt: skip
-                    for a in range(-radius, radius + 1):
-                        k, d, f, g = (i + a) % ring, 3 * ((i + a) & 1), o - 2, e + 2
-                        weight = weights[abs(a)]
-                        add_window_row(tile, units[k, f:g], units[ring + k, f:g], samples[k, f:g],
-                                       samples[ring + k, f:g], design[d, f:g], design[d + 1, f:g], design[d + 2, f:g],
-                                       weight * weights[0], weight * weights[1], weight * weights[2], floor,
-                                       gain)  # fmt: skip
-                    solve(tile)
-                    e = min(e, width - edge)
-                    _write_tile(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], plain[q, o:e], w[o:e])
-                for j in range(edge):
-                    for x in (j, width - 1 - j):
-                        re[x], im[x], w[x] = zero, zero, inf
-                variance[i, :] = w
-                counts_of_row(plain[q, :width], mean[i])
-                angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
-                describe_row(re, im, w, min_modulation, modulation[i], valid[i])
-                complete_row(phase[i], valid[i], mean[i], descriptors[i])
+                correct_phasors(chromatic, table_step, y, re, im)
+            normalised_phase_row(re, im, descriptors[y])
+        k = y % ring
+        rough_units(levels, solution, units[k, :width], units[ring + k, :width], plain[k, :width])
+        if table_step > 0:
+            correct_phasors(chromatic, table_step, y, units[k, :width], units[ring + k, :width])
+            units_of_row(units[k, :width], units[ring + k, :width])
+        n_saturated = samples_of_row(image[y], black[mosaic[y & 1, 0]], black[mosaic[y & 1, 1]], saturation,
+                                     samples[k], samples[ring + k])  # fmt: skip
+        if low <= y < high:
+            saturated[y] = n_saturated
+            if y < edge or y >= height - edge:
+                phasor[y, :], phase[y, :], variance[y, :], modulation[y, :], valid[y, :] = 0, zero, inf, 0, False
+                counts_of_row(plain[k, :width], mean[y])
+                complete_row(phase[y], valid[y], mean[y], descriptors[y])
+        i = y - radius
+        if table_step > 0 and low <= i and (i % DESIGN_ROWS == 0 or i == low):
+            corrected_design(mosaic, rows, chromatic, table_step, i - i % DESIGN_ROWS + DESIGN_ROWS // 2, design)
+        if low <= i and edge <= i < height - edge:
+            p, q, r = (i - 1) % ring, i % ring, (i + 1) % ring
+            for o in range(edge, width - edge, TILE):
+                e = o + TILE
+                start_tile(tile, units[p, o:e], units[ring + p, o:e], units[q, o - 1 : e - 1],
+                           units[ring + q, o - 1 : e - 1], units[q, o:e], units[ring + q, o:e],
+                           units[q, o + 1 : e + 1], units[ring + q, o + 1 : e + 1],
+                           units[r, o:e], units[ring + r, o:e], nominal, radius)  # fmt: skip
+                for a in range(-radius, radius + 1):
+                    k, d, f, g = (i + a) % ring, 3 * ((i + a) & 1), o - 2, e + 2
+                    weight = weights[abs(a)]
+                    add_window_row(tile, units[k, f:g], units[ring + k, f:g], samples[k, f:g],
+                                   samples[ring + k, f:g], design[d, f:g], design[d + 1, f:g], design[d + 2, f:g],
+                                   weight * weights[0], weight * weights[1], weight * weights[2], floor,
+                                   gain)  # fmt: skip
+                solve(tile)
+                e = min(e, width - edge)
+                _write_tile(tile, units[q, o:e], units[ring + q, o:e], re[o:e], im[o:e], plain[q, o:e], w[o:e])
+            for j in range(edge):
+                for x in (j, width - 1 - j):
+                    re[x], im[x], w[x] = zero, zero, inf
+            variance[i, :] = w
+            counts_of_row(plain[q, :width], mean[i])
+            angles_of_row(re, im, PHASOR_SCALE, phasor[i], phase[i])
+            describe_row(re, im, w, min_modulation, modulation[i], valid[i])
+            complete_row(phase[i], valid[i], mean[i], descriptors[i])

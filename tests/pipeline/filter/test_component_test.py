@@ -46,7 +46,7 @@ def _tested(deviation: Any, residual: Any, scale: Scale) -> Any:
     match.right_u[:], match.right_v[:] = 8 * np.arange(90), 8 * np.arange(30)[:, None]
     link = np.empty(shape, np.uint8)
     connected_components.links(
-        match.absolute_phase, match.right_u.view(np.int16), match.right_v.view(np.int16), 0, 0, link
+        len(valid), match.absolute_phase, match.right_u.view(np.int16), match.right_v.view(np.int16), 0, 0, link
     )
     surfaces = Surfaces(shape)
     assert surfaces.find(valid, link, 50) == 3

@@ -8,10 +8,11 @@ import numba
 import numpy as np
 import pytest
 
+from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.filter import connected_components
 from pipeline.filter.connected_components import Surfaces
-from pipeline.filter.local_outliers import RADIUS, drop_mixed_edges, local_outliers
+from pipeline.filter.local_outliers import RADIUS, ROWS, drop_mixed_edges, local_outliers
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
 from pipeline.filter.point_filter import Gates
 from pipeline.filter.texture_agreement import Agreement, Scale
@@ -45,7 +46,7 @@ def test_local_outliers_are_those_of_the_definition(shape: tuple[int, int]) -> N
         near = any(abs(r[i, j] - m) < limit for r, m in zip(residuals, means, strict=True))
         expected[i, j] = near and (abs(residuals[:, i, j]) <= largest).any() and some.mean() >= 0.25
     out = np.full(shape, 9, np.uint8)
-    local_outliers(valid, *residuals, limit, largest, out)
+    local_outliers(blocks(len(valid), ROWS), valid, *residuals, limit, largest, out)
     np.testing.assert_array_equal(out, expected)
 
 
@@ -64,7 +65,7 @@ def test_only_weak_pixels_at_a_surfaces_border_are_mixed(shape: tuple[int, int])
         best = modulation[window][label[window] == label[i, j]].max()
         expected[i, j] = not (border and np.float32(modulation[i, j]) < share * np.float32(best))
     out = np.full(shape, 9, np.uint8)
-    drop_mixed_edges(label, modulation, share, out)
+    drop_mixed_edges(blocks(len(label), ROWS), label, modulation, share, out)
     np.testing.assert_array_equal(out, expected)
 
 
@@ -108,7 +109,7 @@ def test_links_follow_the_expected_steps_and_the_phase_may_wrap_around() -> None
     absolute_phase[:, 7:] += TURN_STEPS
     u[1, :] += 2 * PIXEL_STEPS
     out = np.full((2, 10), 9, np.uint8)
-    connected_components.links(absolute_phase, u, v, 24, 0, out)
+    connected_components.links(len(u), absolute_phase, u, v, 24, 0, out)
     assert (out[0, 1:] == connected_components.LEFT).tolist() == [True] * 6 + [False] + [True] * 2
     assert not (out[1] & connected_components.UP).any()
 

@@ -14,8 +14,8 @@ from pipeline.filter.texture_agreement import LOSS
 def _tested(label: Any, deviation: Any) -> tuple[Any, Any]:
     valid, misfit = (label > 0).astype(np.uint8), np.zeros(label.shape, np.uint8)
     edge_test(
-        label, deviation, LOSS.astype(np.float32), HIGH, np.float32(EDGE_LOSS), np.float32(LOSS_PER_NEIGHBOUR),
-        MISFIT_OF, misfit, valid,
+        len(label), label, deviation, LOSS.astype(np.float32), HIGH, np.float32(EDGE_LOSS),
+        np.float32(LOSS_PER_NEIGHBOUR), MISFIT_OF, misfit, valid,
     )  # fmt: skip
     return valid, misfit
 

@@ -115,7 +115,7 @@ def test_sigma_is_never_less_than_noise_and_grows_with_the_misfit(stride: int) -
     variance = np.full(shape, 1e-4, np.float32)
     noise = rng.uniform(0.01, 0.1, (stride * 20, stride * 31)).astype(np.float32)
     sigma = noise.copy()
-    widen_sigma(valid, misfit, variance, stride, sigma)
+    widen_sigma(len(valid), valid, misfit, variance, stride, sigma)
     part = np.s_[::stride, ::stride]
     assert (sigma >= noise).all()
     assert (sigma[part][(misfit == 0) | (valid == 0)] == noise[part][(misfit == 0) | (valid == 0)]).all()

@@ -6,6 +6,7 @@ import functools
 import re
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -54,6 +55,14 @@ def test_a_rig_as_calibrated_is_consistent(scene: str):
     cloud = reconstructor().reconstruct(images.left, images.right)
     assert cloud.consistency.verdict == "consistent", cloud.consistency.reason
     assert cloud.points > 20_000
+
+
+def test_every_reading_fits_into_a_message():
+    images = pair("mixed")
+    calibration = turned(LAYOUT.calibration_for(STANDARD), "right", ROLL, 0.3)
+    verdict = reconstructor(calibration).reconstruct(images.left, images.right).consistency
+    assert "right_roll" in verdict.readings
+    assert msgspec.json.decode(msgspec.json.encode(verdict.as_mapping())) == verdict.as_mapping()
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,14 @@ _PROGRAM = """
 import sys
 from numba.core.registry import CPUDispatcher
 import numpy as np
+from pipeline.common.parallel_for import ParallelFor
 from tests.pipeline.small import reconstructor
 
 def compiled():
     ours = [module for name, module in list(sys.modules.items()) if name.partition(".")[0] == "pipeline"]
-    kernels = {id(v): v for module in ours for v in vars(module).values() if isinstance(v, CPUDispatcher)}
+    names = [v for module in ours for v in vars(module).values()]
+    kernels = {id(v): v for v in names if isinstance(v, CPUDispatcher)}
+    kernels |= {id(v): v.dispatcher for v in names if isinstance(v, ParallelFor)}
     return sum(len(kernel.signatures) for kernel in kernels.values())
 
 encoding, folder = sys.argv[1:]
