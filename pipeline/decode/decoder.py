@@ -70,11 +70,6 @@ class PhaseMap:
             planes[name] = np.ascontiguousarray(plane[::stride, ::stride])
         return replace(self, **planes)
 
-    def gathered(self, pixels: NDArray[Any]) -> PhaseMap:
-        """The pixels of these flat numbers as one row, (1, n), copied."""
-        planes: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "saturated"}
-        return replace(self, **{name: plane.reshape(-1)[pixels][None] for name, plane in planes.items()})
-
 
 class Decoder:
     """Decoding of a camera's images, with what can be computed once for all of them.

@@ -29,6 +29,7 @@ _PHASE_LIMIT, _TEXTURE_LIMIT = 3.0, 6.0
 _NEUTRAL_RESIDUAL = 0.05
 """Rms of the phase against the projector at which it is no evidence, radians."""
 _LOSS_VARIANCE = 0.5
+_LARGE_STEP = 4
 FALSE_SHARE, BLIND_SHARE = 0.3, 0.12
 """Share between both means at which the loss of a surface is no evidence: false ones agree in part, by chance and by
 the search for the best order; the second where the projector's phase does not help."""
@@ -41,13 +42,16 @@ def _sums(
     part: int, valid: Any, first: Any, second: Any, deviation: Any, losses: Any, start: Any, stop: Any, count: Any, row:
     Any, surface: Any, size: Any, large: int, total: Any,
 ) -> None:  # fmt: skip
-    """Sums of squared residuals and of losses, and pixels, of surfaces below a size, (3, PARTS, surfaces) int64."""
+    """Sums of squared residuals and of losses, and pixels, of surfaces, (3, PARTS, surfaces) int64.
+
+    Of surfaces from a size on some rows are enough.
+    """
     height = valid.shape[0]
     parts = total.shape[1]
     for i in range(part * height // parts, (part + 1) * height // parts):
         for t in range(count[0, i]):
             k = surface[row[i] + t]
-            if k < 0 or size[k] >= large:
+            if k < 0 or (size[k] >= large and i % _LARGE_STEP != 0):
                 continue
             squares, loss, pixels = np.int64(0), np.int64(0), 0
             for j in range(start[i, t], stop[i, t]):
@@ -88,7 +92,7 @@ def component_test(
     total = np.zeros((3, PARTS, len(f.sizes)), np.int64)
     _sums(
         PARTS, valid, match.residual_normalised, match.residual, deviation, _LOSSES, f.start, f.stop, f.count, f.first,
-        f.surface, f.sizes, valid.size, total,
+        f.surface, f.sizes, large, total,
     )  # fmt: skip
     squares, loss, pixels = total.sum(axis=1).astype(np.float64)
     n = np.maximum(pixels, 1)

@@ -25,7 +25,7 @@ NO_MATCH = np.uint8(255)
 MISFIT_STEPS = 256.0
 """Steps per radian of :attr:`Agreement.misfit`."""
 
-_SAMPLE, _APART = 6, 9
+_SAMPLE, _APART = 11, 9
 _LEAST_SAMPLES = 200
 _LEAST_MEAN, _LEAST_AMPLITUDE = 0.012, 0.012
 MEAN_MISFIT, AMPLITUDE_MISFIT = 4.0, 2.0
@@ -73,7 +73,7 @@ class Agreement(NamedTuple):
 
 
 @serial
-def _right_values(valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, width: int, out: Any) -> None:
+def right_values_of_row(valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, width: int, out: Any) -> None:
     """Means and amplitudes of the right image, linear along the row, nearest row; ``out`` (2, W) float32."""
     last = mean.shape[0] - 2
     for j in range(valid.shape[0]):
@@ -87,7 +87,8 @@ def _right_values(valid: Any, u: Any, v: Any, mean: Any, amplitude: Any, width: 
 
 
 @serial
-def _deviations(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any, deviation: Any, misfit: Any) -> None:
+def deviations_of_row(valid: Any, mean: Any, amplitude: Any, right: Any, s: Any, deviation: Any, misfit: Any) -> None:
+    """Deviation and misfit of a row from its values and ``right`` (2, W); s: of :func:`scales_of`."""
     zero, two, most = np.float32(0.0), np.float32(2.0), np.float32(_LAST)
     for j in range(valid.shape[0]):
         a, b = np.float32(mean[j]), np.float32(amplitude[j])
@@ -108,14 +109,22 @@ def _compare(
 ) -> None:  # fmt: skip
     """Fill the planes of :class:`Agreement`; right images flat, of this width."""
     right = np.empty((2, valid.shape[1]), np.float32)
-    _right_values(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
-    _deviations(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
+    right_values_of_row(valid[i], u[i], v[i], right_mean, right_amplitude, width, right)
+    deviations_of_row(valid[i], mean[i], amplitude[i], right, scale, deviation[i], misfit[i])
 
 
 def compare(match: MatchResult, left: Any, right: Any, scale: Scale, out: Agreement) -> None:
     """Compare mean and amplitude at every match; ``left``, ``right`` with planes ``mean`` and ``modulation``."""
+    _compare(
+        len(match.valid), match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean.reshape(-1),
+        right.modulation.reshape(-1), right.mean.shape[1], scales_of(scale), out.deviation, out.misfit,
+    )  # fmt: skip
+
+
+def scales_of(scale: Scale) -> NDArray[np.float32]:
+    """Constants of :func:`deviations_of_row`, (8,)."""
     mean_weight, amplitude_weight = 2 * (1 - AMPLITUDE_SHARE), 2 * AMPLITUDE_SHARE
-    s = np.array(
+    return np.array(
         [
             scale.mean, mean_weight * scale.mean_sigma**-2.0,
             scale.amplitude, amplitude_weight * scale.amplitude_sigma**-2.0,
@@ -123,14 +132,10 @@ def compare(match: MatchResult, left: Any, right: Any, scale: Scale, out: Agreem
         ],
         np.float32,
     )  # fmt: skip
-    _compare(
-        len(match.valid), match.valid, match.right_u, match.right_v, left.mean, left.modulation, right.mean.reshape(-1),
-        right.modulation.reshape(-1), right.mean.shape[1], s, out.deviation, out.misfit,
-    )  # fmt: skip
 
 
 def scale_of(match: MatchResult, left: Any, right: Any) -> Scale:
-    """Scale of the differences in this pair: medians over every sixth matched pixel of every sixth row."""
+    """Scale of the differences in this pair: medians over the matched pixels of a grid."""
     part = np.s_[::_SAMPLE, ::_SAMPLE]
     some = match.valid[part] != 0
     if np.count_nonzero(some) < _LEAST_SAMPLES:
@@ -177,4 +182,7 @@ def widen_sigma(i: int, valid: Any, misfit: Any, variance: Any, stride: int, sig
         valid, misfit: (h, w) uint8; variance: (h, w) float32, rad^2, of the left phase; the right one's is alike.
         stride: pixel (a, b) of those is that at (stride a, stride b) of ``sigma`` (H, W) float32, which is changed.
     """
-    _widen_row(valid[i], misfit[i], variance[i], sigma[stride * i, ::stride])
+    if stride == 1:
+        _widen_row(valid[i], misfit[i], variance[i], sigma[i])
+    else:
+        _widen_row(valid[i], misfit[i], variance[i], sigma[stride * i, ::stride])

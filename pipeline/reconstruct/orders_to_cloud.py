@@ -14,25 +14,16 @@ from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.filter.mask_rejected import mask_rejected
-from pipeline.filter.point_filter import HIGH, Gates, phase_weight
-from pipeline.filter.texture_agreement import DEVIATION_STEPS, Agreement, Scale, compare, scale_of, widen_sigma
+from pipeline.filter.point_filter import Gates, phase_weight
+from pipeline.filter.texture_agreement import Agreement, Scale, compare, scale_of, scales_of, widen_sigma
 from pipeline.geometry.view_tables import View
-from pipeline.match.match_result import RESIDUAL_STEP, MatchResult, Points
-from pipeline.match.neighbour_orders import Proposals
+from pipeline.match.match_result import MatchResult, Points
 from pipeline.match.subpixel_match import ROWS, refine
+from pipeline.match.tile_match import MatchModel
+from pipeline.reconstruct import neighbour_match
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.neighbour_match import LeftImage, RightImage, match_neighbours
 from pipeline.rig.calibration import Calibration
-
-GOOD = 3 * DEVIATION_STEPS // 2
-"""Deviation of the texture up to which a pixel's order is continued to its neighbours."""
-GAIN = DEVIATION_STEPS
-"""How much less a pixel must deviate with another order."""
-REACH = 8
-"""Distance in pixels over which orders are continued."""
-LARGEST_STEP = 1.5
-"""Largest deviation from the continued phase, radians."""
-LARGEST_RESIDUAL = 0.5
-"""Largest deviation of a continued pixel from the projector's phase, radians."""
 
 
 class CloudStage:
@@ -47,7 +38,7 @@ class CloudStage:
         self, calibration: Calibration, left: View, settings: Settings, correlation: float, *, stride: int
     ) -> None:
         self._view, self._stride = left, stride
-        self._size = calibration.left.size[::-1]
+        self._size, self._right_size = calibration.left.size[::-1], calibration.right.size
         rays = calibration.left.rays()[::stride, ::stride].astype(np.float32)
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
         shape = self._rays_x.shape
@@ -61,7 +52,7 @@ class CloudStage:
             phase_weight=phase_weight(_baselines(calibration), linear=left.linear),
         )  # fmt: skip
         self._agreement = Agreement.empty(shape)
-        self._proposals = Proposals(shape, stride * left.slopes[0])
+        self._slope = np.float32(stride * left.slopes[0])
 
     def match(
         self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], points: Points | None = None
@@ -71,20 +62,18 @@ class CloudStage:
         The points themselves go into ``points``, of the full resolution, if that is given.
         """
         points = points or Points.empty(self._size)
-        self._refine(order, (self._rays_x, self._rays_y), left, right, correction, self._stride, points, self._match)
+        refine(
+            blocks(len(order), ROWS), order, self._rays_x, self._rays_y, left.phase, left.descriptors, left.phasor,
+            left.variance, right.phasor, right.variance, self._model(correction), self._stride, *points, *self._match,
+        )  # fmt: skip
         return self._match
 
-    def _refine(
-        self, order: Any, rays: tuple[Any, Any], left: Any, right: PhaseMap, correction: NDArray[np.float64],
-        stride: int, points: Points, out: MatchResult,
-    ) -> None:  # fmt: skip
+    def _model(self, correction: NDArray[np.float64]) -> MatchModel:
         v = self._view
-        refine(
-            blocks(len(order), ROWS), order, *rays, left.phase, left.descriptors, left.phasor, left.variance,
-            right.phasor, right.variance, v.other, v.projector, v.first_axis,
-            np.float32(v.depth.base), np.float32(v.depth.span), v.phase_to_column, v.column_to_phase, v.linear,
-            correction.astype(np.float32), self._floor_sq, self._correlation, stride,
-            points.xyz, points.sigma_mm, *out,
+        return MatchModel(
+            v.other, *self._right_size, v.projector, v.first_axis, np.float32(v.depth.base), np.float32(v.depth.span),
+            v.phase_to_column, v.column_to_phase, v.linear, correction.astype(np.float32), self._floor_sq,
+            self._correlation,
         )  # fmt: skip
 
     def _match_neighbours(
@@ -92,31 +81,16 @@ class CloudStage:
         points: Points,
     ) -> None:  # fmt: skip
         """Match pixels that agree badly or not at all with the orders of surfaces beside them, where that agrees."""
-        found = self._proposals.find(
-            order, left.phase, self._agreement.deviation, left.valid, good=GOOD, bad=HIGH, reach=REACH,
-            largest=LARGEST_STEP,
+        match_neighbours(
+            blocks(len(order), neighbour_match.ROWS), order,
+            LeftImage(
+                self._rays_x, self._rays_y, left.phase, left.descriptors, left.phasor, left.variance, left.mean,
+                left.modulation, left.valid,
+            ),
+            RightImage(*(p.reshape(-1) for p in (right.phasor, right.variance, right.mean, right.modulation))),
+            self._model(correction), scales_of(scale), self._slope, self._stride, *points, *self._match,
+            *self._agreement,
         )  # fmt: skip
-        deviation, misfit = (plane.reshape(-1) for plane in self._agreement)
-        for pixels, orders in found:
-            shape = (1, len(pixels))
-            some = left.gathered(pixels)
-            rays = self._rays_x.reshape(-1)[pixels][None], self._rays_y.reshape(-1)[pixels][None]
-            again, agreement = MatchResult.empty(shape), Agreement.empty(shape)
-            there = Points.empty(shape)
-            self._refine(orders.reshape(shape), rays, some, right, correction, 1, there, again)
-            compare(again, some, right, scale, agreement)
-            new = agreement.deviation[0]
-            residual = np.minimum(np.abs(again.residual[0]), np.abs(again.residual_normalised[0]))
-            better = (new < HIGH) & (new.astype(np.int16) + GAIN < deviation[pixels])
-            better &= residual * RESIDUAL_STEP < LARGEST_RESIDUAL
-            kept = pixels[better]
-            for plane, values in zip(self._match, again, strict=True):
-                np.asarray(plane).reshape(-1)[kept] = np.asarray(values)[0, better]
-            order.reshape(-1)[kept] = orders[better]
-            deviation[kept], misfit[kept] = new[better], agreement.misfit[0, better]
-            s, width = self._stride, order.shape[1]
-            a, b = s * (kept // width), s * (kept % width)
-            points.xyz[a, b], points.sigma_mm[a, b] = there.xyz[0, better], there.sigma_mm[0, better]
 
     def cloud(
         self,

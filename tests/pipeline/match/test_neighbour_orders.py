@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.match.neighbour_orders import Proposals
+from pipeline.match.neighbour_orders import NONE, propose_row
 
 SLOPE = 0.5
 
@@ -23,12 +23,17 @@ def _scene() -> tuple[Any, Any, Any]:
 
 def _found(order: Any, phase: Any, deviation: Any, usable: Any | None = None) -> dict[int, set[int]]:
     usable = np.ones(order.shape, bool) if usable is None else usable
-    proposals = Proposals(order.shape, SLOPE)
-    found = proposals.find(order, phase, deviation, usable, good=24, bad=48, reach=8, largest=1.5)
     by_pixel: dict[int, set[int]] = {}
-    for pixels, orders in found:
-        for pixel, k in zip(pixels.tolist(), orders.tolist(), strict=True):
-            by_pixel.setdefault(pixel, set()).add(k)
+    width = order.shape[1]
+    proposed = np.empty((2, width), np.int16)
+    for i in range(len(order)):
+        found = propose_row(
+            order[i], phase[i], deviation[i], usable[i], np.float32(SLOPE), 24, 48, 8, np.float32(1.5), *proposed
+        )
+        assert found == np.count_nonzero(proposed != NONE)
+        for row in proposed:
+            for j in np.flatnonzero(row != NONE):
+                by_pixel.setdefault(i * width + int(j), set()).add(int(row[j]))
     return by_pixel
 
 
