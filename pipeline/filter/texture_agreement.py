@@ -25,7 +25,7 @@ NO_MATCH = np.uint8(255)
 MISFIT_STEPS = 256.0
 """Steps per radian of :attr:`Agreement.misfit`."""
 
-_SAMPLE, _APART = 11, 9
+_SAMPLES, _APART = 7000, 9
 _LEAST_SAMPLES = 200
 _LEAST_MEAN, _LEAST_AMPLITUDE = 0.012, 0.012
 MEAN_MISFIT, AMPLITUDE_MISFIT = 4.0, 2.0
@@ -136,7 +136,8 @@ def scales_of(scale: Scale) -> NDArray[np.float32]:
 
 def scale_of(match: MatchResult, left: Any, right: Any) -> Scale:
     """Scale of the differences in this pair: medians over the matched pixels of a grid."""
-    part = np.s_[::_SAMPLE, ::_SAMPLE]
+    step = max(1, round((match.valid.size / _SAMPLES) ** 0.5))
+    part = np.s_[::step, ::step]
     some = match.valid[part] != 0
     if np.count_nonzero(some) < _LEAST_SAMPLES:
         return Scale(0.0, 0.02, 0.0, 0.04, 0.0, 0.0)

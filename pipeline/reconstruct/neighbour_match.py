@@ -94,7 +94,7 @@ def _empty_tile() -> Any:
 
 @serial
 def _match_gathered(pixels: Any, left: Any, right: Any, model: Any, scales: Any, arrays: Any, tile: Any) -> None:
-    """Match up to TILE pixels, (n, 2) rows and columns, with the orders in ``tile.order``, where the results go, too."""
+    """Match up to TILE pixels (rows and columns) with the orders in ``tile.order``; the tile keeps the results."""
     n = pixels.shape[0]
     for m in range(n):
         i, j = pixels[m, 0], pixels[m, 1]
