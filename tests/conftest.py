@@ -118,7 +118,7 @@ def _compile_kernels(config: pytest.Config, paths: list[Path]) -> None:
     reporter = config.pluginmanager.get_plugin("terminalreporter")
     if reporter is not None and reporter.verbosity >= 0:
         reporter.write_line("loading the kernels; after a change they are compiled, which takes minutes")
-    problem = kernels.compile_elsewhere()
+    problem = kernels.compile_all()
     if problem:
         pytest.exit(f"the kernels do not compile:\n{problem}", returncode=pytest.ExitCode.INTERNAL_ERROR)
 

@@ -9,6 +9,8 @@ from daemon.common import threads
 from daemon.common.counters import Counters
 from daemon.common.errors import DaemonError
 from daemon.config.rig_config import RigConfig
+from daemon.kernels.jobs import measuring_jobs
+from daemon.kernels.processes import Progress, compile_kernels
 from daemon.live.acquisition.camera_thread import CameraThread
 from daemon.live.acquisition.locked_pairer import LockedPairer, pairing_settings
 from daemon.live.compatibility import serial_problem
@@ -45,6 +47,7 @@ class FramePath:
         clock: Clock,
     ) -> None:
         self.config, self.rig, self._clock = config, rig, clock
+        self.kernels = Progress(0, 0)
         self.settings = Settings().with_overrides(config.pipeline.settings)
         self.drops = drops = Counters()
         self.router = router = Router(sinks, drops)
@@ -72,6 +75,7 @@ class FramePath:
     def warm_reconstructor(self) -> CloudReconstructor:
         """Make a reconstructor with all kernels compiled, which takes up to a minute after an update."""
         reconstructor = self._reconstructor(self.config, self.rig, self.settings)
+        self._compile(self.config)
         warm_up(reconstructor, self.config.pipeline)
         return reconstructor
 
@@ -101,6 +105,7 @@ class FramePath:
         if settings != self.settings or other_kernels or other_check:
             reconstructor = self._reconstructor(config, rig, settings)
             if other_kernels:
+                self._compile(config)
                 warm_up(reconstructor, config.pipeline)
         self.config, self.rig, self.settings = config, rig, settings
         self.pairer.configure(pairing_settings(config.pairing))
@@ -111,6 +116,13 @@ class FramePath:
             except Exception:  # one failure must not keep the rest from being done
                 log.exception("a change failed")
         return reconstructor
+
+    def _compile(self, config: RigConfig) -> None:
+        def note(progress: Progress) -> None:
+            self.kernels = progress
+
+        jobs = measuring_jobs(self.cameras["left"].status.encoding, config.mode)
+        compile_kernels(jobs, note)
 
     def _reconstructor(self, config: RigConfig, rig: Rig, settings: Settings) -> CloudReconstructor:
         problem = serial_problem(rig.serials, {side: self.cameras[side].status.serial for side in SIDES})

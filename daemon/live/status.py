@@ -43,6 +43,7 @@ class Status:
             it is switched off.
         health: the verdict and what is beyond its limits; only ``enabled: false`` when it is switched off.
         mode: single, or the name of a multi-frame mode; sequence: its images and sets.
+        kernels: jobs of the compilation, those that are ready and all, while the daemon starts or changes its mode.
         garbage: runs of Python's garbage collector since the start, and how long they stopped all threads.
     """
 
@@ -76,6 +77,7 @@ class Status:
     health: dict[str, Any]
     mode: str = SINGLE
     sequence: dict[str, Any] = field(default_factory=dict)
+    kernels: dict[str, int] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -89,5 +89,6 @@ def make_status(
         health={"enabled": "health" in sinks, **sinks.pop("health", {})},
         mode=mode_controller.mode,
         sequence=mode_controller.status(),
+        kernels={"ready": path.kernels.done, "total": path.kernels.total},
         sinks=sinks,
     )

@@ -205,7 +205,9 @@ class Uniqueness:
         """
         width, height = device
         blocks = ((width + 7) // 8) * ((height + 7) // 8)
-        owner, number, c = self._owner[:, :blocks], self._number[:blocks], self._claims
+        # Contiguous for both devices, so that the kernels are compiled once.
+        owner = self._owner.reshape(-1)[: PARTS * blocks].reshape(PARTS, blocks)
+        number, c = self._number[:blocks], self._claims
         claim_blocks(PARTS, valid, label, u, v, width, height, self._box, owner)
         shared = number_shared(owner, number)
         if not shared:

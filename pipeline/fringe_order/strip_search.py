@@ -86,7 +86,9 @@ def search_rows(
         load_nodes(t, k, part, pixels[o : o + m], m, flat_rays, flat_phase, flat_descriptors,
                    flat_first, flat_count, labels)  # fmt: skip
         apply_prior(t, part, m, flat_expected)
-        candidate_costs(t, k, 0, columns, linear, correction, extent, flat_other, width, height, axis, inv, texture)
+        candidate_costs(
+            t, k, np.int64(0), columns, linear, correction, extent, flat_other, width, height, axis, inv, texture
+        )
         for j in range(m):
             node = np.uint32(part[j])
             if t[COST + j] <= limit and t[MOVE + j] >= _ZERO:

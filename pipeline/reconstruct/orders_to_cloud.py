@@ -76,7 +76,7 @@ class CloudStage:
             self._correlation,
         )  # fmt: skip
 
-    def _match_neighbours(
+    def match_neighbours(
         self, left: PhaseMap, right: PhaseMap, order: Any, scale: Scale, correction: NDArray[np.float64],
         points: Points,
     ) -> None:  # fmt: skip
@@ -118,7 +118,7 @@ class CloudStage:
         scale = scale_of(match, part, right)
         compare(match, part, right, scale, self._agreement)
         if confirm is None:
-            self._match_neighbours(part, right, part_order, scale, correction, points)
+            self.match_neighbours(part, right, part_order, scale, correction, points)
         watch.lap("agreement")
         valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation, self._agreement, scale)
         watch.lap("gates")

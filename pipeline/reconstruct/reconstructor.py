@@ -75,9 +75,9 @@ class Reconstructor:
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
-        self._left = View.of(calibration, pattern, volume, self.settings)
+        self.left = View.of(calibration, pattern, volume, self.settings)
         # The right view only confirms the left one: fewer rows suffice.
-        self._right = View.of(
+        self.right = View.of(
             swapped, pattern, volume_of_right(calibration, volume), self.settings,
             inside=(swapped.right, volume), coarser=2,
         )  # fmt: skip
@@ -85,9 +85,9 @@ class Reconstructor:
             Decoder.of_left(
                 rig, pattern, mosaic=mosaic, slopes=view.slopes, settings=self.settings, depth_mm=view.depth.depth(0.5)
             )
-            for rig, view in ((calibration, self._left), (swapped, self._right))
+            for rig, view in ((calibration, self.left), (swapped, self.right))
         ]
-        labels = max(self._left.labels, self._right.labels)
+        labels = max(self.left.labels, self.right.labels)
         if labels > MAX_LABELS:
             raise CalibrationError(
                 f"up to {labels} fringe orders fit into the volume {volume.near_mm} .. {volume.far_mm} mm, limit "
@@ -95,8 +95,8 @@ class Reconstructor:
             )
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
-        self._searches = OrderSearch(self._left), OrderSearch(self._right)
-        self._kept = np.empty(self._left.table.shape, np.int16)
+        self.searches = OrderSearch(self.left), OrderSearch(self.right)
+        self._kept = np.empty(self.left.table.shape, np.int16)
         self._order = np.empty(calibration.left.size[::-1], np.int16)
         self._stages: dict[int, CloudStage] = {}
 
@@ -157,7 +157,7 @@ class Reconstructor:
 
     def clear_prior(self) -> None:
         """Search the next pair in full."""
-        for side in self._searches:
+        for side in self.searches:
             side.clear_prior()
 
     def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> None:
@@ -165,7 +165,7 @@ class Reconstructor:
         self.scan = self.scan_columns(left, right)
         best, least = 0.0, np.inf
         for offset in column_correction.offsets_to_try(self.settings.self_calibration_range):
-            costs = self._searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=8)
+            costs = self.searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=8)
             cost = float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
             if cost < least - 1e-6:
                 best, least = float(offset), cost
@@ -174,7 +174,7 @@ class Reconstructor:
         self.clear_prior()
         orders = self._orders(left, right, Stopwatch(None), use_prior=False)
         match = self.stage(1).match(left, right, orders, self.correction)
-        difference, along, across = column_correction.column_differences(self._left, match, self.correction)
+        difference, along, across = column_correction.column_differences(self.left, match, self.correction)
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
@@ -189,19 +189,19 @@ class Reconstructor:
         period = self.pattern.length / self.pattern.periods
         offsets = column_correction.offsets_to_try(period / 2, step=0.5)
         costs = [
-            self._searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=16) for offset in offsets
+            self.searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=16) for offset in offsets
         ]
         self.clear_prior()
         return ColumnScan.of(offsets, costs, self.settings.self_calibration_range)
 
     def _orders(self, left: PhaseMap, right: PhaseMap, watch: Stopwatch, *, use_prior: bool) -> NDArray[np.int16]:
         """Fringe order of every left pixel, (H, W), valid until the next call."""
-        left_search, right_search = self._searches
+        left_search, right_search = self.searches
         left_orders = left_search.search(left, right, self.correction, use_prior=use_prior)
         right_orders = right_search.search(right, left, self.correction, use_prior=use_prior)
         watch.lap("orders")
-        cross_check(self._left, left, left_orders, self._right, right, right_orders, self.correction, self._kept)
-        propagate(self._left, left, self._kept, self._order)
+        cross_check(self.left, left, left_orders, self.right, right, right_orders, self.correction, self._kept)
+        propagate(self.left, left, self._kept, self._order)
         if use_prior:
             left_search.set_prior(left, self._kept)
             right_search.set_prior(right, right_orders)
@@ -212,7 +212,7 @@ class Reconstructor:
         """The stage that makes clouds of orders, for points on every n-th pixel."""
         if stride not in self._stages:
             self._stages[stride] = CloudStage(
-                self.calibration, self._left, self.settings, self._correlation, stride=stride
+                self.calibration, self.left, self.settings, self._correlation, stride=stride
             )
         return self._stages[stride]
 

@@ -5,27 +5,25 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from daemon.apps.install.environment import OWN
 from daemon.apps.install.errors import InstallError
 from daemon.apps.install.layout import CACHE, KERNELS, STATE, USER
 from daemon.apps.install.target import Target
+from daemon.kernels import cache
 
-if TYPE_CHECKING:
-    from sim.render.render_pair import RenderedPair
-    from sim.rig.layout import RigLayout
-
-ENCODINGS = "rgb8", "bayer_rggb8"
 _TIMEOUT_S = 3600
 _PROGRAM = """
 import sys
 from daemon.cli.allocator import prepare
 prepare()
-from daemon.apps.install.kernels import compile_all
-compile_all(sys.argv[1:])
+from daemon.kernels.jobs import ENCODINGS, measuring_jobs, rendering_jobs
+from daemon.kernels.processes import compile_kernels
+modes = sys.argv[1:] or [None]
+measuring = [job for encoding in ENCODINGS for mode in modes for job in measuring_jobs(encoding, mode)]
+compile_kernels([*rendering_jobs(ENCODINGS), *measuring])
 """
 
 
@@ -57,7 +55,7 @@ def compile_ahead(target: Target, modes: Sequence[str] = ()) -> None:
 def copy_compiled(target: Target) -> int:
     """Copy the running program's compiled kernels of the same sources; returns the number of files.
 
-    numba compares time and size of each source before it uses a file, so an outdated one is compiled again.
+    numba compares the content of each source before it uses a file, so an outdated one is compiled again.
     """
     from numba.core import caching
 
@@ -74,6 +72,8 @@ def copy_compiled(target: Target) -> int:
                 destination.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(cached, destination)
                 count += 1
+    if (mark := cache.folder() / cache.MARK).is_file():
+        shutil.copy2(mark, target.path(KERNELS))
     assign_to_service(target)
     return count
 
@@ -85,55 +85,3 @@ def assign_to_service(target: Target) -> None:
     user, group = target.number("passwd", USER), target.number("group", USER)
     for path in (target.path(KERNELS), *target.path(KERNELS).rglob("*")):
         os.chown(path, user, group, follow_symlinks=False)
-
-
-def small_layout() -> RigLayout:
-    """The rig used for the compilation."""
-    from sim.rig.layout import RigLayout
-
-    return RigLayout().scaled(0.125)
-
-
-def small_pair(encoding: str) -> RenderedPair:
-    """Render images of that rig, which compiles the renderer."""
-    from sim.render.render_pair import render_pair
-    from sim.rig.optics import Optics
-    from sim.scene.named_scenes import build
-
-    layout = small_layout()
-    return render_pair(layout, build("moving"), layout.pattern(), Optics(), encoding=encoding)
-
-
-def compile_all(modes: Sequence[str] = ()) -> None:
-    """Compile the kernels of the pipeline and of the simulation; runs in the installed environment.
-
-    Args:
-        modes: as of :func:`compile_ahead`.
-    """
-    from pipeline.monitor.observe import warm_up
-    from pipeline.reconstruct.reconstructor import Reconstructor
-    from sim.rig.optics import Optics
-
-    layout = small_layout()
-    for encoding in ENCODINGS:
-        reconstructor = Reconstructor(
-            layout.calibration_for(Optics()), layout.pattern(), layout.volume(), encoding=encoding
-        )
-        reconstructor.warm_up(strides=(1, 2), use_prior=True)
-        pair = small_pair(encoding)
-        reconstructor.reconstruct(pair.left, pair.right)
-    warm_up()
-    compile_modes([(mode, encoding) for mode in modes for encoding in ENCODINGS])
-
-
-def compile_modes(modes: Iterable[tuple[str, str]]) -> None:
-    """Compile the kernels of multi-frame modes, given as mode and encoding."""
-    from pipeline.multi_frame.set_reconstructor import SetReconstructor
-    from pipeline.pattern.mode_sequences import mode_sequence
-    from sim.rig.optics import Optics
-
-    layout = small_layout()
-    calibration = layout.calibration_for(Optics())
-    for mode, encoding in modes:
-        sequence = mode_sequence(mode, layout.projector_size, periods=layout.periods)
-        SetReconstructor(calibration, sequence, layout.volume(), encoding=encoding).warm_up()

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from daemon.apps.replay.take_items import Sets, TakeItem, pairs_of
+from daemon.kernels.jobs import measuring_jobs
+from daemon.kernels.processes import Progress, compile_kernels
 from daemon.live.processing.temporal_prior import TemporalPrior
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
@@ -64,6 +66,7 @@ class Replay:
         calibration: file to use instead of the attached one.
         use_prior: use the previous pair as temporal prior if it is close in time, as in a live run.
         calibration_check: policy for pairs that contradict the calibration, see ``CheckedReconstructor``.
+        compiling: called once a second with the progress while kernels are compiled.
     """
 
     take: TakeReader
@@ -72,6 +75,7 @@ class Replay:
     calibration: Path | None = None
     use_prior: bool = False
     calibration_check: Policy = "withhold"
+    compiling: Callable[[Progress], object] | None = None
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
     _cached: Any = None
@@ -138,6 +142,7 @@ class Replay:
             "threads": self.threads,
         }
         calibration, volume = self.calibration_file.calibration, self.take.volume()
+        compile_kernels(measuring_jobs(encoding, None if sequence is None else sequence.name), self.compiling)
         if sequence is None:
             single = CheckedReconstructor(
                 Reconstructor(calibration, self.take.pattern(), volume, **options), self.calibration_check

@@ -16,6 +16,13 @@ def line(status: dict[str, Any]) -> str:
     )
 
 
+def loading(status: dict[str, Any]) -> str:
+    """What a starting daemon does about its kernels."""
+    kernels = status.get("kernels", {})
+    ready, total = kernels.get("ready", 0), kernels.get("total", 0)
+    return f"starting: compiling kernels, {ready} of {total}" if ready < total else "starting: loading the kernels"
+
+
 def waiting(status: dict[str, Any]) -> str:
     """What the first cloud waits for."""
     if status["state"] in ("paused", "stopping"):
@@ -28,7 +35,7 @@ def waiting(status: dict[str, Any]) -> str:
     if unopened:
         return f"starting: opening camera {' and '.join(unopened)}"
     if status["state"] == "starting":
-        return "starting: loading the measuring kernels; after an update they are compiled, which takes minutes"
+        return loading(status)
     silent = [side for side, camera in cameras.items() if not camera["frames"]]
     if silent:
         return f"waiting for the trigger: no frame from camera {' and '.join(silent)} yet"

@@ -33,6 +33,8 @@ def main(
     from daemon.cli.measure.demo_processes import Report, Viewer
     from daemon.cli.options.progress import rendering
     from daemon.common.ipc_endpoints import runtime_dir
+    from daemon.kernels.jobs import measuring_jobs, rendering_jobs
+    from daemon.kernels.processes import compiling_ahead
 
     log_events(logging.INFO if verbose else logging.WARNING)
     with ExitStack() as stack:
@@ -45,6 +47,7 @@ def main(
         if viewer is not None:
             stack.callback(viewer.close)
         report = Report(seconds, stop=flag.request, viewer=viewer, echo=typer.echo, now_s=time.monotonic)
+        stack.enter_context(compiling_ahead((*rendering_jobs(["rgb8"]), *measuring_jobs("rgb8"))))
         progress = stack.enter_context(rendering())
         typer.echo("Rendering the scene (cached for the next start), then measuring it live. Ctrl-C ends the demo.")
         run_rig(rig_file, progress=progress, flag=flag, on_status=report)

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from daemon.bootstrap.systemd.status_line import line
+from daemon.bootstrap.systemd.status_line import line, loading
 
 _VIEW = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 
@@ -70,7 +70,7 @@ class Report:
     def __call__(self, status: dict[str, Any]) -> None:
         """Report a status."""
         if status["state"] == "starting":
-            self._echo("starting: loading the kernels (compiled at the first start)")
+            self._echo(loading(status))
             return
         if self._measuring_since_s is None:
             self._measuring_since_s = self._now_s()

@@ -141,6 +141,8 @@ def _replay(
         out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         show = _viewer(rerun, stack) if rerun is not None else None
+        compiling = stack.enter_context(rendering("Compiling the kernels"))
+        replay.compiling = lambda jobs: compiling(*jobs) if jobs.done < jobs.total else None
         progress = stack.enter_context(rendering(f"Replaying {replay.take.path.name}"))
         for result in replay.results(repeat=repeat, progress=lambda position: progress(position, size)):
             runs.extend(result.runs)

@@ -1,0 +1,62 @@
+"""Jobs of the compilation: names that a process can turn into the kernels of one part of the program."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+ENCODINGS = "rgb8", "bayer_rggb8"
+"""One of each kind: the kernels of the other mosaics are the same."""
+MEASURE, MODE, RENDER = "measure", "mode", "render"
+
+
+def measuring_jobs(encoding: str, mode: str | None = None) -> tuple[str, ...]:
+    """Jobs for images of an encoding; a multi-frame mode needs those of the single shot, too."""
+    from pipeline.pattern.mode_sequences import MODES
+    from pipeline.reconstruct import compilation
+
+    names = [f"{MEASURE}/{encoding}/{part}" for part in (*compilation.parts(encoding), "monitor")]
+    return (*names, f"{MODE}/{encoding}/{mode}") if mode in MODES else tuple(names)
+
+
+def rendering_jobs(encodings: Iterable[str]) -> tuple[str, ...]:
+    """Jobs for the simulated rig's images."""
+    return tuple(f"{RENDER}/{encoding}/images" for encoding in encodings)
+
+
+def run_job(name: str) -> None:
+    """Compile (or load) the kernels of a job; ValueError for an unknown one."""
+    kind, encoding, part = name.split("/")
+    if kind == MEASURE and part == "monitor":
+        from pipeline.monitor.observe import warm_up
+
+        warm_up()
+    elif kind == MEASURE:
+        from pipeline.reconstruct import compilation
+
+        compilation.parts(encoding)[part]()
+    elif kind == MODE:
+        _compile_mode(part, encoding)
+    elif kind == RENDER:
+        _render(encoding)
+    else:
+        raise ValueError(f"job {name!r} is unknown, expected {MEASURE}/..., {MODE}/... or {RENDER}/...")
+
+
+def _compile_mode(mode: str, encoding: str) -> None:
+    from pipeline.multi_frame.set_reconstructor import SetReconstructor
+    from pipeline.pattern.mode_sequences import mode_sequence
+    from pipeline.reconstruct.compilation import small_rig
+
+    calibration, pattern, volume = small_rig()
+    sequence = mode_sequence(mode, calibration.projector.size, periods=pattern.periods)
+    SetReconstructor(calibration, sequence, volume, encoding=encoding).warm_up()
+
+
+def _render(encoding: str) -> None:
+    from sim.render.render_pair import render_pair
+    from sim.rig.layout import RigLayout
+    from sim.rig.optics import Optics
+    from sim.scene.named_scenes import build
+
+    layout = RigLayout().scaled(0.125)
+    render_pair(layout, build("moving"), layout.pattern(), Optics(), encoding=encoding)

@@ -1,0 +1,22 @@
+"""Process that compiles kernels: reads names of jobs, a line each, and answers each with a line when it is done."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def main() -> None:
+    """Work until the input ends."""
+    from daemon.kernels.jobs import run_job
+
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # whatever a library prints is no answer
+    for line in sys.stdin:
+        run_job(line.strip())
+        answers.write("done\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()
