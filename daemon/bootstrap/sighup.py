@@ -7,7 +7,6 @@ import os
 import select
 import threading
 from collections.abc import Callable, Iterable
-from typing import Any
 
 log = logging.getLogger("fringed")
 
@@ -16,10 +15,10 @@ class Reloads:
     """Turns requests of a signal handler into reloads, one at a time; requests that come meanwhile become one more.
 
     Args:
-        reload: does it, and returns what changed; may take seconds. ready: whether it is possible yet.
+        reload: does it and logs its outcome, once; may take seconds. ready: whether it is possible yet.
     """
 
-    def __init__(self, reload: Callable[[], Any], *, ready: Callable[[], bool]) -> None:
+    def __init__(self, reload: Callable[[], object], *, ready: Callable[[], bool]) -> None:
         self._reload, self._ready = reload, ready
         self._requested = False
         self._thread: threading.Thread | None = None
@@ -38,9 +37,9 @@ class Reloads:
 
     def _run(self) -> None:
         try:
-            log.info("reloaded: %s", self._reload())
+            self._reload()
         except Exception as error:  # a bad file must not end anything: what ran before goes on
-            log.error("not reloaded, nothing was changed: %s", error)
+            log.debug("the reload failed: %s", error)
 
 
 def terminals(descriptors: Iterable[int] = (0, 1, 2)) -> tuple[int, ...]:

@@ -17,3 +17,11 @@ class ConfigError(DaemonError):
 
 class ControlError(DaemonError):
     """A control request that failed or found no daemon."""
+
+
+class NoDaemonError(ControlError):
+    """No daemon answers at an address."""
+
+
+class InputError(DaemonError):
+    """Something that the command line names is missing, of the wrong kind, or contradicts the rest of it."""

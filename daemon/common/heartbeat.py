@@ -25,6 +25,11 @@ class Heartbeat:
         """Set no deadline any more: the thread ends."""
         self._due_ns = None
 
+    @property
+    def due_ns(self) -> int | None:
+        """The deadline of the present turn, monotonic; None without one."""
+        return self._due_ns
+
     def overdue_s(self) -> float:
         """Seconds since the deadline was missed; 0 while it is kept."""
         due_ns = self._due_ns

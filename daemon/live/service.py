@@ -11,6 +11,7 @@ from typing import Any
 from daemon.common import threads
 from daemon.common.clock import SystemClock
 from daemon.common.errors import DaemonError
+from daemon.common.processor_share import ProcessorShare
 from daemon.common.stop_event import StopEvent
 from daemon.config.rig_config import RigConfig
 from daemon.live.compatibility import projector_problem
@@ -48,8 +49,10 @@ class Service:
         on_status: Callable[[dict[str, Any]], None] | None = None,
         clock: Clock | None = None,
         session: str | None = None,
+        processor_share: ProcessorShare | None = None,
     ) -> None:
         self.clock = clock = clock or SystemClock()
+        self.processor_share = processor_share or ProcessorShare()
         self.session = session or str(uuid.uuid4())
         self._on_status = on_status
         #: Called by the main loop ten times a second, from the start to the request to stop.
@@ -140,7 +143,7 @@ class Service:
         """The state now and why it is degraded."""
         if self._stop.is_set():
             return State.STOPPING, ()
-        reasons = degraded_reasons(self.path)
+        reasons = degraded_reasons(self.path, self.processor_share)
         if not self._ready:
             return State.STARTING, reasons
         if self.router.diversion is not None:
@@ -158,6 +161,7 @@ class Service:
             session=self.session,
             started_ns=self._started_ns,
             clock=self.clock,
+            processor_share=self.processor_share,
         )
 
     def _start(self) -> None:
@@ -189,6 +193,7 @@ class Service:
 
     def _housekeeping(self) -> None:
         """Run the tick actions, and once a second name new threads and publish the status."""
+        self.processor_share.tick()
         for action in self.on_tick:
             _guarded("a periodic action", action)
         now_ns = self.clock.monotonic_ns()

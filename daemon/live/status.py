@@ -44,6 +44,8 @@ class Status:
         health: the verdict and what is beyond its limits; only ``enabled: false`` when it is switched off.
         mode: single, or the name of a multi-frame mode; sequence: its images and sets.
         kernels: jobs of the compilation, those that are ready and all, while the daemon starts or changes its mode.
+        processors: share of the processor time that the daemon wanted and got over the last seconds, and the seconds
+            that other programs took from it since the start.
         garbage: runs of Python's garbage collector since the start, and how long they stopped all threads.
     """
 
@@ -68,6 +70,7 @@ class Status:
     publish_latency_ms: dict[str, float]
     stages_ms: dict[str, float]
     garbage: dict[str, float]
+    processors: dict[str, float]
     calibration_check: dict[str, Any]
     drops: dict[str, int]
     cameras: dict[str, CameraStatus]

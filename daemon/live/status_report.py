@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 from typing import Any
 
+from daemon.common.processor_share import ProcessorShare
 from daemon.common.version import program_version
 from daemon.live.acquisition.camera_status import CameraState, CameraStatus
 from daemon.live.compatibility import size_problem, timing_warnings
@@ -14,7 +15,7 @@ from daemon.live.status import State, Status
 from drivers.protocols import Clock, ProjectorInfo
 
 
-def degraded_reasons(path: FramePath) -> tuple[str, ...]:
+def degraded_reasons(path: FramePath, processor_share: ProcessorShare) -> tuple[str, ...]:
     """Why the daemon is degraded."""
     reasons = [
         f"camera {side} is gone: {camera.status.problem}"
@@ -25,6 +26,11 @@ def degraded_reasons(path: FramePath) -> tuple[str, ...]:
     reasons += filter(None, (*sizes, path.mode_controller.problem()))
     if path.worker.stride > 1:
         reasons.append("the pipeline is overloaded: every second pixel is measured")
+    if processor_share.scarce:
+        reasons.append(
+            "other programs take the processors: the daemon gets less than half of the processor time that it needs; "
+            "end them, or give the service more (CPUWeight=, CPUAffinity=)"
+        )
     consistency = path.worker.consistency
     if consistency is not None and consistency.verdict == "inconsistent":
         reasons.append(f"the images contradict the calibration: {consistency.reason}")
@@ -47,6 +53,7 @@ def make_status(
     session: str,
     started_ns: int,
     clock: Clock,
+    processor_share: ProcessorShare,
 ) -> Status:
     """State, counters, rates and latencies of everything.
 
@@ -81,6 +88,7 @@ def make_status(
         publish_latency_ms=sinks.get("stream", {}).pop("latency_ms", {}),
         stages_ms=worker.stages_ms,
         garbage=worker.gc_pauses.summary(),
+        processors=processor_share.as_dict(),
         calibration_check=_calibration_check(path),
         drops=path.drops.snapshot(),
         cameras=cameras,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import time
 import uuid
 from typing import Any, Self
 
 import zmq
 
-from daemon.common.errors import ControlError
+from daemon.common.errors import ControlError, NoDaemonError
+from daemon.control.rpc.connection import Connection, check_address
 from fringed.keys import Keys
 
 
@@ -16,26 +18,22 @@ class ControlClient:
     """One connection to a daemon's control socket.
 
     Args:
-        endpoint: of the daemon; timeout_s: longest wait for each response.
+        endpoint: of the daemon; timeout_s: longest wait for each response. A missing daemon is known at once,
+            or within a second where another machine does not respond.
         keys: for a daemon on another machine.
     """
 
     def __init__(self, endpoint: str, *, timeout_s: float = 5.0, keys: Keys | None = None) -> None:
         self.endpoint, self._timeout_s = endpoint, timeout_s
+        self._keys: Keys | None = None
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._socket = self._context.socket(zmq.DEALER)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._hint = "start one with `fringed run rig.yaml`, or name its control endpoint"
+        self._hint = "start one with `fringed run rig.yaml` or `fringed demo`, or name its address by --endpoint"
         if endpoint.startswith("tcp://"):
             self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
         if keys is not None and not endpoint.startswith("ipc://"):  # ipc stays on this machine and needs no keys
-            keys.apply(self._socket)
+            self._keys = keys
             self._hint = "is it running, does it allow this key, and is that its server key?"
-        try:
-            self._socket.connect(endpoint)
-        except zmq.ZMQError as error:
-            self._context.destroy(linger=0)
-            raise ControlError(f"{endpoint} is not an address of a daemon: {error}") from error
+        self._connection: Connection | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -51,16 +49,55 @@ class ControlClient:
         """Call a method and return its result.
 
         Raises:
-            ControlError: no response in time, or the daemon's error message.
+            NoDaemonError: there is no listener, or no response in time. ControlError: the daemon's error message.
         """
         request_id = str(uuid.uuid4())
         request = {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
-        self._socket.send(json.dumps(request).encode())
-        while self._socket.poll(round(1000 * self._timeout_s)):
-            response = json.loads(self._socket.recv_multipart()[-1])
-            if response.get("id") not in (request_id, None):
-                continue  # a late response to an earlier request
-            if "error" in response:
-                raise ControlError(f"the daemon refused {method}: {response['error'].get('message')}")
-            return response.get("result")
-        raise ControlError(f"no daemon answers at {self.endpoint}; {self._hint}")
+        response = self._exchange(json.dumps(request).encode(), request_id)
+        if "error" in response:
+            raise ControlError(f"the daemon refused {method}: {response['error'].get('message')}")
+        return response.get("result")
+
+    def _exchange(self, request: bytes, request_id: str) -> dict[str, Any]:
+        """Send a request and return its response."""
+        connection = self._connected()
+        connection.socket.send(request)
+        start_s, waited_s = time.monotonic(), 0.0
+        while waited_s < self._timeout_s:
+            if connection.wait(connection.limit_s(self._timeout_s) - waited_s):
+                response: dict[str, Any] = json.loads(connection.socket.recv_multipart()[-1])
+                if response.get("id") in (request_id, None):
+                    return response
+            waited_s = time.monotonic() - start_s
+            problem = connection.problem(waited_s)
+            if problem:
+                self._disconnect()
+                raise self._no_daemon(problem)
+        raise self._no_daemon(f"no response within {self._timeout_s:g} s")
+
+    def _connected(self) -> Connection:
+        """The connection, begun with the first call; ZeroMQ restores it when the daemon is restarted."""
+        if self._connection is not None:
+            return self._connection
+        problem = check_address(self.endpoint)
+        if problem:
+            raise self._no_daemon(problem)
+        made = self._context.socket(zmq.DEALER)
+        made.setsockopt(zmq.LINGER, 0)
+        if self._keys is not None:
+            self._keys.apply(made)
+        self._connection = Connection(made, final=self._keys is None)
+        try:
+            made.connect(self.endpoint)
+        except zmq.ZMQError as error:
+            self._disconnect()
+            raise self._no_daemon(f"that is no address, use ipc://PATH or tcp://HOST:PORT ({error})") from error
+        return self._connection
+
+    def _disconnect(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _no_daemon(self, problem: str) -> NoDaemonError:
+        return NoDaemonError(f"no daemon answers at {self.endpoint}: {problem}; {self._hint}")

@@ -37,7 +37,7 @@ class Reloader:
         try:
             changed = self._reload()
         except Exception as error:
-            log.warning("reload refused: %s", error)
+            log.warning("not reloaded, nothing was changed: %s", error)
             raise
         log.info("reloaded: %s", ", ".join(changed) or "nothing has changed")
         return {"changed": changed, "restart": []}

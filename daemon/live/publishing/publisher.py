@@ -2,7 +2,7 @@
 
 Producers put their data into slots (clouds and status: one slot, the newest wins; log lines: a short queue) and wake
 the thread. A message is made only while its topic has subscribers. A new subscriber gets the ``meta/`` messages at
-once.
+once, before anything else but one message: the queue of every subscriber has room for them beside other messages.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from pipeline.rig.calibration import Calibration
 log = logging.getLogger("fringed.stream")
 
 MAX_PREVIEW_HZ = 10.0
-_SEND_QUEUE = 4  # messages of 14 MB that wait for each subscriber
+_META = 4  # messages of a burst
+_SEND_QUEUE = 4 + _META  # messages, up to 14 MB each, that wait for each subscriber
 _LOG_QUEUE = 64
 _MAX_PREFIXES = 256
 _MAX_PREFIX_BYTES = 64
@@ -293,6 +294,8 @@ class Publisher:
             return False
         self._problems.pop(topic, None)
         self._send(topic, frames)
+        # libzmq may have accepted a subscription during the call: its meta messages come before the next message.
+        self._serve_subscriptions()
         return True
 
     def _send(self, topic: str, frames: Frames) -> None:

@@ -12,7 +12,7 @@ from daemon.remote_access.gate.curve_socket import CurveSocket
 from fringed.keys import Key
 
 _MAX_PREFIX_BYTES = 64
-_QUEUE = 4  # messages of 14 MB
+_QUEUE = 8  # messages, up to 14 MB each: the four meta messages beside clouds
 _AT_ONCE = 64
 _LATEST_ONLY = frozenset({b"cloud/full", b"cloud/depth", b"preview", b"status"})
 """Topics of which only the newest waiting message is sent."""

@@ -6,15 +6,20 @@ import logging
 import os
 import signal
 import threading
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from daemon.bootstrap.run import StopFlag
 from daemon.bootstrap.sighup import Reloads, hung_up, terminals
+from daemon.control.settings.reload import Reloader
 from tests.daemon.bootstrap.systemd.manager import PATIENT
 from tools.waiting import wait_until
 
 pytestmark = PATIENT
+
+VALID = "cameras: {driver: sim}\n"
 
 
 def test_a_request_waits_until_the_daemon_is_ready() -> None:
@@ -54,18 +59,26 @@ def test_requests_during_a_reload_are_merged_into_one() -> None:
     assert count == [2]
 
 
-def test_a_failed_reload_is_reported_and_changes_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    def reload() -> None:
-        raise ValueError("rig.yaml:3:1: no such key")
-
-    reloads = Reloads(reload, ready=lambda: True)
-    reloads.request()
-    with caplog.at_level(logging.ERROR, "fringed"):
+@pytest.mark.parametrize("content", ["device: {name: rig-x}\n", "device: {nam: rig-x}\n"], ids=["good", "bad"])
+def test_one_request_gives_one_line_in_the_log_and_its_failure_ends_nothing(
+    content: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "rig.yaml"
+    file.write_text(f"{VALID}{content}")
+    changer = SimpleNamespace(apply=lambda _: ["device.name"])
+    reloader = Reloader(changer, file, lambda: "")  # type: ignore[arg-type]
+    with caplog.at_level(logging.INFO, "fringed"):
+        reloads = Reloads(reloader.reload, ready=lambda: True)
+        reloads.request()
         reloads.tick()
         thread = reloads._thread
         assert thread is not None
         thread.join(90)
-    assert "not reloaded" in caplog.text and "rig.yaml:3:1" in caplog.text
+    (line,) = caplog.messages
+    if "nam:" in content:
+        assert line.startswith("not reloaded, nothing was changed") and "rig.yaml" in line
+    else:
+        assert line == "reloaded: device.name"
 
 
 def test_the_signal_requests_a_reload_and_does_not_stop() -> None:

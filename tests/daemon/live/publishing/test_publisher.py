@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import logging
 import socket
 import stat
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,6 +122,42 @@ def test_late_joiners_get_the_meta_messages() -> None:
             np.testing.assert_allclose(rays, clouds.calibration().left.rays(), atol=1e-6)
             assert json.loads(bytes(came["meta/config"].arrays["config"])) == {"device": {"name": "rig-t"}}
             assert "CloudHeader" in bytes(came["meta/schema"].arrays["schema"]).decode()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_subscriber_of_all_topics_loses_no_meta_message_whenever_it_joins(seed: int) -> None:
+    """Clouds, previews, status and log go out all the time; it reads nothing until much more was sent than fits."""
+    stop = threading.Event()
+
+    def everything(made: Publisher) -> None:
+        item = clouds.item(1, size=(1024, 820))
+        for seq in itertools.count():
+            if stop.wait(0.002):
+                return
+            made.offer(replace(item, seq=seq))
+            made.publish_status({"t_ns": seq})
+            logging.getLogger("fringed.test").warning("line %d", seq)
+
+    with clouds.publisher() as made, Receiver(made.endpoints[0], [""], queue=1) as other:
+        sender = threading.Thread(target=everything, args=(made,))
+        sender.start()
+        try:
+            message(other)
+            time.sleep(0.01 * seed)  # another phase of the sender's turn
+            with Receiver(made.endpoints[0], [""], queue=2) as receiver:
+                wait_until(lambda: receiver.poll(0))
+                sent = made.status()["sent"].get("log", 0)
+                wait_until(lambda: made.status()["sent"].get("log", 0) > sent + 40)
+                stop.set()
+                topics = []
+                while (got := receiver.receive(0.5)) is not None:
+                    topics.append(got.topic)
+        finally:
+            stop.set()
+            sender.join()
+    assert {topic for topic in topics if topic.startswith("meta/")} == {
+        "meta/calibration", "meta/config", "meta/rays", "meta/schema",
+    }  # fmt: skip
 
 
 def test_latest_only_gives_the_newest_and_counts_the_skipped() -> None:
