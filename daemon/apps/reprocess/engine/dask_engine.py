@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import queue
+import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -16,6 +18,8 @@ MISSING = (
     "'fringed[cluster]'; --workers 0 works without them, in this process"
 )
 _CONNECT_S = 20
+_COUNT_S = 5.0
+_LOST = "the scheduler is gone, or dropped the tasks; finished results are kept: run the same command again"
 _MEMORY_TOPIC = "worker-restart-memory"
 
 
@@ -31,12 +35,17 @@ class DaskEngine:
         self._ended: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
         self._out_of_memory: dict[str, str] = {}
         self._pending: set[Any] = set()
+        self._slots, self._counted_s = 1, float("-inf")
         client.subscribe_topic(_MEMORY_TOPIC, self._remember_memory)
 
     @property
     def slots(self) -> int:
-        """Task threads of all workers that are there now, at least one."""
-        return max(1, int(sum(self._client.nthreads().values())))
+        """Task threads of all workers, at least one; asked for every few seconds, for workers come and go."""
+        now_s = time.monotonic()
+        if now_s - self._counted_s > _COUNT_S:
+            with self._scheduler():
+                self._slots, self._counted_s = max(1, int(sum(self._client.nthreads().values()))), now_s
+        return self._slots
 
     @property
     def dashboard(self) -> str:
@@ -45,7 +54,8 @@ class DaskEngine:
 
     def submit(self, label: Any, function: Callable[..., Any], *arguments: Any) -> None:
         """Send a call to the scheduler."""
-        future = self._client.submit(function, *arguments, pure=False)
+        with self._scheduler():
+            future = self._client.submit(function, *arguments, pure=False)
         self._pending.add(future)
         future.add_done_callback(lambda ended: self._ended.put((label, ended)))
 
@@ -62,22 +72,24 @@ class DaskEngine:
 
     def _completed(self, label: Any, future: Any) -> Completed:
         self._pending.discard(future)
-        if future.status == "finished":
-            return Completed(label, future.result())
-        if future.status == "error":
-            return Completed(label, error=self._explain(future.exception()))
-        self._check()
-        raise EngineLostError(
-            "the scheduler has dropped a task, as it does when it stops or restarts; finished results are kept: run "
-            "the same command again"
-        )
+        with self._scheduler():
+            if future.status == "finished":
+                return Completed(label, future.result())
+            if future.status == "error":
+                return Completed(label, error=self._explain(future.exception()))
+        raise EngineLostError(_LOST)
 
     def _check(self) -> None:
         if self._client.status != "running":
-            raise EngineLostError(
-                f"the connection to the scheduler {self._client.scheduler.address if self._client.scheduler else ''} "
-                "is lost; finished results are kept: run the same command again"
-            )
+            raise EngineLostError(_LOST)
+
+    @contextmanager
+    def _scheduler(self) -> Iterator[None]:
+        """Around calls that fail when the scheduler is gone."""
+        try:
+            yield
+        except (OSError, RuntimeError, CancelledError) as error:
+            raise EngineLostError(_LOST) from error
 
     def _explain(self, error: BaseException) -> str:
         """The reason of a task that gave no value; a killed worker's with what is known of its end."""

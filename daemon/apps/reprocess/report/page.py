@@ -73,11 +73,11 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> str:
             )
         )  # fmt: skip
     html = table(_HEAD, body, text=(0, 7, 8), out=out)
-    for name, *_ in body:  # the names become links to the recordings' folders
+    for name, _, done, *_ in body:  # the names of recordings with results become links to their folders
         text = escape(name)
-        html = html.replace(
-            f'<td class="text">{text}</td>', f'<td class="text"><a href="{quote(name)}/">{text}</a></td>', 1
-        )
+        if done != "0":
+            link = f'<td class="text"><a href="{quote(name)}/">{text}</a></td>'
+            html = html.replace(f'<td class="text">{text}</td>', link, 1)
     return html
 
 
