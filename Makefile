@@ -25,7 +25,7 @@ $(RIG): pyproject.toml constraints.txt tools/system-packages
 	@touch $@
 
 $(DEV): $(RIG)
-	$(PIP) '.[rig,dev]'
+	$(PIP) '.[rig,cluster,dev]'
 	@touch $@
 
 demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the viewer's address

@@ -43,3 +43,21 @@ def _keep_memory() -> None:
     mallopt(_TRIM_THRESHOLD, _KEPT)
     # One heap for all threads: the pipeline reuses the memory that the stream has released.
     mallopt(_ARENA_MAX, 1)
+
+
+def worker_environment(threads: int) -> dict[str, str]:
+    """Variables of a process that computes for others, which must be set before it starts.
+
+    Args:
+        threads: of numba; one for each processor that the process may use.
+    """
+    return {
+        "NUMBA_NUM_THREADS": str(threads),
+        "OMP_NUM_THREADS": str(threads),
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_WAIT_POLICY": "PASSIVE",
+        "GOMP_SPINCOUNT": SPIN_COUNT,
+        "MALLOC_MMAP_THRESHOLD_": str(_LARGEST_MMAP_THRESHOLD),
+        "MALLOC_TRIM_THRESHOLD_": str(_KEPT),
+        "MALLOC_ARENA_MAX": "1",
+    }

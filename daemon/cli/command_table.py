@@ -26,6 +26,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "record": ("daemon.cli.control.record:app", "Record raw images: start, stop, or directly from the rig."),
     "takes": ("daemon.cli.takes.takes:app", "List, show, check, repair and remove takes."),
     "replay": ("daemon.cli.takes.replay:app", "Reconstruct a recorded take."),
+    "reprocess": ("daemon.cli.takes.reprocess:app", "Reconstruct many takes, on all processors or a cluster."),
+    "worker": ("daemon.cli.takes.worker", "Start worker processes for `fringed reprocess --scheduler`."),
     "info": ("daemon.cli.takes.info", "Show the contents of a take and whether it is complete."),
     "check": ("daemon.cli.setup.check", "Check a rig.yaml, a calibration or a take."),
     "doctor": ("daemon.cli.setup.doctor", "Find problems of the machine or a rig, and their remedies."),

@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daemon.apps.replay.take_items import Sets, TakeItem, pairs_of
+from daemon.apps.replay.reconstruct_item import Run, check_size, timed, warmed_reconstructor
+from daemon.apps.replay.take_items import Sets, pairs_of
 from daemon.kernels.jobs import measuring_jobs
 from daemon.kernels.processes import Progress, compile_kernels
 from daemon.live.processing.temporal_prior import TemporalPrior
 from daemon.recording.read.take_reader import TakePair, TakeReader
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
-from pipeline.common.errors import CalibrationError, PipelineError
+from pipeline.common.errors import PipelineError
 from pipeline.common.settings import Settings
-from pipeline.monitor.checked_reconstructor import CheckedReconstructor, Policy
+from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
-from pipeline.reconstruct.reconstructor import Reconstructor
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One reconstruction of a pair; ``ms`` by stage, ``total_ms`` in total.
-
-    ``consistency``: verdict, reason and readings of the calibration check, None without a check or for a set.
-    """
-
-    sequence: int
-    points: int
-    total_ms: float
-    ms: dict[str, float]
-    consistency: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,14 +43,14 @@ class Replay:
     """The reconstruction of a take under given settings.
 
     The clouds depend only on the take, the calibration and the settings: not on ``threads`` or time, and without
-    ``use_prior`` not on other pairs.
+    ``use_prior`` on other pairs only by what the first one gives, column correction and scan.
 
     Args:
         take: the recording, open.
         settings: of the pipeline; threads: 0 = all.
         calibration: file to use instead of the attached one.
         use_prior: use the previous pair as temporal prior if it is close in time, as in a live run.
-        calibration_check: policy for pairs that contradict the calibration, see ``CheckedReconstructor``.
+        calibration_check: policy for pairs that contradict the calibration, see ``IndependentVerdicts``.
         compiling: called once a second with the progress while kernels are compiled.
     """
 
@@ -115,13 +100,13 @@ class Replay:
         items = pairs_of(self.take, progress) if self._sets is None else self._sets.items(progress)
         for item in items:
             pair = item.pair
-            self._check_size(item)
+            check_size(item, self.calibration_file.calibration)
             reconstructor = self._reconstructor(pair.encoding, sequence)
             runs: list[Run] = []
             use_prior = self.use_prior and prior.usable(pair.sequence, pair.t_ns, 1)
             try:
                 for _ in range(repeat):
-                    cloud, run = _timed(reconstructor, item, sequence, use_prior=use_prior)
+                    cloud, run = timed(reconstructor, item, use_prior=use_prior)
                     runs.append(run)
                     use_prior = self.use_prior  # the prior of a repeated run is the pair itself
             except PipelineError as error:
@@ -135,48 +120,10 @@ class Replay:
         """A warmed-up reconstructor for images of an encoding."""
         if self._cached is not None and self._cached.encoding == encoding:
             return self._cached
-        options: dict[str, Any] = {
-            "encoding": encoding,
-            "settings": self.settings,
-            "clock": time.perf_counter_ns,
-            "threads": self.threads,
-        }
-        calibration, volume = self.calibration_file.calibration, self.take.volume()
         compile_kernels(measuring_jobs(encoding, None if sequence is None else sequence.name), self.compiling)
-        if sequence is None:
-            single = CheckedReconstructor(
-                Reconstructor(calibration, self.take.pattern(), volume, **options), self.calibration_check
-            )
-            single.warm_up(use_prior=self.use_prior)
-            self._cached = single
-        else:
-            from pipeline.multi_frame.set_reconstructor import SetReconstructor
-
-            self._cached = SetReconstructor(calibration, sequence, volume, **options)
-            self._cached.warm_up()
+        pattern = self.take.pattern() if sequence is None else sequence
+        self._cached = warmed_reconstructor(
+            self.calibration_file.calibration, pattern, self.take.volume(), encoding=encoding, settings=self.settings,
+            threads=self.threads, use_prior=self.use_prior, policy=self.calibration_check,
+        )  # fmt: skip
         return self._cached
-
-    def _check_size(self, item: TakeItem) -> None:
-        """Reject a calibration of another image size before any table is built."""
-        calibration = self.calibration_file.calibration
-        for side, image, device in (
-            ("left", item.lefts[0], calibration.left), ("right", item.rights[0], calibration.right)
-        ):  # fmt: skip
-            size = (image.shape[1], image.shape[0])
-            if size != device.size:
-                raise CalibrationError(
-                    f"cameras.{side}.size is {list(device.size)}, the recording's {side} images are {list(size)}; use "
-                    "the calibration of the rig that recorded them"
-                )
-
-
-def _timed(reconstructor: Any, item: TakeItem, sequence: FrameSequence | None, *, use_prior: bool) -> tuple[Cloud, Run]:
-    start_ns = time.perf_counter_ns()
-    if sequence is None:
-        cloud = reconstructor.reconstruct(item.lefts[0], item.rights[0], use_prior=use_prior)
-    else:
-        cloud = reconstructor.reconstruct(item.lefts, item.rights)
-    total_ms = (time.perf_counter_ns() - start_ns) / 1e6
-    stages = {name: round(ms, 3) for name, ms in cloud.ms.items()}
-    consistency = None if cloud.consistency is None else cloud.consistency.as_mapping()
-    return cloud, Run(item.pair.sequence, cloud.points, round(total_ms, 3), stages, consistency)

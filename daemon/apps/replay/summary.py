@@ -10,7 +10,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from daemon.apps.replay.runner import Replay, Run
+from daemon.apps.replay.reconstruct_item import Run
+from daemon.apps.replay.runner import Replay
 from daemon.common.files import write_atomically
 from pipeline.common.settings import Settings
 

@@ -12,7 +12,8 @@ from typer.core import TyperCommand
 
 if TYPE_CHECKING:
     from daemon.apps.replay.golden import Deviation, Golden, PairStatistics
-    from daemon.apps.replay.runner import Replay, Result, Run
+    from daemon.apps.replay.reconstruct_item import Run
+    from daemon.apps.replay.runner import Replay, Result
 
 _VIEWER = "viewer"
 INCONSISTENT = 3

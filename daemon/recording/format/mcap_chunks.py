@@ -4,10 +4,23 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import BinaryIO
 
 from daemon.recording.format.mcap_index import FileIndex, read_record, split_records
-from daemon.recording.format.mcap_records import MAX_CHUNK, RECORD_HEAD, Cursor, DamageError, Location, Message, Opcode
+from daemon.recording.format.mcap_records import (
+    MAX_CHUNK,
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    Cursor,
+    DamageError,
+    Location,
+    Message,
+    Opcode,
+)
+
+_CHUNK_HEAD = RECORD_HEAD + 40 + 32
+"""Bytes that hold the head of a chunk: times, size, checksum, name of the compression, length."""
 
 
 def load(file: BinaryIO, location: Location) -> bytes | memoryview:
@@ -37,6 +50,46 @@ def messages(records: bytes | memoryview, index: FileIndex) -> Iterator[tuple[Me
             yield Message.parse(content), at
         else:
             index.add_definition(opcode, content)
+
+
+def heads(file: BinaryIO, location: Location, index: FileIndex) -> Iterator[tuple[Message, int]]:
+    """Yield every message of a chunk without its data, and its offset, as :func:`messages` does.
+
+    Of a chunk that is not compressed only the heads are read, so nothing is verified by its checksum.
+    """
+    if location.opcode == Opcode.MESSAGE:
+        file.seek(location.offset + RECORD_HEAD)
+        yield Message.parse(memoryview(file.read(MESSAGE_HEAD))), 0
+        return
+    file.seek(location.offset)
+    first = Cursor(file.read(_CHUNK_HEAD))
+    first.take(RECORD_HEAD + 16)
+    size, _, compression = first.u64(), first.u32(), first.text()
+    if compression:
+        for message, at in messages(load(file, location), index):
+            yield replace(message, data=memoryview(b"")), at
+        return
+    start = location.offset + first.at + 8
+    if first.u64() != size or start + size > location.end:
+        raise DamageError("its head is damaged")
+    yield from _heads(file, start, size, index)
+
+
+def _heads(file: BinaryIO, start: int, size: int, index: FileIndex) -> Iterator[tuple[Message, int]]:
+    """Go from record to record of ``size`` bytes that begin at byte ``start`` of the file."""
+    at = 0
+    while at < size:
+        file.seek(start + at)
+        piece = Cursor(file.read(RECORD_HEAD + MESSAGE_HEAD))
+        opcode, length = piece.take(1)[0], piece.u64()
+        if at + RECORD_HEAD + length > size:
+            raise DamageError(f"{length} bytes expected, {size - at - RECORD_HEAD} left")
+        if opcode == Opcode.MESSAGE:
+            yield Message.parse(piece.take(min(MESSAGE_HEAD, length))), at
+        else:
+            file.seek(start + at + RECORD_HEAD)
+            index.add_definition(opcode, file.read(length))
+        at += RECORD_HEAD + length
 
 
 def decompress(data: memoryview, compression: str, size: int) -> bytes | memoryview:

@@ -9,6 +9,7 @@ from enum import IntEnum
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = 9
+MESSAGE_HEAD = 22
 FOOTER_BYTES = RECORD_HEAD + 20 + len(MAGIC)
 MAX_SMALL_RECORD = 64 << 20
 MAX_CHUNK = 1 << 30
@@ -131,10 +132,10 @@ class Message:
     @classmethod
     def parse(cls, data: memoryview) -> Message:
         """Parse the content of the record."""
-        if len(data) < 22:
+        if len(data) < MESSAGE_HEAD:
             raise DamageError(f"a message of {len(data)} bytes")
         channel_id, sequence, log_ns, publish_ns = struct.unpack_from("<HIQQ", data)
-        return cls(channel_id, sequence, log_ns, publish_ns, data[22:])
+        return cls(channel_id, sequence, log_ns, publish_ns, data[MESSAGE_HEAD:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

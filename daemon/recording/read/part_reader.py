@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from daemon.recording.format import mcap_chunks
 from daemon.recording.format.errors import TakeError
@@ -87,16 +88,37 @@ class PartReader:
     def frames(self) -> Iterator[tuple[Frame, FrameLocation]]:
         """Yield every undamaged frame, in the order of the file."""
         for location in self.index.data:
-            records = self._load(location)
-            if records is None:
-                continue
+            yield from self.frames_in(location)
+
+    def frames_in(self, location: Location) -> Iterator[tuple[Frame, FrameLocation]]:
+        """Yield the undamaged frames of one chunk."""
+        records = self._load(location)
+        if records is None:
+            return
+        try:
+            for message, offset in mcap_chunks.messages(records, self.index):
+                frame = self._frame(message, location)
+                if frame is not None:
+                    yield frame, FrameLocation(location, offset)
+        except DamageError as error:
+            self.add_problem(f"damaged at byte {location.offset}: {error}")
+
+    def heads(self) -> Iterator[tuple[Frame, FrameLocation]]:
+        """Yield every frame without its image, which is then neither read nor verified, in the order of the file.
+
+        Each frame has the encoding ``""`` and, in place of its image, its location.
+        """
+        for location in self.index.data:
             try:
-                for message, offset in mcap_chunks.messages(records, self.index):
-                    frame = self._frame(message, location)
-                    if frame is not None:
-                        yield frame, FrameLocation(location, offset)
+                for message, offset in mcap_chunks.heads(self._file, location, self.index):
+                    side = self._side(message.channel_id, location)
+                    if side is not None:
+                        place: Any = FrameLocation(location, offset)
+                        yield Frame(side, message.sequence, message.publish_ns, message.log_ns, "", place), place
             except DamageError as error:
-                self.add_problem(f"damaged at byte {location.offset}: {error}")
+                self.add_problem(f"damaged at byte {location.offset}: {error}; its frames are left out")
+            except OSError as error:
+                raise TakeError(f"{self.path}: byte {location.offset}: {error}") from error
 
     def frame_at(self, location: FrameLocation) -> Frame | None:
         """Read one frame again; None if that fails."""

@@ -1,0 +1,85 @@
+"""One item of a take to a cloud, with the time that it took."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from daemon.apps.replay.independent_verdicts import IndependentVerdicts
+from daemon.apps.replay.take_items import TakeItem
+from pipeline.common.errors import CalibrationError
+from pipeline.common.settings import Settings
+from pipeline.monitor.checked_reconstructor import Policy
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.sequence import FrameSequence
+from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One reconstruction of a pair; ``ms`` by stage, ``total_ms`` in total.
+
+    ``consistency``: verdict, reason and readings of the calibration check, None without a check or for a set.
+    """
+
+    sequence: int
+    points: int
+    total_ms: float
+    ms: dict[str, float]
+    consistency: dict[str, Any] | None = None
+
+
+def warmed_reconstructor(
+    calibration: Calibration,
+    pattern: ColorFringe | FrameSequence,
+    volume: Volume,
+    *,
+    encoding: str,
+    settings: Settings,
+    threads: int = 0,
+    use_prior: bool = False,
+    policy: Policy = "withhold",
+) -> Any:
+    """A warmed-up reconstructor for images of an encoding: of pairs, or of the sets of a sequence."""
+    options: dict[str, Any] = {
+        "encoding": encoding, "settings": settings, "clock": time.perf_counter_ns, "threads": threads,
+    }  # fmt: skip
+    if isinstance(pattern, ColorFringe):
+        single = IndependentVerdicts(Reconstructor(calibration, pattern, volume, **options), policy)
+        single.warm_up(use_prior=use_prior)
+        return single
+    from pipeline.multi_frame.set_reconstructor import SetReconstructor
+
+    sets = SetReconstructor(calibration, pattern, volume, **options)
+    sets.warm_up()
+    return sets
+
+
+def check_size(item: TakeItem, calibration: Calibration) -> None:
+    """Reject a calibration of another image size before any table is built; CalibrationError."""
+    for side, image, device in (
+        ("left", item.lefts[0], calibration.left), ("right", item.rights[0], calibration.right)
+    ):  # fmt: skip
+        size = (image.shape[1], image.shape[0])
+        if size != device.size:
+            raise CalibrationError(
+                f"cameras.{side}.size is {list(device.size)}, the recording's {side} images are {list(size)}; use "
+                "the calibration of the rig that recorded them"
+            )
+
+
+def timed(reconstructor: Any, item: TakeItem, *, use_prior: bool) -> tuple[Cloud, Run]:
+    """The cloud of an item and its times; PipelineError if the pipeline rejects the images."""
+    start_ns = time.perf_counter_ns()
+    if isinstance(reconstructor, IndependentVerdicts):
+        cloud = reconstructor.reconstruct(item.lefts[0], item.rights[0], use_prior=use_prior)
+    else:
+        cloud = reconstructor.reconstruct(item.lefts, item.rights)
+    total_ms = (time.perf_counter_ns() - start_ns) / 1e6
+    stages = {name: round(ms, 3) for name, ms in cloud.ms.items()}
+    consistency = None if cloud.consistency is None else cloud.consistency.as_mapping()
+    return cloud, Run(item.pair.sequence, cloud.points, round(total_ms, 3), stages, consistency)

@@ -1,0 +1,81 @@
+"""What runs from one item of a recording to the next, as plain values that travel between processes.
+
+In the mode single and in sets it is the projector's column correction and the column scan of the first pair; the sets
+themselves are made by the plan, and a temporal prior never crosses the border of a chunk.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daemon.apps.replay.independent_verdicts import IndependentVerdicts
+from pipeline.reconstruct.consistency import ColumnScan
+
+
+@dataclass(frozen=True, slots=True)
+class CarriedState:
+    """The state of a reconstructor between two items; the state before any item has no encoding.
+
+    Args:
+        encoding: of the images seen last; another one begins with a new reconstructor.
+        corrections: offset and two slopes of each inner reconstructor, and whether they were measured.
+        scan: fields of the first pair's column scan, None without one.
+    """
+
+    encoding: str = ""
+    corrections: tuple[tuple[tuple[float, ...], bool], ...] = ()
+    scan: tuple[float, ...] | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether no later item of this encoding changes it."""
+        return bool(self.corrections) and all(measured for _, measured in self.corrections)
+
+    def as_json(self) -> dict[str, Any]:
+        """Values for a manifest; numbers are kept to the last bit."""
+        return {
+            "encoding": self.encoding,
+            "corrections": [[list(values), measured] for values, measured in self.corrections],
+            "scan": None if self.scan is None else list(self.scan),
+        }
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> CarriedState:
+        """The state of a manifest."""
+        return cls(
+            str(values["encoding"]),
+            tuple((tuple(map(float, numbers)), bool(measured)) for numbers, measured in values["corrections"]),
+            None if values["scan"] is None else tuple(map(float, values["scan"])),
+        )
+
+
+def capture(reconstructor: Any) -> CarriedState:
+    """The state that a reconstructor's next item meets."""
+    if isinstance(reconstructor, IndependentVerdicts):
+        inner = reconstructor.inner
+        scan = None if inner.scan is None else tuple(map(float, dataclasses.astuple(inner.scan)))
+        return CarriedState(inner.encoding, ((_numbers(inner.correction), inner.calibrated),), scan)
+    kept = reconstructor._sets.state()
+    pairs = kept if isinstance(kept, list) else [kept]
+    return CarriedState(reconstructor.encoding, tuple((_numbers(values), measured) for values, measured in pairs))
+
+
+def restore(reconstructor: Any, state: CarriedState) -> None:
+    """Bring a reconstructor into a state that :func:`capture` returned for one of the same kind."""
+    pairs = [(np.array(values), measured) for values, measured in state.corrections]
+    if isinstance(reconstructor, IndependentVerdicts):
+        inner = reconstructor.inner
+        [(inner.correction, inner.calibrated)] = pairs
+        inner.scan = None if state.scan is None else ColumnScan(*state.scan)
+        inner.clear_prior()
+        return
+    sets = reconstructor._sets
+    sets.restore(pairs if isinstance(sets.state(), list) else pairs[0])
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(map(float, values))

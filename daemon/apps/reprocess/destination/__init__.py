@@ -1,0 +1,1 @@
+"""Where results go: clouds, manifests of finished chunks, and the lock of the folder."""

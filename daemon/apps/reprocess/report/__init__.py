@@ -1,0 +1,1 @@
+"""The final report: JSON for programs, HTML for people."""

@@ -1,0 +1,240 @@
+"""The task of a worker: reconstruct a chunk from the state before it, write its clouds, then its manifest."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import os
+import socket
+import time
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
+from daemon.apps.replay.reconstruct_item import check_size, timed, warmed_reconstructor
+from daemon.apps.replay.take_items import TakeItem
+from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
+from daemon.apps.reprocess.destination.results import ChunkManifest, TakeResults
+from daemon.apps.reprocess.job import Job
+from daemon.apps.reprocess.locations import location, write_whole
+from daemon.apps.reprocess.plan.chunk_plan import Chunk, PlannedItem
+from daemon.apps.reprocess.plan.take_heads import Place
+from daemon.apps.reprocess.work.frame_loader import DamagedFramesError, FrameLoader
+from daemon.common.errors import DaemonError
+from daemon.live.processing.temporal_prior import TemporalPrior
+from daemon.recording.read.take_reader import TakeReader
+from daemon.rig.calibration_file import CalibrationFile, parse_calibration
+from pipeline.common.errors import PipelineError
+from pipeline.reconstruct.cloud import Cloud
+
+_LIT = 5.0
+"""Fringe amplitude, counts, from which a pixel counts as lit in the rejected share; independent of the settings."""
+_RECONSTRUCTORS = 2
+_reconstructors: OrderedDict[str, tuple[Any, CarriedState]] = OrderedDict()
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkTask:
+    """One task.
+
+    Args:
+        job, chunk: what to do with what; key: of the results, see ``Job.key``.
+        url: of the take; folder: of its results.
+        before: the state that the items before the chunk left.
+    """
+
+    job: Job
+    chunk: Chunk
+    key: str
+    url: str
+    folder: str
+    before: CarriedState = field(default_factory=CarriedState)
+
+
+@dataclass(slots=True)
+class ChunkOutcome:
+    """What the client learns: totals, and the state after the chunk.
+
+    Args:
+        error: reason of a failure, empty without; transient: another attempt may succeed.
+        damaged: places of frames that must be excluded from the plan; then nothing was written.
+        points, coverage, total_ms, verdicts: one value for each cloud.
+    """
+
+    after: CarriedState = field(default_factory=CarriedState)
+    error: str = ""
+    transient: bool = False
+    damaged: list[Place] = field(default_factory=list)
+    failed: int = 0
+    points: list[int] = field(default_factory=list)
+    coverage: list[float] = field(default_factory=list)
+    rejected: list[float] = field(default_factory=list)
+    total_ms: list[float] = field(default_factory=list)
+    verdicts: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @classmethod
+    def of(cls, manifest: ChunkManifest) -> ChunkOutcome:
+        """The outcome described by a manifest."""
+        rows = manifest.rows
+        return cls(
+            manifest.after,
+            failed=len(manifest.failed),
+            points=[row["points"] for row in rows],
+            coverage=[row["coverage"] for row in rows],
+            rejected=[row["rejected"] for row in rows],
+            total_ms=[row["total_ms"] for row in rows],
+            verdicts=[(row["consistency"] or {}).get("verdict", "") for row in rows],
+            seconds=manifest.seconds,
+        )
+
+
+def process_chunk(task: ChunkTask) -> ChunkOutcome:
+    """Do a task; every error but the end of the process becomes part of the outcome."""
+    try:
+        return ChunkOutcome.of(_process(task))
+    except _Damage as damage:
+        return ChunkOutcome(damaged=damage.places)
+    except (DaemonError, PipelineError, OSError, MemoryError) as error:
+        cause = error if isinstance(error, OSError) else error.__cause__
+        reason = str(error) or type(error).__name__
+        return ChunkOutcome(error=reason, transient=isinstance(cause, OSError) and not _lasting(cause))
+    except Exception as error:
+        return ChunkOutcome(error=f"{type(error).__name__}: {error}")
+
+
+class _Damage(Exception):
+    """All damaged frames of a chunk."""
+
+    def __init__(self, places: list[Place]) -> None:
+        self.places = places
+
+
+def _lasting(error: OSError) -> bool:
+    """Whether another attempt would fail too: no such file, no permission, or a full disk."""
+    return isinstance(error, FileNotFoundError | PermissionError | NotADirectoryError | IsADirectoryError) or (
+        error.errno in (errno.ENOSPC, errno.EROFS, errno.EDQUOT)
+    )
+
+
+def _process(task: ChunkTask) -> ChunkManifest:
+    start_s = time.perf_counter()
+    take, job = _open_take.get(task.url), task.job
+    loader, results = FrameLoader(take), TakeResults(location(task.folder))
+    calibration = _calibration(take, job)
+    manifest = ChunkManifest(
+        task.key, task.chunk.source(), calibration.identity, task.before, task.before, dict(job.release)
+    )
+    results.begin(task.chunk.name)
+    prior, state = TemporalPrior(), task.before
+    damaged: list[Place] = []
+    for planned in task.chunk.items:
+        try:
+            item = loader.item(planned)
+        except DamagedFramesError as error:
+            damaged += error.places
+        if damaged:  # only search for more damage
+            continue
+        check_size(item, calibration.calibration)
+        reconstructor, state = _reconstructor(take, job, calibration, item.pair.encoding, state)
+        use_prior = job.use_prior and prior.usable(planned.sequence, planned.t_ns, 1)
+        try:
+            cloud, run = timed(reconstructor, item, use_prior=use_prior)
+        except PipelineError as error:
+            prior.reset()
+            manifest.failed.append({"sequence": planned.sequence, "error": str(error)})
+            continue
+        finally:
+            state = capture(reconstructor)
+        prior.measured(planned.sequence, planned.t_ns, 1)
+        manifest.rows.append(dataclasses.asdict(run) | _shares(cloud))
+        _write(task, planned, item, cloud, results, manifest)
+    if damaged:
+        raise _Damage(damaged)
+    manifest.after, manifest.problems = state, list(take.problems)
+    manifest.seconds, manifest.worker = round(time.perf_counter() - start_s, 3), f"{socket.gethostname()}:{os.getpid()}"
+    results.finish(task.chunk.name, manifest)
+    return manifest
+
+
+def _write(
+    task: ChunkTask, planned: PlannedItem, item: TakeItem, cloud: Cloud, results: TakeResults, manifest: ChunkManifest
+) -> None:
+    """Write the file of a cloud, as a replay does."""
+    if not task.job.kind or not planned.write:
+        return
+    name = cloud_name(item.pair.sequence, task.job.kind)
+    saved = SavedCloud(cloud.xyz, cloud.sigma_mm, cloud.gray)
+    write_whole(results.folder / name, cloud_bytes(saved, task.job.kind))
+    manifest.files.append(name)
+
+
+def _shares(cloud: Cloud) -> dict[str, float]:
+    """Share of the pixels that have a point, and share of the lit ones that have none."""
+    valid = np.isfinite(cloud.xyz[..., 2])
+    lit = cloud.modulation[0] >= _LIT
+    rejected = int(np.count_nonzero(lit & ~valid)) / max(1, int(np.count_nonzero(lit)))
+    return {"coverage": round(float(valid.mean()), 6), "rejected": round(float(rejected), 6)}
+
+
+def _reconstructor(
+    take: TakeReader, job: Job, calibration: CalibrationFile, encoding: str, state: CarriedState
+) -> tuple[Any, CarriedState]:
+    """A reconstructor in this state, or in its first one for images of another encoding."""
+    attached = [take.attachments.get(name, b"").hex() for name in ("pattern.json", "volume.json")]
+    options = dataclasses.asdict(job.settings), job.calibration_check, job.use_prior, job.threads
+    key = json.dumps([calibration.identity, attached, encoding, options])
+    if key not in _reconstructors:
+        made = warmed_reconstructor(
+            calibration.calibration, take.sequence() or take.pattern(), take.volume(), encoding=encoding,
+            settings=job.settings, threads=job.threads, use_prior=job.use_prior, policy=job.calibration_check,
+        )  # fmt: skip
+        _reconstructors[key] = made, capture(made)
+        if len(_reconstructors) > _RECONSTRUCTORS:
+            _reconstructors.popitem(last=False)
+    _reconstructors.move_to_end(key)
+    reconstructor, first = _reconstructors[key]
+    state = state if state.encoding == encoding else first
+    if capture(reconstructor) != state:
+        restore(reconstructor, state)
+    return reconstructor, state
+
+
+def _calibration(take: TakeReader, job: Job) -> CalibrationFile:
+    if job.calibration is None:
+        return take.calibration()
+    return parse_calibration(job.calibration, "--calibration")
+
+
+class _OpenTake:
+    """The take that was read last stays open: its next chunk needs no index again."""
+
+    def __init__(self) -> None:
+        self._key: tuple[str, int, float] | None = None
+        self._take: TakeReader | None = None
+
+    def get(self, url: str) -> TakeReader:
+        """The take, opened again when its first file has changed."""
+        path = location(url)
+        try:
+            status = path.stat()
+            key = url, int(status.st_size), float(status.st_mtime)
+        except FileNotFoundError:
+            key = url, 0, 0.0  # only later parts are left of it
+        if self._take is None or key != self._key:
+            self.close()
+            self._take, self._key = TakeReader(path), key
+        return self._take
+
+    def close(self) -> None:
+        """Close its files."""
+        if self._take is not None:
+            self._take.close()
+        self._take = None
+
+
+_open_take = _OpenTake()

@@ -1,0 +1,1 @@
+"""Reprocessing of recordings."""

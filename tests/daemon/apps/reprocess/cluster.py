@@ -1,0 +1,67 @@
+"""A scheduler and workers as processes of their own, as users start them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from tools.waiting import wait_until
+
+START = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
+
+
+def command(*arguments: object) -> list[str]:
+    """A command line of the program."""
+    return [sys.executable, "-c", START, *map(str, arguments)]
+
+
+@contextmanager
+def process(arguments: list[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A process that is ended with the block, at the latest."""
+    with subprocess.Popen(arguments, text=True, **options) as running:
+        try:
+            yield running
+        finally:
+            running.terminate()
+            try:
+                running.wait(10)
+            except subprocess.TimeoutExpired:
+                running.kill()
+
+
+@contextmanager
+def scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A scheduler; yields its process and address."""
+    file = folder / f"scheduler-{len(list(folder.glob('scheduler-*')))}.json"
+    arguments = ["--port", "0", "--no-dashboard", "--scheduler-file", str(file), "--host", "127.0.0.1"]
+    start = [sys.executable, "-m", "distributed.cli.dask_scheduler", *arguments]
+    with process(start, stderr=subprocess.DEVNULL, cwd=folder) as running:
+        wait_until(lambda: file.exists() and file.read_text().endswith("}"), 30, "the scheduler's address")
+        yield running, json.loads(file.read_text())["address"]
+
+
+@contextmanager
+def workers(address: str, count: int, folder: Path, *options: str) -> Iterator[list[subprocess.Popen[str]]]:
+    """Worker commands of one process each, registered at the scheduler."""
+    from distributed import Client
+
+    with ExitStack() as stack:
+        environment = os.environ | {"DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "0.95"}
+        made = [
+            stack.enter_context(
+                process(
+                    command("worker", address, "--workers", 1, *options), stderr=subprocess.DEVNULL, cwd=folder,
+                    env=environment,
+                )
+            )
+            for _ in range(count)
+        ]  # fmt: skip
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=60)
+        yield made

@@ -1,0 +1,168 @@
+"""On a cluster of processes the results are those of a replay, whichever process dies meanwhile."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from daemon.apps.reprocess.engine.dask_engine import connected
+from daemon.apps.reprocess.engine.tasks import EngineLostError
+from daemon.apps.reprocess.job import Job
+from daemon.apps.reprocess.plan.recordings import recordings_of
+from daemon.apps.reprocess.run import Run
+from daemon.common.errors import DaemonError
+from tests.daemon.apps.reprocess import cluster
+from tests.daemon.apps.reprocess.takes import files_of, replayed, write
+from tests.daemon.recording import small_take
+from tools.waiting import wait_until
+
+pytest.importorskip("distributed")
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(240), pytest.mark.filterwarnings("default")]
+
+Images = list[small_take.Images]
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory, images: Images) -> Path:
+    """Two recordings, one of them cut off."""
+    folder = tmp_path_factory.mktemp("takes")
+    data = write(folder / "whole.mcap", images, 60).read_bytes()
+    (folder / "cut.mcap").write_bytes(data[: int(0.7 * len(data))])
+    return folder
+
+
+@pytest.fixture
+def running_scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    with cluster.scheduler(tmp_path) as made:
+        yield made
+
+
+def expect_results(sources: Path, out: Path) -> None:
+    for name in ("whole", "cut"):
+        assert files_of(out / name) == replayed(sources / f"{name}.mcap")[0]
+        assert (out / name / "summary.json").exists()
+
+
+def test_a_local_cluster_gives_the_results_and_a_report(
+    sources: Path, tmp_path: Path, fringed: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    done = fringed("reprocess", str(sources), "--out", str(tmp_path), "--workers", "2", "--chunk", "8")
+    assert done.returncode == 0, done.stderr
+    assert "2 workers; dashboard: http://127.0.0.1:" in done.stderr
+    assert "the file was cut off at byte" in done.stderr
+    assert "102 of 102 pairs of 2 recordings done" in done.stdout or "pairs of 2 recordings done" in done.stdout
+    expect_results(sources, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["failures"] == [] and report["done"] == report["items"]
+    assert b"<svg" in (tmp_path / "report.html").read_bytes()
+
+
+def test_killed_workers_cost_no_result(
+    sources: Path, tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
+) -> None:
+    _, address = running_scheduler
+    killed: list[int] = []
+    with cluster.workers(address, 3, tmp_path), connected(address) as engine:
+
+        def kill_one(totals: object) -> None:
+            if len(killed) < 2 and getattr(totals, "computed", 0) > 8 * len(killed):
+                children = engine._client.run(os.getpid)
+                victim = next(iter(children.values()))
+                os.kill(victim, signal.SIGKILL)
+                killed.append(victim)
+
+        run = Run(Job(chunk_pairs=4), tmp_path / "out", engine, observe=kill_one)
+        totals = run.run(recordings_of([str(sources)]))
+    assert len(killed) == 2 and not totals.failures
+    expect_results(sources, tmp_path / "out")
+
+
+def test_after_the_death_of_the_scheduler_the_same_command_completes_the_results(
+    sources: Path, tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
+) -> None:
+    process, address = running_scheduler
+    out = tmp_path / "out"
+    with cluster.workers(address, 2, tmp_path), connected(address) as engine:
+
+        def kill_scheduler(totals: object) -> None:
+            if getattr(totals, "computed", 0) > 10:
+                process.kill()
+
+        run = Run(Job(chunk_pairs=4), out, engine, observe=kill_scheduler)
+        with pytest.raises(EngineLostError, match="run the same command again"):
+            run.run(recordings_of([str(sources)]))
+    wait_until(lambda: process.poll() is not None, 10, "the end of the scheduler")
+    with cluster.scheduler(tmp_path) as (_, again), cluster.workers(again, 2, tmp_path), connected(again) as engine:
+        totals = Run(Job(chunk_pairs=4), out, engine).run(recordings_of([str(sources)]))
+    assert not totals.failures and totals.computed < totals.done == totals.items
+    expect_results(sources, out)
+
+
+def hungry(megabytes: int) -> None:
+    kept = bytes(megabytes << 20).replace(b"\0", b"x")
+    time.sleep(60)  # until the nanny ends the process
+    del kept
+
+
+def suicidal() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def ended(engine: object, function: Callable[..., object], *arguments: object) -> str:
+    """The reason that a task of a cluster ended with."""
+    engine.submit("it", function, *arguments)  # type: ignore[attr-defined]
+    found: list[str] = []
+    wait_until(lambda: bool(found.extend(one.error for one in engine.wait(1.0)) or found), 120, "the end")  # type: ignore[attr-defined,func-returns-value]
+    return found[0]
+
+
+def test_a_killed_worker_is_explained(tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]) -> None:
+    _, address = running_scheduler
+    with cluster.workers(address, 1, tmp_path), connected(address) as engine:
+        reason = ended(engine, suicidal)
+    assert "4 worker processes died doing it" in reason
+    assert "none reported that it reached its memory limit" in reason
+
+
+def test_a_worker_that_was_ended_for_lack_of_memory_is_named_as_such(
+    tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
+) -> None:
+    _, address = running_scheduler
+    limit = "--memory-limit", "500MiB"
+    with cluster.workers(address, 1, tmp_path, *limit), connected(address) as engine:
+        reason = ended(engine, hungry, 700)
+    assert "4 worker processes that did it were ended for lack of memory" in reason
+    assert "MiB); give workers more memory (--memory-limit)" in reason
+
+
+def test_workers_have_one_task_thread_and_one_thread_of_numba(
+    tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
+) -> None:
+    _, address = running_scheduler
+    with cluster.workers(address, 2, tmp_path), connected(address) as engine:
+        threads = engine._client.run(numba_threads)
+        assert set(engine._client.nthreads().values()) == {1}
+        assert engine.slots == 2
+    assert set(threads.values()) == {(1, "1", "1")}
+
+
+def numba_threads() -> tuple[int, str | None, str | None]:
+    import numba
+
+    return numba.config.NUMBA_NUM_THREADS, os.environ.get("OMP_NUM_THREADS"), os.environ.get("MALLOC_ARENA_MAX")
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daemon.apps.reprocess.engine.dask_engine._CONNECT_S", 1)
+    with (
+        pytest.raises(DaemonError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers there"),
+        connected("tcp://127.0.0.1:9"),
+    ):
+        pass

@@ -1,0 +1,97 @@
+"""The command line: what it refuses, what it reports, and what it does without the extra."""
+
+from __future__ import annotations
+
+import json
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from daemon.cli.entry import run
+from tests.daemon.apps.reprocess.takes import files_of, replayed, write
+from tests.daemon.recording import small_take
+
+Images = list[small_take.Images]
+
+
+@pytest.fixture
+def take(tmp_path: Path, images: Images) -> Path:
+    return write(tmp_path / "in" / "a.mcap", images, 5)
+
+
+def reprocess(*arguments: object) -> int:
+    return run(["reprocess", *map(str, arguments)])
+
+
+def test_without_workers_all_is_done_in_this_process(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert reprocess(take, "--out", tmp_path / "out", "--workers", 0, "--chunk", 2) == 0
+    assert files_of(tmp_path / "out" / "a") == replayed(take)[0]
+    assert "5 of 5 pairs of 1 recordings done, 0 of them before" in capsys.readouterr().out
+
+
+def test_without_the_extra_the_command_names_it(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.setitem(sys.modules, "dask", None)
+    assert reprocess(take, "--out", tmp_path / "out") == 1
+    assert run(["worker", "tcp://127.0.0.1:9"]) == 1
+    errors = capsys.readouterr().err
+    assert errors.count("pip install 'fringed[cluster]'") == 2
+    assert "--workers 0 works without" in errors
+
+
+def test_a_dry_run_changes_nothing_and_estimates(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reprocess(take, "--out", tmp_path / "out", "--dry-run", "--workers", 4) == 0
+    out = capsys.readouterr().out
+    assert "5 pairs or sets in 1 recordings, 0.00 GB; 5 of them to do" in out
+    assert "ms each by one thread: about" in out and "with 4 workers" in out
+    assert not (tmp_path / "out").exists()
+
+
+def test_failures_are_listed_and_give_exit_status_1(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (take.parent / "foreign.mcap").write_bytes(b"no take at all")
+    assert reprocess(take.parent, "--out", tmp_path / "out", "--workers", 0) == 1
+    captured = capsys.readouterr()
+    assert "failed: foreign: " in captured.err and "--retry-failed does these again" in captured.err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert len(report["failures"]) == 1 and report["worst"][0] == "foreign"
+    assert {row["name"]: row["done"] for row in report["per_recording"]} == {"a": 5, "foreign": 0}
+    assert sum(report["histograms"]["coverage"]["counts"]) == report["means"]["clouds"] == 5
+
+
+def test_the_report_is_well_formed_and_links_the_recordings(take: Path, tmp_path: Path) -> None:
+    take.rename(take.with_name("a <b> & c.mcap"))
+    assert reprocess(take.parent, "--out", tmp_path / "out", "--workers", 0) == 0
+    page = (tmp_path / "out" / "report.html").read_text().partition("\n")[2]
+    root = ET.fromstring(page)
+    links = [link.get("href") for link in root.iter("{http://www.w3.org/1999/xhtml}a")]
+    assert links == ["a%20%3Cb%3E%20%26%20c/"] * 2
+    assert len(list(root.iter("{http://www.w3.org/2000/svg}svg"))) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--format", "stl"], "unknown cloud format 'stl'"),
+        (["--calibration-check", "maybe"], "expected one of: withhold, warn, off"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "fringed worker ADDRESS"),
+        (["--set", "nonsense=1"], "there is no setting 'nonsense'"),
+        (["--calibration", "nowhere.yaml"], "nowhere.yaml"),
+    ],
+)
+def test_wrong_arguments_are_refused(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert reprocess(take, "--out", tmp_path / "out", *arguments) == 1
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

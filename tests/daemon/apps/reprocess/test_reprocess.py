@@ -1,0 +1,169 @@
+"""Results are bit for bit those of a replay, however the recording is divided, damaged or recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
+from daemon.recording.read.take_reader import TakeReader
+from pipeline.common.errors import ImageError
+from pipeline.common.settings import Settings
+from pipeline.reconstruct.reconstructor import Reconstructor
+from sim.rig import rig_files
+from tests.daemon.apps.reprocess.takes import files_of, replayed, reprocess, write
+from tests.daemon.recording import small_take
+
+Images = list[small_take.Images]
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory, images: Images) -> Path:
+    return write(tmp_path_factory.mktemp("takes") / "part7.mcap", images, 11)
+
+
+def verdicts_in(folder: Path) -> list[dict[str, object]]:
+    rows = json.loads((folder / "summary.json").read_text())["per_pair"]
+    return [{"sequence": row["sequence"], "consistency": row["consistency"]} for row in rows]
+
+
+@pytest.mark.parametrize("chunk_pairs", [1, 2, 5, 100])
+def test_clouds_and_verdicts_are_those_of_a_replay(take: Path, tmp_path: Path, chunk_pairs: int) -> None:
+    files, verdicts = replayed(take)
+    totals = reprocess([take], tmp_path, chunk_pairs=chunk_pairs)
+    assert not totals.failures
+    assert files_of(tmp_path / "part7") == files
+    assert len(files) == 11
+    assert verdicts_in(tmp_path / "part7") == verdicts
+    assert (totals.done, totals.computed, totals.items) == (11, 11, 11)
+
+
+@pytest.mark.parametrize("chunk_pairs", [1, 3])
+def test_so_they_are_where_pairs_contradict_the_calibration(take: Path, tmp_path: Path, chunk_pairs: int) -> None:
+    turned = yaml.safe_load(small_take.CALIBRATION)
+    angle = np.radians(0.4)
+    right = turned["cameras"]["right"]
+    rotation = np.array(right["rotation"]).reshape(3, 3)
+    about_x = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    right["rotation"] = (about_x @ rotation).tolist()
+    calibration = tmp_path / "turned.yaml"
+    calibration.write_text(yaml.safe_dump(turned))
+    files, verdicts = replayed(take, calibration=calibration)
+    reprocess([take], tmp_path / "out", chunk_pairs=chunk_pairs, calibration=calibration)
+    assert {row["consistency"]["verdict"] for row in verdicts} != {"consistent"}
+    assert verdicts_in(tmp_path / "out" / "part7") == verdicts
+    assert files_of(tmp_path / "out" / "part7") == files
+
+
+@pytest.mark.parametrize("chunk_pairs", [1, 100])
+def test_so_they_are_with_a_temporal_prior(images: Images, tmp_path: Path, chunk_pairs: int) -> None:
+    take = write(tmp_path / "a.mcap", images[:1], 4)
+    write(tmp_path / "a_part002.mcap", images[1:2], 3, first=100)
+    files, _ = replayed(take, use_prior=True)
+    reprocess([take], tmp_path / "out", chunk_pairs=chunk_pairs, use_prior=True)
+    assert files_of(tmp_path / "out" / "a") == files
+    assert len(files) == 7
+    assert len(list((tmp_path / "out" / "a" / "chunks").iterdir())) == 2
+
+
+def test_other_settings_reach_the_workers(take: Path, tmp_path: Path) -> None:
+    settings = Settings(min_modulation=30.0, self_calibrate=False)
+    files, _ = replayed(take, settings=settings)
+    reprocess([take], tmp_path, settings=settings, chunk_pairs=3)
+    assert files_of(tmp_path / "part7") == files
+
+
+def test_a_truncated_take_gives_what_a_replay_of_it_gives_and_is_reported(take: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "in" / "cut.mcap"
+    cut.parent.mkdir()
+    data = take.read_bytes()
+    cut.write_bytes(data[: int(len(data) * 0.6)])
+    write_other = tmp_path / "in" / "whole.mcap"
+    write_other.write_bytes(data)
+    files, _ = replayed(cut)
+    totals = reprocess([tmp_path / "in"], tmp_path / "out", chunk_pairs=2)
+    assert files_of(tmp_path / "out" / "cut") == files
+    assert 3 < len(files) < 11
+    assert len(files_of(tmp_path / "out" / "whole")) == 11
+    assert any("cut off" in problem for problem in totals.closed[0].problems)
+    assert not totals.failures
+
+
+@pytest.mark.parametrize("chunk_pairs", [2, 100])
+def test_damaged_images_are_left_out_as_in_a_replay(take: Path, tmp_path: Path, chunk_pairs: int) -> None:
+    data = bytearray(take.read_bytes())
+    for share in (0.35, 0.62):
+        at = int(len(data) * share)
+        data[at : at + 64] = bytes(64)
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(data)
+    files, verdicts = replayed(damaged)
+    totals = reprocess([damaged], tmp_path / "out", chunk_pairs=chunk_pairs)
+    assert 8 <= len(files) < 11
+    assert files_of(tmp_path / "out" / "damaged") == files
+    assert verdicts_in(tmp_path / "out" / "damaged") == verdicts
+    assert totals.closed[0].damaged >= 2
+    assert (
+        any("damaged at byte" in problem for problem in totals.closed[0].problems)
+        or json.loads((tmp_path / "out" / "damaged" / "summary.json").read_text())["problems"]
+    )
+
+
+def test_a_pair_that_the_pipeline_rejects_is_listed_and_the_rest_is_done(
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = Reconstructor.orders
+
+    def refusing(self: Reconstructor, left: Any, *arguments: Any, **options: Any) -> Any:
+        if left.sum() == refused:
+            raise ImageError("refused")
+        return original(self, left, *arguments, **options)
+
+    with TakeReader(take) as reader:
+        refused = next(reader.pairs()).left.sum()
+    monkeypatch.setattr(Reconstructor, "orders", refusing)
+    files, _ = replayed(take)
+    totals = reprocess([take], tmp_path, chunk_pairs=3)
+    assert files_of(tmp_path / "part7") == files
+    assert totals.sums.failed == 4 and totals.sums.clouds == len(files) == 7
+    failed = json.loads((tmp_path / "part7" / "summary.json").read_text())["failed"]
+    assert failed[0] == {"sequence": 40, "error": "refused"}
+
+
+def test_a_calibration_of_another_size_fails_with_the_reason_and_costs_no_other_recording(
+    images: Images, tmp_path: Path
+) -> None:
+    layout = small_take.RigLayout().scaled(0.25)
+    other = yaml.safe_dump(rig_files.calibration_mapping(layout, small_take.OPTICS), sort_keys=False).encode()
+    write(tmp_path / "in" / "bad.mcap", images, 3, calibration_data=other)
+    write(tmp_path / "in" / "good.mcap", images, 3)
+    (tmp_path / "in" / "foreign.mcap").write_bytes(b"no take at all")
+    totals = reprocess([tmp_path / "in"], tmp_path / "out", chunk_pairs=2)
+    assert len(files_of(tmp_path / "out" / "good")) == 3
+    assert not (tmp_path / "out" / "bad" / "summary.json").exists()
+    reasons = "\n".join(totals.failures)
+    assert "bad: pairs 40 to 40: cameras.left.size is [256, 205]" in reasons
+    assert "foreign: " in reasons and "not an MCAP file" in reasons
+
+
+def test_a_state_survives_json_and_restores_a_reconstructor() -> None:
+    from daemon.apps.replay.reconstruct_item import warmed_reconstructor
+
+    layout = small_take.LAYOUT
+    arguments = layout.calibration_for(small_take.OPTICS), layout.pattern(), layout.volume()
+    made = warmed_reconstructor(*arguments, encoding="rgb8", settings=Settings())
+    first = capture(made)
+    assert not first.settled
+    state = CarriedState("rgb8", (((0.1 + 0.2, -1e-17, 1 / 3), True),), (0.25, 0.1, 0.25, 0.1, 0.3))
+    assert state.settled
+    assert CarriedState.from_json(json.loads(json.dumps(state.as_json()))) == state
+    restore(made, state)
+    assert capture(made) == state
+    restore(made, first)
+    assert dataclasses.astuple(capture(made)) == dataclasses.astuple(first)
