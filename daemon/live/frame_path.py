@@ -47,7 +47,7 @@ class FramePath:
         clock: Clock,
     ) -> None:
         self.config, self.rig, self._clock = config, rig, clock
-        self.kernels = Progress(0, 0)
+        self.kernels, self._stopping = Progress(0, 0), False
         self.settings = Settings().with_overrides(config.pipeline.settings)
         self.drops = drops = Counters()
         self.router = router = Router(sinks, drops)
@@ -117,9 +117,15 @@ class FramePath:
                 log.exception("a change failed")
         return reconstructor
 
+    def end_compilation(self) -> None:
+        """End a compilation within about a second: the daemon stops."""
+        self._stopping = True
+
     def _compile(self, config: RigConfig) -> None:
         def note(progress: Progress) -> None:
             self.kernels = progress
+            if self._stopping:
+                raise DaemonError("the daemon is stopping; the kernels are not compiled")
 
         jobs = measuring_jobs(self.cameras["left"].status.encoding, config.mode)
         compile_kernels(jobs, note)

@@ -211,6 +211,7 @@ class Service:
         """Close devices and sinks; :meth:`run` does so at its end."""
         self._stop.set()
         self.worker.end_changes()
+        self.path.end_compilation()
         self._note_state()
         for camera in self.cameras.values():
             camera.request_stop()

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from daemon.bootstrap.systemd.status_line import loading
 from daemon.common.errors import DaemonError
+from daemon.kernels.processes import Progress
+from daemon.live import frame_path
 from daemon.live.items import Item
 from daemon.live.service import Service
 from daemon.live.status import State
@@ -146,6 +150,24 @@ def test_stopping_while_starting_is_orderly(tmp_path: Path) -> None:
     service.request_stop()
     service.run()
     assert sink.closed
+
+
+def test_stopping_ends_a_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
+    def compile_for_ever(jobs: object, notify: Callable[[Progress], None]) -> None:
+        while True:
+            notify(Progress(3, 9))
+            time.sleep(0.01)
+
+    monkeypatch.setattr(frame_path, "compile_kernels", compile_for_ever)
+    service = Service(config(tmp_path), rig_of(devices()), {"stream": Collector()})
+    thread = threading.Thread(target=service.run)
+    thread.start()
+    wait_until(lambda: service.status().kernels == {"ready": 3, "total": 9}, 30)
+    assert loading(service.status().as_dict()) == "starting: compiling kernels, 3 of 9"
+    service.request_stop()
+    thread.join(20)
+    assert not thread.is_alive()
+    assert not any("left behind" in record.getMessage() for record in caplog.records)
 
 
 def test_a_take_is_a_sink_for_as_long_as_it_lasts(running: Running, tmp_path: Path) -> None:
