@@ -153,7 +153,7 @@ def test_stopping_while_starting_is_orderly(tmp_path: Path) -> None:
 
 
 def test_stopping_ends_a_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
-    def compile_for_ever(jobs: object, notify: Callable[[Progress], None]) -> None:
+    def compile_for_ever(_jobs: object, notify: Callable[[Progress], None]) -> None:
         while True:
             notify(Progress(3, 9))
             time.sleep(0.01)
