@@ -30,6 +30,8 @@ def main(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print more messages.")] = False,
 ) -> None:
     """Measure a simulated rig live and show it in a viewer, until Ctrl-C."""
+    simulation = options(scene, mesh, frames, rate, small=small, live=live)
+    check_options(simulation)  # before the imports, which take longer
     import logging
 
     from daemon.bootstrap.run import StopFlag, run_rig
@@ -46,8 +48,6 @@ def main(
         flag = stack.enter_context(StopFlag().on_signals())
         directory = _private_directory(runtime_dir())
         stack.callback(shutil.rmtree, directory, ignore_errors=True)
-        simulation = options(scene, mesh, frames, rate, small=small, live=live)
-        check_options(simulation)
         rig_file, endpoint, control = write_rig(directory, simulation)
         viewer = Viewer(endpoint) if view else None
         if viewer is not None:
