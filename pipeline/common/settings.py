@@ -35,6 +35,9 @@ class Settings:
     """Cost of a jump of the absolute order between neighbours."""
     follow_cost: float = 0.15
     """Cost up to which the order expected from the last pair is taken without a search (live streams only)."""
+    search_margin: float = 0.25
+    """How far fringe orders are searched beyond the volume: its far limit is multiplied by 1 + this, its near one by
+    1 - a fifth of this. Surfaces there get their own orders, and no points, instead of wrong orders inside. 0 = off."""
     max_check: float = 1.5
     """Largest difference of left and right absolute phase."""
     max_residual: float = 0.5
@@ -92,6 +95,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "texture_weight": (0, 10),
     "switch_penalty": (0, 20),
     "follow_cost": (0, 2),
+    "search_margin": (0, 1),
     "max_check": (0.1, 3.1),
     "max_residual": (0.05, 3.1),
     "max_surface_error": (0.02, 3.1),

@@ -93,6 +93,11 @@ class DepthScale:
         """Z in mm."""
         return 1 / (self.base + self.span * s)
 
+    def range_of(self, volume: Volume, tolerance: float) -> tuple[float, float]:
+        """Least and largest s in a volume, and a share of their difference beyond."""
+        far, near = ((1 / z - self.base) / self.span for z in (volume.far_mm, volume.near_mm))
+        return far - tolerance * (near - far), near + tolerance * (near - far)
+
 
 def ray_table(
     calibration: Calibration,

@@ -48,15 +48,20 @@ class View:
     @staticmethod
     def of(
         calibration: Calibration, pattern: ColorFringe, volume: Volume, settings: Settings,
-        inside: tuple[CameraModel, Volume] | None = None, coarser: int = 1,
+        inside: tuple[CameraModel, Volume] | None = None, coarser: int = 1, measured: Volume | None = None,
     ) -> View:  # fmt: skip
-        """Build the tables of the calibration's left camera."""
+        """Build the tables of the calibration's left camera.
+
+        Args:
+            volume: in which orders are searched; measured: in the middle of which the slopes hold, the same by default.
+        """
         axis = pattern.axis
         depth = DepthScale.of(volume)
-        period = period_in_image(calibration, depth, axis=axis, period=pattern.length / pattern.periods)
+        middle = DepthScale.of(measured or volume)
+        period = period_in_image(calibration, middle, axis=axis, period=pattern.length / pattern.periods)
         step = (settings.lattice_x, coarser * settings.lattice_y)
         table = ray_table(calibration, depth, axis=axis, step=step if axis == "x" else step[::-1], inside=inside)
-        sign = _growth(calibration, depth, axis)
+        sign = _growth(calibration, middle, axis)
         slope = sign * 2 * np.pi / period
         slopes = (slope, 0.0) if axis == "x" else (0.0, slope)
         along = table.along.astype(np.float64)

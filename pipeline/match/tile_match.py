@@ -38,7 +38,7 @@ class MatchModel(NamedTuple):
     Args:
         device: packed model of the other camera; width, height: of its image.
         projector: packed model of the projector; axis: 0 = phase grows along u.
-        base, span: 1/z = base + span s, s = 0 .. 1 in the measuring volume.
+        base, span: 1/z = base + span s; least, most: limits of s, beyond which there are no points.
         columns: even-grid table phase -> projector coordinate; phases: phase at each projector coordinate;
             linear: both are straight lines.
         correction: of the projector's columns.
@@ -53,6 +53,8 @@ class MatchModel(NamedTuple):
     axis: int
     base: np.float32
     span: np.float32
+    least: np.float32
+    most: np.float32
     columns: F32
     phases: F32
     linear: bool
@@ -126,7 +128,7 @@ def match_tile(arrays: Any, n: int, model: Any, other: Any, variance: Any) -> No
         by = -f / slope
         w = t[W + j] + by
         s = (w - model.base) / model.span
-        good &= (s > np.float32(-0.02)) & (s < np.float32(1.02))
+        good &= (s > model.least) & (s < model.most)
         a, b = t[FRACTION + j], t[ACROSS + j]
         v = t[VARIANCE + j] * (_ONE - loss * a * (_ONE - a)) * (_ONE - loss * b * (_ONE - b))
         good &= v < _ONE

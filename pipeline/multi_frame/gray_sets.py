@@ -22,7 +22,7 @@ from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.orders_to_cloud import CloudStage
-from pipeline.reconstruct.reconstructor import volume_of_right
+from pipeline.reconstruct.search_views import volume_of_right
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
@@ -43,7 +43,7 @@ class GraySets:
     ) -> None:
         self.correction = column_correction.NO_CORRECTION.copy()
         self.calibrated = not settings.self_calibrate
-        self._calibration, self._settings = calibration, settings
+        self._calibration, self._volume, self._settings = calibration, volume, settings
         finest = ColorFringe(plan.size, plan.periods, plan.axis)
         self._left = View.of(calibration, finest, volume, settings)
         swapped, rights = calibration.swapped(), volume_of_right(calibration, volume)
@@ -121,6 +121,6 @@ class GraySets:
     def _stage(self, stride: int) -> CloudStage:
         if stride not in self._stages:
             self._stages[stride] = CloudStage(
-                self._calibration, self._left, self._settings, self._correlation, stride=stride
+                self._calibration, self._volume, self._left, self._settings, self._correlation, stride=stride
             )
         return self._stages[stride]

@@ -24,20 +24,27 @@ from pipeline.reconstruct import neighbour_match
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.neighbour_match import LeftImage, RightImage, match_neighbours
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.volume import Volume
+
+_TOLERANCE = 0.02
 
 
 class CloudStage:
     """Makes clouds of one calibration and one resolution, in arrays that every pair reuses.
 
     Args:
-        left: the left camera's view; correlation: of neighbouring phases' noise in the right image.
+        volume: in which there are points, plus 2 %; left: the left camera's view.
+        correlation: of neighbouring phases' noise in the right image.
         stride: step of the pixels that get points, in both directions.
     """
 
     def __init__(
-        self, calibration: Calibration, left: View, settings: Settings, correlation: float, *, stride: int
-    ) -> None:
+        self, calibration: Calibration, volume: Volume, left: View, settings: Settings, correlation: float, *,
+        stride: int,
+    ) -> None:  # fmt: skip
         self._view, self._stride = left, stride
+        least, most = left.depth.range_of(volume, _TOLERANCE)
+        self._limits = np.float32(least), np.float32(most)
         self._size, self._right_size = calibration.left.size[::-1], calibration.right.size
         rays = calibration.left.rays()[::stride, ::stride].astype(np.float32)
         self._rays_x, self._rays_y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
@@ -72,8 +79,8 @@ class CloudStage:
         v = self._view
         return MatchModel(
             v.other, *self._right_size, v.projector, v.first_axis, np.float32(v.depth.base), np.float32(v.depth.span),
-            v.phase_to_column, v.column_to_phase, v.linear, correction.astype(np.float32), self._floor_sq,
-            self._correlation,
+            *self._limits, v.phase_to_column, v.column_to_phase, v.linear, correction.astype(np.float32),
+            self._floor_sq, self._correlation,
         )  # fmt: skip
 
     def match_neighbours(

@@ -19,16 +19,15 @@ from pipeline.filter.kernel_warmup import warm_up_conflicts
 from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import OrderSearch
-from pipeline.geometry.view_tables import View
+from pipeline.geometry.ray_tables import DepthScale
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.consistency import ColumnScan
 from pipeline.reconstruct.orders_to_cloud import CloudStage
+from pipeline.reconstruct.search_views import search_views, volume_of_right
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
-
-MAX_LABELS = 64
 
 
 class Reconstructor:
@@ -75,24 +74,15 @@ class Reconstructor:
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
         swapped = calibration.swapped()
-        self.left = View.of(calibration, pattern, volume, self.settings)
-        # The right view only confirms the left one: fewer rows suffice.
-        self.right = View.of(
-            swapped, pattern, volume_of_right(calibration, volume), self.settings,
-            inside=(swapped.right, volume), coarser=2,
-        )  # fmt: skip
+        self.left, self.right = search_views(calibration, pattern, volume, self.settings)
+        middles = volume, volume_of_right(calibration, volume)
         self.decoders = [
             Decoder.of_left(
-                rig, pattern, mosaic=mosaic, slopes=view.slopes, settings=self.settings, depth_mm=view.depth.depth(0.5)
+                rig, pattern, mosaic=mosaic, slopes=view.slopes, settings=self.settings,
+                depth_mm=DepthScale.of(middle).depth(0.5),
             )
-            for rig, view in ((calibration, self.left), (swapped, self.right))
-        ]
-        labels = max(self.left.labels, self.right.labels)
-        if labels > MAX_LABELS:
-            raise CalibrationError(
-                f"up to {labels} fringe orders fit into the volume {volume.near_mm} .. {volume.far_mm} mm, limit "
-                f"{MAX_LABELS}; make the volume smaller or use fewer periods"
-            )
+            for rig, view, middle in zip((calibration, swapped), (self.left, self.right), middles, strict=True)
+        ]  # fmt: skip
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         self.searches = OrderSearch(self.left), OrderSearch(self.right)
@@ -212,20 +202,6 @@ class Reconstructor:
         """The stage that makes clouds of orders, for points on every n-th pixel."""
         if stride not in self._stages:
             self._stages[stride] = CloudStage(
-                self.calibration, self.left, self.settings, self._correlation, stride=stride
+                self.calibration, self.volume, self.left, self.settings, self._correlation, stride=stride
             )
         return self._stages[stride]
-
-
-def volume_of_right(calibration: Calibration, volume: Volume) -> Volume:
-    """Limits along the right camera's z axis that hold the whole measuring volume of the left one."""
-    width, height = calibration.left.size
-    corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], dtype=np.float64)
-    rays = np.concatenate([calibration.left.normalise(corners), np.ones((4, 1))], axis=1)
-    points = np.concatenate([rays * volume.near_mm, rays * volume.far_mm])
-    z = (points @ calibration.right.rotation.T + calibration.right.translation)[:, 2]
-    if z.min() <= 0:
-        raise CalibrationError(
-            "part of the measuring volume lies behind the right camera; check its pose and the volume"
-        )
-    return Volume(float(z.min()), float(z.max()))

@@ -17,3 +17,7 @@ class Volume:
     def __post_init__(self) -> None:
         if not 0 < self.near_mm < self.far_mm < float("inf"):
             raise PipelineError(f"volume {self.near_mm} .. {self.far_mm} mm: need 0 < near_mm < far_mm")
+
+    def widened(self, margin: float) -> Volume:
+        """The volume with its far limit times 1 + margin, its near limit times 1 - margin / 5."""
+        return Volume(self.near_mm * (1 - margin / 5), self.far_mm * (1 + margin))
