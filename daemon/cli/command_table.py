@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 from typing import Annotated, Any
 
@@ -63,6 +64,10 @@ class LazyGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the named command; from here on it is imported."""
         ctx.meta[_RESOLVING] = True
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            near = difflib.get_close_matches(args[0], COMMANDS, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(COMMANDS)}"
+            ctx.fail(f"there is no command {args[0]!r}; {hint}")
         return super().resolve_command(ctx, args)
 
 
@@ -79,11 +84,26 @@ def load(name: str, target: str, summary: str) -> Any:
     return loaded
 
 
-app = typer.Typer(cls=LazyGroup, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
+# Every command inherits the names of the option.
+_HELP = {"help_option_names": ["-h", "--help"]}
+app = typer.Typer(
+    cls=LazyGroup, add_completion=False, no_args_is_help=True, rich_markup_mode=None, context_settings=_HELP
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from daemon.common.version import program_version
+
+        typer.echo(f"fringed {program_version()}")
+        raise typer.Exit
 
 
 @app.callback()
 def _root(
+    version: Annotated[
+        bool, typer.Option("--version", "-V", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Live 3D measurement: two colour cameras, one projected image, a metric cloud per frame."""
@@ -99,7 +119,17 @@ def invoke(arguments: list[str]) -> int:
         return 130
     except Exception as error:
         if hasattr(error, "show") and hasattr(error, "exit_code"):  # typer has no public name for its usage errors
-            error.show()
-            return int(error.exit_code)
+            return _report(error)
         raise
     return result if isinstance(result, int) and not isinstance(result, bool) else 0
+
+
+def _report(error: Any) -> int:
+    """Print a usage error as one sentence with its command; return its exit status."""
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context is not None else "fringed"
+    message = " ".join(error.format_message().split()).rstrip(".").replace(". Did you", "; did you")
+    if not message:  # a group without a command: its help was printed
+        return int(error.exit_code)
+    typer.echo(f"fringed: {message[:1].lower()}{message[1:]}; see `{command} -h`", err=True)
+    return int(error.exit_code)

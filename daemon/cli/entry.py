@@ -11,11 +11,12 @@ _INSTALL = (
     "fringed: the commands require the packages of a rig PC ({name} is missing); install them with: pip install "
     "'fringed[rig]'. Reading a stream from Python requires none of them: from fringed import subscribe"
 )
+_INPUT_STATUS = 2
 _OWN = ("daemon", "sim", "drivers", "pipeline", "fringed")
 
 
 def main() -> None:
-    """Run the command line; the exit status is 0, 1 for an expected error, 2 for wrong usage."""
+    """Run the command line; the exit status is 0, 1 for an expected failure, 2 for an input that cannot be used."""
     prepare()
     sys.exit(run(sys.argv[1:]))
 
@@ -32,23 +33,44 @@ def run(arguments: list[str]) -> int:
         if debug or (error.name or "").partition(".")[0] in _OWN:
             raise
         print(_INSTALL.format(name=error.name), file=sys.stderr)  # noqa: T201 - the only output without further packages
-        return 1
+        return _INPUT_STATUS
     except Exception as error:
-        if debug or not _expected(error):
+        if debug or not _is_one_of(error, _EXPECTED):
             raise
-        print(f"fringed: {error}", file=sys.stderr)  # noqa: T201
-        return 1
+        print(f"fringed: {_sentence(error)}", file=sys.stderr)  # noqa: T201
+        return _INPUT_STATUS if _is_one_of(error, _INPUT) else 1
 
 
-def _expected(error: Exception) -> bool:
-    """Whether it is an error of this project or of the operating system; compared by name to import nothing heavy."""
-    if isinstance(error, OSError):
-        return True
-    names = {f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__}
-    return bool(names & _EXPECTED)
+def _is_one_of(error: Exception, names: set[str]) -> bool:
+    """Whether it is an error of these classes; compared by name to import nothing heavy."""
+    return bool(names & {f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__})
 
+
+def _sentence(error: Exception) -> str:
+    """The message; that of the operating system as ``FILE: reason``."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{os.fsdecode(error.filename)}: {error.strerror[:1].lower()}{error.strerror[1:]}"
+    return str(error)
+
+
+_INPUT = {
+    "builtins.FileExistsError",
+    "builtins.FileNotFoundError",
+    "builtins.IsADirectoryError",
+    "builtins.NotADirectoryError",
+    "builtins.PermissionError",
+    "daemon.common.errors.ConfigError",
+    "daemon.common.errors.InputError",
+    "daemon.common.errors.NoDaemonError",
+    "daemon.recording.format.errors.TakeError",
+    "fringed.errors.FringedError",
+    "pipeline.common.errors.PipelineError",
+    "sim.devices.options.OptionError",
+}
+"""Errors about what the command line names: a file, an address, a setting."""
 
 _EXPECTED = {
+    "builtins.OSError",
     "daemon.common.errors.DaemonError",
     "drivers.errors.DriverError",
     "pipeline.common.errors.PipelineError",

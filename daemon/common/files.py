@@ -4,8 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import tempfile
 from pathlib import Path
+
+from daemon.common.errors import InputError
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+def checked_name(name: str) -> str:
+    """Return a name that is safe as the beginning of a file's name: no separators, no leading dot.
+
+    Raises:
+        InputError: any other name.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"the name {name!r:.80} takes letters, digits, '.', '_' and '-', at most 64, not '.' first")
+    return name
 
 
 def write_atomically(path: Path, data: bytes) -> None:

@@ -18,6 +18,10 @@ from pathlib import Path
 SCARCE = 0.5
 """Below this share over the last seconds the process is short of processor time."""
 
+_WARNING = (
+    "other programs take the processors: the daemon gets less than half of the processor time that it needs; end them, "
+    "or give the service more (CPUWeight=, CPUAffinity=)"
+)
 _LEAST_SHARE = 0.05  # a thread that hangs is found after twenty times its deadline, however busy the machine is
 _SAMPLE_NS = 1_000_000_000
 _WINDOW = 5  # samples
@@ -67,6 +71,10 @@ class ProcessorShare:
     def scarce(self) -> bool:
         """Whether other programs leave this process less than half of the processor time that it needs."""
         return len(self._window) == _WINDOW and self.share < SCARCE
+
+    def warnings(self) -> tuple[str, ...]:
+        """For the status: that other programs take the processors; empty while they do not."""
+        return (_WARNING,) if self.scarce else ()
 
     def tick(self) -> None:
         """Account for the time since the last call."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
+import fringed
 
 
 def program_version() -> str:
     """The installed version of the project."""
-    try:
-        return version("fringed")
-    except PackageNotFoundError:
-        return "unknown"
+    version: str = fringed.__version__
+    return version

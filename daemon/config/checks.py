@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 from daemon.config.driver_table import CAMERAS, PROJECTORS, RIGS
 from daemon.config.security import key_problems
+from daemon.config.simulation import simulation_problems
 from daemon.config.yaml_source import KeyPath
 from pipeline.common.errors import PipelineError
 from pipeline.common.settings import Settings
@@ -35,6 +36,7 @@ def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = 
     yield from _volume(data)
     yield from _recording(data)
     yield from _mode(data)
+    yield from simulation_problems(data, base_dir)
 
 
 def _section(data: dict[str, Any], name: str) -> dict[str, Any]:

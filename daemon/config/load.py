@@ -90,7 +90,8 @@ def _validated(source: Source, base_dir: Path, *, complete: bool) -> RigConfig |
             _translate(error, source)
         if isinstance(source.data, dict):
             for path, message in semantic_problems(source.data, base_dir, complete=complete):
-                source.add_problem(path, message)
+                if path not in source.unreadable:
+                    source.add_problem(path, message)
     return config
 
 
@@ -99,6 +100,8 @@ def _translate(error: ValidationError, source: Source) -> None:
         if item["loc"][-1:] in (("bool",), ("int",)):
             continue  # branches of a union that ends with float: one problem is enough
         path = _real_path(item["loc"], source)
+        if path in source.unreadable:
+            continue
         dotted = ".".join(str(part) for part in path) or "the file"
         if item["type"] == "extra_forbidden":
             source.add_problem(path, f"unknown key {path[-1]!r}{_suggestion(path)}", key=True)

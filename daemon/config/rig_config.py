@@ -50,8 +50,8 @@ class Pairing(Section):
 class Volume(Section):
     """Measuring volume along the left camera's z axis."""
 
-    near_mm: Annotated[float, Field(gt=0, description="Nearest surface.")]
-    far_mm: Annotated[float, Field(gt=0, description="Farthest surface.")]
+    near_mm: Annotated[float, Field(gt=0, le=1e6, description="Nearest surface.")]
+    far_mm: Annotated[float, Field(gt=0, le=1e6, description="Farthest surface.")]
 
 
 class Pipeline(Section):

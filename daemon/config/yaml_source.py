@@ -30,6 +30,7 @@ class Source:
     positions: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
     keys: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
+    unreadable: set[KeyPath] = field(default_factory=set)
 
     def position(self, path: KeyPath, *, key: bool = False) -> tuple[int, int]:
         """Return line and column of a value (or of its key), else of the nearest enclosing value."""
@@ -105,12 +106,15 @@ class _Walk:
         try:
             value = self.constructor.construct_object(node, deep=True)
         except (yaml.YAMLError, ValueError) as error:
-            self.source.add_problem(path, f"cannot be read: {' '.join(str(error).split()):.120}")
-            return None
+            return self.unreadable(path, f"cannot be read: {' '.join(str(error).split()):.120}")
         if isinstance(value, float) and not math.isfinite(value):
-            self.source.add_problem(path, f"{node.value} is not a finite number")
-            return None
+            name = ".".join(str(part) for part in path) or "the file"
+            return self.unreadable(path, f"{name}: {node.value} is not a finite number")
         if isinstance(value, bool | int | float | str) or value is None:
             return value
-        self.source.add_problem(path, f"{node.value!r:.60} reads as a {type(value).__name__}; put it in quotes")
-        return None
+        return self.unreadable(path, f"{node.value!r:.60} reads as a {type(value).__name__}; put it in quotes")
+
+    def unreadable(self, path: KeyPath, message: str) -> None:
+        """Add a problem; the value becomes null, about which there are no further messages."""
+        self.source.unreadable.add(path)
+        self.source.add_problem(path, message)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import io
 import logging
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daemon.common.errors import DaemonError
-from daemon.common.files import write_atomically
+from daemon.common.errors import DaemonError, InputError
+from daemon.common.files import checked_name, write_atomically
 from daemon.common.version import program_version
 from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.health_methods import HealthMethods
@@ -27,7 +26,6 @@ from pipeline.common.errors import PipelineError
 
 log = logging.getLogger("fringed.control")
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _PLAIN = {
     "white": (255, 255, 255),
     "black": (0, 0, 0),
@@ -214,7 +212,7 @@ def _nested(rows: list[dict[str, Any]], path: str) -> dict[str, Any]:
 
 def _name(params: dict[str, Any], default: str) -> str:
     """Return a name that is safe as part of a file name: no separators, no leading dot."""
-    name = string(params, "name", default)
-    if not _NAME.fullmatch(name):
-        raise RpcError(INVALID_PARAMS, "name takes letters, digits, '.', '_' and '-', at most 64, not '.' first")
-    return name
+    try:
+        return checked_name(string(params, "name", default))
+    except InputError as error:
+        raise RpcError(INVALID_PARAMS, str(error)) from error

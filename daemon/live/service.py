@@ -59,6 +59,8 @@ class Service:
         self.on_tick: list[Callable[[], None]] = []
         self._started_ns = clock.monotonic_ns()
         self._ready, self._paused = False, False
+        self._drops_starting: dict[str, int] | None = None
+        self._short_of_processors = False
         self.projector: ProjectorInfo | None = None
         self._stop = StopEvent()
         self._namer = threads.ThreadNamer("fringed")
@@ -143,7 +145,7 @@ class Service:
         """The state now and why it is degraded."""
         if self._stop.is_set():
             return State.STOPPING, ()
-        reasons = degraded_reasons(self.path, self.processor_share)
+        reasons = degraded_reasons(self.path)
         if not self._ready:
             return State.STARTING, reasons
         if self.router.diversion is not None:
@@ -162,6 +164,7 @@ class Service:
             started_ns=self._started_ns,
             clock=self.clock,
             processor_share=self.processor_share,
+            drops_starting=self._drops_starting,
         )
 
     def _start(self) -> None:
@@ -186,6 +189,7 @@ class Service:
             self._housekeeping()
         if started.done():
             started.result()
+            self._drops_starting = self.drops.snapshot()
             self._ready = not self._stop.is_set()
             self._note_state()
             for warning in self.status().warnings:
@@ -200,7 +204,17 @@ class Service:
         if now_ns >= self._status_due_ns:
             self._status_due_ns = now_ns + 1_000_000_000
             self._namer.update()
+            self._note_processors()
             self._publish_status()
+
+    def _note_processors(self) -> None:
+        """Log when other programs begin, or end, to take more than half of the processor time that is needed."""
+        warnings = self.processor_share.warnings()
+        if warnings and not self._short_of_processors:
+            log.warning("%s", warnings[0])
+        elif self._short_of_processors and not warnings:
+            log.info("the daemon gets the processor time again that it needs")
+        self._short_of_processors = bool(warnings)
 
     def _publish_status(self) -> None:
         on_status = self._on_status

@@ -46,6 +46,7 @@ class Status:
         kernels: jobs of the compilation, those that are ready and all, while the daemon starts or changes its mode.
         processors: share of the processor time that the daemon wanted and got over the last seconds, and the seconds
             that other programs took from it since the start.
+        drops: everything that was dropped, by reason; drops_starting: the part of it before the daemon measured.
         garbage: runs of Python's garbage collector since the start, and how long they stopped all threads.
     """
 
@@ -73,6 +74,7 @@ class Status:
     processors: dict[str, float]
     calibration_check: dict[str, Any]
     drops: dict[str, int]
+    drops_starting: dict[str, int]
     cameras: dict[str, CameraStatus]
     sinks: dict[str, dict[str, Any]]
     recorder: dict[str, Any]

@@ -15,7 +15,7 @@ from daemon.live.status import State, Status
 from drivers.protocols import Clock, ProjectorInfo
 
 
-def degraded_reasons(path: FramePath, processor_share: ProcessorShare) -> tuple[str, ...]:
+def degraded_reasons(path: FramePath) -> tuple[str, ...]:
     """Why the daemon is degraded."""
     reasons = [
         f"camera {side} is gone: {camera.status.problem}"
@@ -26,11 +26,6 @@ def degraded_reasons(path: FramePath, processor_share: ProcessorShare) -> tuple[
     reasons += filter(None, (*sizes, path.mode_controller.problem()))
     if path.worker.stride > 1:
         reasons.append("the pipeline is overloaded: every second pixel is measured")
-    if processor_share.scarce:
-        reasons.append(
-            "other programs take the processors: the daemon gets less than half of the processor time that it needs; "
-            "end them, or give the service more (CPUWeight=, CPUAffinity=)"
-        )
     consistency = path.worker.consistency
     if consistency is not None and consistency.verdict == "inconsistent":
         reasons.append(f"the images contradict the calibration: {consistency.reason}")
@@ -54,11 +49,13 @@ def make_status(
     started_ns: int,
     clock: Clock,
     processor_share: ProcessorShare,
+    drops_starting: dict[str, int] | None,
 ) -> Status:
     """State, counters, rates and latencies of everything.
 
     Args:
         state: with its reasons; projector: None before it is open; started_ns: monotonic.
+        drops_starting: what was dropped before the daemon measured; None while it starts.
     """
     now_ns = clock.monotonic_ns()
     pairer, worker, mode_controller = path.pairer, path.worker, path.mode_controller
@@ -69,7 +66,7 @@ def make_status(
     return Status(
         state=state[0],
         reasons=state[1],
-        warnings=tuple(timing_warnings(projector.refresh_hz if projector else 0.0, cameras)),
+        warnings=(*timing_warnings(projector.refresh_hz if projector else 0.0, cameras), *processor_share.warnings()),
         device=path.config.device.name,
         session=session,
         version=program_version(),
@@ -91,6 +88,7 @@ def make_status(
         processors=processor_share.as_dict(),
         calibration_check=_calibration_check(path),
         drops=path.drops.snapshot(),
+        drops_starting=path.drops.snapshot() if drops_starting is None else drops_starting,
         cameras=cameras,
         recorder=sinks.pop("recorder", {"recording": False}),
         selfcheck={"enabled": "selfcheck" in sinks, **sinks.pop("selfcheck", {})},

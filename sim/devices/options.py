@@ -105,7 +105,12 @@ def from_mapping(data: Mapping[str, Any], base_dir: Path | None = None) -> SimOp
     for key, kind in _KINDS.items():
         if key in values and (not isinstance(values[key], kind) or isinstance(values[key], bool) != (kind is bool)):
             raise OptionError(f"sim.{key} is {values[key]!r}, expected {kind.__name__}")
+    rate_hz = values.get("rate_hz", 0.0)
+    if not isinstance(rate_hz, int | float) or isinstance(rate_hz, bool):
+        raise OptionError(f"sim.rate_hz is {rate_hz!r}, expected a number")
     for key in ("mesh", "cache_dir"):
+        if key in values and not isinstance(values[key], str | Path):
+            raise OptionError(f"sim.{key} is {values[key]!r}, expected a path")
         if key in values:
             values[key] = (base_dir or Path()) / Path(values[key]).expanduser()
     if "layout" in values:

@@ -14,12 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.common.errors import DaemonError
+from daemon.common.errors import InputError
 from fringed.pcd import pcd_bytes
 from fringed.ply import ply_bytes
 
 KINDS = ("npz", "ply", "pcd")
-_NAME = re.compile(r"cloud_(\d{6,})\.npz")
+SUFFIX = ".npz"
+"""Of clouds that keep the pixel grid: those of a replay, and snapshots."""
+
+_NUMBER = re.compile(r"_(\d{6,})$")
+_WRITTEN = re.compile(rf"cloud_\d{{6,}}\.(?:{'|'.join(KINDS)})")
 _MAX_PIXELS = 1 << 28
 # Errors of zipfile and numpy for damaged archives; RuntimeError is a flipped "encrypted" flag.
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile)
@@ -39,9 +43,25 @@ class SavedCloud:
     gray: NDArray[np.uint8]
 
 
+def cloud_stem(sequence: int) -> str:
+    """The name of a cloud file without suffix, with at least six digits."""
+    return f"cloud_{sequence:06d}"
+
+
 def cloud_name(sequence: int, kind: str) -> str:
-    """The name of a cloud file, with at least six digits."""
-    return f"cloud_{sequence:06d}.{kind}"
+    """The name of a cloud file."""
+    return f"{cloud_stem(sequence)}.{kind}"
+
+
+def sequence_of(path: Path) -> int:
+    """The number in the name of a cloud or snapshot; -1 without one."""
+    match = _NUMBER.search(path.stem)
+    return int(match[1]) if match else -1
+
+
+def written_clouds(directory: Path) -> list[Path]:
+    """Files of any kind that bear the name of a replay's cloud."""
+    return sorted(path for path in directory.iterdir() if _WRITTEN.fullmatch(path.name))
 
 
 def cloud_bytes(cloud: SavedCloud, kind: str) -> bytes:
@@ -55,25 +75,10 @@ def cloud_bytes(cloud: SavedCloud, kind: str) -> bytes:
     if kind == "pcd":
         return pcd_bytes(cloud.xyz, cloud.gray)
     if kind != "npz":
-        raise DaemonError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
+        raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
     buffer = io.BytesIO()
     np.savez(buffer, xyz=cloud.xyz, sigma_mm=cloud.sigma_mm, gray=cloud.gray)
     return buffer.getvalue()
-
-
-def clouds_in(directory: Path) -> list[tuple[int, Path]]:
-    """Sequence number and file of every ``cloud_NNNNNN.npz``, in the order of the numbers.
-
-    Raises:
-        DaemonError: there are none.
-    """
-    matches = ((_NAME.fullmatch(path.name), path) for path in directory.iterdir())
-    files = sorted((int(match[1]), path) for match, path in matches if match)
-    if not files:
-        raise DaemonError(
-            f"{directory}: it contains no cloud_NNNNNN.npz; `fringed replay TAKE.mcap --out DIR` writes them"
-        )
-    return files
 
 
 def read_cloud(path: Path) -> SavedCloud:
@@ -88,9 +93,9 @@ def read_cloud(path: Path) -> SavedCloud:
             sigma_mm = _array(archive, "sigma_mm", np.dtype(np.float32), 2)
             gray = _array(archive, "gray", np.dtype(np.uint8), 2)
     except _UNREADABLE as error:
-        raise DaemonError(f"{path}: not a cloud of this program: {error}") from error
+        raise InputError(f"{path}: not a cloud of this program: {error}") from error
     if xyz.shape != (*gray.shape, 3) or sigma_mm.shape != gray.shape:
-        raise DaemonError(f"{path}: xyz {xyz.shape}, sigma_mm {sigma_mm.shape} and gray {gray.shape} do not match")
+        raise InputError(f"{path}: xyz {xyz.shape}, sigma_mm {sigma_mm.shape} and gray {gray.shape} do not match")
     return SavedCloud(xyz, sigma_mm, gray)
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.common.errors import DaemonError
+from daemon.common.errors import DaemonError, InputError
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
@@ -52,7 +52,7 @@ def write_video(path: Path, images: Iterable[NDArray[np.uint8]], *, rate_hz: flo
     """
     codec = CODECS.get(path.suffix.lower())
     if codec is None:
-        raise DaemonError(f"{path}: unknown video format, expected {' or '.join(CODECS)}")
+        raise InputError(f"{path}: unknown video format, expected {' or '.join(CODECS)}")
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix.lower(), dir=path.parent)
     os.close(handle)
     temporary = Path(name)

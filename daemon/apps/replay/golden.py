@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.common.errors import DaemonError
+from daemon.common.errors import InputError
 from daemon.common.files import read_at_most, write_atomically
 
 VERSION = 1
@@ -22,7 +22,7 @@ CELL = 32
 MAX_BYTES = 256 << 20
 
 
-class GoldenError(DaemonError):
+class GoldenError(InputError):
     """An unusable golden file; the message names file and key."""
 
 

@@ -31,6 +31,7 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
     middle_ms = median(run.total_ms for run in runs) if runs else 0.0
     return {
         "take": str(replay.take.path),
+        "complete": True,
         "session": replay.take.metadata.get("session"),
         "device": replay.take.metadata.get("device"),
         "calibration": replay.calibration_file.identity,

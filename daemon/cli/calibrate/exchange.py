@@ -42,14 +42,14 @@ def export_calibration(
 ) -> None:
     """Write a calibration for OpenCV, Kalibr or ROS, with notes about what the format cannot represent."""
     from daemon.apps.calibration.exchange import write_foreign
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.common.files import write_atomically
     from daemon.rig.calibration_file import read_cameras
 
     files, notes = write_foreign(read_cameras(calibration).cameras, form)
     present = [out / name for name in files if (out / name).exists()]
     if present and not force:
-        raise DaemonError(f"{present[0]} exists already; --force replaces it")
+        raise InputError(f"{present[0]} exists already; --force replaces it")
     out.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
         write_atomically(out / name, data)

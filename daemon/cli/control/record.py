@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from daemon.cli.control.daemon_call import SLOW_S, call_daemon
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
+from daemon.common.files import checked_name
 
 _DIRECT = "direct"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) ?(ms|s|m|)")
@@ -20,11 +21,11 @@ _SUMMARY = ("pairs", "lone_frames", "parts", "bytes", "dropped", "interruptions"
 class DirectGroup(TyperGroup):
     """``record RIG`` is short for ``record direct RIG``."""
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Interpret the first argument as a sub-command if it is one, else as the rig file."""
-        if args and args[0] not in self.commands:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Interpret the first argument as a sub-command if it is one, else all of them as those of ``direct``."""
+        if args and args[0] not in (*self.commands, *ctx.help_option_names):
             args = [_DIRECT, *args]
-        return super().resolve_command(ctx, args)
+        return super().parse_args(ctx, args)
 
 
 app = typer.Typer(cls=DirectGroup, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
@@ -50,7 +51,7 @@ def start(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Start a take in a running daemon."""
-    params: dict[str, Any] = {"name": name}
+    params: dict[str, Any] = {"name": checked_name(name)}
     if (before_s := seconds_of(before)) > 0:
         params["before_s"] = before_s
     answer = call_daemon("record.start", endpoint, rig, SLOW_S, chosen_keys(key, server_key), **params)
@@ -81,7 +82,7 @@ def stop(
 
 @app.command(_DIRECT)
 def direct(
-    rig: Annotated[Path, typer.Argument(help="The rig file, rig.yaml.")],
+    rig: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="The rig file, rig.yaml.")],
     name: Annotated[str, typer.Option(help="Name of the take.")] = "take",
     seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this time.")] = None,
 ) -> None:
@@ -93,6 +94,7 @@ def direct(
     from daemon.cli.options.progress import rendering
     from daemon.common.files import restrict_umask
 
+    checked_name(name)
     restrict_umask()
     log_events()
     with StopFlag().on_signals() as flag, rendering() as progress:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Annotated, Any
 
 import typer
 
 from daemon.cli.control.daemon_call import SLOW_S, Endpoint, RigFile, Timeout, call_daemon
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
+from daemon.common.errors import InputError
 
 app = typer.Typer(add_completion=False)
 
@@ -31,8 +33,24 @@ def main(
 
 
 def parsed(text: str) -> Any:
-    """Parse a value as JSON; anything else is text."""
+    """Parse a value as JSON; anything else is text.
+
+    Raises:
+        InputError: infinite, or not a number; no setting takes it.
+    """
     try:
-        return json.loads(text)
+        value = json.loads(text)
+    except ValueError:
+        value = _number(text)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{text} is not a finite number; `fringed get PATH` shows what a setting takes")
+    return value
+
+
+def _number(text: str) -> Any:
+    """``nan`` and ``inf`` in all spellings as numbers; the text otherwise."""
+    try:
+        value = float(text)
     except ValueError:
         return text
+    return text if math.isfinite(value) else value

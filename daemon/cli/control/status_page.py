@@ -12,13 +12,15 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from daemon.cli.control.status_rows import rows
+from daemon.cli.control.status_rows import drop_rows, rows
 from daemon.common.errors import ControlError
 
 _COLORS = {"running": "green", "degraded": "yellow", "paused": "cyan", "starting": "blue", "stopping": "red"}
 _WIDE = 110
 _CAMERA = {"acquiring": "green", "paused": "cyan", "lost": "red"}
-_UPPER = ("state", "warning", "device", "clouds", "points", "pairs", "latency", "published", "dropped", "calibration")
+_UPPER = frozenset(
+    ("state", "warning", "device", "clouds", "points", "pairs", "latency", "published", "dropped", "at start")
+) | {"calibration"}
 _BAR = 24
 
 
@@ -90,8 +92,8 @@ def _measuring(status: dict[str, Any]) -> RenderableType:
     table.add_row("published", _times(status["publish_latency_ms"]) or "no subscribers")
     stages = sorted(status["stages_ms"].items(), key=lambda stage: -stage[1])[:4]
     table.add_row("stages", ", ".join(f"{name} {ms:.0f}" for name, ms in stages) + (" ms" if stages else ""))
-    drops = {name: count for name, count in status["drops"].items() if count}
-    table.add_row("dropped", ", ".join(f"{name} {count}" for name, count in drops.items()) or "none")
+    for name, drops in drop_rows(status):
+        table.add_row(name, ", ".join(f"{reason} {count}" for reason, count in drops.items()) or "none")
     return Panel(table, title="measuring", title_align="left")
 
 

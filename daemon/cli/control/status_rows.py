@@ -46,7 +46,8 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
         counted = [f"{name} {count}" for name, count in camera["driver"].items() if count]
         warm = [f"{camera['temperature_c']:.0f} °C"] if camera["temperature_c"] is not None else []
         out.append(("", f"driver: {', '.join(warm + counted) or 'no counts'}"))
-    out.append(("dropped", ", ".join(f"{name} {count}" for name, count in status["drops"].items()) or "none"))
+    for name, drops in drop_rows(status):
+        out.append((name, ", ".join(f"{reason} {count}" for reason, count in drops.items()) or "none"))
     check = status.get("selfcheck", {})
     if check.get("enabled"):
         shown = [f"{name} {one['value']:+.3f}" for name, one in check["observables"].items() if "value" in one]
@@ -59,6 +60,14 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
     out.extend(remote_rows(status.get("sinks", {}).get("remote", {})))
     out.append(("recorder", recorder_text(status["recorder"])))
     return out
+
+
+def drop_rows(status: dict[str, Any]) -> list[tuple[str, dict[str, int]]]:
+    """What was dropped in service, and apart from it while the daemon started, by reason."""
+    starting: dict[str, int] = status.get("drops_starting", {})
+    service = {reason: count - starting.get(reason, 0) for reason, count in status["drops"].items()}
+    rows = [("dropped", {reason: count for reason, count in service.items() if count})]
+    return [*rows, ("at start", starting)] if starting else rows
 
 
 def mode_text(mode: str, sequence: dict[str, Any]) -> str:

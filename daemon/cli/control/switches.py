@@ -8,6 +8,7 @@ import typer
 
 from daemon.cli.control.daemon_call import SLOW_S, Endpoint, RigFile, Timeout, call_daemon
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
+from daemon.common.files import checked_name
 
 
 def reload(
@@ -53,6 +54,7 @@ def snapshot(
     server_key: ServerKeyOption = None,
 ) -> None:
     """Write the newest cloud of a running daemon into its directory of takes, as .npz."""
+    name = checked_name(name)
     answer = call_daemon("snapshot", endpoint, rig, timeout, chosen_keys(key, server_key), name=name)
     typer.echo(f"{answer['file']}: {answer['points']} points, trigger {answer['seq']}")
 

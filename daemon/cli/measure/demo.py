@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tempfile
 import time
@@ -23,16 +24,22 @@ def main(
     seconds: Annotated[float | None, typer.Option(min=1, help="Stop after this time.")] = None,
     view: Annotated[bool, typer.Option(help="Serve the viewer to a browser.")] = True,
     small: Annotated[bool, typer.Option(help="Images of 256 x 205 pixels instead of 1024 x 820.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Render each image as it is projected: slower, with every mode and pattern.")
+    ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print more messages.")] = False,
 ) -> None:
     """Measure a simulated rig live and show it in a viewer, until Ctrl-C."""
+    simulation = options(scene, mesh, frames, rate, small=small, live=live)
+    check_options(simulation)  # before the imports, which take longer
     import logging
 
     from daemon.bootstrap.run import StopFlag, run_rig
     from daemon.bootstrap.systemd.logging_setup import log_events
     from daemon.cli.measure.demo_processes import Report, Viewer
     from daemon.cli.options.progress import rendering
-    from daemon.common.ipc_endpoints import runtime_dir
+    from daemon.common.errors import ConfigError, InputError
+    from daemon.common.ipc_endpoints import control_endpoint, runtime_dir
     from daemon.kernels.jobs import measuring_jobs, rendering_jobs
     from daemon.kernels.processes import compiling_ahead
 
@@ -41,8 +48,7 @@ def main(
         flag = stack.enter_context(StopFlag().on_signals())
         directory = _private_directory(runtime_dir())
         stack.callback(shutil.rmtree, directory, ignore_errors=True)
-        simulation = options(scene, mesh, frames, rate, small=small)
-        rig_file, endpoint = write_rig(directory, simulation)
+        rig_file, endpoint, control = write_rig(directory, simulation)
         viewer = Viewer(endpoint) if view else None
         if viewer is not None:
             stack.callback(viewer.close)
@@ -50,33 +56,64 @@ def main(
         stack.enter_context(compiling_ahead((*rendering_jobs(["rgb8"]), *measuring_jobs("rgb8"))))
         progress = stack.enter_context(rendering())
         typer.echo("Rendering the scene (cached for the next start), then measuring it live. Ctrl-C ends the demo.")
-        run_rig(rig_file, progress=progress, flag=flag, on_status=report)
+        option = "" if control == control_endpoint() else f" --endpoint {control}"
+        typer.echo(f"It is a whole daemon: fringed status{option}; also get, set, mode, record, snapshot.")
+        try:
+            run_rig(rig_file, progress=progress, flag=flag, on_status=report)
+        except ConfigError as error:  # the person has never seen the demo's rig file
+            position = re.compile(rf"{re.escape(str(rig_file))}:\d+:\d+: ")
+            raise InputError("; ".join(position.sub("", problem) for problem in error.problems)) from error
 
 
-def options(scene: str, mesh: Path | None, frames: int, rate: float, *, small: bool) -> dict[str, Any]:
+def options(
+    scene: str, mesh: Path | None, frames: int, rate: float, *, small: bool, live: bool = False
+) -> dict[str, Any]:
     """The ``simulation`` section of the demo's rig."""
     section: dict[str, Any] = {"scene": scene, "frames": frames, "rate_hz": rate}
     if mesh is not None:
         section |= {"scene": "mesh", "mesh": str(mesh.resolve())}
+    if live:
+        section["live"] = True
     if small:
         section["layout"] = {"scale": SMALL_SCALE}
     return section
 
 
-def write_rig(directory: Path, simulation: dict[str, Any]) -> tuple[Path, str]:
-    """Write rig.yaml into a directory; returns its path and the ipc endpoint of the stream."""
-    endpoint = f"ipc://{directory / 'stream'}"
+def check_options(simulation: dict[str, Any]) -> None:
+    """Check the options before anything is made of them.
+
+    Raises:
+        InputError: the first mistake, named as the option of the command line.
+    """
+    from daemon.common.errors import InputError
+    from daemon.config.simulation import simulation_problems
+
+    for path, message in simulation_problems({"cameras": {"driver": "sim"}, "simulation": simulation}, Path()):
+        raise InputError(message.replace(f"simulation.{path[-1]}", f"--{path[-1]}", 1))
+
+
+def write_rig(directory: Path, simulation: dict[str, Any]) -> tuple[Path, str, str]:
+    """Write rig.yaml into a directory; returns its path and the ipc endpoints of stream and control.
+
+    Control has the default address, where the commands expect a daemon, unless another daemon runs there.
+    """
+    from daemon.common.ipc_endpoints import control_endpoint
+    from daemon.control.rpc.connection import check_address
+
+    endpoint, control = f"ipc://{directory / 'stream'}", control_endpoint()
+    if not check_address(control):
+        control = f"ipc://{directory / 'control'}"
     rig = {
         "device": {"name": "demo"},
         "cameras": {"driver": "sim"},
         "simulation": simulation,
         "stream": {"endpoints": [endpoint, _free_tcp()]},
-        "control": {"endpoint": f"ipc://{directory / 'control'}"},
+        "control": {"endpoint": control},
         "recording": {"dir": str(Path.cwd() / "takes")},
     }
     path = directory / "rig.yaml"
     path.write_text(json.dumps(rig, indent=2), encoding="utf-8")  # JSON is YAML
-    return path, endpoint
+    return path, endpoint, control
 
 
 def _private_directory(base: Path) -> Path:

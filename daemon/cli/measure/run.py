@@ -15,7 +15,7 @@ WRONG_CONFIG = 78
 
 
 def main(
-    rig: Annotated[Path, typer.Argument(help="The rig file, rig.yaml.")],
+    rig: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="The rig file, rig.yaml.")],
     record: Annotated[str | None, typer.Option(help="Start a take of this name at once.")] = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print more messages.")] = False,
 ) -> None:
@@ -25,8 +25,10 @@ def main(
     from daemon.bootstrap.systemd.logging_setup import log_events
     from daemon.cli.options.progress import rendering
     from daemon.common.errors import ConfigError
-    from daemon.common.files import restrict_umask
+    from daemon.common.files import checked_name, restrict_umask
 
+    if record is not None:
+        checked_name(record)
     restrict_umask()
     log_events(logging.DEBUG if verbose else logging.INFO)
     supervised = "NOTIFY_SOCKET" in os.environ

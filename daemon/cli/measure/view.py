@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -12,7 +13,7 @@ import typer
 
 from daemon.apps.viewer.colors import COLORS
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
-from daemon.common.errors import DaemonError
+from daemon.common.errors import InputError
 from fringed.client import DEFAULT_ENDPOINT
 from fringed.keys import Keys
 
@@ -43,6 +44,10 @@ def main(
         raise typer.BadParameter(f"{color!r} is not one of {', '.join(COLORS)}", param_hint="--color")
     if sum((web, save is not None, screenshot is not None)) > 1:
         raise typer.BadParameter("choose one of --web, --save and --screenshot")
+    if not (web or save or screenshot or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(
+            "there is no screen (DISPLAY and WAYLAND_DISPLAY are not set); use --web for a browser, or --save FILE.rrd"
+        )
     if screenshot is not None:
         from daemon.apps.viewer.screenshot import save_screenshot
 
@@ -92,7 +97,7 @@ def _report(clouds: int, source: Any, save: Path | None) -> None:
     shown = f"{save}: {clouds} clouds" if save is not None else f"{clouds} clouds shown"
     typer.echo(f"{shown}, {source.skipped} skipped, {source.lost} lost", err=True)
     if not clouds:
-        raise DaemonError(f"no cloud arrived from {source.endpoint}; check with `fringed status` that a daemon runs")
+        raise InputError(f"no cloud arrived from {source.endpoint}; check with `fringed status` that a daemon runs")
 
 
 def _on_signals(stack: ExitStack) -> Callable[[], bool]:

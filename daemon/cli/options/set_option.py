@@ -13,9 +13,9 @@ def parsed_settings(texts: list[str]) -> Settings:
     """The pipeline's settings changed by ``key=value`` texts.
 
     Raises:
-        DaemonError: a text of another form; PipelineError: an unknown key or invalid value.
+        InputError: a text of another form; PipelineError: an unknown key or invalid value.
     """
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from pipeline.common.settings import Settings
 
     changes: dict[str, object] = {}
@@ -24,5 +24,5 @@ def parsed_settings(texts: list[str]) -> Settings:
         try:
             changes[key.strip()] = json.loads(value)
         except ValueError as error:
-            raise DaemonError(f"--set {text}: expected key=value with a number, true or false") from error
+            raise InputError(f"--set {text}: expected key=value with a number, true or false") from error
     return Settings().with_overrides(changes)

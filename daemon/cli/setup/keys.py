@@ -32,7 +32,7 @@ def new(
     to: Annotated[Path, typer.Option("--to", help="Write the two files here.")] = Path(),
 ) -> None:
     """Create a key: NAME.key for its owner, NAME.pub for the rig."""
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.keys.key_store import write_key
     from fringed.keys import new_key
 
@@ -40,7 +40,7 @@ def new(
     files = to / f"{name}.key", to / f"{name}.pub"
     for path in files:
         if path.exists():
-            raise DaemonError(f"{path} exists already and was not changed; choose another name or remove it")
+            raise InputError(f"{path} exists already and was not changed; choose another name or remove it")
     write_key(files[0], key, secret=True)
     write_key(files[1], key, secret=False)
     typer.echo(f"{files[0]}: keep this file secret\n{files[1]}: on the rig, run fringed keys allow {files[1].name}")
@@ -64,7 +64,7 @@ def allow(
     rig: RigOption = None,
 ) -> None:
     """Allow a key to connect, or change its roles; effective at once, without a restart."""
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.keys.authorized_keys import Entry, role
     from fringed.keys import read_key
 
@@ -72,7 +72,7 @@ def allow(
     try:
         entry = Entry(name or key.name, role("stream", stream), role("control", control), key.public)
     except ValueError as error:
-        raise DaemonError(str(error)) from None
+        raise InputError(str(error)) from None
     store.make_server()
     store.allow(entry)
     typer.echo(f"{entry.name}: stream {entry.stream}, control {entry.control}; the client also needs {store.public}")
@@ -108,7 +108,7 @@ def revoke(
 
 
 def _store(directory: Path | None, rig: Path | None) -> KeyStore:
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.keys.key_store import KeyStore, default_dir
 
     if directory is not None:
@@ -119,5 +119,5 @@ def _store(directory: Path | None, rig: Path | None) -> KeyStore:
 
     directory = keys_dir(rig)
     if directory is None:
-        raise DaemonError(f"{rig}: security.keys is missing; add `security: {{keys: keys}}` to it, or use --dir")
+        raise InputError(f"{rig}: security.keys is missing; add `security: {{keys: keys}}` to it, or use --dir")
     return KeyStore(directory)

@@ -65,7 +65,7 @@ def latency_text(latency: Latency) -> str:
 
 def store(rig: Path, latency_ms: float) -> None:
     """Write the latency into the rig file without other changes."""
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.common.files import write_atomically
     from daemon.config import parse_rig
     from daemon.config.yaml_edit import with_value
@@ -73,5 +73,5 @@ def store(rig: Path, latency_ms: float) -> None:
     text = rig.read_text(encoding="utf-8")
     config = parse_rig(text, name=str(rig), base_dir=rig.parent, complete=False)
     if config.projector is not None and "latency_frames" in config.projector.options:
-        raise DaemonError(f"{rig}: projector.options.latency_frames sets the latency already; remove it first")
+        raise InputError(f"{rig}: projector.options.latency_frames sets the latency already; remove it first")
     write_atomically(rig, with_value(text, _KEY, latency_ms).encode())

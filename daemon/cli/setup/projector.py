@@ -183,21 +183,21 @@ def describe(output: DetectedOutput) -> str:
 
 
 def read_png(path: Path) -> NDArray[np.uint8]:
-    """Read an 8-bit grey or colour PNG as (H, W, 3) red, green, blue; DaemonError for other files."""
+    """Read an 8-bit grey or colour PNG as (H, W, 3) red, green, blue; InputError for other files."""
     import cv2
     import numpy as np
 
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.common.files import read_at_most
 
-    data = read_at_most(path, PNG_LIMIT, DaemonError)
+    data = read_at_most(path, PNG_LIMIT, InputError)
     # Lossy formats are rejected, because they change pixels.
     is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
     if image is None:
-        raise DaemonError(f"{path}: not a readable image; expected an 8-bit PNG")
+        raise InputError(f"{path}: not a readable image; expected an 8-bit PNG")
     if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] != 3):
-        raise DaemonError(f"{path}: {image.dtype} {image.shape}; expected 8 bits, grey or red-green-blue, no alpha")
+        raise InputError(f"{path}: {image.dtype} {image.shape}; expected 8 bits, grey or red-green-blue, no alpha")
     return np.ascontiguousarray(np.repeat(image[..., None], 3, 2) if image.ndim == 2 else image[..., ::-1])
 
 
@@ -205,7 +205,7 @@ def _projector(
     output: str | None, display: str, rig: Path | None, any_mode: bool, reset_gamma: bool
 ) -> OutputProjector | ExternalProjector:
     """Open the projector of the command line, or of a rig file with the command line's changes."""
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from drivers.projector import open_external, open_projector
 
     driver, options = _section(rig) if rig is not None else ("", {})
@@ -220,21 +220,21 @@ def _projector(
             raise typer.BadParameter("give --output or --rig; see: fringed projector list")
         return open_projector(options, base_dir)
     except ValueError as error:
-        raise DaemonError(f"{rig}: {error}" if rig is not None else str(error)) from None
+        raise InputError(f"{rig}: {error}" if rig is not None else str(error)) from None
 
 
 def _section(rig: Path) -> tuple[str, dict[str, Any]]:
     """Driver and options of the projector section; the rest of the file is not checked."""
-    from daemon.common.errors import ConfigError, DaemonError
+    from daemon.common.errors import ConfigError, InputError
     from daemon.common.files import read_at_most
     from daemon.config.yaml_source import read_yaml
 
-    source = read_yaml(read_at_most(rig, RIG_LIMIT, DaemonError).decode("utf-8", errors="replace"))
+    source = read_yaml(read_at_most(rig, RIG_LIMIT, InputError).decode("utf-8", errors="replace"))
     if source.problems:
         raise ConfigError([f"{rig}:{p.line}:{p.column}: {p.message}" for p in source.problems])
     section = source.data.get("projector") if isinstance(source.data, dict) else None
     if not isinstance(section, dict) or not isinstance(section.get("options", {}), dict):
-        raise DaemonError(f"{rig}: no section projector with driver and options")
+        raise InputError(f"{rig}: no section projector with driver and options")
     if section.get("driver") == "sim":
-        raise DaemonError(f"{rig}: projector.driver is sim, which cannot show images")
+        raise InputError(f"{rig}: projector.driver is sim, which cannot show images")
     return str(section.get("driver")), dict(section.get("options", {}))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,13 +12,17 @@ import typer
 
 if TYPE_CHECKING:
     from daemon.apps.export.sources import Clouds
+    from pipeline.common.settings import Settings
 
 _VIDEOS = (".mp4", ".avi")
 
 
 def main(
-    source: Annotated[Path, typer.Argument(help="Directory of a replay (cloud_NNNNNN.npz), or a take.")],
-    out: Annotated[Path, typer.Option(help="Directory for the clouds, or a video: NAME.mp4, NAME.avi.")],
+    source: Annotated[Path, typer.Argument(help="A cloud or snapshot (.npz), a take, or a directory of them.")],
+    out: Annotated[
+        Path,
+        typer.Option(help="Directory for the clouds, of several takes one each; or a video: NAME.mp4, NAME.avi."),
+    ],
     kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: ply, pcd or npz.")] = "ply",
     near: Annotated[float | None, typer.Option(min=0, help="Video: depth of the warmest colour, mm.")] = None,
     far: Annotated[float | None, typer.Option(min=0, help="Video: depth of the coldest colour, mm.")] = None,
@@ -26,38 +32,93 @@ def main(
 ) -> None:
     """Convert clouds to PLY or PCD files, or to a video of depth maps."""
     from daemon.apps.export.cloud_files import KINDS
-    from daemon.apps.export.sources import is_take, reconstructed_clouds, saved_clouds
-    from daemon.cli.options.progress import rendering
+    from daemon.apps.export.sources import contents
     from daemon.cli.options.set_option import parsed_settings
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
 
     if kind not in KINDS:
-        raise DaemonError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
-    from_take, settings = is_take(source), parsed_settings(set_ or [])
-    if not from_take and (calibration is not None or set_):
-        raise DaemonError(f"{source} contains clouds; --calibration and --set require a take")
-    with rendering(f"Exporting {source.name}") as progress:
+        raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
+    found, settings = contents(source), parsed_settings(set_ or [])
+    for name, reason in found.left_out.items():
+        typer.echo(f"left out: {name}: {reason}", err=True)
+    if not found.takes and (calibration is not None or set_):
+        raise InputError(f"{source} contains clouds; --calibration and --set require a take")
+    video = out.suffix.lower() in _VIDEOS
+    parts = _Parts(found.clouds, found.takes, calibration, settings)
+    if video:
+        one = parts.only(source)
+        count = _video(one.clouds, one.take, out, near, far, rate)
+        typer.echo(f"{count} images in {out}")
+        return
+    for part in parts.all():
+        target = out / part.take_name if part.take_name and parts.several else out
+        count = _files(part.clouds(), target, kind)
+        typer.echo(f"{count} {'cloud' if count == 1 else 'clouds'} in {target}")
 
-        def clouds() -> Clouds:
-            if not from_take:
-                return saved_clouds(source, progress)
-            return reconstructed_clouds(source, progress, calibration=calibration, settings=settings)
 
-        if out.suffix.lower() in _VIDEOS:
-            count = _video(clouds, source if from_take else None, out, near, far, rate)
-        else:
-            count = _files(clouds(), out, kind)
-    typer.echo(f"{count} {'images' if out.suffix.lower() in _VIDEOS else 'clouds'} in {out}")
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """The clouds of a directory, or those of one take."""
+
+    clouds: Callable[[], Clouds]
+    take: Path | None = None
+
+    @property
+    def take_name(self) -> str:
+        return "" if self.take is None else self.take.name.partition(".mcap")[0]
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """Cloud files and takes of a source."""
+
+    files: list[Path]
+    takes: list[Path]
+    calibration: Path | None
+    settings: Settings
+
+    @property
+    def several(self) -> bool:
+        """Whether each take has a directory of its own."""
+        return len(self.takes) + bool(self.files) > 1
+
+    def all(self) -> list[_Part]:
+        """The files first, then each take."""
+        saved = [_Part(self._saved)] if self.files else []
+        return [*saved, *(_Part(partial(self._reconstructed, take), take) for take in self.takes)]
+
+    def only(self, source: Path) -> _Part:
+        """The one part of a video; InputError when there are several."""
+        if self.several:
+            names = ", ".join([*(["clouds"] if self.files else []), *(take.name for take in self.takes)])
+            from daemon.common.errors import InputError
+
+            raise InputError(f"{source} contains {names}; a video shows one of them: name a take")
+        return self.all()[0]
+
+    def _saved(self) -> Clouds:
+        from daemon.apps.export.sources import saved_clouds
+        from daemon.cli.options.progress import rendering
+
+        with rendering("Exporting clouds") as progress:
+            yield from saved_clouds(self.files, progress)
+
+    def _reconstructed(self, take: Path) -> Clouds:
+        from daemon.apps.export.sources import reconstructed_clouds
+        from daemon.cli.options.progress import rendering
+
+        with rendering(f"Exporting {take.name}") as progress:
+            yield from reconstructed_clouds(take, progress, calibration=self.calibration, settings=self.settings)
 
 
 def _files(clouds: Clouds, out: Path, kind: str) -> int:
-    from daemon.apps.export.cloud_files import cloud_bytes, cloud_name
+    from daemon.apps.export.cloud_files import cloud_bytes
     from daemon.common.files import write_atomically
 
-    out.mkdir(parents=True, exist_ok=True)
     count = 0
-    for sequence, cloud in clouds:
-        write_atomically(out / cloud_name(sequence, kind), cloud_bytes(cloud, kind))
+    for name, cloud in clouds:
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomically(out / f"{name}.{kind}", cloud_bytes(cloud, kind))
         count += 1
     return count
 
@@ -66,7 +127,7 @@ def _video(
     clouds: Callable[[], Clouds], take: Path | None, out: Path, near: float | None, far: float | None, rate: float
 ) -> int:
     from daemon.apps.export.depth_video import depth_image, depth_limits, write_video
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.recording.read.take_reader import TakeReader
 
     if near is None or far is None:
@@ -78,7 +139,7 @@ def _video(
             limits = volume.near_mm, volume.far_mm
         near, far = (limits[0] if near is None else near), (limits[1] if far is None else far)
     if near >= far:
-        raise DaemonError(f"--near {near:g} mm must be smaller than --far {far:g} mm")
+        raise InputError(f"--near {near:g} mm must be smaller than --far {far:g} mm")
     out.parent.mkdir(parents=True, exist_ok=True)
     warm, cold = near, far
 

@@ -26,7 +26,7 @@ class ReplayCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Add the value of a ``--rerun`` without a file."""
         completed: list[str] = []
-        for argument, following in zip(args, [*args[1:], ""], strict=True):
+        for argument, following in zip(args, [*args, ""][1:], strict=True):
             completed.append(argument)
             if argument == "--rerun" and not following.endswith(".rrd"):
                 completed.append(_VIEWER)
@@ -72,18 +72,18 @@ def main(
     from daemon.apps.replay import golden
     from daemon.apps.replay.runner import Replay
     from daemon.cli.options.set_option import parsed_settings
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.recording.read.take_reader import TakeReader
     from pipeline.monitor.checked_reconstructor import Policy
 
     if kind not in KINDS:
-        raise DaemonError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
+        raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
     if rerun is None and expect is None and bless is None and out is None:
         if not no_output:
-            raise DaemonError("no destination for the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
+            raise InputError("no destination for the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
         out = Path()
     if calibration_check not in get_args(Policy):
-        raise DaemonError(
+        raise InputError(
             f"--calibration-check is {calibration_check!r}, expected one of: {', '.join(get_args(Policy))}"
         )
     expected = golden.load(expect) if expect is not None else None
@@ -134,12 +134,12 @@ def _replay(
     """Reconstruct every pair; write, show and evaluate each cloud."""
     from daemon.apps.replay.golden import statistics
     from daemon.cli.options.progress import rendering
+    from daemon.cli.takes.replay_directory import ReplayDirectory
 
     runs: list[Run] = []
     figures: list[PairStatistics] = []
     size = replay.take.size
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+    target = ReplayDirectory(out, replay.take.path) if out is not None else None
     with ExitStack() as stack:
         show = _viewer(rerun, stack) if rerun is not None else None
         compiling = stack.enter_context(rendering("Compiling the kernels"))
@@ -148,20 +148,16 @@ def _replay(
         for result in replay.results(repeat=repeat, progress=lambda position: progress(position, size)):
             runs.extend(result.runs)
             figures.append(statistics(result.pair.sequence, result.cloud.xyz[..., 2], cell))
-            if out is not None:
-                _write(out, kind, result)
+            if target is not None:
+                target.write(kind, result)
             if show is not None:
                 show(result)
         progress(size, size)
+    if target is not None:
+        target.begin()  # also without any cloud
+        if target.removed:
+            typer.echo(f"{out}: {target.removed} clouds of an earlier replay removed", err=True)
     return runs, figures
-
-
-def _write(out: Path, kind: str, result: Result) -> None:
-    from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
-    from daemon.common.files import write_atomically
-
-    cloud = SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
-    write_atomically(out / cloud_name(result.pair.sequence, kind), cloud_bytes(cloud, kind))
 
 
 def _viewer(rerun: str, stack: ExitStack) -> Callable[[Result], None]:

@@ -53,20 +53,20 @@ def main(
     from daemon.apps.reprocess.job import CLOUD_KINDS, Job
     from daemon.apps.reprocess.plan.recordings import recordings_of
     from daemon.cli.options.set_option import parsed_settings
-    from daemon.common.errors import DaemonError
+    from daemon.common.errors import InputError
     from daemon.common.files import read_at_most
     from daemon.rig.calibration_file import SIZE_LIMIT, parse_calibration
     from pipeline.monitor.checked_reconstructor import Policy
 
     if kind not in (*CLOUD_KINDS, "none"):
-        raise DaemonError(f"unknown cloud format {kind!r}, expected one of: {', '.join(CLOUD_KINDS)}, none")
+        raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(CLOUD_KINDS)}, none")
     if calibration_check not in get_args(Policy):
-        raise DaemonError(
+        raise InputError(
             f"--calibration-check is {calibration_check!r}, expected one of: {', '.join(get_args(Policy))}"
         )
     if scheduler is not None and workers is not None:
-        raise DaemonError("--workers starts processes here; with --scheduler start them by `fringed worker ADDRESS`")
-    data = None if calibration is None else read_at_most(calibration, SIZE_LIMIT, DaemonError)
+        raise InputError("--workers starts processes here; with --scheduler start them by `fringed worker ADDRESS`")
+    data = None if calibration is None else read_at_most(calibration, SIZE_LIMIT, InputError)
     if data is not None:
         parse_calibration(data, str(calibration))
     job = Job(

@@ -9,7 +9,7 @@ import pytest
 
 from daemon.cli import entry
 from daemon.cli.command_table import COMMANDS
-from daemon.common.errors import ConfigError
+from daemon.common.errors import ConfigError, DaemonError, InputError, NoDaemonError
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
@@ -26,21 +26,39 @@ def test_the_help_imports_nothing_heavy_and_names_every_command() -> None:
 
 
 def test_an_unknown_command_is_a_usage_error() -> None:
-    process = python("import sys; from daemon.cli.entry import run; sys.exit(run(['mesure']))")
-    assert process.returncode == 2 and "No such command 'mesure'" in process.stderr
+    process = python("import sys; from daemon.cli.entry import run; sys.exit(run(['staus']))")
+    assert process.returncode == 2
+    assert process.stderr == "fringed: there is no command 'staus'; did you mean 'status'?; see `fringed -h`\n"
 
 
-def test_an_expected_error_is_one_sentence_and_exit_code_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_the_short_option_for_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.run([name, "-h"]) == 0
+    assert f"Usage: fringed {name} " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "sentence"),
+    [
+        (ConfigError(["rig.yaml:1:1: no good"]), 2, "rig.yaml:1:1: no good"),
+        (InputError("--near 5 mm must be smaller"), 2, "--near 5 mm must be smaller"),
+        (NoDaemonError("no daemon answers at x"), 2, "no daemon answers at x"),
+        (FileNotFoundError(2, "No such file or directory", "nope.yaml"), 2, "nope.yaml: no such file or directory"),
+        (OSError(28, "No space left on device", "takes"), 1, "takes: no space left on device"),
+        (DaemonError("the disk is full"), 1, "the disk is full"),
+    ],
+)
+def test_an_expected_error_is_one_sentence_and_2_if_the_input_is_wrong(
+    error: Exception, status: int, sentence: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(arguments: list[str]) -> int:
-        raise ConfigError([f"rig.yaml:1:1: no good {arguments}"])
+    def fail(_: list[str]) -> int:
+        raise error
 
     monkeypatch.setattr("daemon.cli.command_table.invoke", fail)
     monkeypatch.delenv("FRINGED_DEBUG", raising=False)
-    assert entry.run(["run"]) == 1
-    assert capsys.readouterr().err == "fringed: rig.yaml:1:1: no good ['run']\n"
-    with pytest.raises(ConfigError):
+    assert entry.run(["run"]) == status
+    assert capsys.readouterr().err == f"fringed: {sentence}\n"
+    with pytest.raises(type(error)):
         entry.run(["run", "--debug"])
 
 
@@ -57,5 +75,5 @@ def test_without_the_packages_of_a_rig_the_installation_is_described() -> None:
     process = python(
         "import sys; sys.modules['typer'] = None; from daemon.cli.entry import run; sys.exit(run(['--help']))"
     )
-    assert process.returncode == 1
+    assert process.returncode == 2
     assert "pip install 'fringed[rig]'" in process.stderr and "Traceback" not in process.stderr

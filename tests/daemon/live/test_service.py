@@ -67,7 +67,8 @@ def test_every_pair_becomes_a_cloud_and_is_offered_raw_before(running: Running) 
     assert [item.seq for item in running.sink.clouds] == list(range(6))
     assert [item.left.trigger for item in running.sink.pairs] == list(range(6))
     status = running.service.status()
-    assert status.pairs == status.clouds == 6 and status.drops == {}
+    assert status.pairs == status.clouds == 6 and status.drops == status.drops_starting == {}
+    assert set(status.processors) == {"share", "lost_s"}
     assert status.cameras["left"].fates["paired"] == 6
     assert set(status.latency_ms) == {"p50", "p95", "p99", "p999", "max", "last"}
     assert status.publish_latency_ms == {} and status.measured_every == 1

@@ -142,7 +142,7 @@ def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) ->
     wait_until(lambda: running.remote()["cut"].get("control_revoked"))
     endpoint = f"tcp://127.0.0.1:{running.control}"
     refused = running.remotely("screen", "status", "--endpoint", endpoint, "--timeout", "2")
-    assert refused.returncode == 1 and "does it allow this key" in refused.stderr
+    assert refused.returncode == 2 and "does it allow this key" in refused.stderr
     family = listening_addresses.family(running.process.pid)
     running.process.send_signal(signal.SIGTERM)
     running.process.wait(90)
@@ -154,4 +154,4 @@ def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) ->
 def test_a_missing_key_is_reported_with_the_line_of_the_file(tmp_path: Path, fringed: Fringed) -> None:
     (tmp_path / "rig.yaml").write_text(RIG.format(tmp=tmp_path))
     done = fringed("run", str(tmp_path / "rig.yaml"))
-    assert done.returncode == 1 and "rig.yaml:11:18: security.keys" in done.stderr and "keys server" in done.stderr
+    assert done.returncode == 2 and "rig.yaml:11:18: security.keys" in done.stderr and "keys server" in done.stderr

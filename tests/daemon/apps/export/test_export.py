@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name, clouds_in, read_cloud
+from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name, read_cloud
 from daemon.apps.export.depth_video import depth_image, depth_limits, write_video
+from daemon.apps.export.sources import contents
 from daemon.common.errors import DaemonError
 
 
@@ -74,15 +75,14 @@ def test_npz_round_trip_is_exact_and_the_bytes_repeat(tmp_path: Path) -> None:
     back = read_cloud(path)
     for name in ("xyz", "sigma_mm", "gray"):
         np.testing.assert_array_equal(getattr(back, name), getattr(cloud, name))
-    assert clouds_in(tmp_path) == [(7, path)]
+    assert contents(tmp_path).clouds == [path]
 
 
 def test_names_have_six_digits_and_sort_by_number(tmp_path: Path) -> None:
     assert cloud_name(42, "ply") == "cloud_000042.ply"
     for sequence in (1_000_000, 3, 20):
         (tmp_path / cloud_name(sequence, "npz")).touch()
-    (tmp_path / "cloud_12.npz").touch()
-    assert [sequence for sequence, _ in clouds_in(tmp_path)] == [3, 20, 1_000_000]
+    assert [path.name for path in contents(tmp_path).clouds] == [cloud_name(n, "npz") for n in (3, 20, 1_000_000)]
 
 
 def test_an_unknown_format_is_named() -> None:

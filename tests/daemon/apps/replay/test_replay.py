@@ -57,6 +57,60 @@ def test_the_results_have_the_documented_format(take: Path, tmp_path: Path) -> N
         np.testing.assert_allclose(xyz[known][:, :2], expected, atol=1e-3)  # on the viewing ray of its pixel
 
 
+def names_in(directory: Path) -> list[str]:
+    return sorted(path.name for path in directory.iterdir())
+
+
+def test_a_second_replay_leaves_no_cloud_of_the_first(
+    take: Path, tmp_path: Path, images: list[small_take.Images], capsys: pytest.CaptureFixture[str]
+) -> None:
+    shorter = small_take.write(tmp_path / "shorter.mcap", images[:1])
+    out = tmp_path / "out"
+    assert replay(take, "--out", out) == 0
+    (out / "notes.txt").touch()
+    assert replay(shorter, "--out", out, "--format", "ply") == 0
+    assert names_in(out) == ["cloud_000040.ply", "notes.txt", "summary.json"]
+    assert "3 clouds of an earlier replay removed" in capsys.readouterr().err
+    assert summary_in(out)["complete"] and summary_in(out)["take"] == str(shorter)
+
+
+def test_a_replay_that_cannot_begin_leaves_the_earlier_one_alone(take: Path, tmp_path: Path) -> None:
+    assert replay(take, "--out", tmp_path / "out") == 0
+    before = names_in(tmp_path / "out")
+    small = tmp_path / "small.yaml"
+    small.write_bytes(small_take.CALIBRATION.replace(b"- 128\n", b"- 126\n", 1))
+    assert replay(take, "--out", tmp_path / "out", "--calibration", small) == 2
+    assert names_in(tmp_path / "out") == before and summary_in(tmp_path / "out")["complete"]
+
+
+def test_an_interrupted_replay_is_marked_and_can_be_repeated(
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from daemon.cli.takes.replay_directory import ReplayDirectory
+
+    def interrupted(self: ReplayDirectory, kind: str, result: Any) -> None:
+        write(self, kind, result)
+        raise KeyboardInterrupt
+
+    write = ReplayDirectory.write
+    monkeypatch.setattr(ReplayDirectory, "write", interrupted)
+    assert replay(take, "--out", tmp_path) == 130
+    assert summary_in(tmp_path) == {"take": str(take), "complete": False}
+    assert names_in(tmp_path) == ["cloud_000040.npz", "summary.json"]
+    monkeypatch.undo()
+    assert replay(take, "--out", tmp_path) == 0
+    assert len(names_in(tmp_path)) == 4
+
+
+def test_clouds_that_no_replay_wrote_are_not_touched(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cloud_000007.ply").write_text("mine")
+    assert replay(take, "--out", tmp_path) == 2
+    assert "1 clouds that no replay wrote (cloud_000007.ply" in capsys.readouterr().err
+    assert (tmp_path / "cloud_000007.ply").read_text() == "mine" and len(names_in(tmp_path)) == 1
+
+
 def test_the_clouds_are_those_of_the_pipeline(take: Path, tmp_path: Path, images: list[small_take.Images]) -> None:
     replay(take, "--out", tmp_path)
     layout = small_take.LAYOUT
@@ -203,7 +257,7 @@ def test_an_invalid_golden_file_is_rejected_by_name(
 ) -> None:
     golden = tmp_path / "golden.json"
     golden.write_text(json.dumps({"fringed_golden": 1, "cell": 32, "pairs": []} | change))
-    assert replay(take, "--expect", golden) == 1
+    assert replay(take, "--expect", golden) == 2
     error = capsys.readouterr().err
     assert "golden.json" in error
     assert message in error
@@ -226,7 +280,7 @@ def test_errors_on_the_command_line_are_reported(
         ((tmp_path / "empty.mcap", "--out", tmp_path), "empty.mcap"),
         ((tmp_path / "absent.mcap", "--out", tmp_path), "absent.mcap"),
     ):
-        assert replay(*arguments) == 1
+        assert replay(*arguments) == 2
         assert message in capsys.readouterr().err
 
 

@@ -92,6 +92,6 @@ def test_the_report_is_well_formed_and_links_the_recordings(take: Path, tmp_path
 def test_wrong_arguments_are_refused(
     take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
-    assert reprocess(take, "--out", tmp_path / "out", *arguments) == 1
+    assert reprocess(take, "--out", tmp_path / "out", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -73,7 +73,7 @@ def test_ready_with_the_first_cloud_then_reloads_then_a_graceful_stop(
     assert "Traceback" not in log.read_text()
 
 
-@pytest.mark.parametrize(("supervised", "status"), [(True, 78), (False, 1)])
+@pytest.mark.parametrize(("supervised", "status"), [(True, 78), (False, 2)])
 def test_an_invalid_rig_file_has_an_exit_status_of_its_own_for_a_manager(
     tmp_path: Path, manager: Manager, supervised: bool, status: int
 ) -> None:

@@ -81,6 +81,7 @@ def test_a_running_daemon_captures_the_images_and_continues_measuring(tmp_path: 
     with subprocess.Popen([sys.executable, "-c", DAEMON, str(rig)]) as daemon:
         try:
             with ControlClient(f"ipc://{tmp_path}/c", timeout_s=60.0) as client:
+                wait_until(lambda: (tmp_path / "c").is_socket(), 60)
                 wait_until(lambda: client.call("status")["state"] == "running", 60)
                 process = calibrate("cameras", rig)
                 wait_until(lambda: client.call("status")["state"] == "running")

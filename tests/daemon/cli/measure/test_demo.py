@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 
+from daemon.cli.control.status_rows import drop_rows
 from daemon.cli.measure import demo, demo_processes
+from daemon.common.ipc_endpoints import control_endpoint
 from daemon.config import load_rig
+from daemon.control.rpc.server import ControlServer
 from tools.waiting import wait_until
 
 STATUS: dict[str, Any] = {
@@ -24,9 +27,31 @@ STATUS: dict[str, Any] = {
 
 @pytest.mark.parametrize("small", [True, False])
 def test_the_demo_writes_a_valid_rig_file(tmp_path: Path, small: bool) -> None:
-    path, endpoint = demo.write_rig(tmp_path, demo.options("moving", None, 3, 2.0, small=small))
+    path, endpoint, _ = demo.write_rig(tmp_path, demo.options("moving", None, 3, 2.0, small=small))
     config = load_rig(path)
     assert endpoint in config.stream.endpoints and config.simulation["frames"] == 3
+
+
+def test_the_demo_is_found_where_commands_expect_a_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    path, _, control = demo.write_rig(tmp_path, demo.options("moving", None, 3, 2.0, small=True))
+    assert control == control_endpoint() == load_rig(path).control.endpoint
+    server = ControlServer(control, {})  # now another daemon has it
+    try:
+        path, _, other = demo.write_rig(tmp_path, demo.options("moving", None, 3, 2.0, small=True))
+    finally:
+        server.start()
+        server.close()
+    assert other == f"ipc://{tmp_path}/control" == load_rig(path).control.endpoint
+
+
+def test_what_was_dropped_while_starting_is_counted_apart() -> None:
+    drops = {"pairs_not_ready": 40, "pairs_pipeline_busy": 2}
+    status = STATUS | {"drops": drops, "drops_starting": {"pairs_not_ready": 39}}
+    assert demo_processes.line(status).endswith("dropped 3 (39 while starting)")
+    rows = dict(drop_rows(status))
+    assert rows == {"dropped": {"pairs_not_ready": 1, "pairs_pipeline_busy": 2}, "at start": {"pairs_not_ready": 39}}
 
 
 def test_the_line_contains_rate_points_and_latency() -> None:

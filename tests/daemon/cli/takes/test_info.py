@@ -13,6 +13,7 @@ from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
 from daemon.cli.entry import run
 from daemon.recording.read.inspect import gaps, inspect, unwrapped
 from daemon.recording.read.take_reader import TakeReader
+from tests.daemon.recording import small_take
 from tests.daemon.recording.takes import pair, unpaired, write
 
 PATTERN = {
@@ -141,11 +142,40 @@ def test_export_rejects_invalid_options(tmp_path: Path, capsys: pytest.CaptureFi
         ([str(tmp_path / "x"), "--set", "min_modulation=7"], "require a take"),
         ([str(tmp_path / "x.mp4"), "--near", "9", "--far", "8"], "smaller"),
     ):
-        assert run(base + extra) == 1
+        assert run(base + extra) == 2
         assert message in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
-    assert run(["export", str(tmp_path / "empty"), "--out", str(tmp_path / "x")]) == 1
-    assert "no cloud_NNNNNN.npz" in capsys.readouterr().err
+    assert run(["export", str(tmp_path / "empty"), "--out", str(tmp_path / "x")]) == 2
+    assert "no clouds (*.npz) and no takes (*.mcap)" in capsys.readouterr().err
+
+
+def test_a_snapshot_and_a_single_cloud_are_exported_under_their_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_clouds(tmp_path / "clouds", 2)
+    (tmp_path / "clouds" / "cloud_000001.npz").rename(tmp_path / "clouds" / "face_000815.npz")
+    for name in ("cloud_000000", "face_000815"):
+        assert run(["export", str(tmp_path / "clouds" / f"{name}.npz"), "--out", str(tmp_path / name)]) == 0
+        assert [path.name for path in (tmp_path / name).iterdir()] == [f"{name}.ply"]
+    assert capsys.readouterr().out == f"1 cloud in {tmp_path / 'cloud_000000'}\n1 cloud in {tmp_path / 'face_000815'}\n"
+    assert run(["export", str(tmp_path / "clouds"), "--out", str(tmp_path / "all")]) == 0
+    assert sorted(path.name for path in (tmp_path / "all").iterdir()) == ["cloud_000000.ply", "face_000815.ply"]
+
+
+def test_every_take_of_a_directory_is_exported_into_its_own_and_clouds_beside_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_clouds(tmp_path / "in", 1)
+    images = small_take.render()
+    for name in ("a", "b"):
+        small_take.write(tmp_path / "in" / f"{name}.mcap", images[:1], session=name)
+    (tmp_path / "in" / "c.mcap").write_text("not at all")
+    assert run(["export", str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
+    assert "left out: c.mcap: " in capsys.readouterr().err
+    files = sorted(str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.ply"))
+    assert files == ["a/cloud_000040.ply", "b/cloud_000040.ply", "cloud_000000.ply"]
+    assert run(["export", str(tmp_path / "in"), "--out", str(tmp_path / "video.mp4")]) == 2
+    assert "clouds, a.mcap, b.mcap; a video shows one of them" in capsys.readouterr().err
 
 
 @pytest.mark.shared
