@@ -114,7 +114,7 @@ def measure_sample(job: Job, url: str, pairs: int) -> ChunkOutcome:
                     out.failed += number in chosen
                     continue
                 if number in chosen:
-                    share = shares(cloud)
+                    share = shares(cloud, run.points)
                     out.points.append(run.points)
                     out.coverage.append(share["coverage"])
                     out.rejected.append(share["rejected"])

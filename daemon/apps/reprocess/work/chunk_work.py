@@ -19,7 +19,7 @@ from daemon.apps.replay.reconstruct_item import check_size, timed, warmed_recons
 from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
 from daemon.apps.reprocess.destination.cloud_store import write_row
 from daemon.apps.reprocess.destination.results import ChunkManifest, TakeResults
-from daemon.apps.reprocess.job import Job
+from daemon.apps.reprocess.job import Job, release
 from daemon.apps.reprocess.locations import location, remote, write_whole
 from daemon.apps.reprocess.plan.chunk_plan import Chunk, PlannedItem
 from daemon.apps.reprocess.plan.take_heads import Place
@@ -125,8 +125,22 @@ def _lasting(error: OSError) -> bool:
     )
 
 
+def _check_release(job: Job) -> None:
+    """Refuse to mix the results of two releases in one recording."""
+    here = release()
+    if here != dict(job.release):
+        names = [
+            f"{name} {here[name]} instead of {number}" for name, number in job.release.items() if here[name] != number
+        ]
+        raise DaemonError(
+            f"the worker on {socket.gethostname()} has {', '.join(names)}; install the same packages there, then "
+            "--retry-failed"
+        )
+
+
 def _process(task: ChunkTask) -> ChunkManifest:
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
+    _check_release(task.job)
     take, job = _open_take.get(task.url, task.bytes), task.job
     loader, results = FrameLoader(take), TakeResults(location(task.folder))
     calibration = calibration_of(take, job)
@@ -157,7 +171,7 @@ def _process(task: ChunkTask) -> ChunkManifest:
         finally:
             state = capture(reconstructor)
         prior.measured(planned.sequence, planned.t_ns, 1)
-        manifest.rows.append(dataclasses.asdict(run) | shares(cloud))
+        manifest.rows.append(dataclasses.asdict(run) | shares(cloud, run.points))
         _write(task, row, planned, cloud, results, manifest)
     if damaged:
         raise _Damage(damaged)
@@ -183,12 +197,12 @@ def _write(
     manifest.files.append(name)
 
 
-def shares(cloud: Cloud) -> dict[str, float]:
-    """Share of the pixels that have a point, and share of the lit ones that have none."""
-    valid = np.isfinite(cloud.xyz[..., 2])
-    lit = cloud.modulation[0] >= _LIT
+def shares(cloud: Cloud, points: int) -> dict[str, float]:
+    """Share of the pixels that have a point, and share of the lit ones that have none, of every fourth row."""
+    valid = np.isfinite(cloud.xyz[::4, :, 2])
+    lit = cloud.modulation[0][::4] >= _LIT
     rejected = int(np.count_nonzero(lit & ~valid)) / max(1, int(np.count_nonzero(lit)))
-    return {"coverage": round(float(valid.mean()), 6), "rejected": round(float(rejected), 6)}
+    return {"coverage": round(points / cloud.gray.size, 6), "rejected": round(rejected, 6)}
 
 
 def reconstructor_for(
