@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fringed.client import ReceivedCloud, asubscribe, subscribe
+    from fringed.cloud_store import StoredCloud, StoredClouds, open_clouds
     from fringed.errors import FringedError, KeyFileError, SilenceError, WireError
     from fringed.keys import Keys
 
@@ -24,8 +25,11 @@ __all__ = [
     "Keys",
     "ReceivedCloud",
     "SilenceError",
+    "StoredCloud",
+    "StoredClouds",
     "WireError",
     "asubscribe",
+    "open_clouds",
     "subscribe",
 ]
 
@@ -35,8 +39,11 @@ _MODULES = {
     "Keys": "fringed.keys",
     "ReceivedCloud": "fringed.client",
     "SilenceError": "fringed.errors",
+    "StoredCloud": "fringed.cloud_store",
+    "StoredClouds": "fringed.cloud_store",
     "WireError": "fringed.errors",
     "asubscribe": "fringed.client",
+    "open_clouds": "fringed.cloud_store",
     "subscribe": "fringed.client",
 }
 

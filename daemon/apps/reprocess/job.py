@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -19,7 +20,12 @@ CLOUD_KINDS = ("npz", "ply", "pcd", "zarr")
 
 def release() -> dict[str, str]:
     """Versions on which the bits of a result depend."""
-    return {"fringed": program_version(), "numpy": version("numpy"), "numba": version("numba")}
+    return {"fringed": program_version(), "numpy": _version("numpy"), "numba": _version("numba")}
+
+
+@cache
+def _version(name: str) -> str:
+    return version(name)
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,11 @@ def location(text: str) -> Path:
     return place
 
 
+def remote(*texts: str) -> bool:
+    """Whether one of these places is reached over a network library."""
+    return any("://" in text for text in texts)
+
+
 def is_local(place: Path) -> bool:
     """Whether it is a path of a mounted file system."""
     return isinstance(place, Path)

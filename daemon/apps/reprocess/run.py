@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ class _Take:
     progress: TakeProgress = field(default_factory=lambda: TakeProgress(0))
     damaged: set[Place] = field(default_factory=set)
     running: int = 0
+    rows: list[int] = field(default_factory=list)
 
 
 class Run:
@@ -130,7 +132,7 @@ class Run:
         take.running += 1
         task = ChunkTask(
             self._job, take.planned.plan.chunks[number], take.planned.keys[number], take.recording.url,
-            self._folder(take), before,
+            self._folder(take), before, take.rows[number], take.planned.plan.bytes,
         )  # fmt: skip
         self._submit(("chunk", take.recording.name, number), _process, task)
 
@@ -138,8 +140,11 @@ class Run:
         take = self._takes[label[1]]
         if label[0] == "plan":
             self._submit_plan(take)
+        elif label[0] == "summary":
+            self._submit_summary(take)
         else:
             take.progress.reopened(label[2])
+            self._check_end(take)
 
     def _ended(self, completed: Completed) -> None:
         label: Label = completed.label
@@ -150,6 +155,8 @@ class Run:
             self._chunk_ended(take, label[2], completed)
         else:
             if reason := completed.error or completed.value:
+                if self._repeat(label):
+                    return
                 take.totals.failures.append(f"summary: {reason}")
             self._close(take)
 
@@ -164,6 +171,7 @@ class Run:
         plan = planned.plan
         take.planned, take.progress = planned, TakeProgress(len(plan.chunks))
         take.totals.begin(plan)
+        take.rows = list(accumulate((len(chunk.items) for chunk in plan.chunks), initial=0))
         for number, (before, outcome) in planned.done.items():
             take.progress.done(number, before, outcome.after)
             take.totals.add(number, outcome, len(plan.chunks[number].items), resumed=True)
@@ -183,7 +191,7 @@ class Run:
         elif outcome.error:
             if not (outcome.transient and self._repeat(("chunk", take.recording.name, number))):
                 results = TakeResults(location(self._folder(take)))
-                _ignoring_full_disk(results.fail, plan.chunks[number].name, take.planned.keys[number], outcome.error)
+                _ignoring_errors(results.fail, plan.chunks[number].name, take.planned.keys[number], outcome.error)
                 take.progress.failed(number, outcome.error)
         else:
             take.progress.done(number, before, outcome.after)
@@ -211,11 +219,11 @@ class Run:
                 forget_summary(self._folder(take))
                 self._close(take)
             else:
-                name = take.recording.name
-                take.planned = Planned()
-                self._submit(
-                    ("summary", name, 0), finish_recording, self._job, take.recording.url, self._folder(take), plan
-                )
+                self._submit_summary(take)
+
+    def _submit_summary(self, take: _Take) -> None:
+        arguments = self._job, take.recording.url, self._folder(take), take.planned.plan
+        self._submit(("summary", take.recording.name, 0), finish_recording, *arguments)
 
     def _close(self, take: _Take) -> None:
         del self._takes[take.recording.name]
@@ -242,9 +250,9 @@ def _process(task: ChunkTask) -> tuple[CarriedState, ChunkOutcome]:
     return task.before, process_chunk(task)
 
 
-def _ignoring_full_disk(function: Callable[..., None], *arguments: Any) -> None:
+def _ignoring_errors(function: Callable[..., None], *arguments: Any) -> None:
     """Note a failure; where even that cannot be written, the report still has it."""
     try:
         function(*arguments)
-    except OSError:
+    except Exception:
         return

@@ -26,3 +26,17 @@ def parsed_settings(texts: list[str]) -> Settings:
         except ValueError as error:
             raise InputError(f"--set {text}: expected key=value with a number, true or false") from error
     return Settings().with_overrides(changes)
+
+
+def parsed_values(texts: list[str]) -> dict[str, list[object]]:
+    """The values to compare of each setting, from texts ``key=value,value``; DaemonError for another form."""
+    from daemon.common.errors import DaemonError
+
+    values: dict[str, list[object]] = {}
+    for text in texts:
+        key, _, several = text.partition("=")
+        try:
+            values[key.strip()] = [json.loads(value) for value in several.split(",")]
+        except ValueError as error:
+            raise DaemonError(f"--set {text}: expected key=value,value with numbers, true or false") from error
+    return values

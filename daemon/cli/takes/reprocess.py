@@ -24,10 +24,11 @@ _SHOWN = 20
 def main(
     sources: Annotated[list[str], typer.Argument(help="Takes: files, folders, patterns, as paths or URLs.")],
     out: Annotated[str, typer.Option(help="Destination: a folder, or a URL such as s3://BUCKET/FOLDER.")],
-    kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: npz, ply, pcd, none.")] = "npz",
+    kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: npz, ply, pcd, zarr, none.")] = "npz",
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration instead of the attached ones.")] = None,
     set_: Annotated[
-        list[str] | None, typer.Option("--set", help="Change a setting: key=value. May be repeated.")
+        list[str] | None,
+        typer.Option("--set", help="Change a setting: key=value, or compare: key=1,2,3. May be repeated."),
     ] = None,
     use_prior: Annotated[bool, typer.Option("--follow", help="Use the previous pair as temporal prior.")] = False,
     calibration_check: Annotated[
@@ -39,6 +40,9 @@ def main(
     ] = None,
     memory_limit: Annotated[str, typer.Option(help="Memory of each worker here, such as 4GiB.")] = "auto",
     chunk: Annotated[int, typer.Option(min=1, max=100_000, help="Pairs in a task.")] = 16,
+    sample: Annotated[
+        int, typer.Option(min=1, help="Pairs to compare settings with, if --set has several values.")
+    ] = 32,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Do what failed in an earlier run again.")
     ] = False,
@@ -50,9 +54,13 @@ def main(
     command does only what is missing or would differ. Exit status 1: something has no result, see the list and
     report.html.
     """
+    from daemon.apps.reprocess.destination.lock import locked
     from daemon.apps.reprocess.job import CLOUD_KINDS, Job
+    from daemon.apps.reprocess.locations import location
     from daemon.apps.reprocess.plan.recordings import recordings_of
-    from daemon.cli.options.set_option import parsed_settings
+    from daemon.apps.reprocess.settings_grid import combinations
+    from daemon.cli.options.set_option import parsed_settings, parsed_values
+    from daemon.cli.takes.reprocess_compare import compare
     from daemon.common.errors import InputError
     from daemon.common.files import read_at_most
     from daemon.rig.calibration_file import SIZE_LIMIT, parse_calibration
@@ -69,14 +77,20 @@ def main(
     data = None if calibration is None else read_at_most(calibration, SIZE_LIMIT, InputError)
     if data is not None:
         parse_calibration(data, str(calibration))
-    job = Job(
-        parsed_settings(set_ or []), data, "" if kind == "none" else kind, cast(Policy, calibration_check), use_prior,
-        chunk,
-    )  # fmt: skip
+    texts = set_ or []
+    grid = [text for text in texts if "," in text]
+    settings = parsed_settings([text for text in texts if text not in grid])
+    for changes in combinations(parsed_values(grid)):
+        settings.with_overrides(changes)
+    job = Job(settings, data, "" if kind == "none" else kind, cast(Policy, calibration_check), use_prior, chunk)
     recordings = recordings_of(sources)
     count = len(os.sched_getaffinity(0)) if workers is None else workers
     if dry_run:
         _estimate(job, recordings, out, max(1, count))
+        return
+    if grid:
+        with locked(location(out)), _engine(scheduler, count, memory_limit) as engine:
+            compare(job, recordings, out, grid, sample, engine)
         return
     if _reprocess(job, recordings, out, scheduler, count, memory_limit, retry_failed=retry_failed):
         raise typer.Exit(1)

@@ -80,7 +80,7 @@ def _remote(root: Path) -> Iterator[None]:
 
     def renew() -> None:
         while not ended.wait(_RENEW_S):
-            with suppress(OSError):
+            with suppress(Exception):  # the next renewal may succeed
                 place.write_bytes(json.dumps(mine | {"time": time.time()}).encode())
 
     thread = threading.Thread(target=renew, name="reprocess-lock", daemon=True)
@@ -90,7 +90,7 @@ def _remote(root: Path) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-        with suppress(OSError):
+        with suppress(Exception):
             place.unlink()
 
 

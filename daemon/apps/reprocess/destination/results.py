@@ -33,7 +33,7 @@ class ChunkManifest:
         before, after: the state carried into and out of the chunk.
         rows: one mapping for each cloud: fields of a replay's run, ``coverage`` and ``rejected``.
         failed: pairs that the pipeline rejected; files: names of the clouds.
-        seconds: time of the task; worker: process that did it.
+        seconds: time of the task; cpu_seconds: processor time of its process meanwhile; worker: that process.
     """
 
     key: str
@@ -47,6 +47,7 @@ class ChunkManifest:
     files: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    cpu_seconds: float = 0.0
     worker: str = ""
 
     def as_json(self) -> bytes:

@@ -40,6 +40,34 @@ def report_page(values: Mapping[str, Any]) -> bytes:
     )
 
 
+def grid_page(values: Mapping[str, Any]) -> bytes:
+    """The page of a comparison of settings."""
+    names = list(dict.fromkeys(name for row in values["rows"] for name in row["settings"]))
+    body = [grid_cells(row, names) for row in values["rows"]]
+    failures = [text for row in values["rows"] for text in row["failures"]]
+    line = f"{len(body)} combinations on a sample of {values['sample']} pairs"
+    sections = [
+        ("Combinations", table((*names, *GRID_HEAD), body, text=(len(names) + 5,))),
+        ("Failures", items(failures)),
+    ]
+    return page("Comparison of settings", [line], [], sections)
+
+
+GRID_HEAD = ("pairs", "coverage", "rejected", "points", "ms", "consistency")
+
+
+def grid_cells(row: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """The cells of a combination: values of the settings, then as in the head."""
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in row["verdicts"].items())
+    figures = (
+        f"{100 * row['coverage']:.2f} %",
+        f"{100 * row['rejected']:.2f} %",
+        f"{row['points']:.0f}",
+        f"{row['ms']:.1f}",
+    )
+    return [*(str(row["settings"].get(name, "")) for name in names), str(row["clouds"]), *figures, verdicts]
+
+
 def _settings(changed: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} = {value}" for name, value in changed.items()) or "none"
 

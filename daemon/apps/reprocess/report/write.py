@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from daemon.apps.reprocess.job import Job
 from daemon.apps.reprocess.locations import write_whole
-from daemon.apps.reprocess.report.page import report_page
+from daemon.apps.reprocess.report.page import grid_page, report_page
 from daemon.apps.reprocess.report.totals import BINS, TakeTotals, Totals
 
 WORST = 10
@@ -20,6 +21,14 @@ def write_report(root: Path, job: Job, totals: Totals, *, seconds: float) -> Pat
     write_whole(root / "report.json", (json.dumps(values, indent=1) + "\n").encode())
     write_whole(root / "report.html", report_page(values))
     return root / "report.html"
+
+
+def write_grid(root: Path, job: Job, rows: Sequence[dict[str, Any]], sample: int) -> Path:
+    """Write grid.json and grid.html, the comparison of settings; returns the place of the page."""
+    values = {"job": job.describe(), "sample": sample, "rows": list(rows)}
+    write_whole(root / "grid.json", (json.dumps(values, indent=1) + "\n").encode())
+    write_whole(root / "grid.html", grid_page(values))
+    return root / "grid.html"
 
 
 def report_values(job: Job, totals: Totals, *, seconds: float) -> dict[str, Any]:

@@ -16,11 +16,11 @@ import numpy as np
 
 from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
 from daemon.apps.replay.reconstruct_item import check_size, timed, warmed_reconstructor
-from daemon.apps.replay.take_items import TakeItem
 from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
+from daemon.apps.reprocess.destination.cloud_store import write_row
 from daemon.apps.reprocess.destination.results import ChunkManifest, TakeResults
-from daemon.apps.reprocess.job import Job
-from daemon.apps.reprocess.locations import location, write_whole
+from daemon.apps.reprocess.job import Job, release
+from daemon.apps.reprocess.locations import location, remote, write_whole
 from daemon.apps.reprocess.plan.chunk_plan import Chunk, PlannedItem
 from daemon.apps.reprocess.plan.take_heads import Place
 from daemon.apps.reprocess.work.frame_loader import DamagedFramesError, FrameLoader
@@ -45,6 +45,7 @@ class ChunkTask:
         job, chunk: what to do with what; key: of the results, see ``Job.key``.
         url: of the take; folder: of its results.
         before: the state that the items before the chunk left.
+        row: of the chunk's first item among all of the take; bytes: of all files of the take.
     """
 
     job: Job
@@ -53,6 +54,8 @@ class ChunkTask:
     url: str
     folder: str
     before: CarriedState = field(default_factory=CarriedState)
+    row: int = 0
+    bytes: int = 0
 
 
 @dataclass(slots=True)
@@ -104,7 +107,8 @@ def process_chunk(task: ChunkTask) -> ChunkOutcome:
         reason = str(error) or type(error).__name__
         return ChunkOutcome(error=reason, transient=isinstance(cause, OSError) and not _lasting(cause))
     except Exception as error:
-        return ChunkOutcome(error=f"{type(error).__name__}: {error}")
+        # Libraries of object stores have errors of their own for a network that fails.
+        return ChunkOutcome(error=f"{type(error).__name__}: {error}", transient=remote(task.url, task.folder))
 
 
 class _Damage(Exception):
@@ -121,18 +125,32 @@ def _lasting(error: OSError) -> bool:
     )
 
 
+def _check_release(job: Job) -> None:
+    """Refuse to mix the results of two releases in one recording."""
+    here = release()
+    if here != dict(job.release):
+        names = [
+            f"{name} {here[name]} instead of {number}" for name, number in job.release.items() if here[name] != number
+        ]
+        raise DaemonError(
+            f"the worker on {socket.gethostname()} has {', '.join(names)}; install the same packages there, then "
+            "--retry-failed"
+        )
+
+
 def _process(task: ChunkTask) -> ChunkManifest:
-    start_s = time.perf_counter()
-    take, job = _open_take.get(task.url), task.job
+    start_s, start_cpu_s = time.perf_counter(), time.process_time()
+    _check_release(task.job)
+    take, job = _open_take.get(task.url, task.bytes), task.job
     loader, results = FrameLoader(take), TakeResults(location(task.folder))
-    calibration = _calibration(take, job)
+    calibration = calibration_of(take, job)
     manifest = ChunkManifest(
         task.key, task.chunk.source(), calibration.identity, task.before, task.before, dict(job.release)
     )
     results.begin(task.chunk.name)
     prior, state = TemporalPrior(), task.before
     damaged: list[Place] = []
-    for planned in task.chunk.items:
+    for row, planned in enumerate(task.chunk.items, task.row):
         try:
             item = loader.item(planned)
         except DamagedFramesError as error:
@@ -140,48 +158,54 @@ def _process(task: ChunkTask) -> ChunkManifest:
         if damaged:  # only search for more damage
             continue
         check_size(item, calibration.calibration)
-        reconstructor, state = _reconstructor(take, job, calibration, item.pair.encoding, state)
+        reconstructor, state = reconstructor_for(take, job, calibration, item.pair.encoding, state)
         use_prior = job.use_prior and prior.usable(planned.sequence, planned.t_ns, 1)
         try:
             cloud, run = timed(reconstructor, item, use_prior=use_prior)
         except PipelineError as error:
             prior.reset()
             manifest.failed.append({"sequence": planned.sequence, "error": str(error)})
+            if job.kind == "zarr":
+                write_row(results.folder, row, None)
             continue
         finally:
             state = capture(reconstructor)
         prior.measured(planned.sequence, planned.t_ns, 1)
-        manifest.rows.append(dataclasses.asdict(run) | _shares(cloud))
-        _write(task, planned, item, cloud, results, manifest)
+        manifest.rows.append(dataclasses.asdict(run) | shares(cloud, run.points))
+        _write(task, row, planned, cloud, results, manifest)
     if damaged:
         raise _Damage(damaged)
     manifest.after, manifest.problems = state, list(take.problems)
     manifest.seconds, manifest.worker = round(time.perf_counter() - start_s, 3), f"{socket.gethostname()}:{os.getpid()}"
+    manifest.cpu_seconds = round(time.process_time() - start_cpu_s, 3)
     results.finish(task.chunk.name, manifest)
     return manifest
 
 
 def _write(
-    task: ChunkTask, planned: PlannedItem, item: TakeItem, cloud: Cloud, results: TakeResults, manifest: ChunkManifest
+    task: ChunkTask, row: int, planned: PlannedItem, cloud: Cloud, results: TakeResults, manifest: ChunkManifest
 ) -> None:
-    """Write the file of a cloud, as a replay does."""
+    """Write the file of a cloud, as a replay does, or its row of the store."""
+    saved = SavedCloud(cloud.xyz, cloud.sigma_mm, cloud.gray)
+    if task.job.kind == "zarr":
+        write_row(results.folder, row, saved)
+        return
     if not task.job.kind or not planned.write:
         return
-    name = cloud_name(item.pair.sequence, task.job.kind)
-    saved = SavedCloud(cloud.xyz, cloud.sigma_mm, cloud.gray)
+    name = cloud_name(planned.sequence, task.job.kind)
     write_whole(results.folder / name, cloud_bytes(saved, task.job.kind))
     manifest.files.append(name)
 
 
-def _shares(cloud: Cloud) -> dict[str, float]:
-    """Share of the pixels that have a point, and share of the lit ones that have none."""
-    valid = np.isfinite(cloud.xyz[..., 2])
-    lit = cloud.modulation[0] >= _LIT
+def shares(cloud: Cloud, points: int) -> dict[str, float]:
+    """Share of the pixels that have a point, and share of the lit ones that have none, of every fourth row."""
+    valid = np.isfinite(cloud.xyz[::4, :, 2])
+    lit = cloud.modulation[0][::4] >= _LIT
     rejected = int(np.count_nonzero(lit & ~valid)) / max(1, int(np.count_nonzero(lit)))
-    return {"coverage": round(float(valid.mean()), 6), "rejected": round(float(rejected), 6)}
+    return {"coverage": round(points / cloud.gray.size, 6), "rejected": round(rejected, 6)}
 
 
-def _reconstructor(
+def reconstructor_for(
     take: TakeReader, job: Job, calibration: CalibrationFile, encoding: str, state: CarriedState
 ) -> tuple[Any, CarriedState]:
     """A reconstructor in this state, or in its first one for images of another encoding."""
@@ -204,7 +228,8 @@ def _reconstructor(
     return reconstructor, state
 
 
-def _calibration(take: TakeReader, job: Job) -> CalibrationFile:
+def calibration_of(take: TakeReader, job: Job) -> CalibrationFile:
+    """The calibration of the job, or else the one that is attached to the take."""
     if job.calibration is None:
         return take.calibration()
     return parse_calibration(job.calibration, "--calibration")
@@ -214,17 +239,17 @@ class _OpenTake:
     """The take that was read last stays open: its next chunk needs no index again."""
 
     def __init__(self) -> None:
-        self._key: tuple[str, int, float] | None = None
+        self._key: tuple[str, int, int, float] | None = None
         self._take: TakeReader | None = None
 
-    def get(self, url: str) -> TakeReader:
-        """The take, opened again when its first file has changed."""
+    def get(self, url: str, size: int) -> TakeReader:
+        """The take, opened again when its first file or the size of all has changed."""
         path = location(url)
         try:
             status = path.stat()
-            key = url, int(status.st_size), float(status.st_mtime)
+            key = url, size, int(status.st_size), float(status.st_mtime)
         except FileNotFoundError:
-            key = url, 0, 0.0  # only later parts are left of it
+            key = url, size, 0, 0.0  # only later parts are left of it
         if self._take is None or key != self._key:
             self.close()
             self._take, self._key = TakeReader(path), key

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Collection
@@ -13,13 +14,15 @@ from typing import Any
 from daemon.apps.replay.reconstruct_item import Run
 from daemon.apps.replay.summary import NAME, stage_medians
 from daemon.apps.reprocess.carried_state import CarriedState
+from daemon.apps.reprocess.destination.cloud_store import prepare_store
 from daemon.apps.reprocess.destination.results import TakeResults
 from daemon.apps.reprocess.job import Job
-from daemon.apps.reprocess.locations import location, write_whole
+from daemon.apps.reprocess.locations import location, remote, write_whole
 from daemon.apps.reprocess.plan.chunk_plan import TakePlan, plan_take
 from daemon.apps.reprocess.plan.take_heads import Place
-from daemon.apps.reprocess.work.chunk_work import ChunkOutcome
+from daemon.apps.reprocess.work.chunk_work import ChunkOutcome, calibration_of
 from daemon.common.errors import DaemonError
+from daemon.recording.read.take_reader import TakeReader
 from pipeline.common.errors import PipelineError
 
 
@@ -48,9 +51,28 @@ def prepare_recording(job: Job, url: str, folder: str, excluded: Collection[Plac
         try:
             names = (chunk.name for chunk in out.plan.chunks)
             TakeResults(location(folder)).keep_only(dict(zip(names, out.keys, strict=True)))
-        except OSError as error:
-            return Planned(error=str(error), transient=True)
+            if job.kind == "zarr":
+                _prepare_store(job, url, folder, out.plan)
+        except (DaemonError, PipelineError, OSError) as error:
+            return Planned(error=str(error), transient=isinstance(error, OSError))
+        except Exception as error:
+            return Planned(error=f"{type(error).__name__}: {error}", transient=remote(url, folder))
     return out
+
+
+def _prepare_store(job: Job, url: str, folder: str, plan: TakePlan) -> None:
+    """Make the Zarr store of a recording."""
+    with TakeReader(location(url)) as take:
+        size = calibration_of(take, job).calibration.left.size
+    prepare_store(location(folder), [item.sequence for chunk in plan.chunks for item in chunk.items], size)
+
+
+def _layout(job: Job, plan: TakePlan) -> str:
+    """What the place of a cloud in a store depends on besides its own chunk."""
+    if job.kind != "zarr":
+        return ""
+    numbers = [item.sequence for chunk in plan.chunks for item in chunk.items]
+    return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()
 
 
 def plan_recording(job: Job, url: str, folder: str, excluded: Collection[Place] = ()) -> Planned:
@@ -58,7 +80,8 @@ def plan_recording(job: Job, url: str, folder: str, excluded: Collection[Place] 
     try:
         plan = plan_take(location(url), chunk_pairs=job.chunk_pairs, use_prior=job.use_prior, excluded=excluded)
         results = TakeResults(location(folder))
-        out = Planned(plan, [job.key(chunk.source(), plan.attachments) for chunk in plan.chunks])
+        layout = _layout(job, plan)
+        out = Planned(plan, [job.key(chunk.source() + layout, plan.attachments) for chunk in plan.chunks])
         for number, (chunk, key) in enumerate(zip(plan.chunks, out.keys, strict=True)):
             manifest = results.manifest(chunk.name)
             if manifest is not None and manifest.key == key:
@@ -69,6 +92,8 @@ def plan_recording(job: Job, url: str, folder: str, excluded: Collection[Place] 
         cause = error if isinstance(error, OSError) else error.__cause__
         lasting = isinstance(cause, FileNotFoundError | PermissionError | NotADirectoryError)
         return Planned(error=str(error), transient=isinstance(cause, OSError) and not lasting)
+    except Exception as error:
+        return Planned(error=f"{type(error).__name__}: {error}", transient=remote(url, folder))
     return out
 
 
@@ -78,14 +103,14 @@ def finish_recording(job: Job, url: str, folder: str, plan: TakePlan) -> str:
         results = TakeResults(location(folder))
         write_whole(results.folder / NAME, (json.dumps(_summary(job, url, results, plan), indent=1) + "\n").encode())
         results.remove_unfinished_files()
-    except (DaemonError, OSError, KeyError) as error:
-        return str(error)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
     return ""
 
 
 def forget_summary(folder: str) -> None:
     """Remove the summary of a recording that is no longer whole."""
-    with suppress(OSError):
+    with suppress(Exception):  # a store that fails; the report has the failure
         (location(folder) / NAME).unlink()
 
 

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from daemon.apps.replay.runner import Replay
 from daemon.cli.entry import run
+from daemon.recording.read.take_reader import TakeReader
+from pipeline.common.settings import Settings
 from tests.daemon.apps.reprocess.takes import files_of, replayed, write
 from tests.daemon.recording import small_take
 
@@ -85,6 +88,8 @@ def test_the_report_is_well_formed_and_links_the_recordings(take: Path, tmp_path
         (["--format", "stl"], "unknown cloud format 'stl'"),
         (["--calibration-check", "maybe"], "expected one of: withhold, warn, off"),
         (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "fringed worker ADDRESS"),
+        (["--set", "nonsense=1,2"], "there is no setting 'nonsense'"),
+        (["--set", "min_component=a,b"], "expected key=value,value"),
         (["--set", "nonsense=1"], "there is no setting 'nonsense'"),
         (["--calibration", "nowhere.yaml"], "nowhere.yaml"),
     ],
@@ -95,3 +100,30 @@ def test_wrong_arguments_are_refused(
     assert reprocess(take, "--out", tmp_path / "out", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_settings_are_compared_on_a_sample(take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(take.with_name("b.mcap"), small_take.render(), 7)
+    arguments = "--set", "min_modulation=5,40", "--set", "min_component=60,120", "--sample", 4, "--workers", 0
+    assert reprocess(take.parent, "--out", tmp_path / "out", *arguments) == 0
+    rows = json.loads((tmp_path / "out" / "grid.json").read_text())["rows"]
+    assert [row["settings"] for row in rows] == [
+        {"min_modulation": a, "min_component": b} for a in (5, 40) for b in (60, 120)
+    ]
+    assert all(row["clouds"] == 4 and row["ms"] > 0 and sum(row["verdicts"].values()) == 4 for row in rows)
+    assert rows[0]["coverage"] > rows[2]["coverage"] and rows[0]["rejected"] < rows[2]["rejected"]
+    assert "grid.html" in capsys.readouterr().out
+    assert not list((tmp_path / "out").glob("*/cloud_*"))
+    page = (tmp_path / "out" / "grid.html").read_text().partition("\n")[2]
+    assert len(list(ET.fromstring(page).iter("{http://www.w3.org/1999/xhtml}tr"))) == 5
+
+
+def test_the_figures_of_a_comparison_are_those_of_a_replay(take: Path, tmp_path: Path) -> None:
+    arguments = "--set", "min_modulation=5,30", "--sample", 5, "--workers", 0
+    assert reprocess(take, "--out", tmp_path / "out", *arguments) == 0
+    rows = json.loads((tmp_path / "out" / "grid.json").read_text())["rows"]
+    for row in rows:
+        settings = Settings(min_modulation=float(row["settings"]["min_modulation"]))
+        with TakeReader(take) as reader:
+            points = [result.cloud.points for result in Replay(reader, settings, calibration_check="warn").results()]
+        assert row["points"] == pytest.approx(sum(points) / 5, abs=0.06)

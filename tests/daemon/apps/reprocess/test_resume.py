@@ -200,3 +200,32 @@ def test_the_manifest_names_source_calibration_settings_and_release(take: Path, 
     assert set(manifest["release"]) == {"fringed", "numpy", "numba"}
     assert manifest["before"]["corrections"] == [] and manifest["after"]["corrections"][0][1] is True
     assert [row["sequence"] for row in manifest["rows"]] == list(range(40, 47))
+
+
+def test_damage_and_a_store_that_fails_at_the_same_time(
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = bytearray(take.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 64] = bytes(64)
+    damaged = tmp_path / "b.mcap"
+    damaged.write_bytes(data)
+    original, failed = run_module.process_chunk, set()
+
+    def failing_once(task: chunk_work.ChunkTask) -> chunk_work.ChunkOutcome:
+        if task.chunk.name not in failed:
+            failed.add(task.chunk.name)
+            return chunk_work.ChunkOutcome(error="503", transient=True)
+        return original(task)
+
+    monkeypatch.setattr(run_module, "process_chunk", failing_once)
+    monkeypatch.setattr(run_module, "RETRY_S", (0.01,) * 5)
+    totals = reprocess([damaged], tmp_path / "out", chunk_pairs=2)
+    assert not totals.failures and totals.closed[0].damaged
+    assert files_of(tmp_path / "out" / "b") == replayed(damaged)[0]
+
+
+def test_a_worker_of_another_release_is_refused(take: Path, tmp_path: Path) -> None:
+    other = {"fringed": "0.0.1", "numpy": "1.0", "numba": "0.1"}
+    totals = reprocess([take], tmp_path, release=other)
+    assert not files_of(tmp_path / "a")
+    assert "instead of 0.0.1" in totals.failures[0] and "install the same packages there" in totals.failures[0]
