@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
@@ -15,12 +15,14 @@ from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
 from daemon.recording.read.take_reader import TakeReader
 from pipeline.common.errors import ImageError
 from pipeline.common.settings import Settings
+from pipeline.monitor import consistency
 from pipeline.reconstruct.reconstructor import Reconstructor
 from sim.rig import rig_files
 from tests.daemon.apps.reprocess.takes import files_of, replayed, reprocess, write
 from tests.daemon.recording import small_take
 
 Images = list[small_take.Images]
+GOLDEN = Path(__file__).parents[3] / "golden" / "take.mcap"
 
 
 @pytest.fixture(scope="module")
@@ -45,20 +47,19 @@ def test_clouds_and_verdicts_are_those_of_a_replay(take: Path, tmp_path: Path, c
 
 
 @pytest.mark.parametrize("chunk_pairs", [1, 3])
-def test_so_they_are_where_pairs_contradict_the_calibration(take: Path, tmp_path: Path, chunk_pairs: int) -> None:
-    turned = yaml.safe_load(small_take.CALIBRATION)
-    angle = np.radians(0.4)
-    right = turned["cameras"]["right"]
-    rotation = np.array(right["rotation"]).reshape(3, 3)
-    about_x = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
-    right["rotation"] = (about_x @ rotation).tolist()
-    calibration = tmp_path / "turned.yaml"
-    calibration.write_text(yaml.safe_dump(turned))
-    files, verdicts = replayed(take, calibration=calibration)
-    reprocess([take], tmp_path / "out", chunk_pairs=chunk_pairs, calibration=calibration)
-    assert {row["consistency"]["verdict"] for row in verdicts} != {"consistent"}
-    assert verdicts_in(tmp_path / "out" / "part7") == verdicts
-    assert files_of(tmp_path / "out" / "part7") == files
+def test_so_they_are_where_pairs_contradict_the_calibration(
+    tmp_path: Path, chunk_pairs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(consistency.LIMITS, "order_cost", ((-1.0, -1.0), "of the cost of unrelated phases"))
+    for name in ("a.mcap", "a_part002.mcap", "a_part003.mcap"):
+        shutil.copy(GOLDEN, tmp_path / name)
+    files, verdicts = replayed(tmp_path / "a.mcap")
+    reprocess([tmp_path / "a.mcap"], tmp_path / "out", chunk_pairs=chunk_pairs)
+    assert [row["consistency"]["verdict"] for row in verdicts] == ["inconsistent"] * 6
+    assert verdicts_in(tmp_path / "out" / "a") == verdicts
+    assert files_of(tmp_path / "out" / "a") == files
+    manifests = (tmp_path / "out" / "a" / "chunks").glob("*.json")
+    assert all(json.loads(path.read_text())["after"]["scan"] for path in manifests)
 
 
 @pytest.mark.parametrize("chunk_pairs", [1, 100])

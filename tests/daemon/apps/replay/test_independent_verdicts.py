@@ -1,0 +1,71 @@
+"""The verdict on a pair is the same whatever pairs lie between it and the first one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daemon.apps.replay.independent_verdicts import IndependentVerdicts
+from daemon.recording.read.take_reader import TakeReader
+from pipeline.monitor import consistency
+from pipeline.reconstruct.reconstructor import Reconstructor
+
+GOLDEN = Path(__file__).parents[3] / "golden" / "take.mcap"
+
+
+@pytest.fixture(autouse=True)
+def strict(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every pair contradicts the calibration."""
+    monkeypatch.setitem(consistency.LIMITS, "order_cost", ((-1.0, -1.0), "of the cost of unrelated phases"))
+
+
+@pytest.fixture(scope="module")
+def pairs() -> list[Any]:
+    with TakeReader(GOLDEN) as take:
+        return [(pair.left, pair.right) for pair in take.pairs()]
+
+
+def made(policy: Any = "withhold") -> IndependentVerdicts:
+    with TakeReader(GOLDEN) as take:
+        return IndependentVerdicts(Reconstructor(take.calibration().calibration, take.pattern(), take.volume()), policy)
+
+
+def verdicts(pairs: list[Any]) -> list[Any]:
+    reconstructor = made()
+    clouds = [reconstructor.reconstruct(*pair) for pair in pairs]
+    return [cloud.consistency.as_mapping() for cloud in clouds if cloud.consistency is not None]
+
+
+def test_pairs_in_between_do_not_matter(pairs: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    original = consistency.Observer
+
+    def fewer(*arguments: Any, **options: Any) -> Any:
+        return original(*arguments, **(options | {"patches": 20}))  # less than there are, so that chance decides
+
+    monkeypatch.setattr(consistency, "Observer", fewer)
+    first, second = pairs
+    alone = verdicts([first, second])[-1]
+    assert verdicts([first, first, second, second])[-1] == alone
+    assert verdicts([first, *[second] * 9])[-1] == alone
+    assert alone["verdict"] == "inconsistent" and "column_offset" in alone["readings"]
+
+
+def test_a_pair_that_is_not_consistent_is_scanned_itself(pairs: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    scanned: list[int] = []
+    original = Reconstructor.scan_columns
+    monkeypatch.setattr(Reconstructor, "scan_columns", lambda self, *a: scanned.append(len(a)) or original(self, *a))
+    bad = made()
+    cloud = bad.reconstruct(*pairs[0])
+    assert cloud.consistency is not None and cloud.consistency.verdict == "inconsistent"
+    assert scanned == [2, 0]  # the first pair's, with the column correction; then the verdict's own
+    kept = bad.inner.scan
+    bad.reconstruct(*pairs[1])
+    assert scanned == [2, 0, 0] and bad.inner.scan is kept is not None
+
+
+def test_policies(pairs: list[Any]) -> None:
+    assert made("withhold").reconstruct(*pairs[0]).points == 0
+    assert made("warn").reconstruct(*pairs[0]).points > 0
+    assert made("off").reconstruct(*pairs[0]).consistency is None
