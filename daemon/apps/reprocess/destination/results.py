@@ -91,19 +91,15 @@ class TakeResults:
 
     def keep_only(self, keys: Mapping[str, str]) -> None:
         """Remove the manifests of all chunks but these with these keys, then the clouds that only those list."""
-        kept: set[str] = set()
-        removed: set[str] = set()
         for path in self._manifests():
             chunk = path.name.removesuffix(".json")
             manifest = self.manifest(chunk)
             if manifest is not None and manifest.key == keys.get(chunk):
-                kept.update(manifest.files)
-            else:
-                self.begin(chunk)
-                removed.update(() if manifest is None else manifest.files)
-        for name in removed - kept:
-            with suppress(FileNotFoundError):
-                (self.folder / name).unlink()
+                continue
+            self.begin(chunk)
+            for name in () if manifest is None else manifest.files:
+                with suppress(FileNotFoundError):
+                    (self.folder / name).unlink()
 
     def _manifests(self) -> list[Path]:
         try:

@@ -7,11 +7,12 @@ from typing import Any
 
 from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
 from daemon.apps.replay.runner import Replay
-from daemon.apps.reprocess.engine.tasks import InlineEngine
+from daemon.apps.reprocess.engine.tasks import Completed, InlineEngine
 from daemon.apps.reprocess.job import Job
 from daemon.apps.reprocess.plan.recordings import recordings_of
 from daemon.apps.reprocess.report.totals import Totals
 from daemon.apps.reprocess.run import Run
+from daemon.apps.reprocess.work import chunk_work
 from daemon.recording.read.take_reader import TakeReader
 from daemon.rig.calibration_file import read_calibration
 from tests.daemon.recording import small_take
@@ -39,9 +40,17 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.glob("cloud_*")}
 
 
+class FreshProcesses(InlineEngine):
+    """Every task meets the state of a process that has just started."""
+
+    def wait(self, timeout_s: float) -> list[Completed]:
+        chunk_work._reconstructors.clear()
+        return super().wait(timeout_s)
+
+
 def reprocess(sources: list[Path], out: Path, *, retry_failed: bool = False, engine: Any = None, **job: Any) -> Totals:
     """A run in this process."""
     if isinstance(job.get("calibration"), Path):
         job["calibration"] = read_calibration(job["calibration"]).data
-    run = Run(Job(**job), out, engine or InlineEngine(), retry_failed=retry_failed)
+    run = Run(Job(**job), out, engine or FreshProcesses(), retry_failed=retry_failed)
     return run.run(recordings_of(map(str, sources)))
