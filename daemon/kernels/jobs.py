@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 ENCODINGS = "rgb8", "bayer_rggb8"
 """One of each kind: the kernels of the other mosaics are the same."""
+_ALL = "all"
 MEASURE, MODE, RENDER = "measure", "mode", "render"
 
 
@@ -14,8 +15,11 @@ def measuring_jobs(encoding: str, mode: str | None = None) -> tuple[str, ...]:
     from pipeline.pattern.mode_sequences import MODES
     from pipeline.reconstruct import compilation
 
-    names = [f"{MEASURE}/{encoding}/{part}" for part in (*compilation.parts(encoding), "monitor")]
-    return (*names, f"{MODE}/{encoding}/{mode}") if mode in MODES else tuple(names)
+    # Mosaics share their kernels, and all encodings those behind the decoder.
+    kind = ENCODINGS[1] if encoding.startswith("bayer_") else encoding
+    decode, *others = compilation.parts(kind)
+    names = f"{MEASURE}/{kind}/{decode}", *(f"{MEASURE}/{_ALL}/{part}" for part in (*others, "monitor"))
+    return (*names, f"{MODE}/{kind}/{mode}") if mode in MODES else names
 
 
 def rendering_jobs(encodings: Iterable[str]) -> tuple[str, ...]:
@@ -33,7 +37,7 @@ def run_job(name: str) -> None:
     elif kind == MEASURE:
         from pipeline.reconstruct import compilation
 
-        compilation.parts(encoding)[part]()
+        compilation.parts(ENCODINGS[0] if encoding == _ALL else encoding)[part]()
     elif kind == MODE:
         _compile_mode(part, encoding)
     elif kind == RENDER:

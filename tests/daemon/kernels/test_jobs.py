@@ -46,8 +46,12 @@ def test_each_job_has_its_name() -> None:
 
 
 def test_mosaics_share_their_jobs() -> None:
-    parts = [{job.split("/")[2] for job in measuring_jobs(f"bayer_{kind}8")} for kind in ("rggb", "grbg")]
-    assert parts[0] == parts[1]
+    assert measuring_jobs("bayer_rggb8") == measuring_jobs("bayer_grbg8")
+
+
+def test_encodings_share_all_but_the_decoder() -> None:
+    own = set(measuring_jobs("rgb8")) ^ set(measuring_jobs("bayer_rggb8"))
+    assert {job.split("/")[2] for job in own} == {"decode rgb8", "decode mosaic"}
 
 
 def test_an_unknown_job_is_an_error() -> None:
