@@ -20,6 +20,7 @@ from pipeline.fringe_order.left_right_check import cross_check
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.ray_tables import DepthScale
+from pipeline.geometry.view_tables import View
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
@@ -154,9 +155,13 @@ class Reconstructor:
         """Find the projector's column correction from a pair and keep it."""
         self.scan = self.scan_columns(left, right)
         best, least = 0.0, np.inf
+        # With more orders a bare plane fits at several offsets; without the margin a wall behind the volume misleads.
+        inside = View.of(self.calibration, self.pattern, self.volume, self.settings)
+        searches = self.searches[0], OrderSearch(inside)
         for offset in column_correction.offsets_to_try(self.settings.self_calibration_range):
-            costs = self.searches[0].least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=8)
-            cost = float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
+            at = np.array([offset, 0.0, 0.0])
+            costs = [search.least_costs(left, right, at, stride=8) for search in searches]
+            cost = sum(float(each.mean(dtype=np.float64)) for each in costs if len(each))
             if cost < least - 1e-6:
                 best, least = float(offset), cost
         self.correction = np.array([best, 0.0, 0.0])

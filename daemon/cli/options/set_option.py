@@ -29,8 +29,8 @@ def parsed_settings(texts: list[str]) -> Settings:
 
 
 def parsed_values(texts: list[str]) -> dict[str, list[object]]:
-    """The values to compare of each setting, from texts ``key=value,value``; DaemonError for another form."""
-    from daemon.common.errors import DaemonError
+    """The values to compare of each setting, from texts ``key=value,value``; InputError for another form."""
+    from daemon.common.errors import InputError
 
     values: dict[str, list[object]] = {}
     for text in texts:
@@ -38,5 +38,5 @@ def parsed_values(texts: list[str]) -> dict[str, list[object]]:
         try:
             values[key.strip()] = [json.loads(value) for value in several.split(",")]
         except ValueError as error:
-            raise DaemonError(f"--set {text}: expected key=value,value with numbers, true or false") from error
+            raise InputError(f"--set {text}: expected key=value,value with numbers, true or false") from error
     return values

@@ -171,8 +171,8 @@ def test_the_command_makes_allows_lists_and_revokes(tmp_path: Path, capsys: pyte
     assert run(["keys", "allow", str(public), "--control", "operate", "--dir", keys]) == 0
     assert run(["keys", "list", "--dir", keys]) == 0
     assert read_key(public).public in capsys.readouterr().out
-    assert run(["keys", "new", "laptop", "--to", str(tmp_path)]) == 1
-    assert run(["keys", "allow", str(public), "--control", "boss", "--dir", keys]) == 1
+    assert run(["keys", "new", "laptop", "--to", str(tmp_path)]) == 2
+    assert run(["keys", "allow", str(public), "--control", "boss", "--dir", keys]) == 2
     assert "exists already" in (message := capsys.readouterr().err) and "'boss' is no role" in message
     assert run(["keys", "revoke", "laptop", "--dir", keys]) == 0
     assert run(["keys", "list", "--dir", keys]) == 0
@@ -185,7 +185,7 @@ def test_the_command_finds_the_directory_in_the_rig_file(tmp_path: Path, capsys:
     assert run(["keys", "server", "--rig", str(rig)]) == 0
     assert (tmp_path / "secrets" / "server.key").is_file()
     rig.write_text("cameras: {driver: sim}\n")
-    assert run(["keys", "server", "--rig", str(rig)]) == 1
+    assert run(["keys", "server", "--rig", str(rig)]) == 2
     assert "security.keys is missing" in capsys.readouterr().err
 
 

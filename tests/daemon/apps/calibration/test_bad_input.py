@@ -108,7 +108,10 @@ def rejected(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: str) 
     """Run a command that must fail without changing any file; return its message."""
     (folder / "calibration.yaml").write_bytes(OLD)
     before = snapshot(folder)
-    assert run(["calibrate", *arguments, "--out", str(folder / "new.yaml"), "--report", str(folder / "r.html")]) == 1
+    assert run(["calibrate", *arguments, "--out", str(folder / "new.yaml"), "--report", str(folder / "r.html")]) in (
+        1,
+        2,
+    )
     assert snapshot(folder) == before
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fringed: ")]
     assert len(lines) == 1

@@ -90,7 +90,7 @@ def test_colours_need_a_calibrated_projector(
     path = tmp_path / "calibration.yaml"
     store(path, Cameras(true_rig.left, true_rig.right), quality={})
     before = path.read_bytes()
-    assert run(["calibrate", "color", "--views", str(color_folder), "--calibration", str(path)]) == 1
+    assert run(["calibrate", "color", "--views", str(color_folder), "--calibration", str(path)]) == 2
     assert "projector is missing: run fringed calibrate projector" in capsys.readouterr().err
     assert path.read_bytes() == before
 
