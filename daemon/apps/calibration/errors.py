@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from daemon.common.errors import DaemonError
+from daemon.common.errors import DaemonError, InputError
 
 
-class SourceError(DaemonError):
+class SourceError(InputError):
     """Unreadable or mismatched images; the message names the file."""
 
 

@@ -100,7 +100,7 @@ def test_fringes_for_geometry_are_no_colours(
 ) -> None:
     path = tmp_path / "calibration.yaml"
     path.write_bytes(truth_file.read_bytes())
-    assert run(["calibrate", "color", "--views", str(capture_folder), "--calibration", str(path)]) == 1
+    assert run(["calibrate", "color", "--views", str(capture_folder), "--calibration", str(path)]) == 2
     assert "no sequence of uniform colours" in capsys.readouterr().err
 
 
