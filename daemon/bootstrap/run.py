@@ -156,14 +156,20 @@ def _run(
             config,
             lambda: service.config.path(service.config.recording.dir, base_dir),
             lambda take: open_take(
-                service.config, service.rig, session, take, path, shown=service.mode_controller.shown
+                service.config,
+                service.rig,
+                session,
+                take,
+                path,
+                serials=service.path.serials,
+                shown=service.mode_controller.shown,
             ),
             clock=service.clock,
         )
         capture = Capture(
             service,
             lambda file, pattern, least: open_capture(
-                service.config, service.rig, session, file, pattern, min_free_bytes=least
+                service.config, service.rig, session, file, pattern, serials=service.path.serials, min_free_bytes=least
             ),
             directories=(runtime_beside(config.control.endpoint) or takes, takes),
         )

@@ -1,4 +1,4 @@
-"""The calibration check on disturbed rigs and on intact ones: ``python -m benchmarks.knocked --clean 500``.
+"""The calibration check on disturbed rigs and on intact ones: ``python -m benchmarks.disturbed --clean 500``.
 
 The images come from rigs whose devices stand otherwise than the calibration has them: turned, exchanged, with another
 focal length. Each row compares what a daemon without the check would publish with what it publishes. Intact rigs with
@@ -98,10 +98,10 @@ def answers(case: Case) -> Iterator[tuple[str, Answer]]:
         yield f"{name}, focal length 0.5 % too large", answer(case, intact, changed)
 
 
-def knocked(case: Case) -> tuple[Table, list[str]]:
+def disturbed(case: Case) -> tuple[Table, list[str]]:
     """The table of all disturbances, and those with which wrong points are published."""
     table = Table(
-        "knocked", f"Disturbed after the calibration, {case.scene}",
+        "disturbed", f"Disturbed after the calibration, {case.scene}",
         ["disturbance", "points unchecked", "wrong %", "rms um", "verdict", "published", "cause"],
         text_columns=("verdict", "cause"),
     )  # fmt: skip
@@ -153,12 +153,12 @@ def main(given: list[str]) -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
     parser.add_argument("--scene", default="mixed", help="of the disturbed rigs")
     parser.add_argument("--clean", type=int, default=0, help="pairs of intact rigs")
-    parser.add_argument("--no-knocks", action="store_true", help="the intact rigs only")
+    parser.add_argument("--intact-only", action="store_true", help="the intact rigs only")
     options = parser.parse_args(given)
     console = Console(width=None if sys.stdout.isatty() else 200)
     problems: list[str] = []
-    if not options.no_knocks:
-        table, problems = knocked(scaled(Case("disturbed", options.scene), options.scale))
+    if not options.intact_only:
+        table, problems = disturbed(scaled(Case("disturbed", options.scene), options.scale))
         table.print(console)
     if options.clean:
         table, alarms = clean([scaled(case, options.scale) for case in HARD], options.clean)
