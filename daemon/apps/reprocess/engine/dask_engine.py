@@ -15,7 +15,7 @@ from daemon.common.errors import DaemonError
 
 MISSING = (
     "reprocessing on a cluster needs the packages of the extra cluster ({name} is missing): pip install "
-    "'fringed[cluster]'; --workers 0 works without them, in this process"
+    "'fringed-rig[cluster]'; --workers 0 works without them, in this process"
 )
 _CONNECT_S = 20
 _COUNT_S = 5.0
