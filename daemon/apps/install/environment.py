@@ -106,6 +106,9 @@ def _fill(fresh: Path, source: Source) -> None:
     (own,) = fresh.glob("lib/python3.*/site-packages")
     for package in OWN:
         shutil.copytree(_CHECKOUT / package, own / package, ignore=shutil.ignore_patterns("__pycache__"))
+    # The service cannot write beside its files: without this every start would compile all of them.
+    packages = [str(own / package) for package in OWN]
+    _run([str(fresh / "bin/python"), "-m", "compileall", "-q", *packages], "compiling the packages to bytecode")
     share = fresh / SHARE
     shutil.copytree(shipped("systemd"), share / "systemd")
     shutil.copy2(shipped("constraints.txt"), share)
