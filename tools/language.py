@@ -69,6 +69,8 @@ IDENTIFIERS = {
     "fates": "key of the status",
     "garbage": "key of the status",
     "lone_share": "key of rig.yaml",
+    "lone_frames": "key of the status",
+    "look": "key of the health report",
     "looks_hz": "key of rig.yaml",
     "break_long_words": "parameter of textwrap",
 }

@@ -83,6 +83,10 @@ class Replay:
             self._file = self.take.calibration() if self.calibration is None else read_calibration(self.calibration)
         return self._file
 
+    def change(self, settings: Settings) -> None:
+        """Use other settings from the next pair on."""
+        self.settings, self._cached = settings, None
+
     def results(self, *, repeat: int = 1, progress: Callable[[int], Any] | None = None) -> Iterator[Result]:
         """Yield the cloud of every pair, or of every complete set of a multi-frame mode, in the order of the take.
 
