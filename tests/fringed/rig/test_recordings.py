@@ -66,6 +66,16 @@ def test_a_take_gives_the_clouds_of_its_replay(take: Path, replayed: dict[int, S
         assert status.points == np.isfinite(replayed[max(replayed)].xyz[..., 2]).sum()
 
 
+def test_a_take_in_an_object_store_opens(take: Path) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    pytest.importorskip("upath")
+    fsspec.filesystem("memory").pipe_file("/bucket/take.mcap", take.read_bytes())
+    with fringed.open("memory://bucket/take.mcap") as rig:
+        assert rig.hello().session == "small"
+        preview = next(rig.previews())
+    assert preview.header.seq == 40
+
+
 def test_a_folder_of_clouds_gives_the_same(folder: Path, replayed: dict[int, SavedCloud]) -> None:
     with fringed.open(folder) as rig:
         assert_equal(rig.clouds(), replayed)
