@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --con
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test test-all audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load campaign bench-service clean
+.PHONY: help env demo test test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load campaign bench-service clean
 .DEFAULT_GOAL := help
 
 help:
@@ -89,6 +89,9 @@ bench-service: $(DEV)  ## recovery times of the service under a real systemd, in
 
 golden: $(RIG)  ## regenerate the golden take of tests/golden (only when its contents must change)
 	$(BIN)/python -m tests.golden.make
+
+protocol: $(RIG)  ## regenerate docs/protocol.md and the JSON Schemas of the protocol from the code
+	$(BIN)/python -m tools.protocol_reference
 
 screenshot: $(DEV)  ## the image of README.md, from a running `make demo`
 	tools/system-packages browser

@@ -1,28 +1,21 @@
-"""Read a recorded take in Python: `python examples/03_read_a_take.py TAKE.mcap`.
+"""Reconstruct a recorded take with other settings: `python examples/03_read_a_take.py TAKE.mcap [SETTING VALUE]`.
 
-Prints what the take carries, then the brightness of both images of every pair, and how many points it gives.
-A take that was cut off or damaged is read up to the damage; its problems are printed at the end.
+Prints what the take carries and how many points each pair gives; SETTING is for example
+pipeline.settings.min_modulation.
 """
 
 from __future__ import annotations
 
+import json
 import sys
-from pathlib import Path
 
-from daemon.apps.replay.runner import Replay
-from daemon.recording.read.take_reader import TakeReader
+import fringed
 
-with TakeReader(Path(sys.argv[1])) as take:
-    calibration = take.calibration()
-    print(f"session {take.metadata.get('session')}, calibration {calibration.identity}")
-    print(f"baseline {calibration.calibration.baseline_mm:.1f} mm, {take.pattern().periods:g} fringe periods")
-
-    for result in Replay(take).results():
-        pair, cloud = result.pair, result.cloud
-        brightness = f"left {pair.left.mean():.1f}, right {pair.right.mean():.1f} counts"
-        print(f"pair {pair.sequence}: {pair.encoding} {pair.left.shape}, {brightness}, {cloud.points} points")
-
-    unpaired, double = take.counts.unpaired.total(), take.counts.duplicates.total()
-    print(f"{take.counts.pairs} pairs, {unpaired} frames without a partner, {double} double ones")
-    for problem in take.problems:
-        print(f"problem: {problem}")
+with fringed.open(sys.argv[1]) as take:
+    hello, status = take.hello(), take.status()
+    print(f"{hello.device}, session {hello.session}, mode {status.mode}, calibration {status.calibration}")
+    if len(sys.argv) > 3:
+        print(f"{sys.argv[2]} = {take.set(sys.argv[2], json.loads(sys.argv[3]))}")
+    for cloud in take.clouds():
+        sigma_mm = float(cloud.sigma[cloud.valid].mean()) if cloud.sigma is not None and cloud.valid.any() else 0.0
+        print(f"pair {cloud.header.seq}: {len(cloud.points)} points, mean standard deviation {sigma_mm:.3f} mm")

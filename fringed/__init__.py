@@ -1,9 +1,10 @@
-"""Receive metric point clouds from a fringed daemon.
+"""Metric point clouds from a fringed daemon, or from a recording, with one interface.
 
-    from fringed import subscribe
+    import fringed
 
-    for cloud in subscribe("tcp://rig:5555"):
-        print(cloud.header.seq, cloud.xyz.shape)
+    with fringed.Rig() as rig:               # or fringed.open("take.mcap")
+        for cloud in rig.clouds():
+            print(cloud.header.seq, cloud.points.shape)
 
 Modules are imported when a name is first used.
 """
@@ -16,36 +17,60 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fringed.client import ReceivedCloud, asubscribe, subscribe
     from fringed.cloud_store import StoredCloud, StoredClouds, open_clouds
-    from fringed.errors import FringedError, KeyFileError, SilenceError, WireError
+    from fringed.errors import (
+        ArgumentError,
+        ControlError,
+        FringedError,
+        KeyFileError,
+        NoDaemonError,
+        NotLiveError,
+        RecordingError,
+        RefusedError,
+        SilenceError,
+        WireError,
+    )
     from fringed.keys import Keys
+    from fringed.rig.live import Rig
+    from fringed.rig.opening import open_source as open  # noqa: A004 - fringed.open, as gzip.open
+    from fringed.rig.preview import Preview
+    from fringed.rig.source import Source
 
 __all__ = [
+    "ArgumentError",
+    "ControlError",
     "FringedError",
     "KeyFileError",
     "Keys",
+    "NoDaemonError",
+    "NotLiveError",
+    "Preview",
     "ReceivedCloud",
+    "RecordingError",
+    "RefusedError",
+    "Rig",
     "SilenceError",
+    "Source",
     "StoredCloud",
     "StoredClouds",
     "WireError",
     "asubscribe",
+    "open",
     "open_clouds",
     "subscribe",
 ]
 
 _MODULES = {
-    "FringedError": "fringed.errors",
-    "KeyFileError": "fringed.errors",
+    **dict.fromkeys((name for name in __all__ if name.endswith("Error")), "fringed.errors"),
+    **dict.fromkeys(("ReceivedCloud", "asubscribe", "subscribe"), "fringed.client"),
+    **dict.fromkeys(("StoredCloud", "StoredClouds", "open_clouds"), "fringed.cloud_store"),
     "Keys": "fringed.keys",
-    "ReceivedCloud": "fringed.client",
-    "SilenceError": "fringed.errors",
-    "StoredCloud": "fringed.cloud_store",
-    "StoredClouds": "fringed.cloud_store",
-    "WireError": "fringed.errors",
-    "asubscribe": "fringed.client",
-    "open_clouds": "fringed.cloud_store",
-    "subscribe": "fringed.client",
+    "Preview": "fringed.rig.preview",
+    "Rig": "fringed.rig.live",
+    "Source": "fringed.rig.source",
+    "open": "fringed.rig.opening",
 }
+_NAMES = {"open": "open_source"}
+"""Names inside their modules that differ from the public ones."""
 
 
 def __getattr__(name: str) -> Any:
@@ -54,7 +79,7 @@ def __getattr__(name: str) -> Any:
         return _version()
     if name not in _MODULES:
         raise AttributeError(f"module 'fringed' has no attribute {name!r}; it has {', '.join(__all__)}")
-    value = getattr(import_module(_MODULES[name]), name)
+    value = getattr(import_module(_MODULES[name]), _NAMES.get(name, name))
     globals()[name] = value
     return value
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import dataclass
 from typing import Any, Self
@@ -11,7 +12,9 @@ import zmq
 from numpy.typing import NDArray
 
 from fringed import wire
-from fringed.errors import FringedError, SilenceError, WireError
+from fringed.control.arguments import checked_timeout_or_none
+from fringed.control.connection import listener_problem
+from fringed.errors import ArgumentError, SilenceError, WireError
 from fringed.keys import Keys
 from fringed.losses import Losses
 from fringed.receiver import Receiver
@@ -21,6 +24,9 @@ TOPICS = ("cloud/full", "cloud/depth")
 
 _LATEST_QUEUE, _EVERY_QUEUE = 2, 32
 _REQUEST_AGAIN_S = 2.0
+_WARN_S = 2.0
+
+log = logging.getLogger("fringed.client")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,10 +68,11 @@ class _Stream:
         self, endpoint: str, topic: str, *, latest: bool, timeout_s: float | None, keys: Keys | None = None
     ) -> None:
         if topic not in TOPICS:
-            raise FringedError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}")
-        self.topic, self.latest, self.timeout_s = topic, latest, timeout_s
+            raise ArgumentError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}")
+        self.topic, self.latest, self.timeout_s = topic, latest, checked_timeout_or_none(timeout_s)
         self._with_keys = keys is not None
         self.received = self.skipped = 0
+        self._warned = False
         self._losses = Losses()
         self._rays: wire.Message | None = None
         self._requested_s = time.monotonic()
@@ -110,15 +117,13 @@ class _Stream:
                 self._rays = message
 
     def _cloud(self, message: wire.Message) -> ReceivedCloud | None:
-        header, arrays = message.header, message.arrays
+        header = message.header
         if not isinstance(header, wire.CloudHeader):
             raise WireError(f"{message.topic}: kind {header.kind!r}, expected 'cloud'")
-        grid = (header.height, header.width)
         if self._meta is None:
-            _check(message, {"xyz": ("<f4", (*grid, 3)), "gray": ("|u1", grid), "sigma": ("<f4", grid)})
-            cloud = ReceivedCloud(header, arrays["xyz"], arrays["gray"], arrays["sigma"])
+            cloud = full_cloud(message)
         else:
-            _check(message, {"z": ("<u2", grid)})
+            _check(message, {"z": ("<u2", (header.height, header.width))})
             if not self._rays_match(header):
                 return None
             cloud = ReceivedCloud(header, _points(message, self._rays), None, None)
@@ -138,12 +143,27 @@ class _Stream:
 
     def _silence(self) -> SilenceError:
         hint = ", does it allow this key, and is that its server key?" if self._with_keys else "?"
+        problem = listener_problem(self._clouds.endpoint)
+        if problem:
+            hint = f"? {problem}"
         return SilenceError(
             f"no {self.topic} from {self._clouds.endpoint} within {self.timeout_s} s; is a daemon running{hint}"
         )
 
     def _deadline_s(self) -> float:
+        self._waiting_s = time.monotonic()
         return float("inf") if self.timeout_s is None else time.monotonic() + self.timeout_s
+
+    def _left_s(self, deadline_s: float) -> float:
+        """Return the rest of the time-out; a wait without one is logged, once, when nothing listens there."""
+        now_s = time.monotonic()
+        if deadline_s <= now_s:
+            raise self._silence()
+        if not (self.timeout_s or self._warned or self.received) and now_s - self._waiting_s > _WARN_S:
+            self._warned = True
+            if problem := listener_problem(self._clouds.endpoint):
+                log.warning("no %s from %s: %s; waiting for a daemon", self.topic, self._clouds.endpoint, problem)
+        return deadline_s - now_s
 
 
 class Subscription(_Stream):
@@ -164,10 +184,7 @@ class Subscription(_Stream):
         for socket in self._sockets():
             poller.register(socket, zmq.POLLIN)
         while (cloud := self._take()) is None:
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0:
-                raise self._silence()
-            poller.poll(_wait_ms(left_s))
+            poller.poll(_wait_ms(self._left_s(deadline_s)))
         return cloud
 
     def __enter__(self) -> Self:
@@ -192,10 +209,7 @@ class AsyncSubscription(_Stream):
         for socket in self._sockets():
             poller.register(socket, zmq.POLLIN)
         while (cloud := self._take()) is None:
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0:
-                raise self._silence()
-            await poller.poll(_wait_ms(left_s))
+            await poller.poll(_wait_ms(self._left_s(deadline_s)))
         return cloud
 
     async def __aenter__(self) -> Self:
@@ -235,6 +249,20 @@ def asubscribe(
 ) -> AsyncSubscription:
     """Subscribe like :func:`subscribe`, for ``async for`` and ``async with``."""
     return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
+
+
+def full_cloud(message: wire.Message) -> ReceivedCloud:
+    """Return the cloud in a message of ``cloud/full``.
+
+    Raises:
+        WireError: another kind of message, or a part of another type or shape.
+    """
+    header, arrays = message.header, message.arrays
+    if not isinstance(header, wire.CloudHeader):
+        raise WireError(f"{message.topic}: kind {header.kind!r}, expected 'cloud'")
+    grid = (header.height, header.width)
+    _check(message, {"xyz": ("<f4", (*grid, 3)), "gray": ("|u1", grid), "sigma": ("<f4", grid)})
+    return ReceivedCloud(header, arrays["xyz"], arrays["gray"], arrays["sigma"])
 
 
 def _wait_ms(left_s: float) -> int:

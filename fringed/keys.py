@@ -15,7 +15,7 @@ from typing import Any
 import zmq
 from zmq.utils import z85
 
-from fringed.errors import KeyFileError
+from fringed.errors import ArgumentError, KeyFileError
 
 MAX_BYTES = 4096
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -63,6 +63,42 @@ class Keys:
         socket.setsockopt(zmq.CURVE_SERVERKEY, self.server.encode())
         socket.setsockopt(zmq.CURVE_PUBLICKEY, self.public.encode())
         socket.setsockopt(zmq.CURVE_SECRETKEY, self.secret.encode())
+
+
+def checked_keys(keys: object) -> Keys | None:
+    """Return the keys of a client, or None.
+
+    Raises:
+        ArgumentError: something else, such as the path of a key file.
+    """
+    if keys is None or isinstance(keys, Keys):
+        return keys
+    raise ArgumentError(
+        f"keys is a {type(keys).__name__}, expected Keys: Keys.load('laptop.key', 'server.pub') reads both files"
+    )
+
+
+def loaded_keys(key: Keys | str | Path | None, server_key: str | Path | None) -> Keys | None:
+    """Return the keys that two arguments name.
+
+    Args:
+        key: file of the own key, or keys that are loaded already; server_key: file of the daemon's public key.
+
+    Raises:
+        ArgumentError: one without the other, or another type; KeyFileError: a file is not a key.
+    """
+    if isinstance(key, str | Path):
+        if not isinstance(server_key, str | Path):
+            raise ArgumentError(
+                f"server_key is {server_key!r}, expected the file of the daemon's public key (server.pub), which "
+                f"belongs to key {str(key)!r}"
+            )
+        return Keys.load(key, server_key)
+    if key is not None and not isinstance(key, Keys):
+        raise ArgumentError(f"key is a {type(key).__name__}, expected the path of NAME.key, or Keys")
+    if server_key is not None:
+        raise ArgumentError(f"server_key {str(server_key)!r} is without key, the path of your own NAME.key")
+    return key
 
 
 def new_key(name: str) -> Key:

@@ -8,8 +8,9 @@ from typing import Any
 import zmq
 
 from fringed import wire
-from fringed.errors import FringedError
-from fringed.keys import Keys
+from fringed.control.address import checked_endpoint
+from fringed.errors import ArgumentError
+from fringed.keys import Keys, checked_keys
 
 
 class Receiver:
@@ -21,7 +22,7 @@ class Receiver:
         keys: for a daemon on another machine; a key that is authorised later connects by itself.
 
     Raises:
-        FringedError: ZeroMQ cannot connect to the endpoint.
+        ArgumentError: an endpoint of another form, with an unknown host, or keys of another type.
     """
 
     def __init__(
@@ -33,7 +34,8 @@ class Receiver:
         context: zmq.Context[Any] | None = None,
         keys: Keys | None = None,
     ) -> None:
-        self.endpoint = endpoint
+        self.endpoint = checked_endpoint(endpoint)
+        checked_keys(keys)
         self._own = context is None
         self._context = context or zmq.Context()
         self.socket = self._context.socket(zmq.SUB)
@@ -48,7 +50,7 @@ class Receiver:
             self.socket.connect(endpoint)
         except zmq.ZMQError as error:
             self.close()
-            raise FringedError(
+            raise ArgumentError(
                 f"cannot subscribe to {endpoint!r}: {error}; use tcp://HOST:PORT or ipc://PATH"
             ) from None
 

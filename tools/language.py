@@ -69,10 +69,12 @@ IDENTIFIERS = {
     "fates": "key of the status",
     "garbage": "key of the status",
     "lone_share": "key of rig.yaml",
+    "lone_frames": "key of the status",
+    "look": "key of the health report",
     "looks_hz": "key of rig.yaml",
     "break_long_words": "parameter of textwrap",
 }
-QUOTING = {"tools/language.py", "tests/tools/test_language.py"}
+QUOTING = {"tools/language.py", "tests/tools/test_language.py", "docs/protocol.md"}
 """Files that quote the retired words."""
 
 _KEPT = re.compile("|".join(EXPRESSIONS), re.IGNORECASE)

@@ -23,9 +23,9 @@ from benchmarks.campaign.rig import RECOVERY_S, CampaignRig, pause
 from benchmarks.campaign.takes import first_part, last_shown, stem_of
 from benchmarks.common.daemon_process import tree
 from benchmarks.common.process_statistics import sample
-from daemon.common.errors import ControlError
 from daemon.common.files import write_atomically
 from daemon.recording.format.errors import TakeError
+from fringed.errors import ControlError
 
 _READ_EVERY = 20
 _KILLED = "daemon killed"

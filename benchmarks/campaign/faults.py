@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from benchmarks.campaign import faulty_clients
 from benchmarks.campaign.rig import CampaignRig, pause
-from daemon.common.errors import ControlError
 from drivers.protocols import SIDES, Side
+from fringed.errors import ControlError
 
 Strike = Callable[[CampaignRig, random.Random], None]
 

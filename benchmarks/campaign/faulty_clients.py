@@ -15,7 +15,7 @@ from typing import Any
 import zmq
 
 from benchmarks.campaign.rig import CampaignRig, pause
-from daemon.common.errors import ControlError
+from fringed.errors import ControlError
 
 _SUBSCRIBER = """
 import sys, time, zmq

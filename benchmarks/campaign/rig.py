@@ -16,9 +16,9 @@ from benchmarks.campaign.disk import Disk
 from benchmarks.campaign.shifted_clock import ShiftedClock
 from benchmarks.campaign.tampered_cable import TamperedCable
 from benchmarks.common.daemon_process import DaemonProcess
-from daemon.common.errors import ControlError
 from drivers.protocols import SIDES
 from fringed import wire
+from fringed.errors import ControlError
 from fringed.receiver import Receiver
 from sim.box.box import GENTL_DIR, Box
 from sim.box.exposure_ledger import Ledger

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from daemon.common.errors import ControlError
-from daemon.control.rpc.client import ControlClient
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from tools.waiting import wait_until
 
 FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"

@@ -40,8 +40,8 @@ def silent(endpoint: str) -> None:
 
 def poller(endpoint: str) -> None:
     """Request the status once a second."""
-    from daemon.common.errors import ControlError
-    from daemon.control.rpc.client import ControlClient
+    from fringed.control.client import ControlClient
+    from fringed.errors import ControlError
 
     with ControlClient(endpoint, timeout_s=30.0) as client:
         _report_connected()

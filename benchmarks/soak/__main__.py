@@ -23,9 +23,9 @@ from rich.console import Console
 from benchmarks.common.process_statistics import Sample, sample
 from benchmarks.soak import report
 from benchmarks.soak.readers import Readers
-from daemon.common.errors import ControlError
 from daemon.common.files import write_atomically
-from daemon.control.rpc.client import ControlClient
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 
 _TOPICS = ("cloud/full", "cloud/depth")
 _FRINGED = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from daemon.common.ipc_endpoints import stream_endpoint
 from daemon.config.checks import for_others
 from daemon.config.rig_config import RigConfig
 from daemon.control.rpc.protocol import Method
@@ -14,6 +13,7 @@ from daemon.live.items import Sink
 from daemon.live.projection.mode_plan import ShownSequence
 from daemon.rig.camera_serials import Serials, take_metadata
 from daemon.rig.open_rig import Rig
+from fringed.control.address import stream_endpoint
 
 if TYPE_CHECKING:
     from daemon.monitoring.health.sink import Health

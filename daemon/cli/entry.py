@@ -42,7 +42,7 @@ def run(arguments: list[str]) -> int:
         if debug or not _is_one_of(error, _EXPECTED):
             raise
         print(f"fringed: {_sentence(error)}", file=sys.stderr)  # noqa: T201
-        return _INPUT_STATUS if _is_one_of(error, _INPUT) else 1
+        return _INPUT_STATUS if _is_one_of(error, _INPUT) and not _is_one_of(error, _REFUSED) else 1
 
 
 def _is_one_of(error: Exception, names: set[str]) -> bool:
@@ -65,13 +65,15 @@ _INPUT = {
     "builtins.PermissionError",
     "daemon.common.errors.ConfigError",
     "daemon.common.errors.InputError",
-    "daemon.common.errors.NoDaemonError",
     "daemon.recording.format.errors.TakeError",
     "fringed.errors.FringedError",
     "pipeline.common.errors.PipelineError",
     "sim.devices.options.OptionError",
 }
 """Errors about what the command line names: a file, an address, a setting."""
+
+_REFUSED = {"fringed.errors.RefusedError"}
+"""Answers of a daemon, which are no errors of the input."""
 
 _EXPECTED = {
     "builtins.OSError",

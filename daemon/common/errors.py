@@ -15,13 +15,5 @@ class ConfigError(DaemonError):
         super().__init__("\n".join(problems))
 
 
-class ControlError(DaemonError):
-    """A control request that failed or found no daemon."""
-
-
-class NoDaemonError(ControlError):
-    """No daemon answers at an address."""
-
-
 class InputError(DaemonError):
     """Something that the command line names is missing, of the wrong kind, or contradicts the rest of it."""

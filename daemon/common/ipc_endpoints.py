@@ -1,45 +1,11 @@
-"""Directories and addresses of the sockets: the service's runtime directory, the user's, or a private one in /tmp."""
+"""Directories and files of local sockets; ``fringed.control.address`` has the default addresses."""
 
 from __future__ import annotations
 
 import os
-import tempfile
-from contextlib import suppress
 from pathlib import Path
 
 from daemon.common.errors import DaemonError
-
-TCP_STREAM = "tcp://127.0.0.1:5555"
-_SERVICE = Path("/run/fringed")  # RuntimeDirectory= of fringed.service
-
-
-def runtime_dir() -> Path:
-    """The directory for sockets, which may not exist yet: RUNTIME_DIRECTORY, else XDG_RUNTIME_DIR, else /tmp."""
-    service = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    if service:
-        return Path(service)
-    user = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(user) / "fringed" if user else Path(tempfile.gettempdir()) / f"fringed-{os.getuid()}"
-
-
-def stream_endpoint() -> str:
-    """The default ipc endpoint of the stream."""
-    return f"ipc://{runtime_dir() / 'stream'}"
-
-
-def control_endpoint() -> str:
-    """The default endpoint of control."""
-    return f"ipc://{runtime_dir() / 'control'}"
-
-
-def found_control_endpoint() -> str:
-    """The control endpoint of this user's daemon, or of the service where only that exists."""
-    own = control_endpoint()
-    service = _SERVICE / "control"
-    with suppress(OSError):
-        if not Path(own.removeprefix("ipc://")).exists() and service.exists():
-            return f"ipc://{service}"
-    return own
 
 
 def runtime_beside(endpoint: str) -> Path | None:

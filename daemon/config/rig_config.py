@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from daemon.common import ipc_endpoints
 from daemon.config.health import Health
 from daemon.config.section import Section
 from daemon.config.security import Security
 from daemon.config.sequence import Mode, Sequencing
+from fringed.control import address
 
 
 class Device(Section):
@@ -87,7 +87,7 @@ class Stream(Section):
     """The point-cloud stream."""
 
     endpoints: Annotated[list[str], Field(min_length=1, max_length=8, description="Where the stream is bound.")] = (
-        Field(default_factory=lambda: [ipc_endpoints.stream_endpoint(), ipc_endpoints.TCP_STREAM])
+        Field(default_factory=lambda: [address.stream_endpoint(), address.TCP_STREAM])
     )
     allow_remote: Annotated[
         bool, Field(description="Allow addresses that other machines can reach, with keys only.")
@@ -99,7 +99,7 @@ class Control(Section):
     """The control socket."""
 
     endpoint: Annotated[str, Field(description="Address of the control socket.")] = Field(
-        default_factory=ipc_endpoints.control_endpoint
+        default_factory=address.control_endpoint
     )
     remote: Annotated[list[str], Field(max_length=8, description="Addresses for other machines, with keys only.")] = []
     allow_remote: Annotated[bool, Field(description="Listen at those addresses.")] = False

@@ -92,7 +92,8 @@ class Methods:
             "protocol": 1,
             "device": service.config.device.name,
             "session": service.session,
-            "stream": list(service.config.stream.endpoints),
+            "stream": _addresses(service, "stream", "endpoints") or list(service.config.stream.endpoints),
+            "remote": _addresses(service, "remote", "stream"),
             "methods": sorted(self.table()),
         }
 
@@ -196,6 +197,12 @@ class Methods:
     def _measure(self, on: bool) -> dict[str, Any]:
         self._service.measure(on)
         return {"state": str(self._service.state()[0])}
+
+
+def _addresses(service: Service, sink: str, key: str) -> list[str]:
+    """Return the addresses that a sink of the stream is bound to, with their real ports."""
+    made = service.router.sinks.get(sink)
+    return [] if made is None else list(made.status().get(key, ()))
 
 
 def _nested(rows: list[dict[str, Any]], path: str) -> dict[str, Any]:

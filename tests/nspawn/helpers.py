@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from daemon.common.errors import ControlError
-from daemon.control.rpc.client import ControlClient
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from tools.nspawn import Machine
 from tools.nspawn.machine import WAIT_S
 from tools.waiting import wait_until

@@ -87,6 +87,10 @@ class Replay:
             )
         return self._file
 
+    def change(self, settings: Settings) -> None:
+        """Use other settings from the next pair on."""
+        self.settings, self._cached = settings, None
+
     def results(self, *, repeat: int = 1, progress: Callable[[int], Any] | None = None) -> Iterator[Result]:
         """Yield the cloud of every pair, or of every complete set of a multi-frame mode, in the order of the take.
 

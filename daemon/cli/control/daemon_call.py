@@ -27,7 +27,7 @@ def call_daemon(
     **params: Any,
 ) -> Any:
     """Call a method of the daemon and return its answer; ControlError with the daemon's message."""
-    from daemon.control.rpc.client import ControlClient
+    from fringed.control.client import ControlClient
 
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout_s, keys=keys) as client:
         return client.call(method, **params)
@@ -41,6 +41,6 @@ def control_endpoint(endpoint: str | None, rig: Path | None) -> str:
         from daemon.config import load_rig
 
         return load_rig(rig).control.endpoint
-    from daemon.common.ipc_endpoints import found_control_endpoint
+    from fringed.control.address import found_control_endpoint
 
     return found_control_endpoint()

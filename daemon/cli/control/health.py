@@ -31,8 +31,8 @@ def main(
     Exit status: 0 healthy, or with a warning; 1 ill; 3 no daemon; 4 unknown, while it starts or is paused.
     """
     from daemon.apps.health_report.text import report_text
-    from daemon.common.errors import ControlError
-    from daemon.control.rpc.client import ControlClient
+    from fringed.control.client import ControlClient
+    from fringed.errors import ControlError
 
     seconds = span_s(last)
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout) as client:

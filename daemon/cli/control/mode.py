@@ -20,7 +20,7 @@ def main(
     rig: Annotated[Path | None, typer.Option(help="Take the endpoint from this rig.yaml.")] = None,
 ) -> None:
     """Show or change the mode of a running daemon, until it ends; rig.yaml sets the initial mode."""
-    from daemon.control.rpc.client import ControlClient
+    from fringed.control.client import ControlClient
 
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=_TIMEOUT_S) as client:
         answer = client.call("pattern.mode", **({} if name is None else {"name": name}))

@@ -25,7 +25,7 @@ def main(
     """Show the status of a running daemon: a live page on a terminal, until Ctrl-C."""
     from rich.console import Console
 
-    from daemon.control.rpc.client import ControlClient
+    from fringed.control.client import ControlClient
 
     console, keys = Console(), chosen_keys(key, server_key)
     with ControlClient(control_endpoint(endpoint, rig), timeout_s=timeout, keys=keys) as client:

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from daemon.cli.control.status_rows import drop_rows, rows
-from daemon.common.errors import ControlError
+from fringed.errors import ControlError
 
 _COLORS = {"running": "green", "degraded": "yellow", "paused": "cyan", "starting": "blue", "stopping": "red"}
 _WIDE = 110

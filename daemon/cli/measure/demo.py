@@ -39,9 +39,9 @@ def main(
     from daemon.cli.measure.demo_processes import Report, Viewer
     from daemon.cli.options.progress import rendering
     from daemon.common.errors import ConfigError, InputError
-    from daemon.common.ipc_endpoints import control_endpoint, runtime_dir
     from daemon.kernels.jobs import measuring_jobs, rendering_jobs
     from daemon.kernels.processes import compiling_ahead
+    from fringed.control.address import control_endpoint, runtime_dir
 
     log_events(logging.INFO if verbose else logging.WARNING)
     with ExitStack() as stack:
@@ -97,8 +97,8 @@ def write_rig(directory: Path, simulation: dict[str, Any]) -> tuple[Path, str, s
 
     Control has the default address, where the commands expect a daemon, unless another daemon runs there.
     """
-    from daemon.common.ipc_endpoints import control_endpoint
-    from daemon.control.rpc.connection import check_address
+    from fringed.control.address import control_endpoint
+    from fringed.control.connection import check_address
 
     endpoint, control = f"ipc://{directory / 'stream'}", control_endpoint()
     if not check_address(control):

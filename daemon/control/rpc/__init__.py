@@ -1,1 +1,1 @@
-"""JSON-RPC 2.0: the protocol, its server and its client."""
+"""JSON-RPC 2.0: the protocol and its server; the client is ``fringed.control``."""

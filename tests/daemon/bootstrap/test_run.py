@@ -13,7 +13,7 @@ import pytest
 from daemon.bootstrap import run
 from daemon.bootstrap.run import StopFlag
 from daemon.common.errors import ConfigError, DaemonError
-from daemon.control.rpc.client import ControlClient
+from fringed.control.client import ControlClient
 from tests.daemon.rigs import Collector
 from tools.waiting import wait_until
 

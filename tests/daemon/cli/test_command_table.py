@@ -9,7 +9,8 @@ import pytest
 
 from daemon.cli import entry
 from daemon.cli.command_table import COMMANDS
-from daemon.common.errors import ConfigError, DaemonError, InputError, NoDaemonError
+from daemon.common.errors import ConfigError, DaemonError, InputError
+from fringed.errors import NoDaemonError
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:

@@ -14,7 +14,7 @@ import zmq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daemon.control.rpc.client import ControlClient
+from fringed.control.client import ControlClient
 from fringed.keys import Key
 from tests.daemon.remote_access.world import CONNECTIONS, Tap, World, request, rude, talk
 from tools.waiting import wait_until

@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 import zmq
 
-from daemon.common.errors import ControlError, DaemonError
-from daemon.control.rpc.client import ControlClient
+from daemon.common.errors import DaemonError
 from daemon.keys.key_store import KeyStore
 from daemon.remote_access import gate_sink
 from daemon.remote_access.gate_messages import GateConfig
 from daemon.remote_access.gate_sink import RemoteGate
 from fringed import SilenceError, subscribe
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from fringed.keys import new_key
 from tests.daemon.remote_access.world import World, pause_for, request, rude
 from tools.waiting import wait_until

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from daemon.common.errors import ControlError
-from daemon.control.rpc.client import ControlClient
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from tests.daemon.remote_access import listening_addresses
 from tools.waiting import wait_until
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import zmq
 
-from daemon.control.rpc.client import ControlClient
 from daemon.control.rpc.protocol import Method, Role
 from daemon.control.rpc.server import ControlServer
 from daemon.keys import authorized_keys
@@ -23,6 +22,7 @@ from daemon.live.publishing.publisher import Publisher
 from daemon.remote_access.gate_messages import GateConfig
 from daemon.remote_access.gate_sink import RemoteGate
 from fringed import Keys, SilenceError, subscribe
+from fringed.control.client import ControlClient
 from fringed.keys import Key, new_key
 from tests.daemon.live.publishing import clouds
 from tools.waiting import wait_until

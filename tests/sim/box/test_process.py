@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.common.errors import ControlError
-from daemon.control.rpc.client import ControlClient
 from fringed import subscribe
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from sim.box.box import Box, heads
 from sim.box.options import from_mapping
 from sim.box.xserver import XServer

@@ -9,11 +9,12 @@ from types import TracebackType
 from typing import Any, Self
 
 from daemon.apps.calibration.guided.capture import CapturedImages, Progress, no_progress
-from daemon.common.errors import ControlError, DaemonError
-from daemon.control.rpc.client import ControlClient
+from daemon.common.errors import DaemonError
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from daemon.recording.read.take_reader import TakeReader
 from daemon.rig.camera_serials import serials_of_take
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from pipeline.pattern.sequence import FrameSequence
 
 HOLD_S = 20.0

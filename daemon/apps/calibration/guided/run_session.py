@@ -25,11 +25,12 @@ from daemon.apps.calibration.guided.terminal_view import (
     terminal_display,
 )
 from daemon.common.clock import SystemClock
-from daemon.common.errors import ControlError, DaemonError
+from daemon.common.errors import DaemonError
 from daemon.config import load_rig
 from daemon.config.rig_config import RigConfig
-from daemon.control.rpc.client import ControlClient
 from daemon.rig.open_rig import OptionsError, open_devices
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from pipeline.calibrate.targets.board.board import Board
 from pipeline.pattern.sequence import FrameSequence, camera_sequence, projector_sequence
 

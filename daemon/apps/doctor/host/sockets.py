@@ -14,8 +14,8 @@ from urllib.parse import urlsplit
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.machine import Machine, Program
 from daemon.apps.doctor.subject import Subject
-from daemon.common import ipc_endpoints
 from daemon.common.files import existing_parent
+from fringed.control.address import TCP_STREAM, control_endpoint, stream_endpoint
 
 area = Area("sockets")
 
@@ -25,10 +25,8 @@ _LISTEN = "0A"
 def check(subject: Subject) -> Iterator[Finding]:
     """Check every endpoint, then the directories of the local ones."""
     config = subject.config
-    stream = (
-        config.stream.endpoints if config is not None else [ipc_endpoints.stream_endpoint(), ipc_endpoints.TCP_STREAM]
-    )
-    control = config.control.endpoint if config is not None else ipc_endpoints.control_endpoint()
+    stream = config.stream.endpoints if config is not None else [stream_endpoint(), TCP_STREAM]
+    control = config.control.endpoint if config is not None else control_endpoint()
     remote = [("control", each) for each in config.control.remote] if config is not None else []
     directories: dict[Path, None] = {}
     for name, endpoint in [*(("stream", each) for each in stream), ("control", control), *remote]:

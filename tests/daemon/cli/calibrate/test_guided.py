@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from daemon.control.rpc.client import ControlClient
 from daemon.rig.calibration_file import read_calibration, read_cameras
+from fringed.control.client import ControlClient
 from sim.rig.layout import RigLayout
 from tools.waiting import wait_until
 

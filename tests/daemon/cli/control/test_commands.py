@@ -13,8 +13,8 @@ from daemon.cli import command_table
 from daemon.cli.control.get import bounds, list_text
 from daemon.cli.control.set import parsed
 from daemon.cli.control.status_page import page, watch
-from daemon.common.errors import ControlError
 from daemon.control.rpc.server import ControlServer
+from fringed.errors import ControlError
 from tests.daemon.running_daemon import Running, warmed
 
 

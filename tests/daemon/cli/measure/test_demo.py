@@ -10,9 +10,9 @@ import pytest
 
 from daemon.cli.control.status_rows import drop_rows
 from daemon.cli.measure import demo, demo_processes
-from daemon.common.ipc_endpoints import control_endpoint
 from daemon.config import load_rig
 from daemon.control.rpc.server import ControlServer
+from fringed.control.address import control_endpoint
 from tools.waiting import wait_until
 
 STATUS: dict[str, Any] = {

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from daemon.common.errors import ControlError
-from daemon.control.rpc.client import ControlClient
 from fringed import subscribe
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 from tools.waiting import wait_until
 
 RIG = """

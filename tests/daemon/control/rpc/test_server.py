@@ -13,10 +13,11 @@ import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.common.errors import ControlError, DaemonError
-from daemon.control.rpc.client import ControlClient
+from daemon.common.errors import DaemonError
 from daemon.control.rpc.protocol import MAX_BYTES, Method, Role, RpcError, respond
 from daemon.control.rpc.server import ControlServer
+from fringed.control.client import ControlClient
+from fringed.errors import ControlError
 
 
 def refuse(_: dict[str, Any]) -> None:

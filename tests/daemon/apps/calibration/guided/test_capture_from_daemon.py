@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from daemon.apps.calibration.guided.capture_from_daemon import CaptureFromDaemon
-from daemon.common.errors import ControlError, DaemonError
+from daemon.common.errors import DaemonError
 from daemon.live.items import Pair
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from daemon.recording.write.take_writer import TakeWriter
 from drivers.protocols import Frame, Side
+from fringed.errors import ControlError
 from pipeline.pattern.sequence import camera_sequence
 
 SEQUENCE = camera_sequence((64, 48))

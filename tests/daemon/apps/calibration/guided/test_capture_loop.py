@@ -28,12 +28,12 @@ from daemon.common.clock import SystemClock
 from daemon.common.errors import DaemonError
 from daemon.control.calibrate_methods import CalibrateMethods
 from daemon.control.methods import Methods
-from daemon.control.rpc.client import ControlClient
 from daemon.control.rpc.server import ControlServer
 from daemon.control.sequence_capture import Capture
 from daemon.live.service import Service
 from daemon.recording.recorder import Recorder
 from drivers.errors import DriverError
+from fringed.control.client import ControlClient
 from pipeline.pattern.projected_frames import Fringe, Uniform
 from pipeline.pattern.sequence import FrameSequence, camera_sequence
 from tests.daemon.apps.calibration.guided.hand_rig import BOARD, HandDevices, find, hand_devices

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.common.errors import NoDaemonError
-from daemon.control.rpc.client import ControlClient
 from daemon.control.rpc.protocol import Method
 from daemon.control.rpc.server import ControlServer
+from fringed.control.client import ControlClient
+from fringed.errors import NoDaemonError
 
 PATIENCE_S = 60.0  # of the client; the answer comes long before
 

@@ -1,0 +1,1 @@
+"""Takes behind ``fringed.open``: the entry point ``fringed.readers``."""

@@ -1,0 +1,1 @@
+"""Control of a daemon: addresses, the state of a connection, and the JSON-RPC client."""

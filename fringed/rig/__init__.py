@@ -1,0 +1,1 @@
+"""One interface for a running daemon and for recordings: clouds, previews, settings, status, takes."""
