@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -14,6 +15,7 @@ from fringed import wire
 from fringed.errors import FringedError, SilenceError, WireError
 from fringed.keys import Keys
 from fringed.losses import Losses
+from fringed.parts import BASIC, PARTS, parts_of, topic_of
 from fringed.receiver import Receiver
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5555"
@@ -32,12 +34,18 @@ class ReceivedCloud:
         xyz: (H, W, 3) float32, mm, NaN where there is no point.
         gray: (H, W) uint8, the texture; None on ``cloud/depth``.
         sigma: (H, W) float32, mm, one standard deviation along the viewing ray; None on ``cloud/depth``.
+        rgb: (H, W, 3) uint8, colour without fringes, linear; normals: (H, W, 3) float32, unit vectors towards the
+            camera, NaN where unknown; interpolated: (H, W) bool, points that were filled in, not measured. All None
+            unless they were asked for (``parts``) or the daemon adds them to every cloud.
     """
 
     header: wire.CloudHeader
     xyz: NDArray[np.float32]
     gray: NDArray[np.uint8] | None
     sigma: NDArray[np.float32] | None
+    rgb: NDArray[np.uint8] | None = None
+    normals: NDArray[np.float32] | None = None
+    interpolated: NDArray[np.bool_] | None = None
 
     @property
     def every(self) -> int:
@@ -61,8 +69,9 @@ class _Stream:
     def __init__(
         self, endpoint: str, topic: str, *, latest: bool, timeout_s: float | None, keys: Keys | None = None
     ) -> None:
-        if topic not in TOPICS:
-            raise FringedError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}")
+        self._parts = BASIC if topic == TOPICS[0] else parts_of(topic)
+        if self._parts is None and topic not in TOPICS:
+            raise FringedError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}, or name parts")
         self.topic, self.latest, self.timeout_s = topic, latest, timeout_s
         self._with_keys = keys is not None
         self.received = self.skipped = 0
@@ -114,9 +123,14 @@ class _Stream:
         if not isinstance(header, wire.CloudHeader):
             raise WireError(f"{message.topic}: kind {header.kind!r}, expected 'cloud'")
         grid = (header.height, header.width)
-        if self._meta is None:
-            _check(message, {"xyz": ("<f4", (*grid, 3)), "gray": ("|u1", grid), "sigma": ("<f4", grid)})
-            cloud = ReceivedCloud(header, arrays["xyz"], arrays["gray"], arrays["sigma"])
+        if self._parts is not None:
+            # What the daemon adds is checked as well as what was asked for.
+            names = [name for name in PARTS if name in arrays or name in self._parts]
+            _check(message, {name: (PARTS[name][0], (*grid, *PARTS[name][1])) for name in names})
+            values: dict[str, Any] = dict.fromkeys(PARTS) | {name: arrays[name] for name in names}
+            if values["interpolated"] is not None:
+                values["interpolated"] = values["interpolated"].view(np.bool_)
+            cloud = ReceivedCloud(header, **values)
         else:
             _check(message, {"z": ("<u2", grid)})
             if not self._rays_match(header):
@@ -209,6 +223,7 @@ def subscribe(
     endpoint: str = DEFAULT_ENDPOINT,
     *,
     topic: str = "cloud/full",
+    parts: Iterable[str] | None = None,
     latest: bool = True,
     timeout_s: float | None = None,
     keys: Keys | None = None,
@@ -218,10 +233,13 @@ def subscribe(
     Args:
         endpoint: ``tcp://HOST:PORT`` or ``ipc://PATH``.
         topic: ``cloud/full``, or ``cloud/depth`` for slow networks (points only; needs the package blosc2).
+        parts: instead of a topic: what each cloud shall carry, ``xyz`` and any of ``gray``, ``sigma``, ``rgb``,
+            ``normals``, ``interpolated``; the daemon computes colour and normals only for those who ask.
         latest: return the newest cloud and skip older ones; False: every cloud, within the limits of the queues.
         timeout_s: longest wait before SilenceError; None = no limit.
         keys: for a daemon on another machine: ``Keys.load("laptop.key", "server.pub")``.
     """
+    topic = topic if parts is None else topic_of(parts)
     return Subscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
 
 
@@ -229,11 +247,13 @@ def asubscribe(
     endpoint: str = DEFAULT_ENDPOINT,
     *,
     topic: str = "cloud/full",
+    parts: Iterable[str] | None = None,
     latest: bool = True,
     timeout_s: float | None = None,
     keys: Keys | None = None,
 ) -> AsyncSubscription:
     """Subscribe like :func:`subscribe`, for ``async for`` and ``async with``."""
+    topic = topic if parts is None else topic_of(parts)
     return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
 
 
