@@ -19,17 +19,18 @@ from numpy.typing import NDArray
 
 from pipeline.common.jit import serial
 from pipeline.common.parallel_for import blocks, parallel
-from pipeline.common.tile_math import TILE, root
+from pipeline.common.tile_math import root
 
 F32 = NDArray[np.float32]
 
 RADIUS = 3
 """Half width of the window, pixels."""
-_ROWS = 128
+TILE, _ROWS = 128, 128
+"""Columns and rows of a tile: what eight rows of it need stays in the first-level cache."""
 _WIDE = TILE + 2 * RADIUS + 2
 _RING = 2 * RADIUS + 2
-_X, _Y, _Z, _W, _NEXT, _SMOOTH = range(0, 6 * _WIDE, _WIDE)  # offsets in a row of raw values
-_RAW = 6 * _WIDE
+_X, _Y, _Z, _W = range(0, 4 * _WIDE, _WIDE)  # offsets in a row of raw values
+_RAW = 4 * _WIDE
 _SUMS = 10 * TILE  # weight, its first moment, weighted position and its first moment; links to the next row
 _DOWN, _OVER = 8 * TILE, 9 * TILE
 _STEEPEST = 8.0
@@ -117,8 +118,6 @@ def _link_columns(raw: Any, reach: Any, curved: Any, links: Any) -> None:
         z = raw[_Z + j + 1] - _TWO * raw[_Z + j] + raw[_Z + j - 1]
         smooth = _smooth(x, y, z, raw[_W + j - 1], raw[_W + j], raw[_W + j + 1], curved)
         links[_WIDE + j] = links[j - 1] * links[j] * smooth
-    for j in range(2 * _WIDE):
-        raw[_NEXT + j] = links[j]
 
 
 @serial
@@ -129,33 +128,34 @@ def _smooth(x: Any, y: Any, z: Any, before: Any, here: Any, after: Any, curved: 
 
 
 @serial
-def _sum_row(raw: Any, sums: Any) -> None:
+def _sum_row(raw: Any, links: Any, sums: Any) -> None:
     """Weighted sums along a row over the pixels of each pixel's surface, RADIUS to both sides."""
     for j in range(TILE):
         c = j + RADIUS + 1
         w0 = raw[_W + c]
-        ahead1 = raw[_NEXT + c]
-        ahead2 = ahead1 * raw[_SMOOTH + c + 1]
-        ahead3 = ahead2 * raw[_SMOOTH + c + 2]
-        back1 = raw[_NEXT + c - 1]
-        back2 = back1 * raw[_SMOOTH + c - 1]
-        back3 = back2 * raw[_SMOOTH + c - 2]
+        ahead1, back1 = links[c], links[c - 1]
+        ahead2, back2 = ahead1 * links[_WIDE + c + 1], back1 * links[_WIDE + c - 1]
+        ahead3, back3 = ahead2 * links[_WIDE + c + 2], back2 * links[_WIDE + c - 2]
         a1, a2, a3 = ahead1 * raw[_W + c + 1], ahead2 * raw[_W + c + 2], ahead3 * raw[_W + c + 3]
         b1, b2, b3 = back1 * raw[_W + c - 1], back2 * raw[_W + c - 2], back3 * raw[_W + c - 3]
-        sums[j] = w0 + (a1 + b1) + (a2 + b2) + (a3 + b3)
-        sums[TILE + j] = (a1 - b1) + _TWO * (a2 - b2) + _THREE * (a3 - b3)
-        p1, p2, p3 = a1 * raw[_X + c + 1], a2 * raw[_X + c + 2], a3 * raw[_X + c + 3]
-        q1, q2, q3 = b1 * raw[_X + c - 1], b2 * raw[_X + c - 2], b3 * raw[_X + c - 3]
-        sums[2 * TILE + j] = w0 * raw[_X + c] + (p1 + q1) + (p2 + q2) + (p3 + q3)
-        sums[5 * TILE + j] = (p1 - q1) + _TWO * (p2 - q2) + _THREE * (p3 - q3)
-        p1, p2, p3 = a1 * raw[_Y + c + 1], a2 * raw[_Y + c + 2], a3 * raw[_Y + c + 3]
-        q1, q2, q3 = b1 * raw[_Y + c - 1], b2 * raw[_Y + c - 2], b3 * raw[_Y + c - 3]
-        sums[3 * TILE + j] = w0 * raw[_Y + c] + (p1 + q1) + (p2 + q2) + (p3 + q3)
-        sums[6 * TILE + j] = (p1 - q1) + _TWO * (p2 - q2) + _THREE * (p3 - q3)
-        p1, p2, p3 = a1 * raw[_Z + c + 1], a2 * raw[_Z + c + 2], a3 * raw[_Z + c + 3]
-        q1, q2, q3 = b1 * raw[_Z + c - 1], b2 * raw[_Z + c - 2], b3 * raw[_Z + c - 3]
-        sums[4 * TILE + j] = w0 * raw[_Z + c] + (p1 + q1) + (p2 + q2) + (p3 + q3)
-        sums[7 * TILE + j] = (p1 - q1) + _TWO * (p2 - q2) + _THREE * (p3 - q3)
+        p2, p3, q1, q2, q3 = _TWO * a2, _THREE * a3, -b1, -_TWO * b2, -_THREE * b3
+        sums[j] = w0 + a1 + b1 + a2 + b2 + a3 + b3
+        sums[TILE + j] = a1 + q1 + p2 + q2 + p3 + q3
+        x1, x2, x3, y1, y2, y3 = (
+            raw[_X + c + 1], raw[_X + c + 2], raw[_X + c + 3], raw[_X + c - 1], raw[_X + c - 2], raw[_X + c - 3]
+        )  # fmt: skip
+        sums[2 * TILE + j] = w0 * raw[_X + c] + a1 * x1 + b1 * y1 + a2 * x2 + b2 * y2 + a3 * x3 + b3 * y3
+        sums[5 * TILE + j] = a1 * x1 + q1 * y1 + p2 * x2 + q2 * y2 + p3 * x3 + q3 * y3
+        x1, x2, x3, y1, y2, y3 = (
+            raw[_Y + c + 1], raw[_Y + c + 2], raw[_Y + c + 3], raw[_Y + c - 1], raw[_Y + c - 2], raw[_Y + c - 3]
+        )  # fmt: skip
+        sums[3 * TILE + j] = w0 * raw[_Y + c] + a1 * x1 + b1 * y1 + a2 * x2 + b2 * y2 + a3 * x3 + b3 * y3
+        sums[6 * TILE + j] = a1 * x1 + q1 * y1 + p2 * x2 + q2 * y2 + p3 * x3 + q3 * y3
+        x1, x2, x3, y1, y2, y3 = (
+            raw[_Z + c + 1], raw[_Z + c + 2], raw[_Z + c + 3], raw[_Z + c - 1], raw[_Z + c - 2], raw[_Z + c - 3]
+        )  # fmt: skip
+        sums[4 * TILE + j] = w0 * raw[_Z + c] + a1 * x1 + b1 * y1 + a2 * x2 + b2 * y2 + a3 * x3 + b3 * y3
+        sums[7 * TILE + j] = a1 * x1 + q1 * y1 + p2 * x2 + q2 * y2 + p3 * x3 + q3 * y3
 
 
 @serial
@@ -180,40 +180,38 @@ def _link_rows(above: Any, here: Any, below: Any, reach: Any, curved: Any, befor
 def _fit_row(up3: Any, up2: Any, up1: Any, here: Any, down1: Any, down2: Any, down3: Any, raw: Any, out: Any) -> None:
     """Normals (3 TILE,) of a row from the sums of seven."""
     for j in range(TILE):
-        n1 = here[_DOWN + j]
-        n2 = n1 * down1[_OVER + j]
-        n3 = n2 * down2[_OVER + j]
-        m1 = up1[_DOWN + j]
-        m2 = m1 * up1[_OVER + j]
-        m3 = m2 * up2[_OVER + j]
-        a1, a2, a3 = n1 * down1[j], n2 * down2[j], n3 * down3[j]
-        b1, b2, b3 = m1 * up1[j], m2 * up2[j], m3 * up3[j]
-        n = here[j] + (a1 + b1) + (a2 + b2) + (a3 + b3)
-        v = (a1 - b1) + _TWO * (a2 - b2) + _THREE * (a3 - b3)
-        k = TILE + j
-        u = here[k] + n1 * down1[k] + m1 * up1[k] + n2 * down2[k] + m2 * up2[k] + n3 * down3[k] + m3 * up3[k]
+        a1, b1 = here[_DOWN + j], up1[_DOWN + j]
+        a2, b2 = a1 * down1[_OVER + j], b1 * up1[_OVER + j]
+        a3, b3 = a2 * down2[_OVER + j], b2 * up2[_OVER + j]
+        p2, p3, q1, q2, q3 = _TWO * a2, _THREE * a3, -b1, -_TWO * b2, -_THREE * b3
+        k = j
+        x1, x2, x3, y1, y2, y3 = down1[k], down2[k], down3[k], up1[k], up2[k], up3[k]
+        n = here[k] + a1 * x1 + b1 * y1 + a2 * x2 + b2 * y2 + a3 * x3 + b3 * y3
+        v = a1 * x1 + q1 * y1 + p2 * x2 + q2 * y2 + p3 * x3 + q3 * y3
+        k += TILE
+        u = here[k] + a1 * down1[k] + b1 * up1[k] + a2 * down2[k] + b2 * up2[k] + a3 * down3[k] + b3 * up3[k]
         inverse = _ONE / max(n, _TINY)
+        # Moments about the mean, relative to the total weight: products stay in the range of single precision.
         u, v = u * inverse, v * inverse
         k += TILE
-        a1, a2, a3, b1, b2, b3 = n1 * down1[k], n2 * down2[k], n3 * down3[k], m1 * up1[k], m2 * up2[k], m3 * up3[k]
-        x0 = here[k] + (a1 + b1) + (a2 + b2) + (a3 + b3)
-        xv = (a1 - b1) + _TWO * (a2 - b2) + _THREE * (a3 - b3) - v * x0
+        x1, x2, x3, y1, y2, y3 = down1[k], down2[k], down3[k], up1[k], up2[k], up3[k]
+        x0 = here[k] + a1 * x1 + b1 * y1 + a2 * x2 + b2 * y2 + a3 * x3 + b3 * y3
+        xv = (a1 * x1 + q1 * y1 + p2 * x2 + q2 * y2 + p3 * x3 + q3 * y3 - v * x0) * inverse
         k += TILE
-        a1, a2, a3, b1, b2, b3 = n1 * down1[k], n2 * down2[k], n3 * down3[k], m1 * up1[k], m2 * up2[k], m3 * up3[k]
-        y0 = here[k] + (a1 + b1) + (a2 + b2) + (a3 + b3)
-        yv = (a1 - b1) + _TWO * (a2 - b2) + _THREE * (a3 - b3) - v * y0
+        x1, x2, x3, y1, y2, y3 = down1[k], down2[k], down3[k], up1[k], up2[k], up3[k]
+        y0 = here[k] + a1 * x1 + b1 * y1 + a2 * x2 + b2 * y2 + a3 * x3 + b3 * y3
+        yv = (a1 * x1 + q1 * y1 + p2 * x2 + q2 * y2 + p3 * x3 + q3 * y3 - v * y0) * inverse
         k += TILE
-        a1, a2, a3, b1, b2, b3 = n1 * down1[k], n2 * down2[k], n3 * down3[k], m1 * up1[k], m2 * up2[k], m3 * up3[k]
-        z0 = here[k] + (a1 + b1) + (a2 + b2) + (a3 + b3)
-        zv = (a1 - b1) + _TWO * (a2 - b2) + _THREE * (a3 - b3) - v * z0
+        x1, x2, x3, y1, y2, y3 = down1[k], down2[k], down3[k], up1[k], up2[k], up3[k]
+        z0 = here[k] + a1 * x1 + b1 * y1 + a2 * x2 + b2 * y2 + a3 * x3 + b3 * y3
+        zv = (a1 * x1 + q1 * y1 + p2 * x2 + q2 * y2 + p3 * x3 + q3 * y3 - v * z0) * inverse
         k += TILE
-        xu = here[k] + n1 * down1[k] + m1 * up1[k] + n2 * down2[k] + m2 * up2[k] + n3 * down3[k] + m3 * up3[k] - u * x0
+        xu = here[k] + a1 * down1[k] + b1 * up1[k] + a2 * down2[k] + b2 * up2[k] + a3 * down3[k] + b3 * up3[k]
         k += TILE
-        yu = here[k] + n1 * down1[k] + m1 * up1[k] + n2 * down2[k] + m2 * up2[k] + n3 * down3[k] + m3 * up3[k] - u * y0
+        yu = here[k] + a1 * down1[k] + b1 * up1[k] + a2 * down2[k] + b2 * up2[k] + a3 * down3[k] + b3 * up3[k]
         k += TILE
-        zu = here[k] + n1 * down1[k] + m1 * up1[k] + n2 * down2[k] + m2 * up2[k] + n3 * down3[k] + m3 * up3[k] - u * z0
-        # Relative to the total weight, so that the products stay in the range of single precision.
-        xu, yu, zu, xv, yv, zv = xu * inverse, yu * inverse, zu * inverse, xv * inverse, yv * inverse, zv * inverse
+        zu = here[k] + a1 * down1[k] + b1 * up1[k] + a2 * down2[k] + b2 * up2[k] + a3 * down3[k] + b3 * up3[k]
+        xu, yu, zu = (xu - u * x0) * inverse, (yu - u * y0) * inverse, (zu - u * z0) * inverse
         nx, ny, nz = yv * zu - zv * yu, zv * xu - xv * zu, xv * yu - yv * xu
         square = nx * nx + ny * ny + nz * nz
         w = raw[_W + RADIUS + 1 + j]
@@ -243,7 +241,7 @@ def fit_normals(
         if 0 <= y < height:
             _load_row(xyz[y], sigma[y], left - RADIUS - 1, reference, raw[new])
             _link_columns(raw[new], reach, curved, links)
-            _sum_row(raw[new], sums[new])
+            _sum_row(raw[new], links, sums[new])
         else:
             raw[new], sums[new] = _ZERO, _ZERO
         _link_rows(raw[older], raw[old], raw[new], reach, curved, sums[older], sums[old])
