@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -17,6 +18,7 @@ from fringed.control.connection import listener_problem
 from fringed.errors import ArgumentError, SilenceError, WireError
 from fringed.keys import Keys
 from fringed.losses import Losses
+from fringed.parts import BASIC, PARTS, parts_of, topic_of
 from fringed.receiver import Receiver
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5555"
@@ -38,12 +40,18 @@ class ReceivedCloud:
         xyz: (H, W, 3) float32, mm, NaN where there is no point.
         gray: (H, W) uint8, the texture; None on ``cloud/depth``.
         sigma: (H, W) float32, mm, one standard deviation along the viewing ray; None on ``cloud/depth``.
+        rgb: (H, W, 3) uint8, colour without fringes, linear; normals: (H, W, 3) float32, unit vectors towards the
+            camera, NaN where unknown; interpolated: (H, W) bool, points that were filled in, not measured. All None
+            unless they were asked for (``parts``) or the daemon adds them to every cloud.
     """
 
     header: wire.CloudHeader
     xyz: NDArray[np.float32]
     gray: NDArray[np.uint8] | None
     sigma: NDArray[np.float32] | None
+    rgb: NDArray[np.uint8] | None = None
+    normals: NDArray[np.float32] | None = None
+    interpolated: NDArray[np.bool_] | None = None
 
     @property
     def every(self) -> int:
@@ -67,8 +75,9 @@ class _Stream:
     def __init__(
         self, endpoint: str, topic: str, *, latest: bool, timeout_s: float | None, keys: Keys | None = None
     ) -> None:
-        if topic not in TOPICS:
-            raise ArgumentError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}")
+        self._parts = BASIC if topic == TOPICS[0] else parts_of(topic)
+        if self._parts is None and topic not in TOPICS:
+            raise ArgumentError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}, or name parts")
         self.topic, self.latest, self.timeout_s = topic, latest, checked_timeout_or_none(timeout_s)
         self._with_keys = keys is not None
         self.received = self.skipped = 0
@@ -120,8 +129,8 @@ class _Stream:
         header = message.header
         if not isinstance(header, wire.CloudHeader):
             raise WireError(f"{message.topic}: kind {header.kind!r}, expected 'cloud'")
-        if self._meta is None:
-            cloud = full_cloud(message)
+        if self._parts is not None:
+            cloud = full_cloud(message, self._parts)
         else:
             _check(message, {"z": ("<u2", (header.height, header.width))})
             if not self._rays_match(header):
@@ -223,6 +232,7 @@ def subscribe(
     endpoint: str = DEFAULT_ENDPOINT,
     *,
     topic: str = "cloud/full",
+    parts: Iterable[str] | None = None,
     latest: bool = True,
     timeout_s: float | None = None,
     keys: Keys | None = None,
@@ -232,10 +242,13 @@ def subscribe(
     Args:
         endpoint: ``tcp://HOST:PORT`` or ``ipc://PATH``.
         topic: ``cloud/full``, or ``cloud/depth`` for slow networks (points only; needs the package blosc2).
+        parts: instead of a topic: what each cloud shall carry, ``xyz`` and any of ``gray``, ``sigma``, ``rgb``,
+            ``normals``, ``interpolated``; the daemon computes colour and normals only for those who ask.
         latest: return the newest cloud and skip older ones; False: every cloud, within the limits of the queues.
         timeout_s: longest wait before SilenceError; None = no limit.
         keys: for a daemon on another machine: ``Keys.load("laptop.key", "server.pub")``.
     """
+    topic = topic if parts is None else topic_of(parts)
     return Subscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
 
 
@@ -243,26 +256,35 @@ def asubscribe(
     endpoint: str = DEFAULT_ENDPOINT,
     *,
     topic: str = "cloud/full",
+    parts: Iterable[str] | None = None,
     latest: bool = True,
     timeout_s: float | None = None,
     keys: Keys | None = None,
 ) -> AsyncSubscription:
     """Subscribe like :func:`subscribe`, for ``async for`` and ``async with``."""
+    topic = topic if parts is None else topic_of(parts)
     return AsyncSubscription(endpoint, topic, latest=latest, timeout_s=timeout_s, keys=keys)
 
 
-def full_cloud(message: wire.Message) -> ReceivedCloud:
-    """Return the cloud in a message of ``cloud/full``.
+def full_cloud(message: wire.Message, parts: Iterable[str] = BASIC) -> ReceivedCloud:
+    """Return the cloud in a message of ``cloud/full``, or of a topic that asks for parts.
+
+    Args:
+        parts: that it must have; what the daemon adds is checked as well.
 
     Raises:
-        WireError: another kind of message, or a part of another type or shape.
+        WireError: another kind of message, or a part that is missing or of another type or shape.
     """
     header, arrays = message.header, message.arrays
     if not isinstance(header, wire.CloudHeader):
         raise WireError(f"{message.topic}: kind {header.kind!r}, expected 'cloud'")
-    grid = (header.height, header.width)
-    _check(message, {"xyz": ("<f4", (*grid, 3)), "gray": ("|u1", grid), "sigma": ("<f4", grid)})
-    return ReceivedCloud(header, arrays["xyz"], arrays["gray"], arrays["sigma"])
+    grid, wanted = (header.height, header.width), set(parts)
+    names = [name for name in PARTS if name in arrays or name in wanted]
+    _check(message, {name: (PARTS[name][0], (*grid, *PARTS[name][1])) for name in names})
+    values: dict[str, Any] = dict.fromkeys(PARTS) | {name: arrays[name] for name in names}
+    if values["interpolated"] is not None:
+        values["interpolated"] = values["interpolated"].view(np.bool_)
+    return ReceivedCloud(header, **values)
 
 
 def _wait_ms(left_s: float) -> int:

@@ -7,24 +7,50 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_ROW = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
 
-
-def pcd_bytes(xyz: NDArray[np.float32], gray: NDArray[np.uint8]) -> bytes:
+def pcd_bytes(
+    xyz: NDArray[np.float32],
+    gray: NDArray[np.uint8] | None = None,
+    *,
+    rgb: NDArray[np.uint8] | None = None,
+    normals: NDArray[np.float32] | None = None,
+    sigma: NDArray[np.float32] | None = None,
+    interpolated: NDArray[Any] | None = None,
+) -> bytes:
     """Encode a cloud as a PCD file; lengths in millimetres.
 
     Args:
         xyz: (..., 3), mm; points that are not finite are left out.
-        gray: (...) texture, written as ``rgb`` in PCL's packing: 0xRRGGBB in the four bytes of a float.
+        gray: (...) texture, written as ``rgb`` in PCL's packing: 0xRRGGBB in the four bytes of a float; rgb: (..., 3)
+            instead of it.
+        normals: (..., 3), written as normal_x, normal_y, normal_z; 0 0 0 where unknown.
+        sigma: (...), mm; interpolated: (...), written as 0 or 1.
     """
     valid = np.isfinite(xyz).all(axis=-1)
-    rows: NDArray[Any] = np.empty(int(valid.sum()), _ROW)
-    for axis, name in enumerate("xyz"):
-        rows[name] = xyz[..., axis][valid]
-    rows["rgb"] = gray[valid].astype(np.uint32) * 0x010101
+    columns: list[tuple[str, str, NDArray[Any]]] = [(name, "<f4", xyz[..., axis]) for axis, name in enumerate("xyz")]
+    if rgb is not None:
+        columns.append(("rgb", "<u4", rgb.astype(np.uint32) @ np.array([0x10000, 0x100, 1], np.uint32)))
+    elif gray is not None:
+        columns.append(("rgb", "<u4", gray.astype(np.uint32) * 0x010101))
+    if normals is not None:
+        columns += [(f"normal_{name}", "<f4", np.nan_to_num(normals[..., axis])) for axis, name in enumerate("xyz")]
+    if sigma is not None:
+        columns.append(("sigma", "<f4", sigma))
+    if interpolated is not None:
+        columns.append(("interpolated", "|u1", interpolated))
+    rows: NDArray[Any] = np.empty(int(valid.sum()), np.dtype([(name, kind) for name, kind, _ in columns]))
+    for name, _, plane in columns:
+        rows[name] = plane[valid]
+
+    def line(key: str, *values: Any) -> str:
+        return " ".join([key, *map(str, values)]) + "\n"
+
     head = (
-        "# .PCD v0.7 - Point Cloud Data file format\n# unit mm\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\n"
-        f"TYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
-        f"POINTS {len(rows)}\nDATA binary\n"
+        "# .PCD v0.7 - Point Cloud Data file format\n# unit mm\nVERSION 0.7\n"
+        + line("FIELDS", *(name for name, _, _ in columns))
+        + line("SIZE", *(kind[-1] for _, kind, _ in columns))
+        + line("TYPE", *("U" if kind == "|u1" else "F" for _, kind, _ in columns))
+        + line("COUNT", *[1] * len(columns))
+        + f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
     )
     return head.encode("ascii") + rows.tobytes()

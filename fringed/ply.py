@@ -7,27 +7,49 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+_KINDS = {"<f4": "float", "|u1": "uchar"}
 
-def ply_bytes(xyz: NDArray[np.float32], gray: NDArray[np.uint8] | None = None) -> bytes:
+
+def ply_bytes(
+    xyz: NDArray[np.float32],
+    gray: NDArray[np.uint8] | None = None,
+    *,
+    rgb: NDArray[np.uint8] | None = None,
+    normals: NDArray[np.float32] | None = None,
+    sigma: NDArray[np.float32] | None = None,
+    interpolated: NDArray[Any] | None = None,
+    faces: NDArray[np.int32] | None = None,
+) -> bytes:
     """Encode a cloud as a PLY file; lengths in millimetres.
 
     Args:
         xyz: (..., 3), mm; points that are not finite are left out.
-        gray: (...) texture, written as equal red, green and blue, which viewers support.
+        gray: (...) texture, written as equal red, green and blue, which viewers support; rgb: (..., 3) instead of it.
+        normals: (..., 3), written as nx, ny, nz; 0 0 0 where unknown.
+        sigma: (...), mm; interpolated: (...), written as 0 or 1.
+        faces: (n, 3) triangles, numbers of the valid points.
     """
     valid = np.isfinite(xyz).all(axis=-1)
-    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    if gray is not None:
-        fields += [("red", "|u1"), ("green", "|u1"), ("blue", "|u1")]
-    rows: NDArray[Any] = np.empty(int(valid.sum()), np.dtype(fields))
-    for axis, name in enumerate("xyz"):
-        rows[name] = xyz[..., axis][valid]
-    if gray is not None:
-        for name in ("red", "green", "blue"):
-            rows[name] = gray[valid]
-    kinds = {"<f4": "float", "|u1": "uchar"}
-    properties = "".join(f"property {kinds[kind]} {name}\n" for name, kind in fields)
-    head = (
-        f"ply\nformat binary_little_endian 1.0\ncomment unit mm\nelement vertex {len(rows)}\n{properties}end_header\n"
-    )
-    return head.encode("ascii") + rows.tobytes()
+    columns: list[tuple[str, str, NDArray[Any]]] = [(name, "<f4", xyz[..., axis]) for axis, name in enumerate("xyz")]
+    if normals is not None:
+        columns += [(f"n{name}", "<f4", np.nan_to_num(normals[..., axis])) for axis, name in enumerate("xyz")]
+    colors = ("red", "green", "blue")
+    if rgb is not None:
+        columns += [(name, "|u1", rgb[..., channel]) for channel, name in enumerate(colors)]
+    elif gray is not None:
+        columns += [(name, "|u1", gray) for name in colors]
+    if sigma is not None:
+        columns.append(("sigma", "<f4", sigma))
+    if interpolated is not None:
+        columns.append(("interpolated", "|u1", interpolated))
+    rows: NDArray[Any] = np.empty(int(valid.sum()), np.dtype([(name, kind) for name, kind, _ in columns]))
+    for name, _, plane in columns:
+        rows[name] = plane[valid]
+    properties = "".join(f"property {_KINDS[kind]} {name}\n" for name, kind, _ in columns)
+    head = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\nelement vertex {len(rows)}\n{properties}"
+    if faces is None:
+        return f"{head}end_header\n".encode("ascii") + rows.tobytes()
+    triangles: NDArray[Any] = np.empty(len(faces), np.dtype([("count", "|u1"), ("points", "<i4", (3,))]))
+    triangles["count"], triangles["points"] = 3, faces
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    return head.encode("ascii") + rows.tobytes() + triangles.tobytes()

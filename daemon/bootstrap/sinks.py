@@ -43,6 +43,7 @@ def open_publisher(config: RigConfig, rig: Rig, session: str) -> StatusSink:
         identity=rig.identity,
         config=config.model_dump(mode="json"),
         preview_hz=config.stream.preview_hz,
+        parts=config.outputs.parts,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag
 
 from daemon.config.health import Health
+from daemon.config.outputs import Outputs
 from daemon.config.section import Section
 from daemon.config.security import Security
 from daemon.config.sequence import Mode, Sequencing
@@ -199,6 +200,7 @@ class RigConfig(Section):
     sequence: Sequencing = Sequencing()
     pairing: Pairing = Pairing()
     pipeline: Pipeline = Pipeline()
+    outputs: Outputs = Outputs()
     stream: Stream = Field(default_factory=Stream)
     control: Control = Field(default_factory=Control)
     recording: Recording = Recording()

@@ -161,8 +161,11 @@ class Methods:
         directory = self._service.config.path(self._service.config.recording.dir, self._base_dir)
         directory.mkdir(parents=True, exist_ok=True)
         target = directory / f"{name}_{item.seq:06d}.npz"
+        cloud = item.cloud
+        optional = {"rgb": cloud.rgb, "normals": cloud.normals, "interpolated": cloud.interpolated}
+        extra: dict[str, Any] = {name: array for name, array in optional.items() if array is not None}
         buffer = io.BytesIO()
-        np.savez(buffer, xyz=item.cloud.xyz, sigma_mm=item.cloud.sigma_mm, gray=item.cloud.gray)
+        np.savez(buffer, xyz=cloud.xyz, sigma_mm=cloud.sigma_mm, gray=cloud.gray, **extra)
         write_atomically(target, buffer.getvalue())
         return {"file": str(target), "seq": item.seq, "t_ns": item.t_ns, "points": item.cloud.points}
 

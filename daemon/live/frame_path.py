@@ -21,6 +21,7 @@ from daemon.live.router import Router
 from daemon.rig.camera_serials import serial_problem
 from daemon.rig.open_rig import Rig
 from drivers.protocols import SIDES, Clock, Side
+from fringed.parts import COMPUTED
 from pipeline.common.settings import Settings
 
 log = logging.getLogger("fringed")
@@ -51,7 +52,10 @@ class FramePath:
         self.settings = Settings().with_overrides(config.pipeline.settings)
         self.drops = drops = Counters()
         self.router = router = Router(sinks, drops)
-        self.worker = Worker(config.pipeline, emit=router.emit, drops=drops, clock=clock)
+        self.worker = Worker(
+            config.pipeline, emit=router.emit, drops=drops, clock=clock,
+            wanted=lambda: COMPUTED & router.wanted_parts().union(self.config.outputs.parts),
+        )  # fmt: skip
         self.pairer = pairer = LockedPairer(
             pairing_settings(config.pairing), paired=router.pair, unpaired=router.unpaired, drops=drops, clock=clock
         )

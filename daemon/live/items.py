@@ -158,6 +158,14 @@ class Changeable(Protocol):
         """
 
 
+@runtime_checkable
+class PartsReader(Protocol):
+    """A sink that may need parts of a cloud that are computed only on demand."""
+
+    def wanted_parts(self) -> frozenset[str]:
+        """Names of these parts that the next cloud needs; called in the pipeline's thread, quick."""
+
+
 class Sink(Protocol):
     """Takes items into a bounded queue of its own; its own thread does the work."""
 

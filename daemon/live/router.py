@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 
 from daemon.common.counters import Counters
-from daemon.live.items import CloudItem, Item, Pair, Sink, UnpairedFrame
+from daemon.live.items import CloudItem, Item, Pair, PartsReader, Sink, UnpairedFrame
 from daemon.live.projection.mode_controller import ModeController
 from drivers.protocols import Frame
 
@@ -57,6 +57,14 @@ class Router:
             except Exception:  # a sink's bug must not appear as a camera's or the pipeline's
                 self._drops.add(f"{_KINDS[type(item)]}_{name}_failed")
                 log.exception("%s cannot take an item", name)
+
+    def wanted_parts(self) -> frozenset[str]:
+        """Parts of a cloud that any sink needs beside those that every cloud has."""
+        wanted: frozenset[str] = frozenset()
+        for sink in self.sinks.values():
+            if isinstance(sink, PartsReader):
+                wanted |= sink.wanted_parts()
+        return wanted
 
     def add_sink(self, name: str, sink: Sink) -> None:
         """Offer every item to this sink too."""

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from pipeline.common.settings import Settings
 from pipeline.decode.chromatic_phase import ChromaticCorrection, chromatic_correction
+from pipeline.decode.kernels.color_texture import BANDS as COLOR_BANDS
+from pipeline.decode.kernels.color_texture import color_texture, rough_colors
 from pipeline.decode.kernels.decode_bayer import decode_bayer
 from pipeline.decode.kernels.decode_rgb import BANDS, decode_rgb
 from pipeline.decode.kernels.local_mean import BoxMean
@@ -130,8 +132,7 @@ class Decoder:
         image = read_only(image)
         noise = self._noise(image)
         height, width = image.shape[:2]
-        largest, unit = (255, 1.0) if self._mosaic is None else (255 * EIGHTHS, 1 / EIGHTHS)
-        box = BoxMean.of(self._period_px, (width, height), axis=self._axis, largest=largest, unit=unit)
+        box = self._box(width, height)
         planes = self._scratch(height, width)
         mean, modulation = (np.empty((height, width), np.uint8) for _ in range(2))
         common = (
@@ -151,6 +152,33 @@ class Decoder:
             float(planes["saturated"].sum()) / (height * width), planes["phase"],
             modulation, planes["valid"],
         )  # fmt: skip
+
+    def color(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Colour of every pixel without the fringes, (H, W, 3) uint8: a white surface has equal channels.
+
+        Crosstalk and balance of the calibration are corrected; values are linear in the light, in counts above black,
+        as the mean is.
+
+        Args:
+            image: as for :meth:`decode`, whose results stay valid.
+        """
+        height, width = image.shape[:2]
+        box, samples, unit = self._box(width, height), read_only(image.reshape(height, -1)), 1.0
+        if self._mosaic is not None:
+            colors = np.empty((height, 3 * width), np.uint16)
+            rough_colors(height, samples, self._mosaic, colors)
+            samples, unit = colors, 1 / EIGHTHS
+        out = np.empty((height, width, 3), np.uint8)
+        color_texture(
+            COLOR_BANDS, samples, np.float32(unit), self._black, self._unmix, self._ideal, box.along, box.over,
+            box.drops, np.float32(box.scale), self._chromatic.table, self._chromatic.step, out.reshape(height, -1),
+        )  # fmt: skip
+        return out
+
+    def _box(self, width: int, height: int) -> BoxMean:
+        """The mean over a fringe period, of counts or, in a mosaic, of their eighths."""
+        largest, unit = (255, 1.0) if self._mosaic is None else (255 * EIGHTHS, 1 / EIGHTHS)
+        return BoxMean.of(self._period_px, (width, height), axis=self._axis, largest=largest, unit=unit)
 
     def _scratch(self, height: int, width: int) -> dict[str, NDArray[Any]]:
         """Planes that are reused: allocating them for every image would take a good part of the decoding time."""

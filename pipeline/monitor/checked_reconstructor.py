@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.monitor import observe
@@ -52,6 +53,10 @@ class CheckedReconstructor:
         self.inner.warm_up(strides=strides, use_prior=use_prior)
         if self.policy != "off":
             observe.warm_up()
+
+    def color(self, left: NDArray[Any]) -> NDArray[np.uint8]:
+        """The fringe-free colour of a left raw image, as of the reconstructor."""
+        return self.inner.color(left)
 
     def reconstruct(
         self, left: NDArray[Any], right: NDArray[Any], /, *, stride: int = 1, use_prior: bool = False

@@ -58,6 +58,10 @@ class ColorSets:
             one.correction, one.calibrated = correction, calibrated
             one.clear_prior()
 
+    def color(self, lefts: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
+        """The fringe-free colour, of the first image."""
+        return self._reconstructors[0].color(lefts[0])
+
     def cloud(
         self, lefts: Sequence[NDArray[Any]], rights: Sequence[NDArray[Any]], stride: int, watch: Stopwatch
     ) -> Cloud:

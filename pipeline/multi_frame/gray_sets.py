@@ -17,6 +17,7 @@ from pipeline.multi_frame import temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
 from pipeline.multi_frame.phase_limits import PhaseLimits
 from pipeline.multi_frame.phase_smoothing import CORRELATION
+from pipeline.multi_frame.set_color import set_color
 from pipeline.multi_frame.set_decoder import SetDecoder, SetPhase, windowed
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
@@ -45,6 +46,7 @@ class GraySets:
         self.correction = column_correction.NO_CORRECTION.copy()
         self.calibrated = not settings.self_calibrate
         self._calibration, self._volume, self._settings = calibration, volume, settings
+        self._encoding, self._steps = encoding, plan.fringes[0].frames
         finest = ColorFringe(plan.size, plan.periods, plan.axis)
         self._left = View.of(calibration, finest, volume, settings)
         swapped, rights = calibration.swapped(), volume_of_right(calibration, volume)
@@ -71,6 +73,10 @@ class GraySets:
     def restore(self, kept: list[CorrectionState]) -> None:
         """Restore the state."""
         [(self.correction, self.calibrated)] = kept
+
+    def color(self, lefts: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
+        """The fringe-free colour, (H, W, 3): the mean over the steps of the finest fringe."""
+        return set_color([lefts[n] for n in self._steps], self._calibration.left_color, self._encoding)
 
     def cloud(
         self, lefts: Sequence[NDArray[Any]], rights: Sequence[NDArray[Any]], stride: int, watch: Stopwatch

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.attributes.normals import normals_of
 from pipeline.common.errors import CalibrationError, ImageError
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
@@ -94,9 +95,15 @@ class SetReconstructor:
             for camera in (self.calibration.left, self.calibration.right)
         ]
         for stride in strides:
-            self.reconstruct(*sides, stride=stride)
+            cloud = self.reconstruct(*sides, stride=stride)
         warm_up_conflicts()
+        self.color(sides[0])
+        normals_of(cloud.xyz, cloud.sigma_mm)
         self.restore(kept)
+
+    def color(self, lefts: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
+        """The fringe-free colour of a set's left raw images, (H, W, 3): grey with monochrome cameras."""
+        return self._sets.color(lefts)
 
     def reconstruct(
         self,

@@ -25,6 +25,9 @@ class Cloud:
             them; sets only.
         consistency: of the pair with the calibration; None = not judged.
         ms: milliseconds by stage, by the caller's clock (empty without a clock).
+        rgb: (H, W, 3) uint8, the fringe-free colour, everywhere; None = not computed.
+        normals: (H, W, 3) float32, unit vectors towards the camera, NaN where unknown; None = not computed.
+        interpolated: (H, W) bool, points that were not measured but filled in; None = there are none.
     """
 
     xyz: NDArray[np.float32]
@@ -36,6 +39,9 @@ class Cloud:
     moved: int = 0
     consistency: Consistency | None = None
     ms: dict[str, float] = field(default_factory=dict)
+    rgb: NDArray[np.uint8] | None = None
+    normals: NDArray[np.float32] | None = None
+    interpolated: NDArray[np.bool_] | None = None
 
     @property
     def points(self) -> int:

@@ -11,6 +11,7 @@ from functools import cache
 
 import numpy as np
 
+from pipeline.attributes.normals import normals_of
 from pipeline.common.stopwatch import Stopwatch
 from pipeline.decode.decoder import PhaseMap
 from pipeline.filter.kernel_warmup import warm_up_conflicts
@@ -59,13 +60,20 @@ def parts(encoding: str) -> dict[str, Callable[[], None]]:
         "uniqueness": warm_up_conflicts,
         "filter": _filter,
         "check and propagation": _check,
+        "normals": _normals,
     }
 
 
 def _decode(encoding: str) -> None:
     deep = (3,) if encoding == "rgb8" else ()
     image = np.random.default_rng(0).integers(40, 200, (HEIGHT, WIDTH, *deep), np.uint8)
-    small_reconstructor(encoding).decoders[0].decode(image)
+    decoder = small_reconstructor(encoding).decoders[0]
+    decoder.decode(image)
+    decoder.color(image)
+
+
+def _normals() -> None:
+    normals_of(np.zeros((HEIGHT, WIDTH, 3), np.float32), np.zeros((HEIGHT, WIDTH), np.float32))
 
 
 def _phase_map() -> PhaseMap:

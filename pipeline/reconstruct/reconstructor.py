@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.attributes.normals import normals_of
 from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
 from pipeline.common.stopwatch import Stopwatch
@@ -106,9 +107,11 @@ class Reconstructor:
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
         self.calibrated = True  # one search loads the kernels of the column correction's hundred
         for stride in strides:
-            self.reconstruct(left, right, stride=stride, use_prior=use_prior)
+            cloud = self.reconstruct(left, right, stride=stride, use_prior=use_prior)
         self.searches[0].least_costs(*self._maps, self.correction, stride=8)
         warm_up_conflicts()
+        self.color(left)
+        normals_of(cloud.xyz, cloud.sigma_mm)
         self.clear_prior()
         self.correction, self.calibrated = kept
 
@@ -131,6 +134,10 @@ class Reconstructor:
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch)
+
+    def color(self, left: NDArray[Any]) -> NDArray[np.uint8]:
+        """The fringe-free colour of a left raw image, (H, W, 3); see :meth:`pipeline.decode.decoder.Decoder.color`."""
+        return self.decoders[0].color(checked(left, "left", self.encoding, self.calibration.left.size))
 
     def orders(
         self, left: NDArray[Any], right: NDArray[Any], watch: Stopwatch, *, use_prior: bool = False

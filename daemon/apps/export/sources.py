@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,7 +43,7 @@ def contents(source: Path) -> Contents:
     """
     if not source.is_dir():
         source.stat()  # a missing file is an error here
-        if source.suffix in (".ply", ".pcd"):
+        if source.suffix in (".ply", ".pcd", ".glb"):
             raise InputError(f"{source} is an exported cloud already; give one with its pixel grid (*{SUFFIX})")
         is_cloud = source.suffix == SUFFIX
         return Contents([source] if is_cloud else [], [] if is_cloud else [source])
@@ -62,18 +62,23 @@ def contents(source: Path) -> Contents:
     return found
 
 
-def saved_clouds(files: list[Path], progress: Progress) -> Clouds:
-    """Yield name and cloud of every file."""
+def saved_clouds(files: list[Path], progress: Progress, parts: Collection[str] = ()) -> Clouds:
+    """Yield name and cloud of every file, with these parts; InputError for one without its colour."""
     for number, path in enumerate(files):
         progress(number, len(files))
-        yield path.stem, read_cloud(path)
+        yield path.stem, read_cloud(path).completed(parts, path)
     progress(len(files), len(files))
 
 
 def reconstructed_clouds(
-    path: Path, progress: Progress, *, calibration: Path | None = None, settings: Settings | None = None
+    path: Path,
+    progress: Progress,
+    *,
+    calibration: Path | None = None,
+    settings: Settings | None = None,
+    parts: Collection[str] = (),
 ) -> Clouds:
-    """Yield name and cloud of every pair of a take.
+    """Yield name and cloud of every pair of a take, with these parts.
 
     Raises:
         DaemonError: no pair gives a cloud; PipelineError: files that do not match.
@@ -82,12 +87,12 @@ def reconstructed_clouds(
     from pipeline.common.settings import Settings
 
     with TakeReader(path) as take:
-        replay = Replay(take, settings or Settings(), calibration=calibration)
+        replay = Replay(take, settings or Settings(), calibration=calibration, parts=parts)
         count = 0
         for result in replay.results(progress=lambda position: progress(position, take.size)):
             count += 1
-            cloud = SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
-            yield cloud_stem(result.pair.sequence), cloud
+            cloud = SavedCloud.of(result.cloud)
+            yield cloud_stem(result.pair.sequence), cloud.completed(parts, path)
         if count == 0:
             reasons = [failure.error for failure in replay.failures[:1]] or take.problems or ["the take is empty"]
             raise DaemonError(f"{path}: no cloud to export: {reasons[0]}")

@@ -21,13 +21,13 @@ class RerunLog:
     """Logs clouds, images and figures like the live viewer.
 
     Args:
-        file: to save to (``.rrd``), None = open the native viewer.
+        file: to save to (``.rrd``), None = open the native viewer; color: the quantity that the colours encode.
 
     Raises:
         DaemonError: Rerun is not installed.
     """
 
-    def __init__(self, file: Path | None) -> None:
+    def __init__(self, file: Path | None, *, color: str = "depth") -> None:
         try:
             from daemon.apps.viewer import rerun_targets
             from daemon.apps.viewer.rerun_log import Logger
@@ -39,7 +39,7 @@ class RerunLog:
             else:
                 self._temporary.parent.mkdir(parents=True, exist_ok=True)
                 self._recording = rerun_targets.to_file(self._temporary)
-            self._logger = Logger(self._recording, decimate=1)
+            self._logger = Logger(self._recording, decimate=1, color=color)
         except ModuleNotFoundError as error:
             if error.name != "rerun":
                 raise
@@ -49,7 +49,7 @@ class RerunLog:
         """Log a cloud, its images and its figures."""
         pair, cloud, run = result.pair, result.cloud, result.runs[-1]
         self._logger.time(seq=pair.sequence, t_ns=pair.t_ns)
-        self._logger.cloud(cloud.xyz, cloud.gray, cloud.sigma_mm)
+        self._logger.cloud(cloud.xyz, cloud.gray, cloud.sigma_mm, cloud.rgb)
         self._logger.images({"left": _jpeg(pair.left), "right": _jpeg(pair.right)})
         self._logger.figures({"points": float(run.points), "latency_ms": run.total_ms})
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from pipeline.common.settings import Settings
 from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.optional_parts import with_parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +52,7 @@ class Replay:
         calibration: file to use instead of the attached one.
         use_prior: use the previous pair as temporal prior if it is close in time, as in a live run.
         calibration_check: policy for pairs that contradict the calibration, see ``IndependentVerdicts``.
+        parts: names of parts that every cloud shall have; ``rgb`` and ``normals`` are computed if they are named.
         compiling: called once a second with the progress while kernels are compiled.
     """
 
@@ -60,6 +62,7 @@ class Replay:
     calibration: Path | None = None
     use_prior: bool = False
     calibration_check: Policy = "withhold"
+    parts: Collection[str] = ()
     compiling: Callable[[Progress], object] | None = None
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
@@ -122,7 +125,8 @@ class Replay:
                 self.failures.append(Failure(pair.sequence, str(error)))
                 continue
             prior.measured(pair.sequence, pair.t_ns, 1)
-            yield Result(pair, cloud, runs)
+            left = item.lefts[0] if sequence is None else item.lefts
+            yield Result(pair, with_parts(cloud, reconstructor, left, self.parts), runs)
 
     def _reconstructor(self, encoding: str, sequence: FrameSequence | None) -> Any:
         """A warmed-up reconstructor for images of an encoding."""

@@ -71,7 +71,7 @@ class Bridge:
         return shown
 
     def _show(self, message: wire.Message) -> None:
-        if message.topic == "cloud/full":
+        if message.topic.startswith("cloud/"):
             self._show_cloud(message)
             return
         self._logger.time(t_ns=message.header.t_ns)
@@ -91,7 +91,10 @@ class Bridge:
         if xyz.shape != (*grid, 3) or gray.shape != grid or sigma.shape != grid:
             raise WireError(f"{message.topic}: the parts do not match the grid {header.width} x {header.height}")
         self._logger.time(seq=header.seq, t_ns=header.t_ns)
-        self._logger.cloud(xyz, gray, sigma)
+        rgb = message.arrays.get("rgb")
+        if rgb is not None and rgb.shape != (*grid, 3):
+            raise WireError(f"{message.topic}: rgb does not match the grid {header.width} x {header.height}")
+        self._logger.cloud(xyz, gray, sigma, rgb)
         points = {"points": int(np.isfinite(xyz[..., 2]).sum())}
         self._logger.figures(points | _numbers({"latency_ms": header.stats.get("latency_ms")}))
         self.clouds += 1

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-Color = Literal["depth", "texture", "sigma"]
+Color = Literal["depth", "texture", "sigma", "rgb"]
 COLORS: tuple[str, ...] = get_args(Color)
 
 Packed = NDArray[np.uint32]
@@ -17,16 +17,27 @@ _DEPTH_STEP_MM, _SIGMA_STEP_MM = 10.0, 0.05
 _SAMPLES = 20_000
 
 
-def packed(color: str, *, z: NDArray[np.float32], gray: NDArray[np.uint8], sigma: NDArray[np.float32]) -> Packed:
+def packed(
+    color: str,
+    *,
+    z: NDArray[np.float32],
+    gray: NDArray[np.uint8],
+    sigma: NDArray[np.float32],
+    rgb: NDArray[np.uint8] | None = None,
+) -> Packed:
     """The colour of each point, (N,).
 
     Args:
-        color: the encoded quantity; z, sigma: (N,), mm; gray: (N,) texture.
+        color: the encoded quantity; z, sigma: (N,), mm; gray: (N,) texture; rgb: (N, 3) its colours, shown twice as
+            bright: a white surface has about half of full scale.
 
     Raises:
         ValueError: ``color`` is not one of COLORS.
     """
-    if color == "texture":
+    if color == "rgb" and rgb is not None:
+        red, green, blue = np.minimum(2 * rgb.astype(np.uint32), 255).T
+        return np.asarray((red << 24) | (green << 16) | (blue << 8) | 0xFF, np.uint32)
+    if color in ("texture", "rgb"):
         return np.asarray(gray.astype(np.uint32) * 0x01010100 + 0xFF, np.uint32)
     if color == "depth":
         return _ramp(z, *bounds(z, _DEPTH_STEP_MM))

@@ -44,14 +44,23 @@ class Logger:
             self._recording.set_time("cloud", sequence=seq)
         self._recording.set_time("exposure", timestamp=np.datetime64(t_ns, "ns"))
 
-    def cloud(self, xyz: NDArray[np.float32], gray: NDArray[np.uint8], sigma: NDArray[np.float32]) -> None:
-        """Log a cloud: (H, W, 3) mm, NaN where invalid; (H, W) texture; (H, W) standard deviation, mm."""
+    def cloud(
+        self,
+        xyz: NDArray[np.float32],
+        gray: NDArray[np.uint8],
+        sigma: NDArray[np.float32],
+        rgb: NDArray[np.uint8] | None = None,
+    ) -> None:
+        """Log a cloud: (H, W, 3) mm, NaN where invalid; (H, W) texture; (H, W) sigma, mm; (H, W, 3) colour."""
         self._position_eye(xyz)
         step = self._step
         points, valid = xyz[step, step], np.isfinite(xyz[step, step, 2])
         # Selection by a mask copies: Rerun keeps a reference to the positions, so they must not change.
         positions = points[valid]
-        colors = packed(self._color, z=positions[:, 2], gray=gray[step, step][valid], sigma=sigma[step, step][valid])
+        colors = packed(
+            self._color, z=positions[:, 2], gray=gray[step, step][valid], sigma=sigma[step, step][valid],
+            rgb=None if rgb is None else rgb[step, step][valid],
+        )  # fmt: skip
         self._recording.log(CLOUD, self._rr.Points3D(positions, colors=colors, radii=[_FILL * _pitch_mm(points)]))
 
     def images(self, jpegs: Mapping[str, NDArray[np.uint8]]) -> None:

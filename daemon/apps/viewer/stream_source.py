@@ -12,9 +12,12 @@ from fringed import wire
 from fringed.errors import WireError
 from fringed.keys import Keys
 from fringed.losses import Losses
+from fringed.parts import BASIC, topic_of
 from fringed.receiver import Receiver
 
 TOPICS = ("cloud/full", "preview", "status")
+COLOR_TOPIC = topic_of((*BASIC, "rgb"))
+"""Instead of ``cloud/full`` where colour is shown."""
 _QUEUE = 2  # complete messages; a longer queue would only delay them
 
 
@@ -83,7 +86,7 @@ class NewestMessages:
         self.close()
 
     def _count(self, topic: str, frames: list[Any]) -> None:
-        if topic != "cloud/full":
+        if not topic.startswith("cloud/"):
             return
         self.skipped += topic in self._pending
         try:

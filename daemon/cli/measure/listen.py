@@ -10,11 +10,15 @@ from pathlib import Path
 from statistics import median
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
+from daemon.cli.options.parts_option import PartsOption, chosen_parts
+from daemon.common.errors import InputError
 from fringed.client import DEFAULT_ENDPOINT, ReceivedCloud, Subscription, subscribe
 from fringed.errors import SilenceError
+from fringed.parts import BASIC, PARTS, topic_of
 
 _WAIT_S = 0.25
 
@@ -24,18 +28,30 @@ def main(
     topic: Annotated[str, typer.Option(help="cloud/full or cloud/depth.")] = "cloud/full",
     every: Annotated[bool, typer.Option("--every", help="Receive every cloud, not only the newest.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
-    save: Annotated[Path | None, typer.Option(help="Write each cloud as PLY into this directory.")] = None,
+    save: Annotated[Path | None, typer.Option(help="Write each cloud into this directory.")] = None,
+    kind: Annotated[
+        str, typer.Option("--format", help="With --save: ply, pcd, npz, or meshes: mesh.ply, glb.")
+    ] = "ply",
+    parts: PartsOption = None,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after this number of clouds.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this time.")] = None,
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
     """Print rate, points, latency and losses of a stream once a second, until Ctrl-C."""
-    if save is not None:
-        save.mkdir(parents=True, exist_ok=True)
+    chosen = chosen_parts(parts)
+    saving = None if save is None else Saving(save, kind, chosen)
+    if chosen is not None:
+        if topic != "cloud/full":
+            raise InputError(f"--parts chooses the topic itself; remove --topic {topic}")
+        # Reports count points, and an npz needs the basic parts.
+        wanted = {*chosen, *(BASIC if kind == "npz" else ())} if save is not None else chosen
+        topic = topic_of([name for name in PARTS if name in wanted])
+    elif save is not None and kind == "npz" and topic != "cloud/full":
+        raise InputError(f"an npz needs gray and sigma, which {topic} does not carry; remove --topic")
     keys = chosen_keys(key, server_key)
     with subscribe(endpoint, topic=topic, latest=not every, timeout_s=_WAIT_S, keys=keys) as stream:
-        for report in reports(stream, save=save, count=count, seconds=seconds):
+        for report in reports(stream, save=saving, count=count, seconds=seconds):
             typer.echo(json.dumps(asdict(report)) if as_json else line(report))
         if count is not None and stream.received < count:
             typer.echo(
@@ -89,7 +105,7 @@ class _Second:
 def reports(
     stream: Subscription,
     *,
-    save: Path | None = None,
+    save: Callable[[ReceivedCloud], None] | None = None,
     count: int | None = None,
     seconds: float | None = None,
     now_s: Callable[[], float] = time.monotonic,
@@ -105,7 +121,7 @@ def reports(
         else:
             second.add(cloud)
             if save is not None:
-                _save(save, cloud)
+                save(cloud)
         finished = _reached(stream.received, count) or _reached(now_s() - start_s, seconds)
         if finished or now_s() - second.start_s >= 1.0:
             yield second.report(stream, now_s())
@@ -129,11 +145,40 @@ def line(report: Report) -> str:
     )
 
 
-def _save(directory: Path, cloud: ReceivedCloud) -> None:
-    """Write with a temporary name first, so that other programs never read an incomplete file."""
-    from fringed.ply import ply_bytes
+class Saving:
+    """Writes each cloud into a directory.
 
-    path = directory / f"cloud_{cloud.header.seq:06d}.ply"
-    temporary = path.with_suffix(".ply.part")
-    temporary.write_bytes(ply_bytes(cloud.xyz, cloud.gray))
-    temporary.rename(path)
+    Args:
+        directory: made when it is missing; kind, parts: as of :func:`daemon.apps.export.cloud_files.cloud_bytes`.
+
+    Raises:
+        InputError: an unknown kind, or the directory has clouds that this call did not write.
+    """
+
+    def __init__(self, directory: Path, kind: str = "ply", parts: tuple[str, ...] | None = None) -> None:
+        from daemon.apps.export.cloud_files import KINDS, written_clouds
+
+        if kind not in KINDS:
+            raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
+        directory.mkdir(parents=True, exist_ok=True)
+        earlier = written_clouds(directory)
+        if earlier:
+            raise InputError(
+                f"--save {directory} has {len(earlier)} clouds already ({earlier[0].name}); choose another directory, "
+                "or remove them"
+            )
+        self._directory, self._kind, self._parts = directory, kind, parts
+
+    def __call__(self, cloud: ReceivedCloud) -> None:
+        """Write one cloud; other programs never read an incomplete file."""
+        from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
+        from daemon.common.files import write_atomically
+
+        grid = cloud.xyz.shape[:2]
+        gray = np.zeros(grid, np.uint8) if cloud.gray is None else cloud.gray
+        sigma = np.full(grid, np.nan, np.float32) if cloud.sigma is None else cloud.sigma
+        saved = SavedCloud(cloud.xyz, sigma, gray, cloud.rgb, cloud.normals, cloud.interpolated)
+        parts = ("xyz",) if self._parts is None and cloud.gray is None else self._parts
+        write_atomically(
+            self._directory / cloud_name(cloud.header.seq, self._kind), cloud_bytes(saved, self._kind, parts)
+        )

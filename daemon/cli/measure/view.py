@@ -25,7 +25,7 @@ def main(
     screenshot: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Save an image of the web viewer, without a display.")
     ] = None,
-    color: Annotated[str, typer.Option(help="Of the points: depth, texture or sigma.")] = "depth",
+    color: Annotated[str, typer.Option(help="Of the points: depth, texture, sigma or rgb.")] = "depth",
     decimate: Annotated[int, typer.Option(min=1, max=64, help="Stride of the shown rows and columns.")] = 2,
     rate: Annotated[float, typer.Option(min=0.1, max=60, help="Most clouds shown per second.")] = 15.0,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after this number of clouds.")] = None,
@@ -70,10 +70,11 @@ def _watch(
 ) -> None:
     from daemon.apps.viewer import rerun_targets
     from daemon.apps.viewer.bridge import Bridge, Options
-    from daemon.apps.viewer.stream_source import NewestMessages
+    from daemon.apps.viewer.stream_source import COLOR_TOPIC, TOPICS, NewestMessages
 
     with ExitStack() as stack:
-        source = stack.enter_context(NewestMessages(endpoint, keys=keys))
+        topics = (COLOR_TOPIC, *TOPICS[1:]) if options["color"] == "rgb" else TOPICS
+        source = stack.enter_context(NewestMessages(endpoint, topics, keys=keys))
         stopped: Callable[[], bool] = lambda: False  # noqa: E731
         if save is not None:
             stopped = _on_signals(stack)

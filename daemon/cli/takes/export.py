@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from daemon.cli.options.parts_option import PartsOption, chosen_parts
+
 if TYPE_CHECKING:
     from daemon.apps.export.sources import Clouds
     from pipeline.common.settings import Settings
@@ -23,14 +25,17 @@ def main(
         Path,
         typer.Option(help="Directory for the clouds, of several takes one each; or a video: NAME.mp4, NAME.avi."),
     ],
-    kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: ply, pcd or npz.")] = "ply",
+    kind: Annotated[
+        str, typer.Option("--format", help="Kind of cloud files: ply, pcd, npz, or meshes: mesh.ply, glb.")
+    ] = "ply",
+    parts: PartsOption = None,
     near: Annotated[float | None, typer.Option(min=0, help="Video: depth of the warmest colour, mm.")] = None,
     far: Annotated[float | None, typer.Option(min=0, help="Video: depth of the coldest colour, mm.")] = None,
     rate: Annotated[float, typer.Option(min=0.1, max=240, help="Video: images per second.")] = 10.0,
     calibration: Annotated[Path | None, typer.Option(help="Take: use this calibration instead.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="Take: change a setting, key=value.")] = None,
 ) -> None:
-    """Convert clouds to PLY or PCD files, or to a video of depth maps."""
+    """Convert clouds to PLY, PCD or NPZ files, to meshes, or to a video of depth maps."""
     from daemon.apps.export.cloud_files import KINDS
     from daemon.apps.export.sources import contents
     from daemon.cli.options.set_option import parsed_settings
@@ -38,26 +43,29 @@ def main(
 
     if kind not in KINDS:
         raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
+    chosen = chosen_parts(parts)
     found, settings = contents(source), parsed_settings(set_ or [])
     for name, reason in found.left_out.items():
         typer.echo(f"left out: {name}: {reason}", err=True)
     if not found.takes and (calibration is not None or set_):
         raise InputError(f"{source} contains clouds; --calibration and --set require a take")
     video = out.suffix.lower() in _VIDEOS
-    parts = _Parts(found.clouds, found.takes, calibration, settings)
+    sources = _Sources(found.clouds, found.takes, calibration, settings, chosen or ())
     if video:
-        one = parts.only(source)
+        if chosen is not None:
+            raise InputError(f"--parts is for cloud files; {out} is a video of depth maps")
+        one = sources.only(source)
         count = _video(one.clouds, one.take, out, near, far, rate)
         typer.echo(f"{count} images in {out}")
         return
-    for part in parts.all():
-        target = out / part.take_name if part.take_name and parts.several else out
-        count = _files(part.clouds(), target, kind)
+    for one in sources.all():
+        target = out / one.take_name if one.take_name and sources.several else out
+        count = _files(one.clouds(), target, kind, chosen)
         typer.echo(f"{count} {'cloud' if count == 1 else 'clouds'} in {target}")
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class _Source:
     """The clouds of a directory, or those of one take."""
 
     clouds: Callable[[], Clouds]
@@ -69,26 +77,27 @@ class _Part:
 
 
 @dataclass(frozen=True, slots=True)
-class _Parts:
+class _Sources:
     """Cloud files and takes of a source."""
 
     files: list[Path]
     takes: list[Path]
     calibration: Path | None
     settings: Settings
+    parts: tuple[str, ...]
 
     @property
     def several(self) -> bool:
         """Whether each take has a directory of its own."""
         return len(self.takes) + bool(self.files) > 1
 
-    def all(self) -> list[_Part]:
+    def all(self) -> list[_Source]:
         """The files first, then each take."""
-        saved = [_Part(self._saved)] if self.files else []
-        return [*saved, *(_Part(partial(self._reconstructed, take), take) for take in self.takes)]
+        saved = [_Source(self._saved)] if self.files else []
+        return [*saved, *(_Source(partial(self._reconstructed, take), take) for take in self.takes)]
 
-    def only(self, source: Path) -> _Part:
-        """The one part of a video; InputError when there are several."""
+    def only(self, source: Path) -> _Source:
+        """The one source of a video; InputError when there are several."""
         if self.several:
             names = ", ".join([*(["clouds"] if self.files else []), *(take.name for take in self.takes)])
             from daemon.common.errors import InputError
@@ -101,26 +110,32 @@ class _Parts:
         from daemon.cli.options.progress import rendering
 
         with rendering("Exporting clouds") as progress:
-            yield from saved_clouds(self.files, progress)
+            yield from saved_clouds(self.files, progress, self.parts)
 
     def _reconstructed(self, take: Path) -> Clouds:
         from daemon.apps.export.sources import reconstructed_clouds
         from daemon.cli.options.progress import rendering
 
         with rendering(f"Exporting {take.name}") as progress:
-            yield from reconstructed_clouds(take, progress, calibration=self.calibration, settings=self.settings)
+            yield from reconstructed_clouds(
+                take, progress, calibration=self.calibration, settings=self.settings, parts=self.parts
+            )
 
 
-def _files(clouds: Clouds, out: Path, kind: str) -> int:
-    from daemon.apps.export.cloud_files import cloud_bytes
+def _files(clouds: Clouds, out: Path, kind: str, parts: tuple[str, ...] | None) -> int:
+    from daemon.apps.export.cloud_files import cloud_bytes, written_clouds
     from daemon.common.files import write_atomically
 
-    count = 0
+    written: set[Path] = set()
     for name, cloud in clouds:
         out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / f"{name}.{kind}", cloud_bytes(cloud, kind))
-        count += 1
-    return count
+        path = out / f"{name}.{kind}"
+        write_atomically(path, cloud_bytes(cloud, kind, parts))
+        written.add(path)
+    others = [path for path in written_clouds(out) if path.name.partition(".")[2] == kind and path not in written]
+    if others:
+        typer.echo(f"{out}: {len(others)} clouds there are not of this export: {others[0].name} ...", err=True)
+    return len(written)
 
 
 def _video(

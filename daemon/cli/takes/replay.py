@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 import typer
 from typer.core import TyperCommand
 
+from daemon.cli.options.parts_option import PartsOption, chosen_parts
+
 if TYPE_CHECKING:
     from daemon.apps.replay.golden import Deviation, Golden, PairStatistics
     from daemon.apps.replay.reconstruct_item import Run
@@ -44,7 +46,10 @@ def main(
         bool, typer.Option("--no-output", help="Write only summary.json (here, if no --out).")
     ] = False,
     repeat: Annotated[int, typer.Option(min=1, max=10000, help="Number of reconstructions of every pair.")] = 1,
-    kind: Annotated[str, typer.Option("--format", help="Kind of cloud files: npz, ply or pcd.")] = "npz",
+    kind: Annotated[
+        str, typer.Option("--format", help="Kind of cloud files: npz, ply, pcd, or meshes: mesh.ply, glb.")
+    ] = "npz",
+    parts: PartsOption = None,
     calibration: Annotated[Path | None, typer.Option(help="Use this calibration instead of the attached one.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Change a setting: key=value. May be repeated.")
@@ -78,6 +83,7 @@ def main(
 
     if kind not in KINDS:
         raise InputError(f"unknown cloud format {kind!r}, expected one of: {', '.join(KINDS)}")
+    chosen = chosen_parts(parts)
     if rerun is None and expect is None and bless is None and out is None:
         if not no_output:
             raise InputError("no destination for the clouds: give --out DIR, --rerun, --expect FILE or --bless FILE")
@@ -92,6 +98,7 @@ def main(
         settings = parsed_settings(set_ or [])
         replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, use_prior=use_prior)
         replay.calibration_check = cast(Policy, calibration_check)
+        replay.parts = chosen or ()
         runs, figures = _replay(replay, None if no_output else out, kind, repeat, rerun, cell)
         _report(replay, runs, out)
         if bless is not None:
@@ -141,7 +148,7 @@ def _replay(
     size = replay.take.size
     target = ReplayDirectory(out, replay.take.path) if out is not None else None
     with ExitStack() as stack:
-        show = _viewer(rerun, stack) if rerun is not None else None
+        show = _viewer(rerun, stack, "rgb" if "rgb" in replay.parts else "depth") if rerun is not None else None
         compiling = stack.enter_context(rendering("Compiling the kernels"))
         replay.compiling = lambda jobs: compiling(*jobs) if jobs.done < jobs.total else None
         progress = stack.enter_context(rendering(f"Replaying {replay.take.path.name}"))
@@ -149,7 +156,7 @@ def _replay(
             runs.extend(result.runs)
             figures.append(statistics(result.pair.sequence, result.cloud.xyz[..., 2], cell))
             if target is not None:
-                target.write(kind, result)
+                target.write(kind, result, replay.parts or None)
             if show is not None:
                 show(result)
         progress(size, size)
@@ -160,10 +167,10 @@ def _replay(
     return runs, figures
 
 
-def _viewer(rerun: str, stack: ExitStack) -> Callable[[Result], None]:
+def _viewer(rerun: str, stack: ExitStack, color: str) -> Callable[[Result], None]:
     from daemon.apps.replay.rerun_log import RerunLog
 
-    log = RerunLog(None if rerun == _VIEWER else Path(rerun))
+    log = RerunLog(None if rerun == _VIEWER else Path(rerun), color=color)
 
     def end(kind: type[BaseException] | None, _: object, __: object) -> None:
         if kind is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from pathlib import Path
 
 from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name, written_clouds
@@ -48,8 +49,8 @@ class ReplayDirectory:
             cloud.unlink()
             self.removed += 1
 
-    def write(self, kind: str, result: Result) -> None:
-        """Write one cloud."""
+    def write(self, kind: str, result: Result, parts: Collection[str] | None = None) -> None:
+        """Write one cloud, with these parts."""
         self.begin()
-        cloud = SavedCloud(result.cloud.xyz, result.cloud.sigma_mm, result.cloud.gray)
-        write_atomically(self._path / cloud_name(result.pair.sequence, kind), cloud_bytes(cloud, kind))
+        cloud = SavedCloud.of(result.cloud).completed(parts or (), self._take)
+        write_atomically(self._path / cloud_name(result.pair.sequence, kind), cloud_bytes(cloud, kind, parts))

@@ -11,6 +11,7 @@ LIVE: tuple[str, ...] = (
     "pipeline.temporal_prior",
     "pipeline.calibration_check",
     "pipeline.settings.*",
+    "outputs.*",
     "stream.preview_hz",
     "recording.*",
     "selfcheck.rate_hz",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any, Protocol
 
@@ -23,6 +23,7 @@ from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.consistency import Consistency
+from pipeline.reconstruct.optional_parts import with_parts
 
 log = logging.getLogger("fringed.pipeline")
 
@@ -47,6 +48,9 @@ class CloudReconstructor(Protocol):
             stride: spacing of the pixels that are measured; use_prior: the last pair's orders are a good guess.
         """
 
+    def color(self, left: Any, /) -> Any:
+        """The fringe-free colour of the left raw image, or of a set's left images, (H, W, 3) uint8."""
+
 
 Make = Callable[[], CloudReconstructor | None]
 
@@ -58,11 +62,21 @@ class Worker:
         config: of the pipeline.
         emit: takes each cloud; must be quick.
         drops: counts by reason.
+        wanted: the optional parts that the next cloud needs; called once for each.
     """
 
-    def __init__(self, config: Pipeline, *, emit: Callable[[CloudItem], None], drops: Counters, clock: Clock) -> None:
+    def __init__(
+        self,
+        config: Pipeline,
+        *,
+        emit: Callable[[CloudItem], None],
+        drops: Counters,
+        clock: Clock,
+        wanted: Callable[[], Collection[str]] = frozenset,
+    ) -> None:
         self._queue: LatestWinsQueue[Pair | ImageSet] = LatestWinsQueue(config.queue)
         self._config, self._emit, self._drops, self._clock = config, emit, drops, clock
+        self._wanted = wanted
         self._reconstructor: CloudReconstructor | None = None
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
@@ -247,7 +261,10 @@ class Worker:
         stride = self._load.stride if single else 1
         use_prior = single and self._config.temporal_prior and self._prior.usable(seq, t_ns, stride)
         began_ns = self._clock.monotonic_ns()
-        cloud = reconstructor.reconstruct(*captured.images, stride=stride, use_prior=use_prior)
+        left, right = captured.images
+        cloud = reconstructor.reconstruct(left, right, stride=stride, use_prior=use_prior)
+        if wanted := self._wanted():
+            cloud = with_parts(cloud, reconstructor, left, wanted, stride=stride, clock=self._clock.monotonic_ns)
         # The latency is taken here, where the result is made, not where it is written or shown.
         latency_ms = (self._clock.realtime_ns() - t_ns) / 1e6
         item = CloudItem(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from daemon.live.items import CloudItem
 from fringed import wire
 from fringed.errors import WireError
+from fringed.parts import BASIC
+from pipeline.reconstruct.cloud import Cloud
 
 Frames = list[Any]
 
@@ -35,11 +38,29 @@ class Origin:
         return {"device": self.device, "session": self.session, "calibration": self.calibration}
 
 
-def full(origin: Origin, item: CloudItem) -> Frames:
-    """``cloud/full``: points, texture and standard deviation, not compressed, not copied."""
-    cloud = item.cloud
-    arrays: dict[str, NDArray[Any]] = {"xyz": cloud.xyz, "gray": cloud.gray, "sigma": cloud.sigma_mm}
+def full(origin: Origin, item: CloudItem, parts: Sequence[str] = BASIC) -> Frames:
+    """``cloud/full``: points, texture, standard deviation and what is configured; not compressed, not copied."""
+    available = parts_of_cloud(item.cloud)
+    arrays = {name: available[name] for name in parts if name in available}
     return wire.encode("cloud/full", _cloud_header(origin, item), arrays)
+
+
+def parts(origin: Origin, item: CloudItem, topic: str, names: Sequence[str]) -> Frames | None:
+    """A cloud with the parts that a topic asks for; None if it was made before they were wanted."""
+    available = parts_of_cloud(item.cloud)
+    if any(name not in available for name in names):
+        return None
+    return wire.encode(topic, _cloud_header(origin, item), {name: available[name] for name in names})
+
+
+def parts_of_cloud(cloud: Cloud) -> dict[str, NDArray[Any]]:
+    """The parts that a cloud has, by their names in messages."""
+    filled = np.zeros(cloud.gray.shape, np.uint8) if cloud.interpolated is None else cloud.interpolated.view(np.uint8)
+    arrays: dict[str, NDArray[Any] | None] = {
+        "xyz": cloud.xyz, "gray": cloud.gray, "sigma": cloud.sigma_mm, "rgb": cloud.rgb, "normals": cloud.normals,
+        "interpolated": filled,
+    }  # fmt: skip
+    return {name: array for name, array in arrays.items() if array is not None}
 
 
 def depth(origin: Origin, item: CloudItem) -> Frames:

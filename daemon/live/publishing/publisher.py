@@ -11,8 +11,9 @@ import logging
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import zmq
@@ -28,6 +29,7 @@ from daemon.live.publishing.log_handler import StreamHandler
 from daemon.live.publishing.messages import Frames, Origin
 from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
+from fringed.parts import BASIC, parts_of
 from pipeline.rig.calibration import Calibration
 
 log = logging.getLogger("fringed.stream")
@@ -52,6 +54,7 @@ class Publisher:
         calibration: gives the rays of the left camera; calibration_data: the bytes of its file.
         config: of the rig, plain values.
         preview_hz: previews per second, at most 10; 0 = none.
+        parts: of ``cloud/full``.
 
     Raises:
         DaemonError: an endpoint that cannot be bound.
@@ -68,6 +71,7 @@ class Publisher:
         identity: str,
         config: dict[str, Any],
         preview_hz: float = 2.0,
+        parts: Sequence[str] = BASIC,
         clock: Clock | None = None,
     ) -> None:
         self._clock = clock or SystemClock()
@@ -88,6 +92,7 @@ class Publisher:
         self._status: dict[str, Any] | None = None
         self._lines: deque[tuple[int, str, str, str]] = deque(maxlen=_LOG_QUEUE)
         self._prefixes: set[bytes] = set()
+        self._full_parts, self._parts_topics = tuple(parts), dict[str, tuple[str, ...]]()
         self._sent, self._dropped = Counters(), 0
         self._latency_ms = Percentiles()
         self._line_count = self._status_count = 0
@@ -144,6 +149,7 @@ class Publisher:
                 self._origin, self._retained = origin, retained
                 self._republish |= new
                 self._preview_ns = _period_ns(config.stream.preview_hz)
+                self._full_parts = tuple(config.outputs.parts)
                 self._wake()
 
         return commit
@@ -157,6 +163,10 @@ class Publisher:
     def has_subscribers(self, topic: str) -> bool:
         """Whether a topic has subscribers now."""
         return any(topic.encode().startswith(prefix) for prefix in tuple(self._prefixes))
+
+    def wanted_parts(self) -> frozenset[str]:
+        """Parts that subscribers ask for by topic."""
+        return frozenset(name for parts in self._parts_topics.values() for name in parts)
 
     def status(self) -> dict[str, Any]:
         """Endpoints, messages sent by topic, clouds replaced by newer ones before they were sent.
@@ -230,6 +240,11 @@ class Publisher:
         for topic in sorted(requested):
             self._send(topic, self._retained[topic])
 
+    def _note_parts(self) -> None:
+        """Note the topics that ask for parts; a new mapping, because the pipeline's thread reads it."""
+        topics = (prefix.decode("ascii", "replace") for prefix in sorted(self._prefixes))
+        self._parts_topics = {topic: parts for topic in topics if (parts := parts_of(topic)) is not None}
+
     def _next_subscription(self) -> bytes | None:
         """The prefix of a new subscription (one without any topic for other messages), None when nothing waits."""
         try:
@@ -239,8 +254,10 @@ class Publisher:
         prefix = message[1:]
         if message[:1] == b"\0":
             self._prefixes.discard(prefix)
+            self._note_parts()
         elif message[:1] == b"\1" and len(prefix) <= _MAX_PREFIX_BYTES and len(self._prefixes) < _MAX_PREFIXES:
             self._prefixes.add(prefix)
+            self._note_parts()
             return prefix
         return b"\xff"
 
@@ -267,8 +284,14 @@ class Publisher:
 
     def _send_cloud(self, item: CloudItem, origin: Origin) -> None:
         sent = False
-        for topic, make in (("cloud/full", messages.full), ("cloud/depth", messages.depth)):
-            if self._send_if_subscribed(topic, lambda make=make: make(origin, item)) and not sent:  # type: ignore[misc]
+        makers: dict[str, Callable[[], Frames | None]] = {
+            "cloud/full": lambda: messages.full(origin, item, self._full_parts),
+            "cloud/depth": lambda: messages.depth(origin, item),
+        }
+        for topic, names in self._parts_topics.items():
+            makers[topic] = partial(messages.parts, origin, item, topic, names)
+        for topic, make in makers.items():
+            if self._send_if_subscribed(topic, make) and not sent:
                 sent = True
                 self._latency_ms.note((self._clock.realtime_ns() - item.t_arrived_ns) / 1e6)
         now_ns = self._clock.monotonic_ns()
@@ -281,8 +304,11 @@ class Publisher:
     def _line(self, t_ns: int, level: str, logger: str, text: str) -> Frames:
         return messages.log(self._origin, seq=self._line_count, t_ns=t_ns, level=level, logger=logger, text=text)
 
-    def _send_if_subscribed(self, topic: str, make: Callable[[], Frames]) -> bool:
-        """Whether it was sent. A message that cannot be made must not stop the others: the status reports it."""
+    def _send_if_subscribed(self, topic: str, make: Callable[[], Frames | None]) -> bool:
+        """Whether it was sent. A message that cannot be made must not stop the others: the status reports it.
+
+        ``make`` returns None for a message that is left out.
+        """
         if not self.has_subscribers(topic):
             return False
         try:
@@ -293,6 +319,8 @@ class Publisher:
             self._problems[topic] = str(error)
             return False
         self._problems.pop(topic, None)
+        if frames is None:
+            return False
         self._send(topic, frames)
         # libzmq may have accepted a subscription during the call: its meta messages come before the next message.
         self._serve_subscriptions()

@@ -14,8 +14,8 @@ from fringed.keys import Key
 _MAX_PREFIX_BYTES = 64
 _QUEUE = 8  # messages, up to 14 MB each: the four meta messages beside clouds
 _AT_ONCE = 64
-_LATEST_ONLY = frozenset({b"cloud/full", b"cloud/depth", b"preview", b"status"})
-"""Topics of which only the newest waiting message is sent."""
+_LATEST_ONLY = frozenset({b"preview", b"status"})
+"""Topics of which only the newest waiting message is sent; those of clouds too."""
 
 
 class StreamGate:
@@ -89,7 +89,7 @@ class StreamGate:
             except zmq.Again:
                 break
             topic = frames[0].bytes
-            if topic in _LATEST_ONLY and topic in positions:
+            if topic in positions and (topic in _LATEST_ONLY or topic.startswith(b"cloud/")):
                 waiting[positions[topic]] = frames
                 self.skipped += 1
             else:

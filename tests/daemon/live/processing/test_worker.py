@@ -36,6 +36,7 @@ class Stub:
 
     mode = "single"
     calls: list[tuple[int, bool]] = field(default_factory=list)
+    colors: int = 0
     gate: threading.Semaphore | None = None
 
     def warm_up(self, *, strides: tuple[int, ...], use_prior: bool) -> None:
@@ -49,6 +50,10 @@ class Stub:
             raise PipelineError("refused")
         return CLOUD
 
+    def color(self, left: Any) -> Any:
+        self.colors += 1
+        return np.full((*SIZE, 3), left[0, 0], np.uint8)
+
 
 class Line:
     """A worker with a stub behind it."""
@@ -56,7 +61,11 @@ class Line:
     def __init__(self, **options: Any) -> None:
         self.clock, self.drops, self.stub = SteppedClock(), Counters(), Stub()
         self.clouds: list[CloudItem] = []
-        self.worker = Worker(Pipeline(**options), emit=self.clouds.append, drops=self.drops, clock=self.clock)
+        self.wanted: frozenset[str] = frozenset()
+        self.worker = Worker(
+            Pipeline(**options), emit=self.clouds.append, drops=self.drops, clock=self.clock,
+            wanted=lambda: self.wanted,
+        )  # fmt: skip
 
     def start(self) -> None:
         self.worker.start(lambda: self.stub).result(20)
@@ -156,3 +165,18 @@ def test_what_goes_wrong_while_it_is_made_is_handed_on() -> None:
 
     with pytest.raises(PipelineError, match="no such pattern"):
         Line().worker.start(make).result(20)
+
+
+def test_color_and_normals_are_computed_only_for_clouds_that_need_them(line: Line) -> None:
+    line.pair(0, 0, value=3)
+    line.wanted = frozenset(("rgb",))
+    line.pair(1, 33, value=4)
+    line.wanted = frozenset(("normals", "rgb"))
+    line.pair(2, 66, value=5)
+    line.wanted = frozenset()
+    line.pair(3, 99, value=6)
+    wait_until(lambda: len(line.clouds) == 4)
+    found = [item.cloud for item in line.clouds]
+    assert [None if cloud.rgb is None else int(cloud.rgb[0, 0, 0]) for cloud in found] == [None, 4, 5, None]
+    assert [cloud.normals is not None for cloud in found] == [False, False, True, False]
+    assert line.stub.colors == 2 and found[0] is found[3] is CLOUD

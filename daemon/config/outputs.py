@@ -1,0 +1,40 @@
+"""``outputs:`` in rig.yaml: the parts of every cloud."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from daemon.config.section import Section
+from fringed.errors import FringedError
+from fringed.parts import BASIC, PARTS, parse_parts
+
+
+def _checked(parts: Any) -> Any:
+    """Names of parts in the order of messages; what is no list of text is left to the model."""
+    if not (isinstance(parts, list) and all(isinstance(name, str) for name in parts)):
+        return parts
+    try:
+        checked = parse_parts(parts, "the list")
+    except FringedError as error:
+        raise ValueError(str(error)) from None
+    missing = [name for name in BASIC if name not in checked]
+    if missing:
+        raise ValueError(f"{', '.join(missing)} is missing; readers of cloud/full need {', '.join(BASIC)}")
+    return list(checked)
+
+
+class Outputs(Section):
+    """What every cloud carries."""
+
+    parts: Annotated[
+        list[str],
+        BeforeValidator(_checked),
+        Field(
+            min_length=len(BASIC),
+            max_length=len(PARTS),
+            description="Parts of cloud/full and of snapshots: xyz, gray, sigma, and what else every cloud shall carry "
+            "of rgb, normals, interpolated. Subscribers may ask for these by topic without it.",
+        ),
+    ] = list(BASIC)

@@ -1,0 +1,1 @@
+"""Attributes of the points of a cloud, computed from the cloud itself: normals."""
