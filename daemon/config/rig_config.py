@@ -5,13 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from daemon.common import ipc_endpoints
 from daemon.config.health import Health
 from daemon.config.section import Section
 from daemon.config.security import Security
 from daemon.config.sequence import Mode, Sequencing
+
+Off = BeforeValidator(lambda value: "off" if value is False else value)
+"""YAML reads the word off as false."""
 
 
 class Device(Section):
@@ -66,8 +69,14 @@ class Pipeline(Section):
     temporal_prior: Annotated[
         bool, Field(description="Start a pair from the surface of the one before: faster on a live stream.")
     ] = True
+    temporal: Annotated[
+        Literal["off", "fuse"],
+        Off,
+        Field(description="Average clouds where the scene is at rest, up to settings.fusion_clouds of them."),
+    ] = "off"
     calibration_check: Annotated[
         Literal["withhold", "warn", "off"],
+        Off,
         Field(
             description="Pairs that contradict the calibration: publish them without points, only report them, or do "
             "not check."
@@ -178,11 +187,26 @@ PathOrVolume = Annotated[
     Discriminator(_kind),
     Field(description="Path of a volume.json, or near_mm and far_mm."),
 ]
+Row = Annotated[list[float], Field(min_length=4, max_length=4)]
+PathOrPose = Annotated[
+    Annotated[str, Tag("path")] | Annotated[list[Row], Field(min_length=4, max_length=4), Tag("inline")],
+    Discriminator(_kind),
+    Field(
+        description="Frame of the clouds: path of a pose file, or the rigid 4 x 4 matrix of X_out = M X_left, mm; "
+        "without it the left camera's frame."
+    ),
+]
 PathOrPattern = Annotated[
     Annotated[str, Tag("path")] | Annotated[dict[str, Any], Tag("inline")],
     Discriminator(_kind),
     Field(description="Path of a pattern.json, or the pattern itself."),
 ]
+
+
+class Outputs(Section):
+    """What the clouds hold."""
+
+    frame: PathOrPose | None = None
 
 
 class RigConfig(Section):
@@ -196,9 +220,18 @@ class RigConfig(Section):
     pattern: PathOrPattern | None = None
     volume: PathOrVolume | None = None
     mode: Mode = "single"
+    preset: Annotated[
+        str,
+        Field(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$",
+            description="Overload, temporal fusion and settings that the section pipeline does not have: precise, "
+            "balanced, fast, dynamic, or a file presets/NAME.yaml beside this one.",
+        ),
+    ] = "balanced"
     sequence: Sequencing = Sequencing()
     pairing: Pairing = Pairing()
     pipeline: Pipeline = Pipeline()
+    outputs: Outputs = Outputs()
     stream: Stream = Field(default_factory=Stream)
     control: Control = Field(default_factory=Control)
     recording: Recording = Recording()

@@ -16,6 +16,7 @@ from pipeline.monitor import observe
 from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.monitor.consistency import ConsistencyCheck
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.cloud_filters import CloudFilters
 from pipeline.reconstruct.consistency import ColumnScan, Consistency
 from pipeline.reconstruct.reconstructor import Reconstructor
 
@@ -26,8 +27,10 @@ class IndependentVerdicts:
     A pair that the first pair's column scan does not show to be consistent is scanned itself.
     """
 
-    def __init__(self, reconstructor: Reconstructor, policy: Policy = "withhold") -> None:
-        self.inner, self.policy = reconstructor, policy
+    def __init__(
+        self, reconstructor: Reconstructor, policy: Policy = "withhold", filters: CloudFilters | None = None
+    ) -> None:
+        self.inner, self.policy, self._filters = reconstructor, policy, filters
 
     @property
     def encoding(self) -> str:
@@ -42,6 +45,10 @@ class IndependentVerdicts:
 
     def reconstruct(self, left: NDArray[Any], right: NDArray[Any], /, *, use_prior: bool = False) -> Cloud:
         """The cloud of a pair with its consistency; arguments and errors as of the reconstructor."""
+        cloud = self._judged(left, right, use_prior=use_prior)
+        return cloud if self._filters is None else self._filters.apply(cloud)
+
+    def _judged(self, left: NDArray[Any], right: NDArray[Any], *, use_prior: bool) -> Cloud:
         cloud = self.inner.reconstruct(left, right, use_prior=use_prior)
         if self.policy == "off":
             return cloud

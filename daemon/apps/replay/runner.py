@@ -19,6 +19,7 @@ from pipeline.common.settings import Settings
 from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.rig.pose import Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +53,7 @@ class Replay:
         use_prior: use the previous pair as temporal prior if it is close in time, as in a live run.
         calibration_check: policy for pairs that contradict the calibration, see ``IndependentVerdicts``.
         compiling: called once a second with the progress while kernels are compiled.
+        pose: into the output frame; fuse: average clouds of surfaces at rest, in the order of the take.
     """
 
     take: TakeReader
@@ -61,6 +63,8 @@ class Replay:
     use_prior: bool = False
     calibration_check: Policy = "withhold"
     compiling: Callable[[Progress], object] | None = None
+    pose: Pose | None = None
+    fuse: bool = False
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
     _cached: Any = None
@@ -124,6 +128,7 @@ class Replay:
         pattern = self.take.pattern() if sequence is None else sequence
         self._cached = warmed_reconstructor(
             self.calibration_file.calibration, pattern, self.take.volume(), encoding=encoding, settings=self.settings,
-            threads=self.threads, use_prior=self.use_prior, policy=self.calibration_check,
+            threads=self.threads, use_prior=self.use_prior, policy=self.calibration_check, pose=self.pose,
+            fuse=self.fuse,
         )  # fmt: skip
         return self._cached

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from daemon.live.items import CloudItem
 from fringed import wire
 from fringed.errors import WireError
+from pipeline.reconstruct.cloud import Cloud
 
 Frames = list[Any]
 
@@ -39,14 +40,17 @@ def full(origin: Origin, item: CloudItem) -> Frames:
     """``cloud/full``: points, texture and standard deviation, not compressed, not copied."""
     cloud = item.cloud
     arrays: dict[str, NDArray[Any]] = {"xyz": cloud.xyz, "gray": cloud.gray, "sigma": cloud.sigma_mm}
-    return wire.encode("cloud/full", _cloud_header(origin, item), arrays)
+    if cloud.interpolated is not None:
+        arrays["interpolated"] = cloud.interpolated
+    return wire.encode("cloud/full", _cloud_header(origin, item, cloud), arrays)
 
 
 def depth(origin: Origin, item: CloudItem) -> Frames:
-    """``cloud/depth``: z in steps of a few micrometres, compressed."""
-    stored, scale, offset = quantised(item.cloud.xyz[..., 2])
+    """``cloud/depth``: z in steps of a few micrometres, compressed; always on the left camera's grid, for its rays."""
+    cloud = item.cloud.grid or item.cloud
+    stored, scale, offset = quantised(cloud.xyz[..., 2])
     row = {"codec": "blosc2", "scale": scale, "offset": offset}
-    return wire.encode("cloud/depth", _cloud_header(origin, item), {"z": stored}, rows={"z": row})
+    return wire.encode("cloud/depth", _cloud_header(origin, item, cloud), {"z": stored}, rows={"z": row})
 
 
 def quantised(z: NDArray[np.float32]) -> tuple[NDArray[np.uint16], float, float]:
@@ -118,9 +122,9 @@ def _json(value: Any) -> bytes:
     return json.dumps(value, indent=1, default=str).encode()
 
 
-def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
-    height, width = item.cloud.gray.shape
-    valid = item.cloud.points / (width * height)
+def _cloud_header(origin: Origin, item: CloudItem, cloud: Cloud) -> wire.CloudHeader:
+    height, width = cloud.gray.shape
+    valid = cloud.points / (width * height)
     stats: dict[str, Any] = {"valid": round(valid, 4), "latency_ms": round(item.latency_ms, 2), "dropped": item.dropped}
     consistency = item.cloud.consistency
     if consistency is not None:
@@ -132,5 +136,6 @@ def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
     if item.frames > 1:
         stats |= {"mode": item.mode, "frames": item.frames, "span_ms": round(item.span_ms, 2), "moved": item.moved}
     return wire.CloudHeader(
-        kind="cloud", seq=item.seq, t_ns=item.t_ns, width=width, height=height, stats=stats, **origin.keys()
-    )
+        kind="cloud", seq=item.seq, t_ns=item.t_ns, frame=cloud.frame, width=width, height=height, stats=stats,
+        **origin.keys(),
+    )  # fmt: skip
