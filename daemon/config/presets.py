@@ -21,17 +21,17 @@ from pipeline.common.settings import RENAMED, Settings
 BUILT_IN: dict[str, dict[str, Any]] = {
     "precise": {
         "temporal": "fuse",
-        "settings": {"smoothing_sigma_px": 0.7, "noise_threshold_mm": 0.5, "cluster_min_area": 240},
+        "settings": {"smoothing_sigma_px": 0.7, "noise_threshold_mm": 0.3, "cluster_min_area": 240},
     },
     "balanced": {},
-    "fast": {"overload": "half", "settings": {"lattice_x": 4, "lattice_y": 4, "downsampling": 2}},
-    "dynamic": {"overload": "half", "settings": {"hole_filling_size": 4, "follow_cost": 0.05}},
+    "fast": {"overload": "half", "settings": {"lattice_x": 6, "lattice_y": 6}},
+    "dynamic": {"overload": "half", "settings": {"hole_filling_size": 4}},
 }
 """``balanced`` are the defaults."""
 MEANINGS = {
     "precise": "parts at rest: clouds averaged, smoothed along the surface, without points of large noise",
     "balanced": "the defaults",
-    "fast": "a quarter of the points, orders searched more coarsely, half resolution under load",
+    "fast": "orders searched on a coarser lattice, half resolution under load",
     "dynamic": "moving parts: every pair measured, at half resolution under load; small holes filled",
 }
 DEFAULT = "balanced"

@@ -68,7 +68,7 @@ def test_an_unknown_preset_is_refused_with_those_that_exist(tmp_path: Path) -> N
 def test_a_live_change_of_the_preset_replaces_settings_and_a_change_of_one_keeps_the_preset(tmp_path: Path) -> None:
     start = parse_rig(f"{RIG}preset: fast\npipeline: {{settings: {{cluster_min_area: 50}}}}\n")
     default = with_value(start, settings_of(start), "pipeline.settings.lattice_x", 3, tmp_path)
-    assert settings_of(default).lattice_x == 3 and settings_of(default).lattice_y == 4 and default.preset == "fast"
+    assert settings_of(default).lattice_x == 3 and settings_of(default).lattice_y == 6 and default.preset == "fast"
     used = with_value(default, settings_of(default), "preset", "precise", tmp_path)
     assert settings_of(used) == Settings().with_overrides(BUILT_IN["precise"]["settings"])
     assert (used.pipeline.temporal, used.pipeline.overload) == ("fuse", "skip")
