@@ -21,7 +21,7 @@ from pipeline.common.settings import RENAMED, Settings
 BUILT_IN: dict[str, dict[str, Any]] = {
     "precise": {
         "temporal": "fuse",
-        "settings": {"smoothing_sigma_px": 0.7, "noise_threshold_mm": 0.3, "cluster_min_area": 240},
+        "settings": {"smoothing_sigma_px": 0.7, "noise_threshold_mm": 0.5, "cluster_min_area": 240},
     },
     "balanced": {},
     "fast": {"overload": "half", "settings": {"lattice_x": 6, "lattice_y": 6}},
