@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --con
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test test-all audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm install uninstall bench-modes load campaign bench-service clean
+.PHONY: help env demo test test-all audit bench bench-calibration soak check golden screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load campaign bench-service clean
 .DEFAULT_GOAL := help
 
 help:
@@ -18,14 +18,14 @@ help:
 
 env: $(RIG)  ## the environment only: .venv with what the daemon and the demo need
 
-$(RIG): pyproject.toml constraints.txt tools/system-packages
+$(RIG): pyproject.toml distributions/rig/pyproject.toml constraints.txt tools/system-packages
 	tools/system-packages python
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) '.[rig]'
+	$(PIP) . --editable './distributions/rig[view]'
 	@touch $@
 
 $(DEV): $(RIG)
-	$(PIP) '.[rig,cluster,dev]'
+	$(PIP) '.[dev]' --editable './distributions/rig[view,cluster]'
 	@touch $@
 
 demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the viewer's address
@@ -101,6 +101,9 @@ rig-in-a-box: $(RIG)  ## the real drivers on emulated hardware: projector window
 vm: $(RIG)  ## virtual machine with a real kernel for the V4L2 driver; cached, half a minute the first time
 	tools/system-packages vm
 	PYTHON=$(BIN)/python tools/vm/build
+
+release: $(DEV)  ## wheels of both distributions in dist/, with compiled kernels; ten minutes on two cores
+	$(BIN)/python -m tools.release $(RELEASE)
 
 install: $(RIG)  ## install the daemon on this machine as a systemd service; options in INSTALL="--rig rig.yaml"
 	$(BIN)/fringed install $(INSTALL)

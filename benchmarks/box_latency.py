@@ -49,7 +49,7 @@ class Times:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
 
     def report(self, shown: Trigger, item: Item, now_ns: int) -> None:
-        """Note the times of a pair or a cloud; called by the witness."""
+        """Note the times of a pair or a cloud; called by the pair check."""
         if isinstance(item, Pair):
             host_ns = max(item.left.t_host_ns, item.right.t_host_ns) - self._offset_ns
             self._edges[item.left.trigger] = shown.index, shown.t_ns
@@ -117,8 +117,12 @@ def measure(options: argparse.Namespace) -> Table:
         )
     in_camera_ms = (options.exposure_us + options.readout_us) / 1e3
     table.notes.append(f"exposure and readout take {in_camera_ms:g} ms of it; triggers skipped by the emulator: {late}")
-    table.notes.append(f"wrong pairs: {daemon.witness.counts['wrong']}; X server and cameras run on the same machine")
-    table.notes.append("the witness reads all bytes of each pair before it is measured; the clouds' times include that")
+    table.notes.append(
+        f"wrong pairs: {daemon.pair_check.counts['wrong']}; X server and cameras run on the same machine"
+    )
+    table.notes.append(
+        "the pair check reads all bytes of each pair before it is measured; the clouds' times include that"
+    )
     return table
 
 
@@ -139,7 +143,7 @@ def _run(box: Box, daemon: Daemon, times: Times, options: argparse.Namespace) ->
         finally:
             stop.set()
             triggers.join(30)
-        wait_until(lambda: daemon.witness.last_cloud >= box.world.triggers - 2, 30, "the last cloud")
+        wait_until(lambda: daemon.pair_check.last_cloud >= box.world.triggers - 2, 30, "the last cloud")
     finally:
         ended.set()
         subscriber.join(30)

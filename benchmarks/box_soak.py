@@ -139,7 +139,7 @@ def soak(options: argparse.Namespace) -> Result:
         _measure_some(daemon, options.measured)
         world, started = box.world, time.monotonic()
         daemon.step_until_pair()
-        result.whole = daemon.witness.counts["pairs"]
+        result.whole = daemon.pair_check.counts["pairs"]
         gone = False
         every = max(1, options.triggers // 20)
         while world.triggers < options.triggers:
@@ -155,10 +155,10 @@ def soak(options: argparse.Namespace) -> Result:
             if world.triggers % every == 0:
                 result.usage.append((world.triggers, usage()))
                 if options.verbose:
-                    print(f"{world.triggers} triggers, {daemon.witness.counts['pairs']} pairs", flush=True)
+                    print(f"{world.triggers} triggers, {daemon.pair_check.counts['pairs']} pairs", flush=True)
         status = daemon.service.status()
         result.seconds = time.monotonic() - started
-    counts = daemon.witness.counts
+    counts = daemon.pair_check.counts
     result.triggers, result.pairs, result.clouds = world.triggers, counts["pairs"], counts["clouds"]
     result.wrong, result.unknown = counts["wrong"], counts["unknown"]
     result.losses = sum(camera.losses for camera in status.cameras.values())

@@ -31,7 +31,8 @@ os.umask(UMASK)
 
 WITHOUT_KERNELS = (
     "daemon/apps", "daemon/cli/control", "daemon/common", "daemon/config", "daemon/control", "daemon/keys",
-    "daemon/live/acquisition", "daemon/live/publishing", "daemon/rig", "drivers", "fringed", "pipeline/calibrate",
+    "daemon/live/acquisition", "daemon/live/publishing", "daemon/rig", "distributions", "drivers", "fringed",
+    "pipeline/calibrate",
     "pipeline/pattern", "sim/boards", "sim/gentl", "test_module_names.py", "tools",
 )  # fmt: skip
 """Directories of tests that neither measure nor render, or little: their kernels are compiled when they are called."""

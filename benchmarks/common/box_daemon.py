@@ -1,4 +1,4 @@
-"""A daemon on a rig in a box, with its real service and drivers, and a witness that identifies every pair."""
+"""A daemon on a rig in a box, with its real service and drivers, and a check that identifies every pair."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sim.box.exposure_ledger import Ledger, Trigger
 from tools.waiting import wait_until
 
 
-class Witness:
+class PairCheck:
     """A sink that identifies the exposures of every pair's frames by their bytes.
 
     ``counts``: ``pairs`` that are right (``lit`` or ``dark``), ``wrong`` ones of two exposures, ``unknown`` ones with a
@@ -83,7 +83,7 @@ class Daemon:
     The environment variable of :mod:`sim.box.box` must name the box's cameras.
 
     Args:
-        box: open; report: see :class:`Witness`; pipeline: changes to that section of rig.yaml.
+        box: open; report: see :class:`PairCheck`; pipeline: changes to that section of rig.yaml.
     """
 
     def __init__(
@@ -101,8 +101,8 @@ class Daemon:
             self.rig = open_rig(config, self._box.folder)
             stack.callback(self.rig.release)
             publisher = open_publisher(config, self.rig, "box")
-            self.witness = Witness(self._box.world.ledger, self._report)
-            sinks = {"stream": publisher, "witness": self.witness}
+            self.pair_check = PairCheck(self._box.world.ledger, self._report)
+            sinks = {"stream": publisher, "pair check": self.pair_check}
             self.service = Service(config, self.rig, sinks, on_status=publisher.publish_status, session="box")
             self._thread = threading.Thread(target=self._run, name="daemon")
             self._thread.start()
@@ -146,9 +146,9 @@ class Daemon:
         for _ in range(tries):
             index = self._box.world.step().index
             end = time.monotonic() + 0.5
-            while self.witness.last_pair < index and time.monotonic() < end and self._confirmed:
+            while self.pair_check.last_pair < index and time.monotonic() < end and self._confirmed:
                 time.sleep(0.0005)
-            if self.witness.last_pair == index:
+            if self.pair_check.last_pair == index:
                 return index
             time.sleep(0.01)
         raise TimeoutError(f"no pair within {tries} triggers; {self.service.status()}")
@@ -158,7 +158,7 @@ class Daemon:
         for _ in range(count):
             index = self._box.world.step().index
             end = time.monotonic() + patience_s
-            while self.witness.last_pair < index and time.monotonic() < end:
+            while self.pair_check.last_pair < index and time.monotonic() < end:
                 time.sleep(0.0002)
 
     def _check(self) -> None:

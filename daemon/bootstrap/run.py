@@ -82,6 +82,7 @@ def run_rig(
     flag: StopFlag | None = None,
     record: str | None = None,
     on_status: Callable[[dict[str, Any]], None] | None = None,
+    hold_cameras: bool = False,
 ) -> None:
     """Measure with the rig of a file until a stop is requested.
 
@@ -89,6 +90,7 @@ def run_rig(
         path: of rig.yaml; record: name of a take that begins at once.
         progress: called with (done, of) while a simulated rig is rendered.
         on_status: called with the status once a second.
+        hold_cameras: accept triggers from when the kernels are ready.
     """
     flag = flag or StopFlag()
     config, base_dir = load_rig(path), path.resolve().parent
@@ -108,7 +110,7 @@ def run_rig(
     except OptionsError as error:
         raise error.located(path) from error
     try:
-        _run(config, rig, path, base_dir, flag, record, on_status, supervisor)
+        _run(config, rig, path, base_dir, flag, record, on_status, supervisor, hold_cameras)
     finally:
         supervisor.close()
 
@@ -122,6 +124,7 @@ def _run(
     record: str | None,
     on_status: Callable[[dict[str, Any]], None] | None,
     supervisor: Supervisor,
+    hold_cameras: bool,
 ) -> None:
     session = str(uuid.uuid4())
     set_fields(session=session, device=config.device.name)
@@ -149,21 +152,27 @@ def _run(
         if config.health.enabled:
             health = HealthMethods(open_health(config, rig, base_dir))
             sinks["health"] = health.health
-        service = Service(config, rig, sinks, on_status=publish, session=session)
+        service = Service(config, rig, sinks, on_status=publish, session=session, hold_cameras=hold_cameras)
         takes = config.path(config.recording.dir, base_dir)
         recorder = Recorder(
             service.router,
             config,
             lambda: service.config.path(service.config.recording.dir, base_dir),
             lambda take: open_take(
-                service.config, service.rig, session, take, path, shown=service.mode_controller.shown
+                service.config,
+                service.rig,
+                session,
+                take,
+                path,
+                serials=service.path.serials,
+                shown=service.mode_controller.shown,
             ),
             clock=service.clock,
         )
         capture = Capture(
             service,
             lambda file, pattern, least: open_capture(
-                service.config, service.rig, session, file, pattern, min_free_bytes=least
+                service.config, service.rig, session, file, pattern, serials=service.path.serials, min_free_bytes=least
             ),
             directories=(runtime_beside(config.control.endpoint) or takes, takes),
         )

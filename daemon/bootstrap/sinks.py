@@ -12,6 +12,7 @@ from daemon.config.rig_config import RigConfig
 from daemon.control.rpc.protocol import Method
 from daemon.live.items import Sink
 from daemon.live.projection.mode_plan import ShownSequence
+from daemon.rig.camera_serials import Serials, take_metadata
 from daemon.rig.open_rig import Rig
 
 if TYPE_CHECKING:
@@ -76,12 +77,19 @@ def open_gate(
 
 
 def open_take(
-    config: RigConfig, rig: Rig, session: str, path: Path, rig_file: Path, *, shown: ShownSequence | None = None
+    config: RigConfig,
+    rig: Rig,
+    session: str,
+    path: Path,
+    rig_file: Path,
+    *,
+    serials: Serials,
+    shown: ShownSequence | None = None,
 ) -> Sink:
     """The writer of a take, its first part open; everything that a replay needs is attached.
 
     Args:
-        shown: sequence that is shown instead of the rig's pattern.
+        serials: of the connected cameras; shown: sequence that is shown instead of the rig's pattern.
     """
     from daemon.recording.write.take_writer import TakeWriter
 
@@ -104,12 +112,19 @@ def open_take(
         keep_bytes=recording.keep_mb * MEGABYTE,
         keep_s=recording.keep_s,
         tolerance_ns=round(1000 * config.pairing.tolerance_us),
-        extra_metadata=None if shown is None else shown.metadata,
+        extra_metadata=take_metadata(serials) | dict({} if shown is None else shown.metadata),
     )
 
 
 def open_capture(
-    config: RigConfig, rig: Rig, session: str, path: Path, pattern: Mapping[str, Any], *, min_free_bytes: int
+    config: RigConfig,
+    rig: Rig,
+    session: str,
+    path: Path,
+    pattern: Mapping[str, Any],
+    *,
+    serials: Serials,
+    min_free_bytes: int,
 ) -> Sink:
     """The writer of a captured sequence: a take whose pattern is the sequence and whose triggers count from 0."""
     from daemon.recording.write.take_writer import TakeWriter
@@ -125,7 +140,7 @@ def open_capture(
         max_part_bytes=1 << 40,
         max_part_s=1e9,
         min_free_bytes=min_free_bytes,
-        extra_metadata={"first_pattern_sequence": "0"},
+        extra_metadata=take_metadata(serials) | {"first_pattern_sequence": "0"},
     )
 
 

@@ -7,11 +7,13 @@ import sys
 import warnings
 
 from daemon.cli.allocator import prepare
+from daemon.kernels.release import select
 
 _INSTALL = (
     "fringed: the commands require the packages of a rig PC ({name} is missing); install them with: pip install "
-    "'fringed[rig]'. Reading a stream from Python requires none of them: from fringed import subscribe"
+    "fringed-rig. Reading a stream from Python requires none of them: from fringed import subscribe"
 )
+_VIEW = "fringed: the viewer requires Rerun, which is not installed: pip install 'fringed-rig[view]'"
 _INPUT_STATUS = 2
 _OWN = ("daemon", "sim", "drivers", "pipeline", "fringed")
 
@@ -19,6 +21,7 @@ _OWN = ("daemon", "sim", "drivers", "pipeline", "fringed")
 def main() -> None:
     """Run the command line; the exit status is 0, 1 for an expected failure, 2 for an input that cannot be used."""
     prepare()
+    select()
     sys.exit(run(sys.argv[1:]))
 
 
@@ -34,7 +37,8 @@ def run(arguments: list[str]) -> int:
     except ModuleNotFoundError as error:
         if debug or (error.name or "").partition(".")[0] in _OWN:
             raise
-        print(_INSTALL.format(name=error.name), file=sys.stderr)  # noqa: T201 - the only output without further packages
+        message = _VIEW if (error.name or "").partition(".")[0] == "rerun" else _INSTALL.format(name=error.name)
+        print(message, file=sys.stderr)  # noqa: T201 - the only output without further packages
         return _INPUT_STATUS
     except Exception as error:
         if debug or not _is_one_of(error, _EXPECTED):

@@ -25,15 +25,30 @@ MARK = "fringed-kernels.json"
 
 
 @cache
-def cache_key() -> str:
-    """Hash of the sources, of the versions of Python, numba and llvmlite, and of the processor."""
+def sources_key() -> str:
+    """Hash of the sources."""
     digest = hashlib.sha256()
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
-    libraries = [version(name) for name in ("numba", "llvmlite", "numpy")]
-    digest.update(repr((sys.version_info[:2], libraries, processor())).encode())
     return digest.hexdigest()[:32]
+
+
+@cache
+def libraries() -> dict[str, str]:
+    """Versions of Python and of the libraries that generate code; numba distinguishes minor versions of numpy."""
+    return {
+        "python": f"{sys.version_info.major}.{sys.version_info.minor}",
+        "numba": version("numba"),
+        "llvmlite": version("llvmlite"),
+        "numpy": ".".join(version("numpy").split(".")[:2]),
+    }
+
+
+@cache
+def cache_key() -> str:
+    """Hash of the sources, the versions of the libraries, and the processor."""
+    return hashlib.sha256(repr((sources_key(), libraries(), processor())).encode()).hexdigest()[:32]
 
 
 def processor() -> tuple[str, str]:

@@ -27,6 +27,16 @@ def rendering_jobs(encodings: Iterable[str]) -> tuple[str, ...]:
     return tuple(f"{RENDER}/{encoding}/images" for encoding in encodings)
 
 
+def release_jobs() -> tuple[str, ...]:
+    """Jobs of a release: every mode with every kind of image, and the simulated rig."""
+    from pipeline.pattern.mode_sequences import MODES
+
+    kinds = [(encoding, mode) for encoding in ENCODINGS for mode in (None, *MODES)]
+    kinds += [("mono16", mode) for mode in MODES if mode != "two_color"]
+    jobs = [*rendering_jobs(ENCODINGS), *(job for kind in kinds for job in measuring_jobs(*kind))]
+    return tuple(dict.fromkeys(jobs))
+
+
 def run_job(name: str) -> None:
     """Compile (or load) the kernels of a job; ValueError for an unknown one."""
     kind, encoding, part = name.split("/")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from daemon.common import threads
 from daemon.common.errors import DaemonError
-from daemon.kernels import cache
+from daemon.kernels import cache, release
 
 _END_S = 5.0
 _TAIL = 2000
@@ -34,6 +34,7 @@ class KernelCompilation:
     """
 
     def __init__(self, jobs: Iterable[str], *, processes: int = 0) -> None:
+        release.unpack()
         wanted = list(dict.fromkeys(jobs))
         ready = cache.compiled_jobs()
         self._waiting = deque(job for job in wanted if job not in ready)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from daemon.live.acquisition.camera_status import CameraStatus
-from drivers.protocols import SIDES, ProjectorInfo, Side
+from drivers.protocols import ProjectorInfo, Side
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.rig.calibration import Calibration
 
@@ -22,20 +22,6 @@ def size_problem(camera: Side, size: tuple[int, int], calibration: Calibration) 
         f"camera {camera} sends {size[0]} x {size[1]} pixels, "
         f"the calibration is for {calibrated[0]} x {calibrated[1]}; set its region to that size or calibrate again"
     )
-
-
-def serial_problem(calibrated: Mapping[Side, str], devices: Mapping[Side, str]) -> str:
-    """Why cameras are not those that were calibrated, or nothing; an unknown serial number is not compared."""
-    differ = [side for side in SIDES if calibrated.get(side) and devices[side] and calibrated[side] != devices[side]]
-    if not differ:
-        return ""
-    if len(differ) == 2 and calibrated["left"] == devices["right"] and calibrated["right"] == devices["left"]:
-        return (
-            f"the cameras are exchanged: left is {devices['left']} and right is {devices['right']}, in the calibration "
-            "it is the opposite; exchange cameras.left and cameras.right in rig.yaml, or calibrate again"
-        )
-    named = ", ".join(f"camera {side} is {devices[side]}, calibrated was {calibrated[side]}" for side in differ)
-    return f"{named}; connect the calibrated camera or calibrate again"
 
 
 def projector_problem(projector: ProjectorInfo, pattern: ColorFringe) -> str:

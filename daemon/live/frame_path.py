@@ -13,12 +13,12 @@ from daemon.kernels.jobs import measuring_jobs
 from daemon.kernels.processes import Progress, compile_kernels
 from daemon.live.acquisition.camera_thread import CameraThread
 from daemon.live.acquisition.locked_pairer import LockedPairer, pairing_settings
-from daemon.live.compatibility import serial_problem
 from daemon.live.items import Sink
 from daemon.live.processing.reconstructor_factory import make_reconstructor, warm_up
 from daemon.live.processing.worker import CloudReconstructor, Worker
 from daemon.live.projection.mode_controller import ModeController
 from daemon.live.router import Router
+from daemon.rig.camera_serials import serial_problem
 from daemon.rig.open_rig import Rig
 from drivers.protocols import SIDES, Clock, Side
 from pipeline.common.settings import Settings
@@ -118,6 +118,11 @@ class FramePath:
                 log.exception("a change failed")
         return reconstructor
 
+    @property
+    def serials(self) -> dict[Side, str]:
+        """Serial numbers of the connected cameras, empty where unknown."""
+        return {side: self.cameras[side].status.serial for side in SIDES}
+
     def end_compilation(self) -> None:
         """End a compilation within about a second: the daemon stops."""
         self._stopping = True
@@ -132,7 +137,7 @@ class FramePath:
         compile_kernels(jobs, note)
 
     def _reconstructor(self, config: RigConfig, rig: Rig, settings: Settings) -> CloudReconstructor:
-        problem = serial_problem(rig.serials, {side: self.cameras[side].status.serial for side in SIDES})
+        problem = serial_problem(rig.serials, self.serials)
         if problem:
             raise DaemonError(problem)
         encodings = [self.cameras[side].status.encoding for side in SIDES]

@@ -38,6 +38,7 @@ class Service:
         config: of the rig; rig: its devices, closed.
         sinks: by name; the service closes them.
         on_status: called with the status once a second.
+        hold_cameras: accept triggers from when the kernels are ready, instead of from the start.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Service:
         clock: Clock | None = None,
         session: str | None = None,
         processor_share: ProcessorShare | None = None,
+        hold_cameras: bool = False,
     ) -> None:
         self.clock = clock = clock or SystemClock()
         self.processor_share = processor_share or ProcessorShare()
@@ -58,7 +60,7 @@ class Service:
         #: Called by the main loop ten times a second, from the start to the request to stop.
         self.on_tick: list[Callable[[], None]] = []
         self._started_ns = clock.monotonic_ns()
-        self._ready, self._paused = False, False
+        self._ready, self._paused, self._held = False, False, hold_cameras
         self._drops_starting: dict[str, int] | None = None
         self._short_of_processors = False
         self.projector: ProjectorInfo | None = None
@@ -133,7 +135,7 @@ class Service:
     def _switch_cameras(self) -> None:
         """With the lock held, so that a pause that comes at the end of a capture is not lost."""
         for camera in self.cameras.values():
-            camera.measure(not self._paused or self.router.diversion is not None)
+            camera.measure(not (self._paused or self._held) or self.router.diversion is not None)
 
     def change(self, config: RigConfig, rig: Rig, settings: Settings, commits: Iterable[Callable[[], None]]) -> None:
         """Apply all of this between two pairs, or nothing of it; see :meth:`FramePath.change`."""
@@ -176,6 +178,8 @@ class Service:
         if unfit:
             raise DaemonError(unfit)
         self.mode_controller.light(projector)
+        with self._switch:
+            self._switch_cameras()
         for camera in self.cameras.values():
             camera.start()
         while not self._stop.is_set() and any(not camera.status.encoding for camera in self.cameras.values()):
@@ -191,6 +195,9 @@ class Service:
             started.result()
             self._drops_starting = self.drops.snapshot()
             self._ready = not self._stop.is_set()
+            with self._switch:
+                self._held = False
+                self._switch_cameras()
             self._note_state()
             for warning in self.status().warnings:
                 log.warning("%s", warning)

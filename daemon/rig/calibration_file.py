@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import yaml
 
 from daemon.common.files import read_at_most, write_atomically
+from daemon.rig.camera_serials import Serials
 from pipeline.common.errors import CalibrationError
 from pipeline.rig import calibration as model
 from pipeline.rig.calibration import Calibration, Cameras
@@ -129,12 +130,15 @@ def calibration_bytes(
     created: datetime | None = None,
     quality: Mapping[str, Any] | None = None,
     keep: Mapping[str, Any] | None = None,
+    serials: Serials | None = None,
 ) -> bytes:
-    """The bytes that :func:`write_calibration` writes."""
+    """The bytes that :func:`write_calibration` writes; ``serials``: of the cameras, instead of those to keep."""
     stamp = (created or datetime.now(UTC)).astimezone(UTC)
     ours = model.to_mapping(calibration)
     head = {"fringed_calibration": ours.pop("fringed_calibration"), "created": stamp.strftime("%Y-%m-%dT%H:%M:%SZ")}
     mapping = head | ours | ({"quality": dict(quality)} if quality is not None else {})
+    for side, serial in (serials or {}).items():
+        mapping["cameras"][side] = {"serial": serial} | mapping["cameras"][side]
     if keep is not None:
         _keep_unknown(mapping, keep)
     return yaml.safe_dump(mapping, sort_keys=False, default_flow_style=None, width=120).encode()

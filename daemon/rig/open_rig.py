@@ -15,6 +15,7 @@ from daemon.config import driver_table
 from daemon.config.rig_config import RigConfig
 from daemon.config.yaml_source import read_yaml
 from daemon.rig.calibration_file import CalibrationFile, parse_calibration, read_calibration
+from daemon.rig.camera_serials import serials_in
 from daemon.rig.pattern_file import read_pattern, read_volume
 from daemon.rig.pose_file import output_pose
 from drivers.protocols import SIDES, Camera, Devices, MovesBoard, Projector, Side
@@ -97,18 +98,12 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
             identity=calibration.identity,
             release=devices.close,
             board=devices.board,
-            serials=serials_of(calibration),
+            serials=serials_in(calibration.mapping["cameras"]),
             pose=output_pose(config, base_dir),
         )
     except BaseException:
         devices.close()
         raise
-
-
-def serials_of(file: CalibrationFile) -> dict[Side, str]:
-    """Serial numbers of the calibrated cameras, those that the calibration file names."""
-    serials = {side: file.mapping["cameras"][side].get("serial") for side in SIDES}
-    return {side: str(serial) for side, serial in serials.items() if serial}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

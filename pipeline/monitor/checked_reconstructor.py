@@ -11,6 +11,7 @@ from pipeline.monitor import observe
 from pipeline.monitor.consistency import ConsistencyCheck
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.cloud_filters import CloudFilters
+from pipeline.reconstruct.consistency import Consistency
 from pipeline.reconstruct.reconstructor import Reconstructor
 
 Policy = Literal["withhold", "warn", "off"]
@@ -30,10 +31,7 @@ class CheckedReconstructor:
         self, reconstructor: Reconstructor, policy: Policy = "withhold", filters: CloudFilters | None = None
     ) -> None:
         self.inner, self.policy, self._filters = reconstructor, policy, filters
-        self._check = ConsistencyCheck(
-            reconstructor.calibration, reconstructor.pattern, reconstructor.volume, encoding=reconstructor.encoding,
-            settings=reconstructor.settings,
-        )  # fmt: skip
+        self._check = self.new_check()
         self._since_scan = 0
 
     @property
@@ -46,10 +44,18 @@ class CheckedReconstructor:
         """Encoding of the raw images."""
         return self.inner.encoding
 
+    def new_check(self) -> ConsistencyCheck:
+        """A check in its first state: its choice of surface patches starts from the seed."""
+        inner = self.inner
+        return ConsistencyCheck(
+            inner.calibration, inner.pattern, inner.volume, encoding=inner.encoding, settings=inner.settings
+        )
+
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:
         """As of the reconstructor."""
         self.inner.warm_up(strides=strides, use_prior=use_prior)
-        observe.warm_up()
+        if self.policy != "off":
+            observe.warm_up()
 
     def reconstruct(
         self, left: NDArray[Any], right: NDArray[Any], /, *, stride: int = 1, use_prior: bool = False
@@ -62,6 +68,12 @@ class CheckedReconstructor:
         cloud = self.inner.reconstruct(left, right, stride=stride, use_prior=use_prior)
         if self.policy == "off":
             return cloud
+        found = self.verdict(left, right, cloud)
+        cloud = replace(cloud, consistency=found)
+        return cloud.withheld() if self.policy == "withhold" and found.verdict == "inconsistent" else cloud
+
+    def verdict(self, left: NDArray[Any], right: NDArray[Any], cloud: Cloud) -> Consistency:
+        """The verdict on a pair of raw images and its cloud."""
         found = self._check.check(left, right, cloud, self.inner.scan)
         self._since_scan += 1
         if found.verdict in ("doubtful", "inconsistent") and self._since_scan >= _RESCAN_PAIRS:
@@ -69,5 +81,4 @@ class CheckedReconstructor:
             self._since_scan = 0
             self.inner.scan = self.inner.scan_columns()
             found = self._check.check(left, right, cloud, self.inner.scan)
-        cloud = replace(cloud, consistency=found)
-        return cloud.withheld() if self.policy == "withhold" and found.verdict == "inconsistent" else cloud
+        return found

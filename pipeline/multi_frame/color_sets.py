@@ -20,6 +20,7 @@ from pipeline.multi_frame import temporal_unwrapping
 from pipeline.multi_frame.image_roles import Plan
 from pipeline.multi_frame.order_agreement import agreed_orders
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.column_correction import CorrectionState
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -47,11 +48,11 @@ class ColorSets:
         """Of the projector's columns."""
         return self._reconstructors[0].correction
 
-    def state(self) -> Any:
-        """State that sets change, for :meth:`restore`."""
+    def state(self) -> list[CorrectionState]:
+        """Column correction of each reconstructor and whether it was measured, for :meth:`restore`."""
         return [(one.correction, one.calibrated) for one in self._reconstructors]
 
-    def restore(self, kept: Any) -> None:
+    def restore(self, kept: list[CorrectionState]) -> None:
         """Restore the state."""
         for one, (correction, calibrated) in zip(self._reconstructors, kept, strict=True):
             one.correction, one.calibrated = correction, calibrated

@@ -21,6 +21,7 @@ from pipeline.multi_frame.set_decoder import SetDecoder, SetPhase, windowed
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.column_correction import CorrectionState
 from pipeline.reconstruct.orders_to_cloud import CloudStage
 from pipeline.reconstruct.search_views import volume_of_right
 from pipeline.rig.calibration import Calibration
@@ -63,13 +64,13 @@ class GraySets:
         self._correlation = CORRELATION if windowed(settings, encoding) else 0.0
         self._stages: dict[int, CloudStage] = {}
 
-    def state(self) -> Any:
-        """State that sets change, for :meth:`restore`."""
-        return self.correction, self.calibrated
+    def state(self) -> list[CorrectionState]:
+        """Column correction and whether it was measured, for :meth:`restore`."""
+        return [(self.correction, self.calibrated)]
 
-    def restore(self, kept: Any) -> None:
+    def restore(self, kept: list[CorrectionState]) -> None:
         """Restore the state."""
-        self.correction, self.calibrated = kept
+        [(self.correction, self.calibrated)] = kept
 
     def cloud(
         self, lefts: Sequence[NDArray[Any]], rights: Sequence[NDArray[Any]], stride: int, watch: Stopwatch

@@ -20,6 +20,7 @@ from pipeline.multi_frame.set_decoder import ENCODINGS
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.cloud_filters import CloudFilters
+from pipeline.reconstruct.column_correction import CorrectionState
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
@@ -72,13 +73,21 @@ class SetReconstructor:
         """Of the projector's columns: offset, slope along, slope across; observed minus calibrated coordinate."""
         return self._sets.correction
 
+    def state(self) -> list[CorrectionState]:
+        """What sets change: column corrections and whether they were measured, for :meth:`restore`."""
+        return self._sets.state()
+
+    def restore(self, kept: list[CorrectionState]) -> None:
+        """Return to the state that :meth:`state` returned."""
+        self._sets.restore(kept)
+
     def warm_up(self, *, strides: tuple[int, ...] = (1,), use_prior: bool = False) -> None:  # noqa: ARG002 - see below
         """Compile (or load) every kernel by runs on empty images; leaves no trace in the results.
 
         Args:
             strides: spacings that will be requested; use_prior: without effect, sets have no prior.
         """
-        kept = self._sets.state()
+        kept = self.state()
         rng = np.random.default_rng(0)
         kind = np.uint16 if self.encoding == "mono16" else np.uint8
         deep = (3,) if self.encoding == "rgb8" else ()
@@ -89,7 +98,7 @@ class SetReconstructor:
         for stride in strides:
             self.reconstruct(*sides, stride=stride)
         warm_up_conflicts()
-        self._sets.restore(kept)
+        self.restore(kept)
 
     def reconstruct(
         self,

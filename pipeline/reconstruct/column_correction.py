@@ -18,6 +18,9 @@ F64 = NDArray[np.float64]
 Correction = F64
 """(3,) offset, slope along, slope across: observed minus calibrated projector coordinate."""
 
+CorrectionState = tuple[Correction, bool]
+"""A correction, and whether it was measured."""
+
 NO_CORRECTION: Correction = np.zeros(3)
 
 

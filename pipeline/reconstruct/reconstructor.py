@@ -104,8 +104,10 @@ class Reconstructor:
         rng = np.random.default_rng(0)
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
+        self.calibrated = True  # one search loads the kernels of the column correction's hundred
         for stride in strides:
             self.reconstruct(left, right, stride=stride, use_prior=use_prior)
+        self.searches[0].least_costs(*self._maps, self.correction, stride=8)
         warm_up_conflicts()
         self.clear_prior()
         self.correction, self.calibrated = kept

@@ -46,7 +46,7 @@ def run_checks(
         job = Job(tuple(pending), str(rig.resolve()) if rig is not None else "", str(root))
         with _CheckProcess(job) as process:
             if process.next(START_S) is None:
-                text, remedy = f"the checks cannot start: {process.end()}", "install again: pip install 'fringed[rig]'"
+                text, remedy = f"the checks cannot start: {process.end()}", "install again: pip install fringed-rig"
                 findings.append(Finding("doctor", "start", "problem", text, remedy))
                 on_area(findings[-1:])
                 return findings

@@ -106,6 +106,9 @@ def _fill(fresh: Path, source: Source) -> None:
     (own,) = fresh.glob("lib/python3.*/site-packages")
     for package in OWN:
         shutil.copytree(_CHECKOUT / package, own / package, ignore=shutil.ignore_patterns("__pycache__"))
+    # The service cannot write beside its files: without this every start would compile all of them.
+    packages = [str(own / package) for package in OWN]
+    _run([str(fresh / "bin/python"), "-m", "compileall", "-q", *packages], "compiling the packages to bytecode")
     share = fresh / SHARE
     shutil.copytree(shipped("systemd"), share / "systemd")
     shutil.copy2(shipped("constraints.txt"), share)
@@ -117,17 +120,17 @@ def _install(fresh: Path, source: Source) -> None:
     pip = [str(fresh / "bin/python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     if source.wheelhouse is not None:
         pip += ["--no-index", "--find-links", str(source.wheelhouse)]
-    pip += ["--constraint", str(shipped("constraints.txt")), requirement(source)]
+    pip += ["--constraint", str(shipped("constraints.txt")), *requirements(source)]
     _run(pip, "installing the packages")
 
 
-def requirement(source: Source) -> str:
-    """The requirement for pip: the running checkout, or the same version from the source of packages."""
+def requirements(source: Source) -> list[str]:
+    """The requirements for pip: the running checkout, or the same version from the source of packages."""
     from daemon.common.version import program_version
 
     if source.wheelhouse is None and (_CHECKOUT / "pyproject.toml").is_file():
-        return f"{_CHECKOUT}[rig]"
-    return f"fringed[rig]=={program_version()}"
+        return [str(_CHECKOUT), f"{_CHECKOUT}/distributions/rig[view]"]
+    return [f"fringed-rig[view]=={program_version()}"]
 
 
 def _run(command: list[str], step: str) -> None:

@@ -18,7 +18,9 @@ _TIMEOUT_S = 3600
 _PROGRAM = """
 import sys
 from daemon.cli.allocator import prepare
+from daemon.kernels.release import select
 prepare()
+select()
 from daemon.kernels.jobs import ENCODINGS, measuring_jobs, rendering_jobs
 from daemon.kernels.processes import compile_kernels
 modes = sys.argv[1:] or [None]

@@ -8,6 +8,9 @@ from typing import Any
 
 from daemon.apps.replay.independent_verdicts import IndependentVerdicts
 from daemon.apps.replay.take_items import TakeItem
+from daemon.recording.read.take_reader import TakeReader
+from daemon.rig.calibration_file import CalibrationFile
+from daemon.rig.camera_serials import serial_problem, serials_in, serials_of_take
 from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
 from pipeline.monitor.checked_reconstructor import Policy
@@ -68,6 +71,14 @@ def warmed_reconstructor(
     sets = SetReconstructor(calibration, pattern, volume, filters=filters, **options)
     sets.warm_up()
     return sets
+
+
+def check_serials(take: TakeReader, file: CalibrationFile) -> CalibrationFile:
+    """The calibration, unless the take was recorded by other cameras than the calibrated ones; CalibrationError."""
+    recorded, calibrated = serials_of_take(take.metadata), serials_in(file.mapping["cameras"])
+    if problem := serial_problem(calibrated, recorded):
+        raise CalibrationError(f"{take.path}: the recording is not of the calibrated cameras: {problem}")
+    return file
 
 
 def check_size(item: TakeItem, calibration: Calibration) -> None:

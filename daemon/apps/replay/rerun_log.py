@@ -43,7 +43,7 @@ class RerunLog:
         except ModuleNotFoundError as error:
             if error.name != "rerun":
                 raise
-            raise DaemonError("--rerun needs the package rerun-sdk: pip install 'fringed[rig]'") from error
+            raise DaemonError("--rerun needs the package rerun-sdk: pip install 'fringed-rig[view]'") from error
 
     def show(self, result: Result) -> None:
         """Log a cloud, its images and its figures."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daemon.apps.replay.reconstruct_item import Run, check_size, timed, warmed_reconstructor
+from daemon.apps.replay.reconstruct_item import Run, check_serials, check_size, timed, warmed_reconstructor
 from daemon.apps.replay.take_items import Sets, pairs_of
 from daemon.kernels.jobs import measuring_jobs
 from daemon.kernels.processes import Progress, compile_kernels
@@ -84,7 +84,11 @@ class Replay:
     def calibration_file(self) -> CalibrationFile:
         """The calibration in use."""
         if self._file is None:
-            self._file = self.take.calibration() if self.calibration is None else read_calibration(self.calibration)
+            self._file = (
+                self.take.calibration()
+                if self.calibration is None
+                else check_serials(self.take, read_calibration(self.calibration))
+            )
         return self._file
 
     def results(self, *, repeat: int = 1, progress: Callable[[int], Any] | None = None) -> Iterator[Result]:

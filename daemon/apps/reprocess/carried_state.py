@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from daemon.apps.replay.independent_verdicts import IndependentVerdicts
+from pipeline.multi_frame.set_reconstructor import SetReconstructor
 from pipeline.reconstruct.consistency import ColumnScan
 
 
@@ -53,18 +54,17 @@ class CarriedState:
         )
 
 
-def capture(reconstructor: Any) -> CarriedState:
+def capture(reconstructor: IndependentVerdicts | SetReconstructor) -> CarriedState:
     """The state that a reconstructor's next item meets."""
     if isinstance(reconstructor, IndependentVerdicts):
         inner = reconstructor.inner
         scan = None if inner.scan is None else tuple(map(float, dataclasses.astuple(inner.scan)))
         return CarriedState(inner.encoding, ((_numbers(inner.correction), inner.calibrated),), scan)
-    kept = reconstructor._sets.state()
-    pairs = kept if isinstance(kept, list) else [kept]
-    return CarriedState(reconstructor.encoding, tuple((_numbers(values), measured) for values, measured in pairs))
+    kept = reconstructor.state()
+    return CarriedState(reconstructor.encoding, tuple((_numbers(values), measured) for values, measured in kept))
 
 
-def restore(reconstructor: Any, state: CarriedState) -> None:
+def restore(reconstructor: IndependentVerdicts | SetReconstructor, state: CarriedState) -> None:
     """Bring a reconstructor into a state that :func:`capture` returned for one of the same kind."""
     pairs = [(np.array(values), measured) for values, measured in state.corrections]
     if isinstance(reconstructor, IndependentVerdicts):
@@ -73,8 +73,7 @@ def restore(reconstructor: Any, state: CarriedState) -> None:
         inner.scan = None if state.scan is None else ColumnScan(*state.scan)
         inner.clear_prior()
         return
-    sets = reconstructor._sets
-    sets.restore(pairs if isinstance(sets.state(), list) else pairs[0])
+    reconstructor.restore(pairs)
 
 
 def _numbers(values: Any) -> tuple[float, ...]:

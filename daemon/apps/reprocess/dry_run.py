@@ -10,11 +10,11 @@ from daemon.apps.replay.reconstruct_item import timed, warmed_reconstructor
 from daemon.apps.reprocess.job import Job
 from daemon.apps.reprocess.locations import location
 from daemon.apps.reprocess.plan.recordings import Recording
+from daemon.apps.reprocess.work.chunk_work import calibration_of
 from daemon.apps.reprocess.work.frame_loader import FrameLoader
 from daemon.apps.reprocess.work.take_work import Planned, plan_recording
 from daemon.common.errors import DaemonError
 from daemon.recording.read.take_reader import TakeReader
-from daemon.rig.calibration_file import parse_calibration
 from pipeline.common.errors import PipelineError
 
 
@@ -59,7 +59,7 @@ def _seconds(job: Job, url: str, planned: Planned) -> float:
     assert planned.plan is not None  # noqa: S101 - checked by the caller
     try:
         with TakeReader(location(url)) as take:
-            calibration = take.calibration() if job.calibration is None else parse_calibration(job.calibration, url)
+            calibration = calibration_of(take, job)
             item = FrameLoader(take).item(planned.plan.chunks[0].items[0])
             reconstructor = warmed_reconstructor(
                 calibration.calibration, take.sequence() or take.pattern(), take.volume(),

@@ -73,7 +73,7 @@ def _remote(text: str, protocol: str) -> Any:
         from upath import UPath
     except ModuleNotFoundError as error:
         raise DaemonError(
-            f"{text}: URLs need the packages of the extra cluster: pip install 'fringed[cluster]'"
+            f"{text}: URLs need the packages of the extra cluster: pip install 'fringed-rig[cluster]'"
         ) from error
     try:
         place: Any = UPath(text)

@@ -59,7 +59,7 @@ def main(
         option = "" if control == control_endpoint() else f" --endpoint {control}"
         typer.echo(f"It is a whole daemon: fringed status{option}; also get, set, mode, record, snapshot.")
         try:
-            run_rig(rig_file, progress=progress, flag=flag, on_status=report)
+            run_rig(rig_file, progress=progress, flag=flag, on_status=report, hold_cameras=True)
         except ConfigError as error:  # the person has never seen the demo's rig file
             position = re.compile(rf"{re.escape(str(rig_file))}:\d+:\d+: ")
             raise InputError("; ".join(position.sub("", problem) for problem in error.problems)) from error

@@ -89,7 +89,7 @@ def main(
         _estimate(job, recordings, out, max(1, count))
         return
     if grid:
-        with locked(location(out)), _engine(scheduler, count, memory_limit) as engine:
+        with locked(location(out)), _engine(scheduler, count, memory_limit, recordings) as engine:
             compare(job, recordings, out, grid, sample, engine)
         return
     if _reprocess(job, recordings, out, scheduler, count, memory_limit, retry_failed=retry_failed):
@@ -114,7 +114,7 @@ def _reprocess(
     from daemon.cli.takes.reprocess_progress import shown
 
     root = location(out)
-    with locked(root), _engine(scheduler, workers, memory_limit) as engine:
+    with locked(root), _engine(scheduler, workers, memory_limit, recordings) as engine:
         with shown() as show:
             run = Run(job, root, engine, retry_failed=retry_failed, observe=show)
             totals = run.run(recordings)
@@ -124,11 +124,13 @@ def _reprocess(
 
 
 @contextmanager
-def _engine(scheduler: str | None, workers: int, memory_limit: str) -> Iterator[Engine]:
+def _engine(scheduler: str | None, workers: int, memory_limit: str, recordings: list[Recording]) -> Iterator[Engine]:
     from daemon.apps.reprocess.engine.dask_engine import connected, local_cluster
     from daemon.apps.reprocess.engine.tasks import InlineEngine
     from daemon.cli.allocator import worker_environment
 
+    if scheduler is None:
+        _compile(recordings)
     if scheduler is None and workers == 0:
         yield InlineEngine()
         return
@@ -140,6 +142,29 @@ def _engine(scheduler: str | None, workers: int, memory_limit: str) -> Iterator[
     with cluster as engine:
         typer.echo(f"{engine.slots} workers; dashboard: {engine.dashboard}", err=True)
         yield engine
+
+
+def _compile(recordings: list[Recording]) -> None:
+    """Compile the kernels of the first recording that can be read, once for all workers of this machine."""
+    from daemon.apps.reprocess.locations import location
+    from daemon.cli.options.progress import rendering
+    from daemon.common.errors import DaemonError
+    from daemon.kernels.jobs import measuring_jobs
+    from daemon.kernels.processes import compile_kernels
+    from daemon.recording.read.take_reader import TakeReader
+    from pipeline.common.errors import PipelineError
+
+    for recording in recordings:
+        try:
+            with TakeReader(location(recording.url)) as take:
+                sequence, pair = take.sequence(), next(take.pairs(), None)
+        except (DaemonError, PipelineError, OSError):
+            continue  # its own task reports it
+        if pair is not None:
+            with rendering("Compiling the kernels") as show:
+                jobs = measuring_jobs(pair.encoding, None if sequence is None else sequence.name)
+                compile_kernels(jobs, lambda progress: show(*progress) if progress.done < progress.total else None)
+            return
 
 
 def _estimate(job: Job, recordings: list[Recording], out: str, workers: int) -> None:

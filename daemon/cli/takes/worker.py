@@ -23,10 +23,12 @@ def main(
     """
     from daemon.apps.reprocess.engine.worker_processes import run_workers
     from daemon.cli.allocator import worker_environment
+    from daemon.kernels import release
 
     count = workers or max(1, len(os.sched_getaffinity(0)) // threads)
 
     def started(addresses: list[str]) -> None:
         typer.echo(f"{len(addresses)} worker processes of {threads} threads work for {scheduler}", err=True)
 
+    release.unpack()
     run_workers(scheduler, count, worker_environment(threads), memory_limit=memory_limit, started=started)

@@ -14,7 +14,8 @@ from daemon.control.settings.live_settings import FILES
 from daemon.live.acquisition.camera_status import CameraStatus
 from daemon.live.compatibility import size_problem
 from daemon.rig.calibration_file import read_calibration
-from daemon.rig.open_rig import Rig, serials_of
+from daemon.rig.camera_serials import serials_in
+from daemon.rig.open_rig import Rig
 from daemon.rig.pattern_file import read_pattern, read_volume
 from drivers.protocols import SIDES, Side
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
@@ -35,7 +36,7 @@ def read_again(rig: Rig, config: RigConfig, base_dir: Path, *, names: Collection
     if config.calibration is not None and "calibration" in names:
         read = read_calibration(config.path(config.calibration, base_dir))
         changes |= {"calibration": read.calibration, "calibration_data": read.data, "identity": read.identity}
-        changes["serials"] = serials_of(read)
+        changes["serials"] = serials_in(read.mapping["cameras"])
     if "pattern" not in names:
         pass
     elif isinstance(config.pattern, str):

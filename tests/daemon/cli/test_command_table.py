@@ -76,4 +76,4 @@ def test_without_the_packages_of_a_rig_the_installation_is_described() -> None:
         "import sys; sys.modules['typer'] = None; from daemon.cli.entry import run; sys.exit(run(['--help']))"
     )
     assert process.returncode == 2
-    assert "pip install 'fringed[rig]'" in process.stderr and "Traceback" not in process.stderr
+    assert "pip install fringed-rig" in process.stderr and "Traceback" not in process.stderr

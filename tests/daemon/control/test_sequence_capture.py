@@ -69,7 +69,9 @@ def running(path: Path) -> Iterator[Bench]:
     (path / "run").mkdir()
     capture = Capture(
         service,
-        lambda file, pattern, least: open_capture(settings, rig, "s", file, pattern, min_free_bytes=least),
+        lambda file, pattern, least: open_capture(
+            settings, rig, "s", file, pattern, serials=service.path.serials, min_free_bytes=least
+        ),
         directories=(path / "run", path / "takes"),
     )
     recorder = Recorder(service.router, service.config, path / "takes", lambda _: Collector(), clock=service.clock)

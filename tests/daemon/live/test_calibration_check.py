@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.live.compatibility import serial_problem
 from daemon.live.publishing import messages
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.consistency import Consistency
@@ -35,15 +34,6 @@ def test_a_turned_camera_is_reported_at_once_and_its_clouds_hold_no_point(tmp_pa
         made.trigger.disturb("right", turn_deg=(-0.1, 0.0, 0.0))
         trigger_until(service, trigger, lambda s: s["calibration_check"]["verdict"] == "consistent")
         assert service.status().points > 20_000
-
-
-def test_serial_numbers_are_compared_and_exchanged_cameras_are_named():
-    calibrated = {"left": "A1", "right": "B2"}
-    assert serial_problem(calibrated, calibrated) == ""
-    assert serial_problem({}, calibrated) == ""
-    assert serial_problem(calibrated, {"left": "", "right": "B2"}) == ""
-    assert "exchanged: left is B2 and right is A1" in serial_problem(calibrated, {"left": "B2", "right": "A1"})
-    assert serial_problem(calibrated, {"left": "A1", "right": "C3"}).startswith("camera right is C3, calibrated was B2")
 
 
 def test_the_header_carries_the_verdict_and_the_reason_of_a_refusal(cloud_item, origin):

@@ -171,6 +171,35 @@ def test_stopping_ends_a_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert not any("left behind" in record.getMessage() for record in caplog.records)
 
 
+def test_held_cameras_take_no_trigger_before_the_kernels_are_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiling, go = threading.Event(), threading.Event()
+
+    def compile_later(_jobs: object, _notify: object) -> None:
+        compiling.set()
+        assert go.wait(30)
+
+    monkeypatch.setattr(frame_path, "compile_kernels", compile_later)
+    made, sink = devices(), Collector()
+    service = Service(config(tmp_path), rig_of(made), {"stream": sink}, hold_cameras=True)
+    thread = threading.Thread(target=service.run)
+    thread.start()
+    assert compiling.wait(30)
+    for _ in range(3):
+        step(made)
+    assert {camera.status.state for camera in service.cameras.values()} == {"paused"}
+    go.set()
+    wait_until(lambda: all(camera.status.state == "acquiring" for camera in service.cameras.values()), 30)
+    step(made)
+    wait_until(lambda: len(sink.clouds) == 1)
+    status = service.status()
+    assert status.pairs == 1 and status.drops == status.drops_starting == {}
+    service.request_stop()
+    thread.join(20)
+    assert not thread.is_alive()
+
+
 def test_a_take_is_a_sink_for_as_long_as_it_lasts(running: Running, tmp_path: Path) -> None:
     taken = Collector()
     recorder = Recorder(

@@ -47,7 +47,7 @@ def test_the_loop_costs_no_accuracy(make_box: Callable[..., Box], encoding: str)
         received = []
         for _ in range(PAIRS):
             index = daemon.step_until_pair()
-            wait_until(lambda index=index: daemon.witness.last_cloud == index, 30, "the cloud")
+            wait_until(lambda index=index: daemon.pair_check.last_cloud == index, 30, "the cloud")
             # Clouds before the last one may have been overtaken, as they should where the reader or the PC is slow.
             while not received or received[-1].header.seq != daemon.service.worker.last.seq:
                 received.append(next(clouds))
@@ -55,7 +55,7 @@ def test_the_loop_costs_no_accuracy(make_box: Callable[..., Box], encoding: str)
     looped, pure = score(received[-1].xyz, truth), score(simulated(box, index), truth)
     title = f"\n{encoding}, {box.options.layout.camera_size[0]} x {box.options.layout.camera_size[1]}, scene mixed"
     print(title, line("loop", looped), line("simulated", pure), sep="\n")  # noqa: T201 - the table is the result
-    assert daemon.witness.counts["wrong"] == daemon.witness.counts["unknown"] == 0
+    assert daemon.pair_check.counts["wrong"] == daemon.pair_check.counts["unknown"] == 0
     assert looped.reconstructed == pytest.approx(pure.reconstructed, abs=0.002)
     assert looped.wrong == pytest.approx(pure.wrong, abs=0.001)
     assert looped.rms_mm == pytest.approx(pure.rms_mm, rel=0.02)

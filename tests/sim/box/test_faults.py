@@ -31,7 +31,7 @@ SCRIPT = [
 
 
 def no_wrong_pair(daemon: Daemon) -> bool:
-    counts = daemon.witness.counts
+    counts = daemon.pair_check.counts
     summary = f"{counts['pairs']} pairs ({counts['dark']} dark), {counts['wrong']} wrong, {counts['unknown']} unknown"
     print(f"\n{summary}")  # noqa: T201 - the count is the result
     return counts["wrong"] == counts["unknown"] == 0
@@ -49,7 +49,7 @@ def test_lost_broken_late_and_superfluous_frames(make_box: Callable[..., Box]) -
     harmless = {FaultKind.NONE, FaultKind.LATE, FaultKind.DUPLICATE}
     whole = sum(all(shown.faults[side] in harmless for side in SIDES) for shown in box.world.ledger.triggers)
     assert no_wrong_pair(daemon)
-    assert daemon.witness.counts["pairs"] == whole
+    assert daemon.pair_check.counts["pairs"] == whole
     drivers = {side: status.cameras[side].driver for side in SIDES}
     assert status.state == "running" and drivers["right"]["incomplete"] == 1
     states = {side: box.cables[side].state() for side in SIDES}
@@ -67,7 +67,7 @@ def test_a_camera_that_stalls_for_longer_than_a_frame_waits(make_box: Callable[.
             box.world.step(settle=False)
         box.world.settle()
         wait_until(lambda: daemon.service.status().cameras["left"].fates.get("late", 0) == 4, 30, "late frames")
-        assert daemon.witness.last_pair == before
+        assert daemon.pair_check.last_pair == before
         fates = {side: daemon.service.status().cameras[side].fates for side in SIDES}
         assert fates["right"]["partner_missing"] == 4
         assert daemon.step_until_pair() == before + 5
@@ -82,7 +82,7 @@ def test_a_camera_is_unplugged_and_plugged_in_again(make_box: Callable[..., Box]
             box.cables[side].unplug()
             daemon.step_patiently(3)
             wait_until(lambda side=side: f"camera {side} is gone" in daemon.reasons(), 30, "the loss")
-            assert daemon.state() == "degraded" and daemon.witness.last_pair == before
+            assert daemon.state() == "degraded" and daemon.pair_check.last_pair == before
             box.cables[side].plug()
             daemon.wait_armed()
             assert daemon.step_until_pair() > before
@@ -99,7 +99,7 @@ def test_cameras_whose_clocks_drift_apart(make_box: Callable[..., Box]) -> None:
         while time.monotonic() < end:
             daemon.step_until_pair()
             steps += 1
-        counts = daemon.witness.counts
+        counts = daemon.pair_check.counts
         assert no_wrong_pair(daemon) and counts["pairs"] >= steps
         assert counts["pairs"] == box.world.triggers
 

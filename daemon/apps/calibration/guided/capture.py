@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from daemon.recording.format.raw_image import Pixels
+from daemon.rig.camera_serials import Serials
 from pipeline.pattern.sequence import FrameSequence
 
 Progress = Callable[[int, int], None]
@@ -23,10 +24,12 @@ class CapturedImages:
     Args:
         encoding: as of :class:`drivers.protocols.Frame`.
         pairs: left and right, (H, W) or (H, W, 3), uint8 or uint16.
+        serials: of the cameras, where they are known.
     """
 
     encoding: str
     pairs: tuple[tuple[Pixels, Pixels], ...]
+    serials: Serials = field(default_factory=dict)
 
     @property
     def sizes(self) -> dict[str, tuple[int, int]]:

@@ -13,6 +13,7 @@ from daemon.common.errors import ControlError, DaemonError
 from daemon.control.rpc.client import ControlClient
 from daemon.live.projection.confirmed_capture import CaptureCancelledError
 from daemon.recording.read.take_reader import TakeReader
+from daemon.rig.camera_serials import serials_of_take
 from pipeline.pattern.sequence import FrameSequence
 
 HOLD_S = 20.0
@@ -114,4 +115,5 @@ def _read(path: Path, frames: int) -> CapturedImages:
         if numbers != list(range(frames)):
             first = numbers[0] if numbers else 0
             raise DaemonError(f"{path}: it contains {len(pairs)} of {frames} images, numbered from {first}")
-    return CapturedImages(pairs[0].encoding, tuple((pair.left, pair.right) for pair in pairs))
+        serials = serials_of_take(take.metadata)
+    return CapturedImages(pairs[0].encoding, tuple((pair.left, pair.right) for pair in pairs), serials)

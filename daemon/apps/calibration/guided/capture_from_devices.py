@@ -91,7 +91,11 @@ class CaptureFromDevices:
         except DriverError as error:
             lost = [f"camera {side}: {c.status.problem}" for side, c in self._cameras.items() if c.status.problem]
             raise DriverError("; ".join([*lost, str(error)])) from error
-        return CapturedImages(pairs[0].left.encoding, tuple((pair.left.image, pair.right.image) for pair in pairs))
+        return CapturedImages(
+            pairs[0].left.encoding,
+            tuple((pair.left.image, pair.right.image) for pair in pairs),
+            {side: camera.status.serial for side, camera in self._cameras.items() if camera.status.serial},
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:

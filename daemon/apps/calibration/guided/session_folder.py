@@ -37,7 +37,11 @@ class SessionFolder:
         """Write a view and return the folder of its images, which appears when it is complete."""
         if self.views == 0:
             self.path.mkdir(parents=True, exist_ok=True)
-            description = {"encoding": captured.encoding, "sequence": self._sequence.as_mapping()}
+            description = {
+                "encoding": captured.encoding,
+                "serials": dict(captured.serials),
+                "sequence": self._sequence.as_mapping(),
+            }
             write_atomically(self.path / CAPTURE, json.dumps(description, indent=1).encode())
         folder = self.path / f"view_{self.views:02d}"
         unfinished = self.path / f".{folder.name}"

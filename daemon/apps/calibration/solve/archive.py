@@ -12,6 +12,7 @@ from typing import Any
 from daemon.apps.calibration.errors import KeptError
 from daemon.common.files import read_at_most, write_atomically
 from daemon.rig.calibration_file import SIZE_LIMIT, CamerasFile, calibration_bytes, parse_cameras
+from daemon.rig.camera_serials import Serials
 from pipeline.common.errors import CalibrationError
 from pipeline.rig.calibration import Calibration, Cameras
 
@@ -84,10 +85,11 @@ def store(
     quality: Mapping[str, Any],
     force: bool = False,
     created: datetime | None = None,
+    serials: Serials | None = None,
 ) -> StoredCalibration:
     """Write a calibration; the replaced file is kept beside it under its date.
 
-    Unknown keys of the old file are carried over.
+    Unknown keys of the old file are carried over, and the cameras' serial numbers unless ``serials`` has others.
 
     Raises:
         KeptError: the old one is better and ``force`` is not given; no file was changed.
@@ -95,7 +97,9 @@ def store(
     """
     created = (created or datetime.now(UTC)).astimezone(UTC)
     old, notes = reject_worse(path, calibration, quality=quality, force=force)
-    data = calibration_bytes(calibration, created=created, quality=quality, keep=old.mapping if old else None)
+    data = calibration_bytes(
+        calibration, created=created, quality=quality, keep=old.mapping if old else None, serials=serials
+    )
     file = parse_cameras(data, str(path))
     kept = keep_dated(path, old) if path.exists() else None
     write_atomically(path, data)

@@ -15,6 +15,7 @@ from daemon.apps.calibration.solve.archive import StoredCalibration, store
 from daemon.apps.calibration.solve.solve import CalibrationResult
 from daemon.apps.calibration.views.view import Progress, Source
 from daemon.rig.calibration_file import CalibrationFile, read_calibration
+from daemon.rig.camera_serials import common_serials, serial_problem, serials_in
 from pipeline.calibrate.color import ColorSolution, calibrate_color
 from pipeline.common.errors import ImageError, PatternError
 from pipeline.pattern.projected_frames import Uniform
@@ -63,6 +64,9 @@ def calibrate_colors(path: Path, sources: Sequence[Source], progress: Progress) 
         SourceError, ImageError, PatternError: unusable images.
     """
     file = read_calibration(path)
+    known = serials_in(file.mapping["cameras"])
+    if problem := serial_problem(known, common_serials((source.name, source.serials) for source in sources)):
+        raise SourceError(f"{', '.join(source.name for source in sources)}: {problem}")
     solution = solve_colors(sources, progress, file.calibration)
     return ColorResult(
         file, solution.applied(file.calibration), solution, summary(solution), list(solution.recommendations)

@@ -19,6 +19,7 @@ from daemon.apps.calibration.views.detect_projector_marks import detect_views_wi
 from daemon.apps.calibration.views.view import Progress, Source
 from daemon.common.files import write_atomically
 from daemon.rig.calibration_file import CamerasFile
+from daemon.rig.camera_serials import Serials, common_serials
 from pipeline.calibrate.bundle import Options, Solution, calibrate
 from pipeline.calibrate.bundle.quality.order_check import layout_recommendations
 from pipeline.calibrate.bundle.quality.solution_figures import quality_of
@@ -37,6 +38,7 @@ class CalibrationResult:
         board, sources: the input; detected: its detected marks.
         quality: for the file; notes, advice: sentences about the calibration and about improvements.
         coverage: share of each device's image with marks; before: the file for comparison.
+        serials: of the cameras, where the images name them.
     """
 
     cameras: Cameras
@@ -49,6 +51,7 @@ class CalibrationResult:
     advice: list[str] = field(default_factory=list)
     coverage: dict[str, float] = field(default_factory=dict)
     before: CamerasFile | None = None
+    serials: Serials = field(default_factory=dict)
 
 
 def calibrate_sources(
@@ -65,8 +68,10 @@ def calibrate_sources(
     Raises:
         SourceError, TargetError, CalibrationError: the problem of the images, and the remedy.
     """
+    serials = common_serials((source.name, source.serials) for source in sources)
     detected = (detect_views_with_projector if fringes else detect_views)(sources, board, progress)
-    return calibrate_views(board, detected, [source.name for source in sources], options=options, before=before)
+    result = calibrate_views(board, detected, [source.name for source in sources], options=options, before=before)
+    return replace(result, serials=serials)
 
 
 def calibrate_views(
@@ -134,7 +139,7 @@ def finish(
         if report.exists():
             keep_dated(report, result.before)
         write_atomically(report, data)
-    return store(out, result.cameras, quality=quality, force=force, created=created)
+    return store(out, result.cameras, quality=quality, force=force, created=created, serials=result.serials)
 
 
 def html(result: CalibrationResult, *, title: str, created: datetime) -> bytes:

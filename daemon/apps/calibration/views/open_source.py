@@ -12,12 +12,13 @@ from daemon.apps.calibration.images.image_files import MOST_IMAGES, Image, as_ra
 from daemon.apps.calibration.views.take_source import TakeSource
 from daemon.apps.calibration.views.view import Progress, Source, View, described_sequence
 from daemon.common.files import read_at_most
+from daemon.rig.camera_serials import Serials
+from drivers.protocols import SIDES
 from pipeline.pattern.sequence import FrameSequence
 
 CAPTURE = "capture.json"
 _CAPTURE_LIMIT = 4 << 20
 ENCODINGS = ("rgb8", "bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8", "mono8", "mono16")
-SIDES = ("left", "right")
 
 
 class ImagePairs:
@@ -34,6 +35,7 @@ class ImagePairs:
 
     def __init__(self, left: str, right: str) -> None:
         self.name = f"{left}, {right}"
+        self.serials: Serials = {}
         self.left_out: list[str] = []
         self._left, self._right = matching_files(left, "--left"), matching_files(right, "--right")
         if len(self._left) != len(self._right):
@@ -75,6 +77,7 @@ class CaptureFolder:
                 f"{folder / CAPTURE}: encoding is {encoding!r:.80}, expected one of {', '.join(ENCODINGS)}"
             )
         self._encoding = str(encoding)
+        self.serials: Serials = _serials(description.get("serials", {}), folder / CAPTURE)
         self.sequence = described_sequence(description.get("sequence"), str(folder / CAPTURE))
         self._folders = sorted(path for path in folder.glob("view_*") if path.is_dir())
         if not self._folders:
@@ -124,6 +127,13 @@ def open_source(path: Path) -> Source:
             f"{path}: it contains neither {CAPTURE} with views nor a take; name plain images with --left and --right"
         )
     return TakeSource(path)
+
+
+def _serials(value: Any, path: Path) -> Serials:
+    known = isinstance(value, dict) and all(side in SIDES and isinstance(name, str) for side, name in value.items())
+    if not known:
+        raise SourceError(f"{path}: serials is {value!r:.80}, expected texts left and right")
+    return dict(value)
 
 
 def _object(path: Path) -> dict[str, Any]:

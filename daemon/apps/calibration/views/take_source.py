@@ -10,6 +10,7 @@ from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import MOST_IMAGES
 from daemon.apps.calibration.views.view import Progress, View, described_sequence
 from daemon.recording.read.take_reader import TakePair, TakeReader
+from daemon.rig.camera_serials import Serials, serials_of_take
 
 _NUMBERS = 1 << 32
 PATTERN = "pattern.json"
@@ -28,6 +29,7 @@ class TakeSource:
         with TakeReader(path) as take:
             description = take.attachments.get(PATTERN)
             first = take.metadata.get("first_pattern_sequence", "0")
+            self.serials: Serials = serials_of_take(take.metadata)
         try:
             data = None if description is None else json.loads(description)
             self._first = int(first)

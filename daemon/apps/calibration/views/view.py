@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from daemon.apps.calibration.errors import SourceError
 from daemon.apps.calibration.images.image_files import Image
+from daemon.rig.camera_serials import Serials
 from pipeline.common.errors import PatternError
 from pipeline.pattern import sequence as sequences
 from pipeline.pattern.projected_frames import Uniform
@@ -39,9 +40,11 @@ class Source(Protocol):
 
     Args:
         name: for messages. sequence: whose frames make a view, None where a view is a single pair.
+        serials: of the cameras, where they are known.
         left_out: views that the last iteration left out, each with its reason.
     """
 
+    serials: Serials
     name: str
     sequence: FrameSequence | None
     left_out: list[str]

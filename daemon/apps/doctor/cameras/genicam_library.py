@@ -26,7 +26,7 @@ def check(subject: Subject) -> Iterator[Finding]:
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         text = f"no Python package {' and '.join(missing)}: GenICam cameras cannot be used"
-        yield area.graded("packages", text, "pip install 'fringed[rig]'", certain=certain)
+        yield area.graded("packages", text, "pip install fringed-rig", certain=certain)
         return
     yield import_finding(
         needed_python(package_dir("genicam")), run_program([sys.executable, "-c", _IMPORT], _TIMEOUT_S), certain

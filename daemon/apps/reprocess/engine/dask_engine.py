@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import queue
+import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
@@ -15,9 +16,11 @@ from daemon.common.errors import DaemonError
 
 MISSING = (
     "reprocessing on a cluster needs the packages of the extra cluster ({name} is missing): pip install "
-    "'fringed[cluster]'; --workers 0 works without them, in this process"
+    "'fringed-rig[cluster]'; --workers 0 works without them, in this process"
 )
 _CONNECT_S = 20
+_PROBE_S = 2.5
+"""Dask repeats a refused connection until its time is up."""
 _COUNT_S = 5.0
 _LOST = "the scheduler is gone, or dropped the tasks; finished results are kept: run the same command again"
 _MEMORY_TOPIC = "worker-restart-memory"
@@ -124,7 +127,10 @@ def connected(scheduler: str) -> Iterator[DaskEngine]:
     """
     with _packages():
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
     try:
+        if scheduler.startswith(("tcp://", "tls://")):
+            socket.create_connection(get_address_host_port(scheduler, strict=True), _PROBE_S).close()
         client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise DaemonError(f"--scheduler {scheduler}: no Dask scheduler answers there: {error}") from error

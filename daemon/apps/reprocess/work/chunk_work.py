@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
-from daemon.apps.replay.reconstruct_item import check_size, timed, warmed_reconstructor
+from daemon.apps.replay.reconstruct_item import check_serials, check_size, timed, warmed_reconstructor
 from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
 from daemon.apps.reprocess.destination.cloud_store import write_row
 from daemon.apps.reprocess.destination.results import ChunkManifest, TakeResults
@@ -232,7 +232,7 @@ def calibration_of(take: TakeReader, job: Job) -> CalibrationFile:
     """The calibration of the job, or else the one that is attached to the take."""
     if job.calibration is None:
         return take.calibration()
-    return parse_calibration(job.calibration, "--calibration")
+    return check_serials(take, parse_calibration(job.calibration, "--calibration"))
 
 
 class _OpenTake:

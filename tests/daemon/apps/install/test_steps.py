@@ -95,6 +95,13 @@ def test_the_program_runs_from_its_installed_location(image: Path) -> None:
         assert Path(line).is_relative_to(image / "opt/fringed"), process.stdout
 
 
+def test_the_packages_are_compiled_to_bytecode(image: Path) -> None:
+    (own,) = image.glob("opt/fringed/env/lib/python3.*/site-packages")
+    for package in environment.OWN:
+        sources = {path.stem for path in (own / package).rglob("*.py")}
+        assert {path.name.partition(".")[0] for path in (own / package).rglob("*.pyc")} == sources
+
+
 def test_the_command_names_the_prefix_and_takes_nothing_from_the_current_directory(image: Path) -> None:
     text = (image / "opt/fringed/bin/fringed").read_text()
     assert "exec /opt/fringed/env/bin/python -P -c" in text

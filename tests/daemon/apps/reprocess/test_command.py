@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import pytest
 
 from daemon.apps.replay.runner import Replay
 from daemon.cli.entry import run
+from daemon.kernels import processes
+from daemon.kernels.jobs import measuring_jobs
 from daemon.recording.read.take_reader import TakeReader
 from pipeline.common.settings import Settings
 from tests.daemon.apps.reprocess.takes import files_of, replayed, write
@@ -37,6 +40,24 @@ def test_without_workers_all_is_done_in_this_process(
     assert "5 of 5 pairs of 1 recordings done, 0 of them before" in capsys.readouterr().out
 
 
+def test_an_unreachable_scheduler_is_reported_at_once(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start_s = time.monotonic()
+    assert reprocess(take, "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 1
+    assert time.monotonic() - start_s < 15  # with the imports, on a busy machine; Dask alone takes 20 s
+    assert "--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there: " in capsys.readouterr().err
+
+
+def test_kernels_are_compiled_once_before_the_workers_start(
+    take: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled: list[str] = []
+    monkeypatch.setattr(processes, "compile_kernels", lambda jobs, _: compiled.extend(jobs))
+    assert reprocess(take, "--out", tmp_path / "out", "--workers", 0) == 0
+    assert compiled == list(measuring_jobs("rgb8"))
+
+
 def test_without_the_extra_the_command_names_it(
     take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,7 +66,7 @@ def test_without_the_extra_the_command_names_it(
     assert reprocess(take, "--out", tmp_path / "out") == 1
     assert run(["worker", "tcp://127.0.0.1:9"]) == 1
     errors = capsys.readouterr().err
-    assert errors.count("pip install 'fringed[cluster]'") == 2
+    assert errors.count("pip install 'fringed-rig[cluster]'") == 2
     assert "--workers 0 works without" in errors
 
 

@@ -32,7 +32,7 @@ class RunningMode:
         self.capture = Capture(
             service,
             lambda file, pattern, least: open_capture(
-                bench.config, service.rig, "s", file, pattern, min_free_bytes=least
+                bench.config, service.rig, "s", file, pattern, serials=service.path.serials, min_free_bytes=least
             ),
             directories=(path / "run", path / "takes"),
         )

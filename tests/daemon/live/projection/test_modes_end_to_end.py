@@ -36,7 +36,13 @@ def test_clouds_are_right_and_a_replay_of_the_take_gives_the_same_bit_for_bit(tm
             service.config,
             tmp_path / "takes",
             lambda take: open_take(
-                running.config, service.rig, "s", take, rig_file, shown=service.mode_controller.shown
+                running.config,
+                service.rig,
+                "s",
+                take,
+                rig_file,
+                serials=service.path.serials,
+                shown=service.mode_controller.shown,
             ),
             clock=service.clock,
         )

@@ -88,7 +88,9 @@ def with_daemon(tmp_path: Path, devices: HandDevices) -> Iterator[ImageCapture]:
     service: Service = UnmeasuringService(settings, rig, {"stream": Collector()})
     capture = Capture(
         service,
-        lambda file, pattern, least: open_capture(settings, rig, "s", file, pattern, min_free_bytes=least),
+        lambda file, pattern, least: open_capture(
+            settings, rig, "s", file, pattern, serials=service.path.serials, min_free_bytes=least
+        ),
         directories=(tmp_path, tmp_path / "takes"),
     )
     recorder = Recorder(service.router, service.config, tmp_path / "takes", lambda _: Collector(), clock=service.clock)

@@ -1,0 +1,173 @@
+"""The calibration check on disturbed rigs and on intact ones: ``python -m benchmarks.disturbed --clean 500``.
+
+The images come from rigs whose devices stand otherwise than the calibration has them: turned, exchanged, with another
+focal length. Each row compares what a daemon without the check would publish with what it publishes. Intact rigs with
+the hard scenes, Bayer mosaics and an uncalibrated projector response show how often the check is wrong. The exit code
+is 1 if wrong points are published or an intact rig is withheld.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import cycle, islice
+from typing import Any
+
+from numpy.typing import NDArray
+from rich.console import Console
+
+from benchmarks.common.tables import Table
+from benchmarks.reconstruction.cases import HARD, Case
+from benchmarks.trust import scaled
+from pipeline.monitor.checked_reconstructor import CheckedReconstructor
+from pipeline.reconstruct.consistency import Consistency
+from pipeline.reconstruct.reconstructor import Reconstructor
+from pipeline.rig.calibration import Calibration
+from sim.evaluate.point_errors import PointErrors, point_errors
+from sim.render.render_pair import render_counts, truths, with_noise
+from sim.rig.disturbance import Device, Disturbance, TrueRig
+from sim.scene.named_scenes import build
+
+ANGLES_DEG = (0.05, 0.1, 0.3, 1.0)
+INTACT = "none"
+AXES = ("pitch", "yaw", "roll")
+LARGEST_WRONG = 0.001
+"""Share of points that err by over 6 mm in a published cloud, beyond that of the intact rig."""
+_NOISES = 7
+
+Pair = tuple[NDArray[Any], NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a first pair gives: errors and number of its points, and the verdict on it."""
+
+    errors: PointErrors
+    points: int
+    found: Consistency
+
+    @property
+    def published(self) -> int:
+        """Points that a daemon with the default policy publishes."""
+        return 0 if self.found.verdict == "inconsistent" else self.points
+
+
+def answer(case: Case, images: Pair, calibration: Calibration | None = None) -> Answer:
+    """Reconstruct a pair by a fresh reconstructor; errors against the truth of the rig as calibrated."""
+    calibration = calibration or case.layout.calibration_for(case.optics)
+    volume = case.layout.volume()
+    inner = Reconstructor(calibration, case.pattern, volume, encoding=case.encoding)
+    cloud = CheckedReconstructor(inner, "warn").reconstruct(*images)
+    assert cloud.consistency is not None
+    truth, _ = truths(case.layout, build(case.scene))
+    errors = point_errors(cloud.xyz, cloud.sigma_mm, truth, (volume.near_mm, volume.far_mm))
+    return Answer(errors, cloud.points, cloud.consistency)
+
+
+def images_of(case: Case, *changes: Disturbance, seed: int = 0) -> Pair:
+    """The images of a case, taken by a rig that was disturbed after its calibration."""
+    rig = TrueRig.of(case.layout, case.optics)
+    for change in changes:
+        rig = rig.after(change)
+    counts = render_counts(
+        case.layout, build(case.scene), case.pattern, case.optics, encoding=case.encoding, rig=rig
+    )  # fmt: skip
+    return with_noise(counts, case.optics, seed, case.encoding)
+
+
+def answers(case: Case) -> Iterator[tuple[str, Answer]]:
+    """Every disturbance by name, with what it gives."""
+    intact = images_of(case)
+    yield INTACT, answer(case, intact)
+    devices: tuple[tuple[Device, str], ...] = (("right", "right camera"), ("projector", "projector"))
+    for device, name in devices:
+        for k, axis in enumerate(AXES):
+            for angle in ANGLES_DEG:
+                turn = (angle * (k == 0), angle * (k == 1), angle * (k == 2))
+                images = images_of(case, Disturbance(device, turn_deg=turn))
+                yield f"{name}, {axis} {angle:g} deg", answer(case, images)
+    yield "cameras exchanged", answer(case, intact[::-1])
+    calibration = case.layout.calibration_for(case.optics)
+    for device, name in (*devices, ("left", "left camera")):
+        matrix = getattr(calibration, device).matrix.copy()
+        matrix[[0, 1], [0, 1]] *= 1.005
+        changed = replace(calibration, **{device: replace(getattr(calibration, device), matrix=matrix)})
+        yield f"{name}, focal length 0.5 % too large", answer(case, intact, changed)
+
+
+def disturbed(case: Case) -> tuple[Table, list[str]]:
+    """The table of all disturbances, and those with which wrong points are published."""
+    table = Table(
+        "disturbed", f"Disturbed after the calibration, {case.scene}",
+        ["disturbance", "points unchecked", "wrong %", "rms um", "verdict", "published", "cause"],
+        text_columns=("verdict", "cause"),
+    )  # fmt: skip
+    wrong, intact = [], 0.0
+    for name, found in answers(case):
+        table.add(
+            name, f"{found.points:,}", f"{100 * found.errors.wrong:.2f}", f"{1e3 * found.errors.rms_mm:.0f}",
+            found.found.verdict, f"{found.published:,}", found.found.cause or "; ".join(found.found.findings[:1]),
+        )  # fmt: skip
+        intact = found.errors.wrong if name == INTACT else intact
+        if found.published and not found.errors.wrong <= intact + LARGEST_WRONG:
+            wrong.append(f"{name}: {100 * found.errors.wrong:.2f} % of {found.published:,} published points are wrong")
+    return table, wrong
+
+
+def clean(cases: list[Case], pairs: int) -> tuple[Table, list[str]]:
+    """Verdicts on the first pairs of intact rigs, each with noise of its own, and the false alarms."""
+    table = Table("false_alarms", f"Intact rigs, {pairs} first pairs", ["case", "pairs", "consistent", "doubtful",
+                  "inconsistent", "unknown"])  # fmt: skip
+    verdicts: dict[str, Counter[str]] = {case.name: Counter() for case in cases}
+    alarms = []
+    for case, images in islice(_clean_pairs(cases), pairs):
+        calibration = case.layout.calibration_for(case.optics)
+        inner = Reconstructor(calibration, case.pattern, case.layout.volume(), encoding=case.encoding)
+        found = CheckedReconstructor(inner, "warn").reconstruct(*images).consistency
+        assert found is not None
+        verdicts[case.name][found.verdict] += 1
+        if found.verdict == "inconsistent":
+            alarms.append(f"{case.name}: withheld: {found.reason}")
+    for name, counted in verdicts.items():
+        shown = [str(counted[one]) for one in ("consistent", "doubtful", "inconsistent", "unknown")]
+        table.add(name, str(counted.total()), *shown)
+    return table, alarms
+
+
+def _clean_pairs(cases: list[Case]) -> Iterator[tuple[Case, Pair]]:
+    """Pairs of all cases in turn, endlessly: textures of a new seed in every round, several noises of each."""
+    for number, case in enumerate(cycle(cases)):
+        seed = number // len(cases)
+        scene = build(case.scene, seed=seed)
+        counts = render_counts(case.layout, scene, case.pattern, case.optics, encoding=case.encoding)
+        for noise in range(_NOISES):
+            yield case, with_noise(counts, case.optics, _NOISES * number + noise, case.encoding)
+
+
+def main(given: list[str]) -> int:
+    """Print both tables and what is wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
+    parser.add_argument("--scene", default="mixed", help="of the disturbed rigs")
+    parser.add_argument("--clean", type=int, default=0, help="pairs of intact rigs")
+    parser.add_argument("--intact-only", action="store_true", help="the intact rigs only")
+    options = parser.parse_args(given)
+    console = Console(width=None if sys.stdout.isatty() else 200)
+    problems: list[str] = []
+    if not options.intact_only:
+        table, problems = disturbed(scaled(Case("disturbed", options.scene), options.scale))
+        table.print(console)
+    if options.clean:
+        table, alarms = clean([scaled(case, options.scale) for case in HARD], options.clean)
+        table.print(console)
+        problems += alarms
+    for problem in problems:
+        console.print(f"MISSED {problem}", highlight=False)
+    return int(bool(problems))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,1 @@
+"""The wheels of both distributions."""
