@@ -65,7 +65,7 @@ class Rig:
     def reconstructor(self, mode: str) -> AnyReconstructor:
         """The reconstructor of a mode."""
         share = (self.layout.camera_size[0] / 1024) ** 2
-        settings = Settings(min_component=max(20, round(120 * share)))
+        settings = Settings(cluster_min_area=max(20, round(120 * share)))
         calibration, volume = self.layout.calibration_for(self.optics), self.layout.volume()
         if mode == SINGLE:
             return Reconstructor(calibration, self.layout.pattern(), volume, encoding=self.encoding, settings=settings)

@@ -16,7 +16,7 @@ def test_the_golden_take_replays_to_its_figures(tmp_path, fringed):
         "--expect",
         str(FIGURES),
         "--set",
-        "min_component=60",
+        "cluster_min_area=60",
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -24,7 +24,7 @@ def test_the_golden_take_replays_to_its_figures(tmp_path, fringed):
 def test_figures_that_moved_are_reported_and_fail(tmp_path, fringed):
     done = fringed(
         "replay", str(TAKE), "--no-output", "--out", str(tmp_path), "--expect", str(FIGURES),
-        "--set", "min_component=60", "--set", "min_modulation=40",
+        "--set", "cluster_min_area=60", "--set", "min_modulation=40",
     )  # fmt: skip
     assert done.returncode == 1
     assert "points" in done.stdout + done.stderr

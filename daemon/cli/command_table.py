@@ -19,6 +19,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "mode": ("daemon.cli.control.mode", "Show or change the mode: the number of images per cloud."),
     "get": ("daemon.cli.control.get", "List the settings of a running daemon, or show one."),
     "set": ("daemon.cli.control.set:app", "Change a setting while the daemon measures."),
+    "preset": ("daemon.cli.control.preset:app", "List, save and use presets of the reconstruction."),
     "reload": ("daemon.cli.control.switches:reload", "Make a running daemon read its rig.yaml and files again."),
     "start": ("daemon.cli.control.switches:start", "Resume measuring in a paused daemon."),
     "stop": ("daemon.cli.control.switches:stop", "Pause a daemon; everything stays connected."),

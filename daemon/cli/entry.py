@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 
 from daemon.cli.allocator import prepare
 from daemon.kernels.release import select
@@ -28,6 +29,7 @@ def run(arguments: list[str]) -> int:
     """Run one command line and return its exit status."""
     debug = "--debug" in arguments or bool(os.environ.get("FRINGED_DEBUG"))
     arguments = [argument for argument in arguments if argument != "--debug"]
+    warnings.showwarning = _show_warning
     try:
         from daemon.cli import command_table
 
@@ -43,6 +45,11 @@ def run(arguments: list[str]) -> int:
             raise
         print(f"fringed: {_sentence(error)}", file=sys.stderr)  # noqa: T201
         return _INPUT_STATUS if _is_one_of(error, _INPUT) and not _is_one_of(error, _REFUSED) else 1
+
+
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning, of a setting's former name for example, as one sentence."""
+    print(f"fringed: {message}", file=sys.stderr)  # noqa: T201
 
 
 def _is_one_of(error: Exception, names: set[str]) -> bool:

@@ -16,6 +16,7 @@ from daemon.config.yaml_source import KeyPath
 from pipeline.common.errors import PipelineError
 from pipeline.common.settings import Settings
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
+from pipeline.rig.pose import Pose
 
 Problems = Iterator[tuple[KeyPath, str]]
 
@@ -29,6 +30,7 @@ def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = 
     yield from _drivers(data)
     yield from _missing(data) if complete else ()
     yield from _settings(data)
+    yield from _outputs(data, base_dir)
     yield from _cpus(data)
     yield from _addresses(data)
     yield from key_problems(data, base_dir)
@@ -68,14 +70,31 @@ def _missing(data: dict[str, Any]) -> Problems:
 
 
 def _settings(data: dict[str, Any]) -> Problems:
-    settings = _section(data, "pipeline").get("settings")
+    settings, single = _section(data, "pipeline").get("settings"), True
     for key, value in settings.items() if isinstance(settings, dict) else ():
         if not isinstance(value, bool | int | float):
+            single = False
             continue
         try:
             Settings().with_overrides({key: value})
         except PipelineError as error:
             yield ("pipeline", "settings", key), str(error)
+            single = False
+    try:  # together: a region's limits, for example
+        Settings().with_overrides(settings if isinstance(settings, dict) and single else {})
+    except PipelineError as error:
+        yield ("pipeline", "settings"), str(error)
+
+
+def _outputs(data: dict[str, Any], base_dir: Path) -> Problems:
+    frame = _section(data, "outputs").get("frame")
+    if isinstance(frame, str) and not (base_dir / Path(frame).expanduser()).is_file():
+        yield ("outputs", "frame"), f"outputs.frame: there is no file {base_dir / Path(frame).expanduser()}"
+    if isinstance(frame, list):
+        try:
+            Pose.of_matrix(frame, "output", name="outputs.frame")
+        except PipelineError as error:
+            yield ("outputs", "frame"), str(error)
 
 
 def _cpus(data: dict[str, Any]) -> Problems:

@@ -12,8 +12,9 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from daemon.common.errors import ConfigError
+from daemon.common.errors import ConfigError, InputError
 from daemon.config.checks import semantic_problems
+from daemon.config.presets import expanded
 from daemon.config.rig_config import RigConfig
 from daemon.config.yaml_source import KeyPath, Source, read_yaml
 
@@ -85,7 +86,9 @@ def _validated(source: Source, base_dir: Path, *, complete: bool) -> RigConfig |
     config: RigConfig | None = None
     if source.data is not None or not source.problems:
         try:
-            config = RigConfig.model_validate_json(json.dumps(source.data))
+            config = RigConfig.model_validate_json(json.dumps(expanded(source.data, base_dir)))
+        except InputError as error:
+            source.add_problem(("preset",), f"preset: {error}")
         except ValidationError as error:
             _translate(error, source)
         if isinstance(source.data, dict):

@@ -1,10 +1,10 @@
-"""``outputs:`` in rig.yaml: the parts of every cloud."""
+"""``outputs:`` in rig.yaml: the parts of every cloud, and its frame."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from daemon.config.section import Section
 from fringed.errors import FringedError
@@ -25,8 +25,24 @@ def _checked(parts: Any) -> Any:
     return list(checked)
 
 
+def path_or_inline(value: Any) -> str:
+    """The tag of a value that is a path or stands in rig.yaml itself."""
+    return "path" if isinstance(value, str) else "inline"
+
+
+Row = Annotated[list[float], Field(min_length=4, max_length=4)]
+PathOrPose = Annotated[
+    Annotated[str, Tag("path")] | Annotated[list[Row], Field(min_length=4, max_length=4), Tag("inline")],
+    Discriminator(path_or_inline),
+    Field(
+        description="Frame of the clouds: path of a pose file, or the rigid 4 x 4 matrix of X_out = M X_left, mm; "
+        "without it the left camera's frame."
+    ),
+]
+
+
 class Outputs(Section):
-    """What every cloud carries."""
+    """What every cloud carries, and its frame."""
 
     parts: Annotated[
         list[str],
@@ -38,3 +54,4 @@ class Outputs(Section):
             "of rgb, normals, interpolated. Subscribers may ask for these by topic without it.",
         ),
     ] = list(BASIC)
+    frame: PathOrPose | None = None

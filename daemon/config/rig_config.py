@@ -5,14 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from daemon.config.health import Health
-from daemon.config.outputs import Outputs
+from daemon.config.outputs import Outputs, path_or_inline
 from daemon.config.section import Section
 from daemon.config.security import Security
 from daemon.config.sequence import Mode, Sequencing
 from fringed.control import address
+
+Off = BeforeValidator(lambda value: "off" if value is False else value)
+"""YAML reads the word off as false."""
 
 
 class Device(Section):
@@ -67,8 +70,14 @@ class Pipeline(Section):
     temporal_prior: Annotated[
         bool, Field(description="Start a pair from the surface of the one before: faster on a live stream.")
     ] = True
+    temporal: Annotated[
+        Literal["off", "fuse"],
+        Off,
+        Field(description="Average clouds where the scene is at rest, up to settings.fusion_clouds of them."),
+    ] = "off"
     calibration_check: Annotated[
         Literal["withhold", "warn", "off"],
+        Off,
         Field(
             description="Pairs that contradict the calibration: publish them without points, only report them, or do "
             "not check."
@@ -170,18 +179,14 @@ class SelfCheck(Section):
     limits: SelfCheckLimits = SelfCheckLimits()
 
 
-def _kind(value: Any) -> str:
-    return "path" if isinstance(value, str) else "inline"
-
-
 PathOrVolume = Annotated[
     Annotated[str, Tag("path")] | Annotated[Volume, Tag("inline")],
-    Discriminator(_kind),
+    Discriminator(path_or_inline),
     Field(description="Path of a volume.json, or near_mm and far_mm."),
 ]
 PathOrPattern = Annotated[
     Annotated[str, Tag("path")] | Annotated[dict[str, Any], Tag("inline")],
-    Discriminator(_kind),
+    Discriminator(path_or_inline),
     Field(description="Path of a pattern.json, or the pattern itself."),
 ]
 
@@ -197,6 +202,14 @@ class RigConfig(Section):
     pattern: PathOrPattern | None = None
     volume: PathOrVolume | None = None
     mode: Mode = "single"
+    preset: Annotated[
+        str,
+        Field(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$",
+            description="Overload, temporal fusion and settings that the section pipeline does not have: precise, "
+            "balanced, fast, dynamic, or a file presets/NAME.yaml beside this one.",
+        ),
+    ] = "balanced"
     sequence: Sequencing = Sequencing()
     pairing: Pairing = Pairing()
     pipeline: Pipeline = Pipeline()

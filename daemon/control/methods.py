@@ -19,6 +19,7 @@ from daemon.control.rpc.params import number, string
 from daemon.control.rpc.protocol import FAILED, INVALID_PARAMS, Method, Role, RpcError
 from daemon.control.settings.catalogue import catalogue
 from daemon.control.settings.change import Changer, NeedsRestartError, SettingError
+from daemon.control.settings.flatten import current_path
 from daemon.control.settings.reload import Reloader
 from daemon.live.service import Service
 from daemon.recording.recorder import Recorder
@@ -55,7 +56,7 @@ class Methods:
         health: HealthMethods | None = None,
     ) -> None:
         self._service, self._recorder, self._base_dir = service, recorder, base_dir
-        self._calibrate, self._health = calibrate, health
+        self._calibrate, self._health, self._path = calibrate, health, path
         self._changer = Changer(service, base_dir)
         self._reloader = Reloader(self._changer, path, self._refusal)
 
@@ -94,6 +95,7 @@ class Methods:
             "session": service.session,
             "stream": _addresses(service, "stream", "endpoints") or list(service.config.stream.endpoints),
             "remote": _addresses(service, "remote", "stream"),
+            "rig": None if self._path is None else str(self._path.absolute()),
             "methods": sorted(self.table()),
         }
 
@@ -107,7 +109,7 @@ class Methods:
         Params: ``path`` of a setting or a section, for its value; without one, or with ``detail: true``: a row for
         each, see :func:`daemon.control.settings.catalogue.catalogue`.
         """
-        path, detail = string(params, "path", ""), params.get("detail", False)
+        path, detail = _current(string(params, "path", "")), params.get("detail", False)
         if not isinstance(detail, bool):
             raise RpcError(INVALID_PARAMS, "detail must be true or false")
         config, settings = self._service.config, self._service.settings
@@ -120,7 +122,7 @@ class Methods:
 
     def set(self, params: dict[str, Any]) -> Any:
         """Change a setting that can change while measuring; return its new value."""
-        path = string(params, "path")
+        path = _current(string(params, "path"))
         if "value" not in params:
             raise RpcError(INVALID_PARAMS, "the parameter value is missing", path)
         if path == "mode" and (refusal := self._refusal()):
@@ -206,6 +208,14 @@ def _addresses(service: Service, sink: str, key: str) -> list[str]:
     """Return the addresses that a sink of the stream is bound to, with their real ports."""
     made = service.router.sinks.get(sink)
     return [] if made is None else list(made.status().get(key, ()))
+
+
+def _current(path: str) -> str:
+    """The present path of a setting; a path of the last release is logged."""
+    now = current_path(path)
+    if now != path:
+        log.warning("setting %s is called %s now; the former name ends with the next release", path, now)
+    return now
 
 
 def _nested(rows: list[dict[str, Any]], path: str) -> dict[str, Any]:

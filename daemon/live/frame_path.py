@@ -106,6 +106,7 @@ class FramePath:
         before, after = ((c.pipeline.overload, c.pipeline.temporal_prior, c.mode) for c in (self.config, config))
         other_kernels = rig is not self.rig or before != after
         other_check = config.pipeline.calibration_check != self.config.pipeline.calibration_check
+        other_check |= config.pipeline.temporal != self.config.pipeline.temporal
         if settings != self.settings or other_kernels or other_check:
             reconstructor = self._reconstructor(config, rig, settings)
             if other_kernels:

@@ -132,6 +132,11 @@ class CloudItem:
     span_ms: float = 0.0
 
     @property
+    def measured(self) -> Cloud:
+        """The cloud before the cloud filters, on the left camera's pixel grid: what the monitors examine."""
+        return self.cloud.measured or self.cloud
+
+    @property
     def moved(self) -> int:
         """Pixels of a set that were rejected because the scene moved between its frames."""
         return self.cloud.moved

@@ -17,11 +17,13 @@ from daemon.config.yaml_source import read_yaml
 from daemon.rig.calibration_file import CalibrationFile, parse_calibration, read_calibration
 from daemon.rig.camera_serials import serials_in
 from daemon.rig.pattern_file import read_pattern, read_volume
+from daemon.rig.pose_file import output_pose
 from drivers.protocols import SIDES, Camera, Devices, MovesBoard, Projector, Side
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.plausibility import check_volume
+from pipeline.rig.pose import Pose
 from pipeline.rig.volume import Volume
 
 Progress = Callable[[int, int], None]
@@ -59,6 +61,7 @@ class Rig:
         release: closes all devices.
         board: of a simulated rig, None where a person moves it.
         serials: of the calibrated cameras, where the calibration file has them.
+        pose: into the output frame, None = clouds are in the left camera's.
     """
 
     cameras: Mapping[Side, Camera]
@@ -71,6 +74,7 @@ class Rig:
     release: Callable[[], None]
     board: MovesBoard | None = None
     serials: Mapping[Side, str] = field(default_factory=dict)
+    pose: Pose | None = None
 
 
 def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = None) -> Rig:
@@ -95,6 +99,7 @@ def open_rig(config: RigConfig, base_dir: Path, *, progress: Progress | None = N
             release=devices.close,
             board=devices.board,
             serials=serials_in(calibration.mapping["cameras"]),
+            pose=output_pose(config, base_dir),
         )
     except BaseException:
         devices.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -38,18 +39,51 @@ class Settings:
     search_margin: float = 0.25
     """How far fringe orders are searched beyond the volume: its far limit is multiplied by 1 + this, its near one by
     1 - a fifth of this. Surfaces there get their own orders, and no points, instead of wrong orders inside. 0 = off."""
-    max_check: float = 1.5
-    """Largest difference of left and right absolute phase."""
-    max_residual: float = 0.5
-    """Largest deviation of the projector's phase from its neighbourhood."""
-    max_phase_error: float = 1.0
-    """Largest deviation of a point's phase from the projector's phase there, after self-calibration."""
-    min_component: int = 120
-    """Smallest connected component, pixels."""
-    max_surface_error: float = 0.2
-    """Largest rms phase error against the projector of a component that is not large."""
-    edge_modulation: float = 0.65
-    """Fraction of its neighbours' modulation below which a border pixel is taken as mixed."""
+    consistency_threshold: float = 1.5
+    """Consistency filter: largest difference of the left and the right camera's absolute phase."""
+    outlier_phase_threshold: float = 0.5
+    """Outlier filter: largest deviation of a point's projector phase from that of its neighbourhood."""
+    reflection_threshold: float = 1.0
+    """Reflection filter: largest deviation of a point's phase from the projector's phase there, after
+    self-calibration; light reflected from other surfaces changes it."""
+    cluster_min_area: int = 120
+    """Cluster filter: area of the smallest connected component that is kept."""
+    cluster_phase_threshold: float = 0.2
+    """Cluster filter: largest rms phase error against the projector of a component that is not large."""
+    edge_threshold: float = 0.65
+    """Edge filter: fraction of its neighbours' modulation below which a border pixel is taken as mixed; 0 = off."""
+    outlier_threshold_mm: float = 0.0
+    """Outlier filter: distance within which a point needs two of its eight neighbours; 0 = off."""
+    noise_threshold_mm: float = 0.0
+    """Noise filter: largest standard deviation of a point; 0 = off."""
+    smoothing_sigma_px: float = 0.0
+    """Smoothing: width of the Gaussian weights of the plane fit around every point, along its surface; 0 = off."""
+    hole_filling_size: int = 0
+    """Hole filling: widest gap inside one surface that is interpolated, along rows and columns; 0 = off."""
+    roi_x_min_mm: float = -1e5
+    """Region of interest: least x of the box, in the output frame."""
+    roi_x_max_mm: float = 1e5
+    """Region of interest: largest x of the box, in the output frame."""
+    roi_y_min_mm: float = -1e5
+    """Region of interest: least y of the box, in the output frame."""
+    roi_y_max_mm: float = 1e5
+    """Region of interest: largest y of the box, in the output frame."""
+    roi_z_min_mm: float = -1e5
+    """Region of interest: least z of the box, in the output frame."""
+    roi_z_max_mm: float = 1e5
+    """Region of interest: largest z of the box, in the output frame."""
+    roi_column_min: int = 0
+    """Region of interest: first column of the rectangle in the left image."""
+    roi_column_max: int = 65535
+    """Region of interest: last column of the rectangle in the left image."""
+    roi_row_min: int = 0
+    """Region of interest: first row of the rectangle in the left image."""
+    roi_row_max: int = 65535
+    """Region of interest: last row of the rectangle in the left image."""
+    downsampling: int = 1
+    """Downsampling: n x n points become their weighted mean; 1 = off."""
+    fusion_clouds: int = 8
+    """Temporal fusion (pipeline.temporal: fuse): most clouds that are averaged where a surface is at rest."""
     self_calibrate: bool = True
     """Correct the projector columns from the first pair."""
     self_calibration_range: float = 2.0
@@ -63,7 +97,14 @@ class Settings:
         for name, (low, high) in LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise PipelineError(f"setting {name} is {value}, allowed {low} to {high}")
+                raise PipelineError(f"setting {name} is {value}, allowed {low:g} to {high:g}")
+        for name in ("roi_x_{}_mm", "roi_y_{}_mm", "roi_z_{}_mm", "roi_column_{}", "roi_row_{}"):
+            least, most = getattr(self, name.format("min")), getattr(self, name.format("max"))
+            if least >= most:
+                raise PipelineError(
+                    f"setting {name.format('min')} is {least}, which must be less than {name.format('max')}, {most}; "
+                    "exchange them or widen the region"
+                )
 
     def window(self, *, mosaic: bool) -> tuple[int, float]:
         """Radius and width of the window fit for this kind of sensor, pixels."""
@@ -72,15 +113,21 @@ class Settings:
         return (2 if mosaic else 1), self.window_sigma
 
     def with_overrides(self, overrides: Mapping[str, object]) -> Settings:
-        """A copy with some values changed; an unknown name or a wrong type raises PipelineError."""
+        """A copy with some values changed; an unknown name or a wrong type raises PipelineError.
+
+        A name of the last release is accepted with a FutureWarning.
+        """
         fields = {f.name: f for f in dataclasses.fields(self)}
         values: dict[str, object] = {}
         for name, value in overrides.items():
-            if name not in fields:
+            now = current_name(name)
+            if now not in fields:
                 near = difflib.get_close_matches(name, fields, n=1)
                 hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(fields)}"
                 raise PipelineError(f"there is no setting {name!r}{hint}")
-            values[name] = _coerced(name, value, getattr(self, name))
+            if now in values:
+                raise PipelineError(f"setting {now} is given twice, also by its former name; remove the former name")
+            values[now] = _coerced(now, value, getattr(self, now))
         return dataclasses.replace(self, **values)  # type: ignore[arg-type]
 
 
@@ -96,16 +143,52 @@ LIMITS: dict[str, tuple[float, float]] = {
     "switch_penalty": (0, 20),
     "follow_cost": (0, 2),
     "search_margin": (0, 1),
-    "max_check": (0.1, 3.1),
-    "max_residual": (0.05, 3.1),
-    "max_surface_error": (0.02, 3.1),
-    "edge_modulation": (0, 1),
-    "max_phase_error": (0.1, 3.1),
-    "min_component": (1, 100_000),
+    "consistency_threshold": (0.1, 3.1),
+    "outlier_phase_threshold": (0.05, 3.1),
+    "cluster_phase_threshold": (0.02, 3.1),
+    "edge_threshold": (0, 1),
+    "reflection_threshold": (0.1, 3.1),
+    "cluster_min_area": (1, 100_000),
+    "outlier_threshold_mm": (0, 1000),
+    "noise_threshold_mm": (0, 1000),
+    "smoothing_sigma_px": (0, 3),
+    "hole_filling_size": (0, 32),
+    "roi_x_min_mm": (-1e5, 1e5),
+    "roi_x_max_mm": (-1e5, 1e5),
+    "roi_y_min_mm": (-1e5, 1e5),
+    "roi_y_max_mm": (-1e5, 1e5),
+    "roi_z_min_mm": (-1e5, 1e5),
+    "roi_z_max_mm": (-1e5, 1e5),
+    "roi_column_min": (0, 65535),
+    "roi_column_max": (0, 65535),
+    "roi_row_min": (0, 65535),
+    "roi_row_max": (0, 65535),
+    "downsampling": (1, 8),
+    "fusion_clouds": (1, 64),
     "self_calibration_range": (0, 8),
     "read_noise": (0, 50),
     "noise_gain": (0, 10),
 }
+
+
+RENAMED: dict[str, str] = {
+    "max_check": "consistency_threshold",
+    "max_residual": "outlier_phase_threshold",
+    "max_phase_error": "reflection_threshold",
+    "min_component": "cluster_min_area",
+    "max_surface_error": "cluster_phase_threshold",
+    "edge_modulation": "edge_threshold",
+}
+"""Names of the last release and their present ones."""
+
+
+def current_name(name: str) -> str:
+    """The present name of a setting; a name of the last release gives a FutureWarning."""
+    if name not in RENAMED:
+        return name
+    text = f"setting {name} is called {RENAMED[name]} now; the former name ends with the next release"
+    warnings.warn(text, FutureWarning, stacklevel=1)
+    return RENAMED[name]
 
 
 def _coerced(name: str, value: object, current: object) -> object:

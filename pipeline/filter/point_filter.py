@@ -69,7 +69,7 @@ class Gates:
         """
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
         bands = blocks(len(valid), ROWS)
-        limit, largest = _steps(s.max_residual), _steps(s.max_phase_error)
+        limit, largest = _steps(s.outlier_phase_threshold), _steps(s.reflection_threshold)
         local_outliers(bands, match.valid, match.residual_normalised, match.residual, limit, largest, valid)
         connected_components.links(
             len(valid),
@@ -81,7 +81,7 @@ class Gates:
         )
         surfaces.find(valid, self._link, self._smallest)
         surfaces.paint(label)
-        drop_mixed_edges(bands, label, modulation, np.float32(s.edge_modulation), valid)
+        drop_mixed_edges(bands, label, modulation, np.float32(s.edge_threshold), valid)
         self._test_components(match, agreement, scale)
         edge_test(
             len(label), label, agreement.deviation, _LOSS, HIGH, np.float32(EDGE_LOSS), np.float32(LOSS_PER_NEIGHBOUR),
@@ -103,7 +103,7 @@ class Gates:
         large = max(20 * self._smallest, int(LARGE_SHARE * self._valid.size))
         component_test(
             self._valid, match, agreement.deviation, self._surfaces, large, scale,
-            self._settings.max_surface_error,
+            self._settings.cluster_phase_threshold,
             self._phase_weight,
         )  # fmt: skip
 

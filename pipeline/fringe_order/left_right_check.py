@@ -34,7 +34,7 @@ def cross_check(
     _cross_check(
         len(order), order, t.top, t.down, t.left, t.step, t.lines, view.first_axis, phases.phase, phases.descriptors,
         other_absolute, o.top, o.down, o.left, o.step, view.phase_to_column, correction.astype(np.float32), *slopes,
-        np.float32(view.settings.max_check), confirmed,
+        np.float32(view.settings.consistency_threshold), confirmed,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.monitor import observe
 from pipeline.monitor.consistency import ConsistencyCheck
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.cloud_filters import CloudFilters
 from pipeline.reconstruct.consistency import Consistency
 from pipeline.reconstruct.reconstructor import Reconstructor
 
@@ -24,10 +25,13 @@ class CheckedReconstructor:
     Args:
         reconstructor: makes the clouds.
         policy: ``withhold`` = a cloud of an inconsistent pair has no points; ``warn`` = it keeps them; ``off``.
+        filters: of the judged clouds, None = none.
     """
 
-    def __init__(self, reconstructor: Reconstructor, policy: Policy = "withhold") -> None:
-        self.inner, self.policy = reconstructor, policy
+    def __init__(
+        self, reconstructor: Reconstructor, policy: Policy = "withhold", filters: CloudFilters | None = None
+    ) -> None:
+        self.inner, self.policy, self._filters = reconstructor, policy, filters
         self._check = self.new_check()
         self._since_scan = 0
 
@@ -55,13 +59,18 @@ class CheckedReconstructor:
             observe.warm_up()
 
     def color(self, left: NDArray[Any]) -> NDArray[np.uint8]:
-        """The fringe-free colour of a left raw image, as of the reconstructor."""
-        return self.inner.color(left)
+        """The fringe-free colour of a left raw image, on the grid of the clouds."""
+        color = self.inner.color(left)
+        return color if self._filters is None else self._filters.texture(color)
 
     def reconstruct(
         self, left: NDArray[Any], right: NDArray[Any], /, *, stride: int = 1, use_prior: bool = False
     ) -> Cloud:
         """The cloud of a pair with its consistency; arguments and errors as of the reconstructor."""
+        cloud = self._judged(left, right, stride=stride, use_prior=use_prior)
+        return cloud if self._filters is None else self._filters.apply(cloud, stride=stride)
+
+    def _judged(self, left: NDArray[Any], right: NDArray[Any], *, stride: int, use_prior: bool) -> Cloud:
         cloud = self.inner.reconstruct(left, right, stride=stride, use_prior=use_prior)
         if self.policy == "off":
             return cloud

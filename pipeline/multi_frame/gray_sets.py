@@ -96,7 +96,7 @@ class GraySets:
     def _confirm(self, match: MatchResult, right: SetPhase) -> None:
         temporal_unwrapping.confirm(
             len(match.valid), match.valid, match.absolute_phase, match.right_u, match.right_v, right.absolute_phase,
-            np.float32(TURN_STEPS / _TURN), np.float32(self._settings.max_check),
+            np.float32(TURN_STEPS / _TURN), np.float32(self._settings.consistency_threshold),
         )  # fmt: skip
 
     def _calibrate_columns(self, left: SetPhase, right: SetPhase) -> None:

@@ -20,6 +20,7 @@ from pipeline.multi_frame.image_roles import plan_of
 from pipeline.multi_frame.set_decoder import ENCODINGS
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.cloud_filters import CloudFilters
 from pipeline.reconstruct.column_correction import CorrectionState
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
@@ -35,7 +36,7 @@ class SetReconstructor:
         calibration: of the rig; sequence: what the projector shows, such as
             :func:`pipeline.pattern.mode_sequences.mode_sequence` makes; volume: where surfaces may be.
         encoding: of the raw images, ``rgb8``, ``bayer_....8``, ``mono8`` or ``mono16``.
-        settings, clock, threads: as there.
+        settings, clock, threads: as there; filters: of the clouds, None = none.
 
     Raises:
         CalibrationError: when sequence, projector and volume do not fit together.
@@ -52,6 +53,7 @@ class SetReconstructor:
         settings: Settings | None = None,
         clock: Callable[[], int] | None = None,
         threads: int = 0,
+        filters: CloudFilters | None = None,
     ) -> None:
         if sequence.size != calibration.projector.size:
             raise CalibrationError(
@@ -63,7 +65,7 @@ class SetReconstructor:
         self.calibration, self.sequence, self.volume, self.encoding = calibration, sequence, volume, encoding
         self.settings, self.plan = settings or Settings(), plan_of(sequence)
         self.mode = sequence.name
-        self._clock, self._threads = clock, threads
+        self._clock, self._threads, self._filters = clock, threads, filters
         make = ColorSets if self.plan.kind == "two_color" else GraySets
         self._sets = make(calibration, self.plan, volume, encoding=encoding, settings=self.settings)
 
@@ -102,8 +104,9 @@ class SetReconstructor:
         self.restore(kept)
 
     def color(self, lefts: Sequence[NDArray[Any]]) -> NDArray[np.uint8]:
-        """The fringe-free colour of a set's left raw images, (H, W, 3): grey with monochrome cameras."""
-        return self._sets.color(lefts)
+        """The fringe-free colour of a set's left raw images, on the clouds' grid; grey with monochrome cameras."""
+        color = self._sets.color(lefts)
+        return color if self._filters is None else self._filters.texture(color)
 
     def reconstruct(
         self,
@@ -126,4 +129,5 @@ class SetReconstructor:
         if self._threads:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
-        return self._sets.cloud(lefts, rights, stride, watch)
+        cloud = self._sets.cloud(lefts, rights, stride, watch)
+        return cloud if self._filters is None else self._filters.apply(cloud, stride=stride)

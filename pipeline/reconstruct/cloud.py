@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.reconstruct.consistency import Consistency
+from pipeline.rig.pose import LEFT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """A metric point cloud, organised on the left camera's raw pixel grid.
+    """A metric point cloud, organised on the left camera's raw pixel grid, or on that grid downsampled.
 
     Args:
-        xyz: (H, W, 3) float32, mm, world frame; NaN where invalid.
+        xyz: (H, W, 3) float32, mm, in ``frame``; NaN where invalid.
         sigma_mm: (H, W) float32, one standard deviation along the viewing ray; NaN where invalid.
         gray: (H, W) uint8, the fringe-free texture, everywhere.
         modulation: two (H, W) uint8, fringe amplitude in counts of the left and of the right image.
@@ -24,10 +25,13 @@ class Cloud:
         moved: lit pixels whose images contradict each other because the scene moved, of the camera with more of
             them; sets only.
         consistency: of the pair with the calibration; None = not judged.
+        interpolated: (H, W) uint8, 1 where hole filling made the point; None without it.
+        frame: name of the frame of ``xyz``.
+        grid: this cloud on the left camera's pixel grid and in its frame, None = it is that itself.
+        measured: the cloud before the cloud filters, None = there are none.
         ms: milliseconds by stage, by the caller's clock (empty without a clock).
         rgb: (H, W, 3) uint8, the fringe-free colour, everywhere; None = not computed.
         normals: (H, W, 3) float32, unit vectors towards the camera, NaN where unknown; None = not computed.
-        interpolated: (H, W) bool, points that were not measured but filled in; None = there are none.
     """
 
     xyz: NDArray[np.float32]
@@ -38,10 +42,13 @@ class Cloud:
     saturated: tuple[float, float] = (0.0, 0.0)
     moved: int = 0
     consistency: Consistency | None = None
+    interpolated: NDArray[np.uint8] | None = None
+    frame: str = LEFT
+    grid: Cloud | None = None
+    measured: Cloud | None = None
     ms: dict[str, float] = field(default_factory=dict)
     rgb: NDArray[np.uint8] | None = None
     normals: NDArray[np.float32] | None = None
-    interpolated: NDArray[np.bool_] | None = None
 
     @property
     def points(self) -> int:

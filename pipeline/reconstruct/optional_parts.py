@@ -27,7 +27,8 @@ def with_parts(
     """The cloud with those of the parts ``rgb`` and ``normals`` that are named; others are no matter of this function.
 
     Args:
-        cloud: of ``left``, the left raw image or a set's left images, made by ``reconstructor`` with ``stride``.
+        cloud: of ``left``, the left raw image or a set's left images, made by ``reconstructor`` with ``stride``; its
+            grid is dense again if it was downsampled.
         clock: returns nanoseconds; adds the stages ``color`` and ``normals`` to the cloud's ``ms``.
     """
     watch = Stopwatch(clock)
@@ -35,6 +36,8 @@ def with_parts(
         cloud = replace(cloud, rgb=reconstructor.color(left))
         watch.lap("color")
     if NORMALS in parts:
-        cloud = replace(cloud, normals=normals_of(cloud.xyz, cloud.sigma_mm, stride=stride))
+        downsampled = cloud.grid is not None and cloud.grid.gray.shape != cloud.gray.shape
+        normals = normals_of(cloud.xyz, cloud.sigma_mm, stride=1 if downsampled else stride)
+        cloud = replace(cloud, normals=normals)
         watch.lap("normals")
     return replace(cloud, ms=cloud.ms | watch.ms) if watch.ms else cloud

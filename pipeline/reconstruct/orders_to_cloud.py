@@ -55,7 +55,7 @@ class CloudStage:
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size,
             (stride * left.slopes[0], stride * left.slopes[1]), left.depth, left.order_step, settings,
-            smallest=max(settings.min_component // stride**2, 1),
+            smallest=max(settings.cluster_min_area // stride**2, 1),
             phase_weight=phase_weight(_baselines(calibration), linear=left.linear),
         )  # fmt: skip
         self._agreement = Agreement.empty(shape)

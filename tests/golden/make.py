@@ -44,7 +44,7 @@ def main() -> None:
         writer.offer(Pair(left, right))
     writer.close()
     calibration.unlink()
-    command = ["replay", str(TAKE), "--no-output", "--bless", str(FIGURES), "--set", "min_component=60"]
+    command = ["replay", str(TAKE), "--no-output", "--bless", str(FIGURES), "--set", "cluster_min_area=60"]
     start = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
     subprocess.run([sys.executable, "-c", start, *command], check=True)
 

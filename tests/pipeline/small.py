@@ -15,7 +15,7 @@ from sim.scene.named_scenes import build
 from tests.renders import render_pair
 
 LAYOUT = RigLayout().scaled(0.375)
-SETTINGS = Settings(min_component=40)
+SETTINGS = Settings(cluster_min_area=40)
 PERIODS = 36.0
 RATE_HZ = 30.0
 

@@ -64,7 +64,8 @@ class SavedCloud:
     @staticmethod
     def of(cloud: Cloud) -> SavedCloud:
         """What files keep of a cloud."""
-        return SavedCloud(cloud.xyz, cloud.sigma_mm, cloud.gray, cloud.rgb, cloud.normals, cloud.interpolated)
+        filled = None if cloud.interpolated is None else cloud.interpolated.view(np.bool_)
+        return SavedCloud(cloud.xyz, cloud.sigma_mm, cloud.gray, cloud.rgb, cloud.normals, filled)
 
     def part(self, name: str) -> Any:
         """A part by its name, None without it."""

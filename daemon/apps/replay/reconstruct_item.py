@@ -17,8 +17,10 @@ from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
+from pipeline.reconstruct.cloud_filters import cloud_filters
 from pipeline.reconstruct.reconstructor import Reconstructor
 from pipeline.rig.calibration import Calibration
+from pipeline.rig.pose import Pose
 from pipeline.rig.volume import Volume
 
 
@@ -46,18 +48,27 @@ def warmed_reconstructor(
     threads: int = 0,
     use_prior: bool = False,
     policy: Policy = "withhold",
+    pose: Pose | None = None,
+    fuse: bool = False,
 ) -> Any:
-    """A warmed-up reconstructor for images of an encoding: of pairs, or of the sets of a sequence."""
+    """A warmed-up reconstructor for images of an encoding: of pairs, or of the sets of a sequence.
+
+    Args:
+        pose: into the output frame; fuse: average clouds of surfaces at rest.
+    """
     options: dict[str, Any] = {
         "encoding": encoding, "settings": settings, "clock": time.perf_counter_ns, "threads": threads,
     }  # fmt: skip
+    filters = cloud_filters(
+        calibration, settings, mosaic=encoding.startswith("bayer_"), pose=pose, fuse=fuse, clock=options["clock"]
+    )
     if isinstance(pattern, ColorFringe):
-        single = IndependentVerdicts(Reconstructor(calibration, pattern, volume, **options), policy)
+        single = IndependentVerdicts(Reconstructor(calibration, pattern, volume, **options), policy, filters)
         single.warm_up(use_prior=use_prior)
         return single
     from pipeline.multi_frame.set_reconstructor import SetReconstructor
 
-    sets = SetReconstructor(calibration, pattern, volume, **options)
+    sets = SetReconstructor(calibration, pattern, volume, filters=filters, **options)
     sets.warm_up()
     return sets
 

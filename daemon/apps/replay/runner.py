@@ -20,6 +20,7 @@ from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.optional_parts import with_parts
+from pipeline.rig.pose import Pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +55,7 @@ class Replay:
         calibration_check: policy for pairs that contradict the calibration, see ``IndependentVerdicts``.
         parts: names of parts that every cloud shall have; ``rgb`` and ``normals`` are computed if they are named.
         compiling: called once a second with the progress while kernels are compiled.
+        pose: into the output frame; fuse: average clouds of surfaces at rest, in the order of the take.
     """
 
     take: TakeReader
@@ -64,6 +66,8 @@ class Replay:
     calibration_check: Policy = "withhold"
     parts: Collection[str] = ()
     compiling: Callable[[Progress], object] | None = None
+    pose: Pose | None = None
+    fuse: bool = False
     failures: list[Failure] = field(default_factory=list)
     _file: CalibrationFile | None = None
     _cached: Any = None
@@ -136,6 +140,7 @@ class Replay:
         pattern = self.take.pattern() if sequence is None else sequence
         self._cached = warmed_reconstructor(
             self.calibration_file.calibration, pattern, self.take.volume(), encoding=encoding, settings=self.settings,
-            threads=self.threads, use_prior=self.use_prior, policy=self.calibration_check,
+            threads=self.threads, use_prior=self.use_prior, policy=self.calibration_check, pose=self.pose,
+            fuse=self.fuse,
         )  # fmt: skip
         return self._cached

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from daemon.cli.control.daemon_call import SLOW_S, Endpoint, RigFile, Timeout, call_daemon
+from daemon.cli.control.save_setting import rig_file, save_setting
 from daemon.cli.options.key_options import KeyOption, ServerKeyOption, chosen_keys
 from daemon.common.errors import InputError
 
@@ -23,13 +24,19 @@ def main(
     endpoint: Endpoint = None,
     rig: RigFile = None,
     timeout: Timeout = SLOW_S,
+    save: Annotated[bool, typer.Option("--save", help="Write it into rig.yaml, too; comments stay.")] = False,
     key: KeyOption = None,
     server_key: ServerKeyOption = None,
 ) -> None:
-    """Change a setting while the daemon measures; rig.yaml does not change, and a reload restores its value."""
+    """Change a setting while the daemon measures; without --save a reload restores the value of rig.yaml."""
     answer = call_daemon("set", endpoint, rig, timeout, chosen_keys(key, server_key), path=path, value=parsed(value))
+    target = rig_file(rig, endpoint) if save else None
     for name, now in answer.items():
+        if name != path:
+            typer.echo(f"fringed: {path} is called {name} now; the former name ends with the next release", err=True)
         typer.echo(f"{name} = {json.dumps(now, ensure_ascii=False)}")
+        if target is not None:
+            save_setting(target, name, now)
 
 
 def parsed(text: str) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 from typer.core import TyperCommand
@@ -61,6 +61,10 @@ def main(
     calibration_check: Annotated[
         str, typer.Option(help="Pairs that contradict the calibration: withhold their points, warn, or off.")
     ] = "withhold",
+    temporal: Annotated[
+        Literal["off", "fuse"], typer.Option(help="Average clouds where the scene is at rest.")
+    ] = "off",
+    frame: Annotated[Path | None, typer.Option(help="Pose file of the frame of the clouds.")] = None,
     rerun: Annotated[str | None, typer.Option(metavar="[FILE.rrd]", help="Show the clouds, or save for Rerun.")] = None,
     expect: Annotated[
         Path | None, typer.Option(help="Compare with this golden file; exit status 1 for deviations.")
@@ -79,6 +83,7 @@ def main(
     from daemon.cli.options.set_option import parsed_settings
     from daemon.common.errors import InputError
     from daemon.recording.read.take_reader import TakeReader
+    from daemon.rig.pose_file import read_pose
     from pipeline.monitor.checked_reconstructor import Policy
 
     if kind not in KINDS:
@@ -92,6 +97,8 @@ def main(
         raise InputError(
             f"--calibration-check is {calibration_check!r}, expected one of: {', '.join(get_args(Policy))}"
         )
+    if temporal == "fuse" and repeat > 1:
+        raise InputError(f"--temporal fuse averages with the clouds before, and --repeat {repeat} repeats a pair")
     expected = golden.load(expect) if expect is not None else None
     cell = _cell(expected, bless)
     with TakeReader(take) as reader:
@@ -99,6 +106,7 @@ def main(
         replay = Replay(reader, settings=settings, threads=threads, calibration=calibration, use_prior=use_prior)
         replay.calibration_check = cast(Policy, calibration_check)
         replay.parts = chosen or ()
+        replay.pose, replay.fuse = None if frame is None else read_pose(frame), temporal == "fuse"
         runs, figures = _replay(replay, None if no_output else out, kind, repeat, rerun, cell)
         _report(replay, runs, out)
         if bless is not None:

@@ -42,12 +42,16 @@ _UNITS = dict.fromkeys(("window_radius", "window_sigma", "lattice_x", "lattice_y
     "min_modulation": "counts",
     "saturation": "counts",
     "read_noise": "counts",
-    "max_check": "rad",
-    "max_residual": "rad",
-    "max_phase_error": "rad",
-    "max_surface_error": "rad",
+    "consistency_threshold": "rad",
+    "outlier_phase_threshold": "rad",
+    "reflection_threshold": "rad",
+    "cluster_phase_threshold": "rad",
     "cost_sigma": "rad",
-    "min_component": "pixels",
+    "cluster_min_area": "pixels",
+    "hole_filling_size": "px",
+    **dict.fromkeys(("roi_column_min", "roi_column_max", "roi_row_min", "roi_row_max"), "px"),
+    "downsampling": "px",
+    "fusion_clouds": "clouds",
     "self_calibration_range": "projector px",
 }
 
@@ -111,7 +115,8 @@ def _of_pipeline(name: str) -> dict[str, Any]:
     row: dict[str, Any] = {"type": _JSON[type(default)], "default": default}
     if name in LIMITS:
         row |= dict(zip(("min", "max"), LIMITS[name], strict=True))
-    return row | ({"unit": _UNITS[name]} if name in _UNITS else {}) | {"doc": _docs().get(name, "")}
+    unit = _UNITS.get(name, _SUFFIXES.get(name.rpartition("_")[2]))
+    return row | ({"unit": unit} if unit else {}) | {"doc": _docs().get(name, "")}
 
 
 _JSON = {bool: "boolean", int: "integer", float: "number"}

@@ -11,8 +11,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from daemon.config.load import check_rig
+from daemon.config.presets import KEYS, read_preset
 from daemon.config.rig_config import RigConfig
-from pipeline.common.settings import Settings
+from pipeline.common.settings import RENAMED, Settings
 
 PIPELINE = "pipeline.settings"
 
@@ -31,6 +32,12 @@ def _walk(section: BaseModel, above: str, settings: Settings) -> Iterator[tuple[
             yield from _walk(value, f"{path}.", settings)
         else:
             yield path, value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+
+
+def current_path(path: str) -> str:
+    """Return the present path of a setting whose path is perhaps one of the last release."""
+    above, _, name = path.rpartition(".")
+    return f"{above}.{RENAMED[name]}" if above == PIPELINE and name in RENAMED else path
 
 
 def settings_of(config: RigConfig) -> Settings:
@@ -52,7 +59,11 @@ def with_value(config: RigConfig, settings: Settings, path: str, value: Any, bas
         ConfigError: a value that is invalid in rig.yaml.
     """
     data = config.model_dump(mode="json")
-    data["pipeline"]["settings"] = _changed(asdict(Settings()), asdict(settings))
+    if path == "preset":  # which returns to its own values what it has
+        data["pipeline"] = {key: item for key, item in data["pipeline"].items() if key not in KEYS}
+    else:
+        base = Settings().with_overrides(read_preset(config.preset, base_dir).get("settings", {}))
+        data["pipeline"]["settings"] = _changed(asdict(base), asdict(settings))
     *above, name = path.split(".")
     section = data
     for part in above:

@@ -14,6 +14,7 @@ from daemon.rig.open_rig import Rig
 from drivers.protocols import Clock
 from pipeline.common.settings import Settings
 from pipeline.monitor.checked_reconstructor import CheckedReconstructor
+from pipeline.reconstruct.cloud_filters import cloud_filters
 from pipeline.reconstruct.reconstructor import Reconstructor
 
 
@@ -39,10 +40,18 @@ def make_reconstructor(
         "clock": clock.monotonic_ns,
         "threads": config.pipeline.threads or len(config.pipeline.cpus),
     }
+    filters = cloud_filters(
+        rig.calibration,
+        settings,
+        mosaic=encodings[0].startswith("bayer_"),
+        pose=rig.pose,
+        fuse=config.pipeline.temporal == "fuse",
+        clock=clock.monotonic_ns,
+    )
     if plan is not None:
-        return plan.reconstructor(rig, **options)
+        return plan.reconstructor(rig, filters=filters, **options)
     single = Reconstructor(rig.calibration, rig.pattern, rig.volume, **options)
-    return CheckedReconstructor(single, config.pipeline.calibration_check)
+    return CheckedReconstructor(single, config.pipeline.calibration_check, filters)
 
 
 def warm_up(reconstructor: CloudReconstructor, config: Pipeline) -> None:

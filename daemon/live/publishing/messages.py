@@ -39,10 +39,14 @@ class Origin:
 
 
 def full(origin: Origin, item: CloudItem, parts: Sequence[str] = BASIC) -> Frames:
-    """``cloud/full``: points, texture, standard deviation and what is configured; not compressed, not copied."""
+    """``cloud/full``: points, texture, standard deviation and what is configured; not compressed, not copied.
+
+    Interpolated points are always marked.
+    """
     available = parts_of_cloud(item.cloud)
-    arrays = {name: available[name] for name in parts if name in available}
-    return wire.encode("cloud/full", _cloud_header(origin, item), arrays)
+    wanted = (*parts, "interpolated") if item.cloud.interpolated is not None else parts
+    arrays = {name: array for name, array in available.items() if name in wanted}
+    return wire.encode("cloud/full", _cloud_header(origin, item, item.cloud), arrays)
 
 
 def parts(origin: Origin, item: CloudItem, topic: str, names: Sequence[str]) -> Frames | None:
@@ -50,12 +54,12 @@ def parts(origin: Origin, item: CloudItem, topic: str, names: Sequence[str]) -> 
     available = parts_of_cloud(item.cloud)
     if any(name not in available for name in names):
         return None
-    return wire.encode(topic, _cloud_header(origin, item), {name: available[name] for name in names})
+    return wire.encode(topic, _cloud_header(origin, item, item.cloud), {name: available[name] for name in names})
 
 
 def parts_of_cloud(cloud: Cloud) -> dict[str, NDArray[Any]]:
     """The parts that a cloud has, by their names in messages."""
-    filled = np.zeros(cloud.gray.shape, np.uint8) if cloud.interpolated is None else cloud.interpolated.view(np.uint8)
+    filled = np.zeros(cloud.gray.shape, np.uint8) if cloud.interpolated is None else cloud.interpolated
     arrays: dict[str, NDArray[Any] | None] = {
         "xyz": cloud.xyz, "gray": cloud.gray, "sigma": cloud.sigma_mm, "rgb": cloud.rgb, "normals": cloud.normals,
         "interpolated": filled,
@@ -64,10 +68,11 @@ def parts_of_cloud(cloud: Cloud) -> dict[str, NDArray[Any]]:
 
 
 def depth(origin: Origin, item: CloudItem) -> Frames:
-    """``cloud/depth``: z in steps of a few micrometres, compressed."""
-    stored, scale, offset = quantised(item.cloud.xyz[..., 2])
+    """``cloud/depth``: z in steps of a few micrometres, compressed; always on the left camera's grid, for its rays."""
+    cloud = item.cloud.grid or item.cloud
+    stored, scale, offset = quantised(cloud.xyz[..., 2])
     row = {"codec": "blosc2", "scale": scale, "offset": offset}
-    return wire.encode("cloud/depth", _cloud_header(origin, item), {"z": stored}, rows={"z": row})
+    return wire.encode("cloud/depth", _cloud_header(origin, item, cloud), {"z": stored}, rows={"z": row})
 
 
 def quantised(z: NDArray[np.float32]) -> tuple[NDArray[np.uint16], float, float]:
@@ -139,9 +144,9 @@ def _json(value: Any) -> bytes:
     return json.dumps(value, indent=1, default=str).encode()
 
 
-def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
-    height, width = item.cloud.gray.shape
-    valid = item.cloud.points / (width * height)
+def _cloud_header(origin: Origin, item: CloudItem, cloud: Cloud) -> wire.CloudHeader:
+    height, width = cloud.gray.shape
+    valid = cloud.points / (width * height)
     stats: dict[str, Any] = {"valid": round(valid, 4), "latency_ms": round(item.latency_ms, 2), "dropped": item.dropped}
     consistency = item.cloud.consistency
     if consistency is not None:
@@ -153,5 +158,6 @@ def _cloud_header(origin: Origin, item: CloudItem) -> wire.CloudHeader:
     if item.frames > 1:
         stats |= {"mode": item.mode, "frames": item.frames, "span_ms": round(item.span_ms, 2), "moved": item.moved}
     return wire.CloudHeader(
-        kind="cloud", seq=item.seq, t_ns=item.t_ns, width=width, height=height, stats=stats, **origin.keys()
-    )
+        kind="cloud", seq=item.seq, t_ns=item.t_ns, frame=cloud.frame, width=width, height=height, stats=stats,
+        **origin.keys(),
+    )  # fmt: skip

@@ -50,7 +50,7 @@ def displayed(frame: Frame) -> Image:
 def overlay(item: CloudItem) -> Image:
     """Modulation of the left image as brightness, saturated pixels red; (H, W, 3) uint8, BGR."""
     image: NDArray[Any] = item.left.image
-    bright = np.minimum(item.cloud.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
+    bright = np.minimum(item.measured.modulation[0], 255 // _GAIN) * np.uint8(_GAIN)
     if bright.shape != image.shape[:2]:  # measured with fewer pixels
         bright = bright.repeat(item.stride, axis=0).repeat(item.stride, axis=1)[: image.shape[0], : image.shape[1]]
     out = np.repeat(bright[..., None], 3, axis=2)

@@ -168,7 +168,7 @@ class DriftMonitor:
         if item.left.encoding != self._encoding:
             self._begin(item.left.encoding)
         assert self._observer is not None  # noqa: S101 - made by _begin
-        observation = self._observer.observe(item.left.image, item.right.image, item.cloud)
+        observation = self._observer.observe(item.left.image, item.right.image, item.measured)
         surface = Reading(observation.valid, 0.01) if observation.lit > _LEAST_LIT else None
         self._assessor.feed(began_ns / 1e9, observation.readings, surface=surface)
         self._last = observation
@@ -226,8 +226,8 @@ class DriftMonitor:
         row: dict[str, Any] = {"t_ns": self._clock.realtime_ns(), "event": event, "calibration": self._identity}
         if item is not None:
             row["seq"] = item.seq
-            row["saturated"] = [round(share, 4) for share in item.cloud.saturated]
-            row["modulation"] = [float(np.median(plane[::8, ::8])) for plane in item.cloud.modulation]
+            row["saturated"] = [round(share, 4) for share in item.measured.saturated]
+            row["modulation"] = [float(np.median(plane[::8, ::8])) for plane in item.measured.modulation]
         if self._problem:
             row["problem"] = self._problem
         return row | {"observables": {name: _plain(one) for name, one in self._assessor.assessments.items()}}

@@ -35,11 +35,11 @@ def test_all_mistakes_are_reported_at_once_each_with_its_position() -> None:
         "  driver: smi\n"
         "pipeline:\n"
         "  threads: 1e3\n"
-        "  settings: {min_modulatio: 3, max_check: a}\n"
+        "  settings: {min_modulatio: 3, consistency_threshold: a}\n"
         "volume: {near_mm: 5, far_mm: 3}\n"
     )
     places = [problem.split(": ")[0] for problem in found]
-    assert places == [f"rig.yaml:{p}" for p in ("1:1", "3:11", "5:12", "6:29", "6:43", "7:30")]
+    assert places == [f"rig.yaml:{p}" for p in ("1:1", "3:11", "5:12", "6:29", "6:55", "7:30")]
     assert "did you mean 'cameras'" in found[0] and "did you mean 'sim'" in found[1]
     assert "write 1000" in found[2] and "min_modulation" in found[3]
 

@@ -45,3 +45,23 @@ def test_missing_sections_and_unsupported_layouts_are_reported() -> None:
     anchored = "a: &x {output: A}\nprojector: {options: *x}\n"
     with pytest.raises(DaemonError, match=r"latency_ms cannot be set by itself .* write latency_ms: 1 there"):
         with_value(anchored, KEY, 1.0)
+
+
+@pytest.mark.parametrize("value", [True, "half", "off", "a b", 3, 0.123456789, [1, 2]])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# mine\ncameras: {driver: sim} # kept\n",
+        "cameras: {driver: sim}\npipeline:\n  threads: 0 # all\n",
+        "pipeline: {settings: {lattice_x: 3}} # flow\ncameras: {driver: sim}\n",
+        "pipeline:\n  # settings\n  settings:\n    wanted: 1 # old\n",
+    ],
+)
+def test_missing_sections_are_made(text: str, value: object) -> None:
+    changed = with_value(text, ("pipeline", "settings", "wanted"), value, create=True)
+    wanted = yaml.safe_load(text)
+    wanted.setdefault("pipeline", {}).setdefault("settings", {})["wanted"] = value
+    assert yaml.safe_load(changed) == wanted
+    assert [line.partition("#")[2] for line in changed.splitlines() if "#" in line] == [
+        line.partition("#")[2] for line in text.splitlines() if "#" in line
+    ]

@@ -54,6 +54,12 @@ def test_a_setting_is_set_from_the_next_pair_on_and_read_back(methods: Methods) 
     assert call(methods, "get", path="pipeline.settings.min_modulation") == 7.0
 
 
+def test_a_setting_is_found_by_its_former_name(methods: Methods) -> None:
+    former, present = "pipeline.settings.min_component", "pipeline.settings.cluster_min_area"
+    assert call(methods, "set", path=former, value=90) == {present: 90}
+    assert call(methods, "get", path=former) == call(methods, "get", path=present) == 90
+
+
 @pytest.mark.parametrize(
     ("path", "value"),
     [("pipeline.settings.min_modulation", 1e9), ("pipeline.settings.nothing", 1), ("device.name", "x"), ("", 1)],

@@ -17,7 +17,7 @@ from sim.scene.scene import Scene
 from sim.scene.shapes import Motion, plane
 
 LAYOUT, OPTICS = RigLayout().scaled(0.25), Optics()
-SETTINGS = Settings(min_component=20)
+SETTINGS = Settings(cluster_min_area=20)
 RATE_HZ = 100.0
 
 

@@ -95,7 +95,7 @@ def test_the_result_depends_neither_on_earlier_sets_nor_on_the_number_of_threads
 
 
 def test_points_on_every_second_pixel_are_those_of_the_whole_cloud():
-    reconstructor = made("heterodyne", settings=Settings(min_component=20, self_calibrate=False))
+    reconstructor = made("heterodyne", settings=Settings(cluster_min_area=20, self_calibrate=False))
     whole, part = (reconstructor.reconstruct(*taken("heterodyne"), stride=n) for n in (1, 2))
     both = np.isfinite(whole.xyz[..., 2]) & np.isfinite(part.xyz[..., 2])
     assert both[::2, ::2].mean() > 0.6

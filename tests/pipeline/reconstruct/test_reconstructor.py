@@ -21,7 +21,7 @@ from sim.scene.named_scenes import build
 from tests.renders import render_pair
 
 SMALL = RigLayout().scaled(0.375)
-SETTINGS = Settings(min_component=40)
+SETTINGS = Settings(cluster_min_area=40)
 
 
 def small_pattern(layout=SMALL, **options):
@@ -269,7 +269,7 @@ def test_settings_are_changed_by_name_and_checked():
         ({"min_modulation": 1000.0}, "allowed"),
         ({"lattice_x": 2.5}, "takes int"),
         ({"self_calibrate": 1}, "takes bool"),
-        ({"min_component": True}, "takes int"),
+        ({"cluster_min_area": True}, "takes int"),
     ):
         with pytest.raises(PipelineError, match=message):
             Settings().with_overrides(change)

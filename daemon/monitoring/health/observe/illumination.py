@@ -29,7 +29,7 @@ class Illumination:
     def values(self, item: CloudItem) -> dict[str, float]:
         """Return the quantities of one pair; takes about a millisecond."""
         out = {"coverage_lit": _coverage(item)}
-        for side, frame, modulation in zip(SIDES, (item.left, item.right), item.cloud.modulation, strict=True):
+        for side, frame, modulation in zip(SIDES, (item.left, item.right), item.measured.modulation, strict=True):
             result = measure_illumination(
                 frame.image, frame.encoding, modulation, period_px=self._period_px, stride=item.stride, axis=self._axis
             )
@@ -49,9 +49,9 @@ def _quantities(side: str, result: ImageIllumination) -> dict[str, float]:
 
 def _coverage(item: CloudItem) -> float:
     """Return the share of the pixels with fringes that have a point, on some lines."""
-    height = item.cloud.gray.shape[0]
+    height = item.measured.gray.shape[0]
     rows = np.linspace(0, height - 1, min(LINES, height) + 2)[1:-1].astype(int)
-    lit = item.cloud.modulation[0][rows] >= _LIT
-    valid = np.isfinite(item.cloud.xyz[rows, :, 2])
+    lit = item.measured.modulation[0][rows] >= _LIT
+    valid = np.isfinite(item.measured.xyz[rows, :, 2])
     count = int(np.count_nonzero(lit))
     return float(np.count_nonzero(valid & lit)) / count if count else math.nan

@@ -188,6 +188,23 @@ def test_other_settings_and_another_calibration_change_the_clouds(take: Path, tm
     assert summary_in(tmp_path / "c")["calibration"] != before["calibration"]
 
 
+def test_filters_fusion_and_the_output_frame_hold_in_a_replay(take: Path, tmp_path: Path) -> None:
+    pose = tmp_path / "pose.yaml"
+    pose.write_text(
+        "fringed_pose: 1\nframe: table\nmatrix: [[1, 0, 0, 1000], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
+    )
+    assert replay(take, "--out", tmp_path / "a") == 0
+    assert replay(take, "--out", tmp_path / "b", "--frame", pose, "--set", "downsampling=2") == 0
+    assert replay(take, "--out", tmp_path / "c", "--temporal", "fuse") == 0
+    plain, moved, fused = (read_cloud(tmp_path / name / "cloud_000041.npz") for name in "abc")
+    height, width = plain.sigma_mm.shape
+    assert moved.xyz.shape == (height // 2, width // 2, 3)
+    assert np.nanmedian(moved.xyz[..., 0]) == pytest.approx(1000 + np.nanmedian(plain.xyz[..., 0]), abs=10)
+    assert (np.isnan(fused.sigma_mm) == np.isnan(plain.sigma_mm)).all()
+    assert np.nanmin(fused.sigma_mm / plain.sigma_mm) <= 1.0 + 1e-6
+    assert replay(take, "--out", tmp_path / "d", "--temporal", "fuse", "--repeat", 2) == 2
+
+
 def test_a_cut_take_replays_up_to_the_cut(take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = take.read_bytes()
     cut = tmp_path / "cut.mcap"

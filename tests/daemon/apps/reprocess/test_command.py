@@ -110,7 +110,7 @@ def test_the_report_is_well_formed_and_links_the_recordings(take: Path, tmp_path
         (["--calibration-check", "maybe"], "expected one of: withhold, warn, off"),
         (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "fringed worker ADDRESS"),
         (["--set", "nonsense=1,2"], "there is no setting 'nonsense'"),
-        (["--set", "min_component=a,b"], "expected key=value,value"),
+        (["--set", "cluster_min_area=a,b"], "expected key=value,value"),
         (["--set", "nonsense=1"], "there is no setting 'nonsense'"),
         (["--calibration", "nowhere.yaml"], "nowhere.yaml"),
     ],
@@ -125,11 +125,11 @@ def test_wrong_arguments_are_refused(
 
 def test_settings_are_compared_on_a_sample(take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(take.with_name("b.mcap"), small_take.render(), 7)
-    arguments = "--set", "min_modulation=5,40", "--set", "min_component=60,120", "--sample", 4, "--workers", 0
+    arguments = "--set", "min_modulation=5,40", "--set", "cluster_min_area=60,120", "--sample", 4, "--workers", 0
     assert reprocess(take.parent, "--out", tmp_path / "out", *arguments) == 0
     rows = json.loads((tmp_path / "out" / "grid.json").read_text())["rows"]
     assert [row["settings"] for row in rows] == [
-        {"min_modulation": a, "min_component": b} for a in (5, 40) for b in (60, 120)
+        {"min_modulation": a, "cluster_min_area": b} for a in (5, 40) for b in (60, 120)
     ]
     assert all(row["clouds"] == 4 and row["ms"] > 0 and sum(row["verdicts"].values()) == 4 for row in rows)
     assert rows[0]["coverage"] > rows[2]["coverage"] and rows[0]["rejected"] < rows[2]["rejected"]

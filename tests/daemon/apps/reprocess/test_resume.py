@@ -92,7 +92,7 @@ def test_a_missing_or_damaged_manifest_costs_its_own_chunk(take: Path, tmp_path:
 
 def test_other_settings_do_all_again_and_leave_no_file_of_before(take: Path, tmp_path: Path) -> None:
     reprocess([take], tmp_path, chunk_pairs=2)
-    totals = reprocess([take], tmp_path, chunk_pairs=2, settings=Settings(min_component=60), kind="ply")
+    totals = reprocess([take], tmp_path, chunk_pairs=2, settings=Settings(cluster_min_area=60), kind="ply")
     assert totals.computed == 7
     assert {name.rpartition(".")[2] for name in files_of(tmp_path / "a")} == {"ply"}
 

@@ -51,7 +51,7 @@ def write(path: Path, mode: str) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["two_color", "gray"])
 def test_sets_are_those_of_a_replay(tmp_path: Path, mode: str) -> None:
-    take, settings = write(tmp_path / "a.mcap", mode), Settings(min_component=20)
+    take, settings = write(tmp_path / "a.mcap", mode), Settings(cluster_min_area=20)
     files, verdicts = replayed(take, settings=settings)
     assert len(files) == len(verdicts) == SETS
     for chunk_pairs in (1, 5, 100):
