@@ -74,7 +74,7 @@ def checked_keys(keys: object) -> Keys | None:
     if keys is None or isinstance(keys, Keys):
         return keys
     raise ArgumentError(
-        f"keys is a {type(keys).__name__}, expected Keys: Keys.load('laptop.key', 'server.pub') reads both files"
+        f"keys is of type {type(keys).__name__}, expected Keys: Keys.load('laptop.key', 'server.pub') reads both files"
     )
 
 
@@ -95,7 +95,7 @@ def loaded_keys(key: Keys | str | Path | None, server_key: str | Path | None) ->
             )
         return Keys.load(key, server_key)
     if key is not None and not isinstance(key, Keys):
-        raise ArgumentError(f"key is a {type(key).__name__}, expected the path of NAME.key, or Keys")
+        raise ArgumentError(f"key is of type {type(key).__name__}, expected the path of NAME.key, or Keys")
     if server_key is not None:
         raise ArgumentError(f"server_key {str(server_key)!r} is without key, the path of your own NAME.key")
     return key

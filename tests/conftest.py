@@ -31,8 +31,9 @@ os.umask(UMASK)
 
 WITHOUT_KERNELS = (
     "daemon/apps", "daemon/cli/control", "daemon/common", "daemon/config", "daemon/control", "daemon/keys",
-    "daemon/live/acquisition", "daemon/live/publishing", "daemon/rig", "distributions", "drivers", "fringed/control",
-    "fringed/protocol", "fringed/test_main.py", "fringed/test_receiver.py", "fringed/test_wire.py",
+    "daemon/live/acquisition", "daemon/live/publishing", "daemon/rig", "distributions", "drivers",
+    "fringed/conformance", "fringed/control", "fringed/test_main.py", "fringed/test_receiver.py",
+    "fringed/test_wire.py",
     "pipeline/calibrate", "pipeline/pattern", "sim/boards", "sim/gentl", "test_module_names.py", "tools",
 )  # fmt: skip
 """Directories of tests that neither measure nor render, or little: their kernels are compiled when they are called."""

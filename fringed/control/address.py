@@ -30,7 +30,7 @@ def checked_endpoint(endpoint: object, *, name: str = "endpoint") -> str:
         ArgumentError: another type or form, a port out of range, or a host name that is unknown.
     """
     if not isinstance(endpoint, str):
-        raise ArgumentError(f"{name} is a {type(endpoint).__name__}, expected a text, {FORMS}")
+        raise ArgumentError(f"{name} is of type {type(endpoint).__name__}, expected a text, {FORMS}")
     problem = form_problem(endpoint) or host_problem(endpoint)
     if problem:
         raise ArgumentError(f"{name} {endpoint!r:.200} cannot be used: {problem}")

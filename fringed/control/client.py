@@ -34,7 +34,7 @@ class ControlClient:
         self._keys: Keys | None = None
         self._retry_refused = retry_refused
         self._lock = threading.Lock()
-        self._hint = "start one with `fringed run rig.yaml` or `fringed demo`, or name its address by --endpoint"
+        self._hint = "start one with `fringed run rig.yaml` or `fringed demo`, or name its address (--endpoint)"
         if endpoint.startswith("tcp://"):
             self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
         if checked_keys(keys) is not None and not endpoint.startswith("ipc://"):  # ipc stays on this machine

@@ -94,7 +94,7 @@ class Connection:
             return
         elif event & _REFUSED:
             self._problem = "what listens there refused the connection" + (
-                ": its server key is another one, or it uses none" if self._keyed else ""
+                ": its server key is another one, it uses none, or it does not accept this key" if self._keyed else ""
             )
         elif event == _DOWN:
             self._problem = "what listens there is no control socket of a daemon"

@@ -125,14 +125,14 @@ def test_the_calling_program_s_mistakes_are_errors_at_once(address: str, tmp_pat
         (lambda: Rig("tcp://no-such-host.invalid:5558"), ArgumentError, "'no-such-host.invalid' is unknown"),
         (lambda: Rig("127.0.0.1:99999"), ArgumentError, "port 99999"),
         (lambda: Rig("http://127.0.0.1:80"), ArgumentError, "tcp://HOST:PORT or ipc://PATH"),
-        (lambda: Rig(5558), ArgumentError, "address is a int"),  # type: ignore[arg-type]
+        (lambda: Rig(5558), ArgumentError, "address is of type int"),  # type: ignore[arg-type]
         (lambda: Rig(free), NoDaemonError, "nothing listens there"),
         (lambda: Rig(address + "x"), NoDaemonError, "there is no such socket"),
         (lambda: Rig(address, stream=free), NoDaemonError, "nothing listens there"),
         (lambda: Rig(address, stream=address), NoDaemonError, "cannot be reached"),
         (lambda: Rig(address, timeout_s=0), ArgumentError, "timeout_s is 0"),
         (lambda: Rig(address, timeout_s="5"), ArgumentError, "timeout_s is '5'"),  # type: ignore[arg-type]
-        (lambda: Rig(address, key=7), ArgumentError, "key is a int"),  # type: ignore[arg-type]
+        (lambda: Rig(address, key=7), ArgumentError, "key is of type int"),  # type: ignore[arg-type]
         (lambda: Rig(address, key="a.key"), ArgumentError, "server_key is None"),
         (lambda: Rig(address, server_key="server.pub"), ArgumentError, "without key"),
         (lambda: Rig(address, key=tmp_path / "a.key", server_key=tmp_path / "b"), KeyFileError, "a.key:1"),
