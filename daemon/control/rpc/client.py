@@ -29,7 +29,7 @@ class ControlClient:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._hint = "start one with `fringed run rig.yaml` or `fringed demo`, or name its address by --endpoint"
         if endpoint.startswith("tcp://"):
-            self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
+            self._hint += "; a daemon on another machine needs keys, see docs/how-to/remote.md"
         if keys is not None and not endpoint.startswith("ipc://"):  # ipc stays on this machine and needs no keys
             self._keys = keys
             self._hint = "is it running, does it allow this key, and is that its server key?"
