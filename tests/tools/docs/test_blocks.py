@@ -1,7 +1,8 @@
 """Every block of the documentation is run, or parsed by the program's own parser, or has a stated reason.
 
 Blocks marked ``run`` and all Python blocks of a page are run in their order, in one directory, beside a daemon of a
-small simulated rig. All other shell lines are checked by the parser of the commands, the Makefile and the list of programs.
+small simulated rig. All other shell lines are checked by the parser of the commands, the Makefile and the list of
+programs.
 """
 
 from __future__ import annotations
@@ -32,13 +33,15 @@ from tools.waiting import wait_until
 BLOCKS = [block for page in pages() for block in blocks(page)]
 RUN = "<!-- run -->"
 RIG = """cameras: {{driver: sim}}
-simulation: {{scene: spheres, frames: 2, rate_hz: 10.0, layout: {{scale: 0.125}}}}
+simulation: {{scene: spheres, frames: 2, rate_hz: 4.0, layout: {{scale: 0.125}}}}
 stream: {{endpoints: ["ipc://{folder}/stream"]}}
 recording: {{dir: takes, min_free_mb: 10}}
 """
 STREAM = "tcp://127.0.0.1:5555"
 RIG_KEYS = {"cameras", "projector", "simulation", "pipeline", "stream", "control", "recording", "health", "selfcheck",
             "security", "mode", "sequence", "calibration", "pairing"}  # fmt: skip
+HEALTH = {0, 1, 4}
+"""Exit statuses of ``fringed health`` with a daemon: its verdict on a busy machine is not the subject here."""
 OTHER_YAML = {
     "jobqueue": "dask-jobqueue", "apiVersion": "Kubernetes", "drift_ppm": "the emulated box",
 }  # fmt: skip
@@ -147,7 +150,8 @@ def run(arguments: list[str], live: Path, block: Block) -> None:
     """Run a command in this process; a listener gets the daemon's address in place of the usual one."""
     if arguments[0] in ("listen", "view"):
         arguments = [arguments[0], f"ipc://{live}/stream", *arguments[1:]]
-    assert entry.run(arguments) == 0, f"{block.name}: fringed {' '.join(arguments)}"
+    accepted = HEALTH if arguments[0] == "health" else {0}
+    assert entry.run(arguments) in accepted, f"{block.name}: fringed {' '.join(arguments)}"
 
 
 def execute(block: Block, live: Path) -> None:
