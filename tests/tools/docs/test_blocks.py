@@ -116,11 +116,13 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     environment.pop("RUNTIME_DIRECTORY", None)
     command = [sys.executable, "-c", "from daemon.cli.entry import main; main()", "run", "rig.yaml"]
     process = subprocess.Popen(command, cwd=folder, env=environment, stderr=subprocess.DEVNULL)
-    with ControlClient(f"ipc://{folder}/fringed/control", timeout_s=1.0) as client:
-        wait_until(lambda: process.poll() is not None or state(client) == "running", 100)
+    try:
+        with ControlClient(f"ipc://{folder}/fringed/control", timeout_s=1.0) as client:
+            wait_until(lambda: process.poll() is not None or state(client) == "running", 100)
         yield folder
-    process.terminate()
-    process.wait(30)
+    finally:
+        process.terminate()
+        process.wait(30)
 
 
 def state(client: ControlClient) -> Any:
