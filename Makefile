@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --con
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load campaign bench-service clean
+.PHONY: help env demo test test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load campaign bench-service docs docs-figures clean
 .DEFAULT_GOAL := help
 
 help:
@@ -25,7 +25,7 @@ $(RIG): pyproject.toml distributions/rig/pyproject.toml constraints.txt tools/sy
 	@touch $@
 
 $(DEV): $(RIG)
-	$(PIP) '.[dev]' --editable './distributions/rig[view,cluster]'
+	$(PIP) '.[dev,docs]' --editable './distributions/rig[view,cluster]'
 	@touch $@
 
 demo: $(RIG)  ## measure a moving object on the simulated rig, live; prints the viewer's address
@@ -90,12 +90,18 @@ bench-service: $(DEV)  ## recovery times of the service under a real systemd, in
 golden: $(RIG)  ## regenerate the golden take of tests/golden (only when its contents must change)
 	$(BIN)/python -m tests.golden.make
 
-protocol: $(RIG)  ## regenerate docs/protocol.md and the JSON Schemas of the protocol from the code
+protocol: $(RIG)  ## regenerate docs/reference/protocol.md and the JSON Schemas of the protocol from the code
 	$(BIN)/python -m tools.protocol_reference
 
-screenshot: $(DEV)  ## the image of README.md, from a running `make demo`
+docs: $(DEV)  ## the documentation site in out/site; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+
+docs-figures: $(DEV)  ## the figures of the documentation and the image of README.md, from simulated measurements
+	$(BIN)/python -m tools.docs.figures
+
+screenshot: $(DEV)  ## an image of the viewer, from a running `make demo`
 	tools/system-packages browser
-	$(BIN)/fringed view --screenshot docs/images/demo.png
+	$(BIN)/fringed view --screenshot out/demo.png
 
 rig-in-a-box: $(RIG)  ## the real drivers on emulated hardware: projector window, light, cameras, daemon; Ctrl-C ends it
 	tools/system-packages x11 compiler

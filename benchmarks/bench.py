@@ -25,7 +25,7 @@ from benchmarks.reconstruction.cases import CASES, HARD
 from benchmarks.reconstruction.rendered import OUT
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENT = ROOT / "docs" / "performance.md"
+DOCUMENT = ROOT / "docs" / "explanation" / "performance.md"
 IMAGES = ROOT / "docs" / "images"
 QUICK_CASES = 3
 
@@ -122,7 +122,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--case", default="", help="of the accuracy cases those whose name contains this")
     parser.add_argument("--seeds", type=int, default=1, help="noise and texture seeds to average over")
     parser.add_argument("--repeats", type=int, help="pairs to time (15, with --quick 5)")
-    parser.add_argument("--markdown", action="store_true", help="write docs/performance.md and its figures")
+    parser.add_argument("--markdown", action="store_true", help=f"write {DOCUMENT.name} and its figures")
     options = parser.parse_args(given)
     options.repeats = options.repeats or (5 if options.quick else 15)
     if options.no_peers:

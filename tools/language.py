@@ -74,7 +74,7 @@ IDENTIFIERS = {
     "looks_hz": "key of rig.yaml",
     "break_long_words": "parameter of textwrap",
 }
-QUOTING = {"tools/language.py", "tests/tools/test_language.py", "docs/protocol.md"}
+QUOTING = {"tools/language.py", "tests/tools/test_language.py", "docs/reference/protocol.md"}
 """Files that quote the retired words."""
 
 _KEPT = re.compile("|".join(EXPRESSIONS), re.IGNORECASE)

@@ -1,4 +1,4 @@
-"""Write docs/protocol.md and the protocol's JSON Schemas from its tables: ``make protocol``; a test compares them.
+"""Write the protocol page of the reference and the protocol's JSON Schemas from its tables: ``make protocol``.
 
 Examples are recorded messages of the conformance kit.
 """
@@ -20,7 +20,7 @@ from fringed.protocol import methods, schemas, status, topics
 from fringed.protocol.limits import ERRORS, LIMITS
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "protocol.md"
+PAGE = ROOT / "docs" / "reference" / "protocol.md"
 SCHEMAS = ROOT / "fringed" / "protocol" / "schema"
 PROSE = ROOT / "tools" / "protocol_prose.md"
 _TEXT, _ROWS, _WIDTH = 60, 6, 118
@@ -33,7 +33,7 @@ def files() -> dict[Path, str]:
 
 
 def page() -> str:
-    """Return docs/protocol.md: the written sections, with the generated tables in their places."""
+    """Return docs/reference/protocol.md: the written sections, with the generated tables in their places."""
     text = PROSE.read_text(encoding="utf-8")
     for name, lines in (
         ("header", keys(wire.Header)), ("cloud", keys(wire.CloudHeader, but=wire.Header)), ("part", keys(wire.Part)),

@@ -161,7 +161,7 @@ def load(name: str, signatures: dict[str, tuple[Any, tuple[Any, ...]]]) -> ctype
         library = ctypes.CDLL(name)
     except OSError as error:
         raise DriverError(
-            f"the X library {name} is missing ({error}); see docs/projector.md for the packages"
+            f"the X library {name} is missing ({error}); see docs/how-to/projector.md for the packages"
         ) from None
     for function, (result, arguments) in signatures.items():
         entry = getattr(library, function)

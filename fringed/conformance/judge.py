@@ -15,7 +15,7 @@ def problems(results: Iterable[str], expected: dict[str, Any]) -> list[str]:
     """Return what is missing or wrong in a client's results, empty for a conforming client.
 
     Args:
-        results: lines of JSON, in any order, see docs/protocol.md; the same message may come several times.
+        results: lines of JSON, in any order, see docs/reference/protocol.md; the same message may come several times.
     """
     found: list[str] = []
     rows: list[dict[str, Any]] = []

@@ -36,7 +36,7 @@ class ControlClient:
         self._lock = threading.Lock()
         self._hint = "start one with `fringed run rig.yaml` or `fringed demo`, or name its address (--endpoint)"
         if endpoint.startswith("tcp://"):
-            self._hint += "; a daemon on another machine needs keys, see docs/remote.md"
+            self._hint += "; a daemon on another machine needs keys, see docs/how-to/remote.md"
         if checked_keys(keys) is not None and not endpoint.startswith("ipc://"):  # ipc stays on this machine
             self._keys = keys
             self._hint = "is it running, does it allow this key, and is that its server key?"

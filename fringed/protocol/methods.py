@@ -76,7 +76,9 @@ class EventsOf(Parameters, frozen=True, kw_only=True):
 class HistoryOf(Parameters, frozen=True, kw_only=True):
     """Of ``health.history``."""
 
-    quantities: Annotated[list[str], Meta(min_length=1, max_length=8, description="names, see docs/health.md")]
+    quantities: Annotated[
+        list[str], Meta(min_length=1, max_length=8, description="names, see docs/reference/health.md")
+    ]
     seconds: Annotated[float, Meta(ge=10, le=259200, description="how far back")] = 3600
     points: Annotated[float, Meta(ge=2, le=600, description="number of intervals at most")] = 300
 

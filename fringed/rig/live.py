@@ -18,7 +18,7 @@ from fringed.rig.preview import PreviewStream
 from fringed.rig.source import TIMEOUT_S, Source
 
 CONTROL_PORT = 5558
-"""Of the examples in docs/security.md, for an address without a port."""
+"""Of the examples in docs/how-to/security.md, for an address without a port."""
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _EVERY_HOST = ("0.0.0.0", "::", "*")  # noqa: S104 - compared, not bound

@@ -81,7 +81,8 @@ def test_the_document_has_a_block_for_every_table(tmp_path: Path) -> None:
     written = copy.read_text()
     assert [name for name in names if f"### Title of {name}\n" not in written] == []
     assert sorted(re.findall(r"<!-- measured: ([a-z ]+) \(", written)) == sorted(names)
-    for image in re.findall(r"\(images/(.+?)\)", written):
+    assert "(../images/" in written
+    for image in re.findall(r"\(\.\./images/(.+?)\)", written):
         assert re.fullmatch(r"bench-(stages|peers|pixels|periods|depth)\.svg", image)
 
 

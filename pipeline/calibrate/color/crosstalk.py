@@ -152,7 +152,8 @@ def black_level(
         return from_marks, "marks"
     if known is not None:
         return np.asarray(known, np.float64), "known"
-    # The darkest part is at least as bright as the black, which suffices for the phase, see docs/calibration-file.md.
+    # The darkest part is at least as bright as the black, which suffices for the phase, see
+    # docs/reference/calibration-file.md.
     index = roles.black[0]
     rows, columns = (n // 8 * 8 for n in black.shape[:2])
     small = images.planes(index)[:rows, :columns].reshape(rows // 8, 8, columns // 8, 8, 3).mean(axis=(1, 3))

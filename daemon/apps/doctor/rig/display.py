@@ -37,7 +37,8 @@ def check(subject: Subject) -> Iterator[Finding]:
         name = named_display(options.display if options is not None else "")
     except DriverError as error:
         remedy = (
-            "start an X server and set DISPLAY (or projector.options.display) to it, such as :0; see docs/projector.md"
+            "start an X server and set DISPLAY (or projector.options.display) to it, such as :0; "
+            "see docs/how-to/projector.md"
         )
         if certain:
             yield area.problem("server", str(error), remedy)

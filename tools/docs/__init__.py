@@ -1,0 +1,1 @@
+"""The documentation site: generated reference, figures, and the blocks of its pages for the tests."""
