@@ -87,7 +87,8 @@ def pack(cached: Path, folder: Path, level: str) -> Path:
 def unpack(description: Path, folder: Path) -> int:
     """Make ``folder`` from an archive, as a whole or not at all; returns the number of files.
 
-    A folder that another process made meanwhile is kept.
+    A folder with a mark, which another process made meanwhile, is kept. One without is replaced: numba makes empty
+    folders as soon as a module with kernels is imported.
 
     Raises:
         ArchiveError: the archive is damaged or made for another installation; OSError: the folder cannot be written.
@@ -97,19 +98,22 @@ def unpack(description: Path, folder: Path) -> int:
     if reason:
         raise ArchiveError(reason)
     files = _contents(description.with_suffix(".tar.xz"), made.sha256)
-    fresh = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp")
+    fresh, old = (folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp") for _ in range(2))
     try:
         for name, data in files.items():
             path = fresh / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
+        if folder.is_dir() and not (folder / cache.MARK).exists():
+            folder.rename(old)
         try:
             fresh.rename(folder)
         except OSError:
             if not folder.is_dir():
                 raise
     finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+        for path in (fresh, old):
+            shutil.rmtree(path, ignore_errors=True)
     return len(files)
 
 

@@ -55,7 +55,9 @@ def unpack() -> None:
     from daemon.kernels import cache
 
     description = _suitable()
-    if description is None or cache.folder().name != _folder_name(description) or cache.folder().exists():
+    if description is None or cache.folder().name != _folder_name(description):
+        return
+    if (cache.folder() / cache.MARK).exists():
         return
     from daemon.kernels.archive import ArchiveError, unpack
 

@@ -81,7 +81,14 @@ def test_files_that_are_no_kernels_are_refused(packed: Path, tmp_path: Path, mon
 def test_what_another_process_unpacked_meanwhile_is_kept(packed: Path, tmp_path: Path) -> None:
     here = tmp_path / "here"
     here.mkdir()
-    (here / "of the other").write_text("")
+    (here / cache.MARK).write_text("of the other")
     unpack(packed, here)
-    assert [path.name for path in here.iterdir()] == ["of the other"]
+    assert (here / cache.MARK).read_text() == "of the other"
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_folders_that_numba_made_at_the_import_are_replaced(packed: Path, tmp_path: Path) -> None:
+    (tmp_path / "here/match_1234").mkdir(parents=True)
+    unpack(packed, tmp_path / "here")
+    assert not (tmp_path / "here/match_1234").exists() and (tmp_path / "here" / cache.MARK).is_file()
     assert not list(tmp_path.glob(".*"))

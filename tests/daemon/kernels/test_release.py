@@ -142,6 +142,7 @@ import sys
 from daemon.kernels.release import select
 select()
 from numba.core import event
+import pipeline.reconstruct.reconstructor  # as a replay has it; numba makes its folders
 from daemon.kernels.jobs import run_job
 from daemon.kernels.processes import compile_kernels
 jobs = sys.argv[1:]

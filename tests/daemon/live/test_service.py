@@ -182,7 +182,7 @@ def test_held_cameras_take_no_trigger_before_the_kernels_are_ready(
 
     monkeypatch.setattr(frame_path, "compile_kernels", compile_later)
     made, sink = devices(), Collector()
-    service = Service(config(tmp_path), rig_of(made), {"stream": sink}, hold_cameras=True)
+    service = Service(config(tmp_path, "pipeline: {queue: 16}\n"), rig_of(made), {"stream": sink}, hold_cameras=True)
     thread = threading.Thread(target=service.run)
     thread.start()
     assert compiling.wait(30)
@@ -191,10 +191,11 @@ def test_held_cameras_take_no_trigger_before_the_kernels_are_ready(
     assert {camera.status.state for camera in service.cameras.values()} == {"paused"}
     go.set()
     wait_until(lambda: all(camera.status.state == "acquiring" for camera in service.cameras.values()), 30)
-    step(made)
-    wait_until(lambda: len(sink.clouds) == 1)
+    for _ in range(4):
+        step(made)
+    wait_until(lambda: len(sink.clouds) == 4)
     status = service.status()
-    assert status.pairs == 1 and status.drops == status.drops_starting == {}
+    assert status.pairs == 4 and status.drops == status.drops_starting == {}
     service.request_stop()
     thread.join(20)
     assert not thread.is_alive()

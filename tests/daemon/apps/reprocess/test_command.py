@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -40,12 +39,12 @@ def test_without_workers_all_is_done_in_this_process(
     assert "5 of 5 pairs of 1 recordings done, 0 of them before" in capsys.readouterr().out
 
 
-def test_an_unreachable_scheduler_is_reported_at_once(
-    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_unreachable_scheduler_is_reported_without_dasks_twenty_seconds(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    start_s = time.monotonic()
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "Client", None)  # it repeats what was refused
     assert reprocess(take, "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9") == 1
-    assert time.monotonic() - start_s < 15  # with the imports, on a busy machine; Dask alone takes 20 s
     assert "--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there: " in capsys.readouterr().err
 
 
