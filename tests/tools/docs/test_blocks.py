@@ -25,7 +25,7 @@ import yaml
 from daemon.cli import entry
 from daemon.common.errors import ConfigError
 from daemon.config.load import parse_rig
-from daemon.control.rpc.client import ControlClient
+from fringed.control.client import ControlClient
 from tools.docs import command_lines
 from tools.docs.pages import ROOT, Block, blocks, pages
 from tools.waiting import wait_until
