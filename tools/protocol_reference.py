@@ -53,14 +53,14 @@ def topic_sections() -> Iterator[str]:
     """Yield a section for each topic."""
     recorded: dict[str, bytes] = {}
     for frames in messages("valid"):
-        recorded.setdefault(frames[0].decode(), frames[1])
+        recorded.setdefault(topics.topic_of(frames[0].decode()).name, frames[1])
     for topic in topics.TOPICS:
         kept = " Retained: each new subscriber gets it at once." if topic.retained else ""
         yield f"### {topic.name}\n\n{topic.text} Sent {topic.when}; kind `{topic.kind}`.{kept}\n"
         if topic.parts:
             yield "| part | dtype | shape | codec | contents |\n| --- | --- | --- | --- | --- |"
             for part in topic.parts:
-                media = f" ({part.media})" if part.media else ""
+                media = f" ({part.media})" if part.media else "" if part.required else "; optional"
                 dtype = part.dtype.replace("|", "\\|")
                 yield f"| `{part.name}` | `{dtype}` | {part.shape} | {part.codec} | {part.text}{media} |"
             yield ""
@@ -139,7 +139,7 @@ MEANINGS = {
     "calibration": "sha256: and the digest of the calibration file",
     "parts": "one row for each part, in their order",
     "data": "body of messages without parts",
-    "frame": "coordinate frame: left",
+    "frame": "coordinate frame of the points: left (camera), or the name of outputs.frame",
     "unit": "mm",
     "width": "of the grid, pixels",
     "height": "of the grid, pixels",

@@ -122,5 +122,3 @@ METHODS = (
     Method("calibrate.cancel", "end a capture", answers.Capture),
     Method("calibrate.next_pose", "move the board of a simulated rig", answers.Pose, background=True),
 )
-
-BY_NAME = {method.name: method for method in METHODS}

@@ -116,7 +116,7 @@ def strict(schema: Any) -> Any:
 
 def _key(topic: str) -> str:
     """The name of a topic's definition: a slash would be a separator in a reference."""
-    return topic.replace("/", ".")
+    return "cloud.parts" if topic.startswith("cloud/parts/") else topic.replace("/", ".")
 
 
 def _header(topic: Topic, definitions: Schema) -> Schema:
@@ -153,6 +153,9 @@ def _parts(topic: Topic, definitions: Schema) -> Schema:
         keys = [*wanted, "shape", *(("scale", "offset") if part.codec == "blosc2" else ())]
         if part.required:
             conditions.append({"contains": {"properties": wanted, "required": keys}})
+        else:
+            named = {"properties": {"name": wanted["name"]}}
+            conditions.append({"items": {"if": named, "then": {"properties": wanted}}})
     return {"type": "array", "items": row} | ({"allOf": conditions} if conditions else {"maxItems": 0})
 
 

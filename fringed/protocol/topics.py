@@ -78,13 +78,33 @@ def _file(name: str, media: str, text: str) -> Part:
     return Part(name, "|u1", "bytes", text, media=media)
 
 
+_OPTIONAL = (
+    Part("rgb", "|u1", "height, width, 3", "colour without fringes, linear", required=False),
+    Part("normals", "<f4", "height, width, 3", "unit vectors towards the camera; NaN where unknown", required=False),
+    Part("interpolated", "|u1", "height, width", "1: filled in, not measured", required=False),
+)
+"""Parts that ``outputs.parts`` or a filter adds to every cloud."""
+
 TOPICS = (
     Topic(
         "cloud/full", "cloud", "each cloud", "Points, texture and standard deviation.", CloudHeader,
         (
-            Part("xyz", "<f4", "height, width, 3", "points, mm, left camera's frame; NaN where there is none"),
+            Part("xyz", "<f4", "height, width, 3", "points, mm, in the header's frame; NaN where there is none"),
             Part("gray", "|u1", "height, width", "texture"),
             Part("sigma", "<f4", "height, width", "standard deviation along the viewing ray, mm; NaN likewise"),
+            *_OPTIONAL,
+        ),
+        stats=CloudStats,
+    ),
+    Topic(
+        "cloud/parts/NAMES/", "cloud", "each cloud", "The parts that the topic names, with commas, in the order of the "
+        "table, xyz among them: cloud/parts/xyz,rgb/. The daemon computes rgb and normals for those who ask.",
+        CloudHeader,
+        (
+            Part("xyz", "<f4", "height, width, 3", "as in cloud/full"),
+            Part("gray", "|u1", "height, width", "as in cloud/full", required=False),
+            Part("sigma", "<f4", "height, width", "as in cloud/full", required=False),
+            *_OPTIONAL,
         ),
         stats=CloudStats,
     ),
@@ -125,4 +145,10 @@ TOPICS = (
     ),
 )  # fmt: skip
 
-BY_NAME = {topic.name: topic for topic in TOPICS}
+_BY_PARTS = "cloud/parts/"
+
+
+def topic_of(name: str) -> Topic:
+    """Return the row of a topic, that of ``cloud/parts/NAMES/`` for every choice of parts; KeyError for another one."""
+    rows = {topic.name: topic for topic in TOPICS}
+    return rows["cloud/parts/NAMES/"] if name.startswith(_BY_PARTS) else rows[name]

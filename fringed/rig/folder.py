@@ -17,11 +17,14 @@ import numpy as np
 from fringed.client import ReceivedCloud
 from fringed.cloud_store import StoredClouds, open_clouds
 from fringed.errors import NotLiveError, RecordingError
+from fringed.parts import PARTS
 from fringed.rig.preview import Preview
+from fringed.rig.recorded import FILE_NAMES
 from fringed.wire import CloudHeader
 
 SUFFIX = ".npz"
 _NUMBER = re.compile(r"_(\d{6,})$")
+_NAMES = {FILE_NAMES.get(name, name) for name in PARTS}
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile)
 
 
@@ -39,8 +42,17 @@ class CloudFiles:
         )
         self.mode = str(summary.get("mode", "single"))
 
-    def clouds(self) -> Iterator[ReceivedCloud]:
-        """Yield the clouds in the order of their numbers."""
+    def clouds(self, parts: tuple[str, ...] | None) -> Iterator[ReceivedCloud]:
+        """Yield the clouds in their order, with these parts, or with points only.
+
+        Raises:
+            RecordingError: a file that cannot be read, or that has none of a part that is named.
+        """
+        for seq, where, arrays in self._stored():
+            yield self._cloud(seq, where, arrays, parts)
+
+    def _stored(self) -> Iterator[tuple[int, str, dict[str, Any]]]:
+        """Yield number, place and arrays of each cloud."""
         raise NotImplementedError
 
     def previews(self) -> Iterator[Preview]:
@@ -58,17 +70,24 @@ class CloudFiles:
     def close(self) -> None:
         """Close nothing: each file is closed after its cloud is read."""
 
-    def _cloud(self, seq: int, arrays: dict[str, Any]) -> ReceivedCloud:
-        xyz, gray, sigma = (arrays.get(name) for name in ("xyz", "gray", "sigma_mm"))
+    def _cloud(self, seq: int, where: str, arrays: dict[str, Any], parts: tuple[str, ...] | None) -> ReceivedCloud:
+        xyz = arrays.get("xyz")
         if xyz is None or xyz.ndim != 3 or xyz.shape[2] != 3:
-            raise RecordingError(f"{self.place}: the cloud {seq} has no array xyz of shape (H, W, 3)")
+            raise RecordingError(f"{where}: there is no array xyz of shape (H, W, 3)")
         height, width = xyz.shape[:2]
         valid = float(np.isfinite(xyz[..., 2]).mean())
         header = CloudHeader(
             kind="cloud", seq=max(seq, 0), session=self.session, device=self.device, calibration=self.calibration,
             width=width, height=height, stats={"valid": round(valid, 4)},
         )  # fmt: skip
-        return ReceivedCloud(header, xyz, gray, sigma)
+        found = {name: arrays.get(FILE_NAMES.get(name, name)) for name in parts or ("xyz",)}
+        if "interpolated" in found and found["interpolated"] is None:
+            found["interpolated"] = np.zeros((height, width), np.bool_)
+        missing = [name for name in found if found[name] is None]
+        if missing:
+            raise RecordingError(f"{where} has no {missing[0]}; name parts that it has, or open the take")
+        values: dict[str, Any] = dict.fromkeys(PARTS) | found
+        return ReceivedCloud(header, **values)
 
 
 class NpzClouds(CloudFiles):
@@ -84,15 +103,14 @@ class NpzClouds(CloudFiles):
         files = path.glob(f"*{SUFFIX}") if path.is_dir() else [path]
         self._files = sorted((_number(file), file) for file in files if not file.name.startswith("."))
 
-    def clouds(self) -> Iterator[ReceivedCloud]:
-        """Yield the clouds in the order of their numbers."""
+    def _stored(self) -> Iterator[tuple[int, str, dict[str, Any]]]:
         for seq, file in self._files:
             try:
                 with np.load(file, allow_pickle=False) as archive:
-                    arrays = {name: archive[name] for name in ("xyz", "gray", "sigma_mm") if name in archive.files}
+                    arrays = {name: archive[name] for name in archive.files if name in _NAMES}
             except _UNREADABLE as error:
                 raise RecordingError(f"{file}: not a cloud of this program: {error}") from error
-            yield self._cloud(seq, arrays)
+            yield seq, str(file), arrays
 
 
 class ZarrClouds(CloudFiles):
@@ -102,10 +120,10 @@ class ZarrClouds(CloudFiles):
         super().__init__(place, {})
         self._store: StoredClouds = open_clouds(place)
 
-    def clouds(self) -> Iterator[ReceivedCloud]:
-        """Yield the clouds in the order of the recording."""
+    def _stored(self) -> Iterator[tuple[int, str, dict[str, Any]]]:
         for cloud in self._store:
-            yield self._cloud(cloud.sequence, {"xyz": cloud.xyz, "gray": cloud.gray, "sigma_mm": cloud.sigma_mm})
+            arrays = {"xyz": cloud.xyz, "gray": cloud.gray, "sigma_mm": cloud.sigma_mm}
+            yield cloud.sequence, f"{self.place}, pair {cloud.sequence}", arrays
 
 
 def _number(file: Path) -> int:

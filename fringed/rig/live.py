@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from fringed.control.client import ControlClient
 from fringed.control.connection import handshake_problem
 from fringed.errors import NoDaemonError
 from fringed.keys import Keys, loaded_keys
+from fringed.parts import topic_of
 from fringed.rig.preview import PreviewStream
 from fringed.rig.source import TIMEOUT_S, Source
 
@@ -72,9 +74,15 @@ class Rig(Source):
         return f"fringed.Rig({self.address!r}, stream={self.stream!r})"
 
     def clouds(
-        self, *, topic: str = "cloud/full", latest: bool = True, timeout_s: float | None = TIMEOUT_S
+        self,
+        *,
+        topic: str = "cloud/full",
+        parts: Iterable[str] | None = None,
+        latest: bool = True,
+        timeout_s: float | None = TIMEOUT_S,
     ) -> CloudStream:
         """Subscribe to the clouds, see :meth:`Source.clouds`."""
+        topic = topic if parts is None else topic_of(parts)
         return CloudStream(self.stream, topic, latest=latest, timeout_s=timeout_s, keys=self._keys)
 
     def previews(self, *, timeout_s: float | None = TIMEOUT_S) -> PreviewStream:

@@ -89,5 +89,5 @@ def _take_reader(text: str) -> Reader:
 def _not_installed(text: str, why: str) -> RecordingError:
     return RecordingError(
         f"{text}: a take holds camera images, and reconstructing them needs the packages of a rig PC ({why}): "
-        "pip install 'fringed[rig]'. Clouds of `fringed replay TAKE --out FOLDER` open without them"
+        "pip install fringed-rig. Clouds of `fringed replay TAKE --out FOLDER` open without them"
     )

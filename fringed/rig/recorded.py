@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -15,11 +14,14 @@ import numpy as np
 from fringed.client import TOPICS, ReceivedCloud
 from fringed.control.arguments import checked_timeout_or_none
 from fringed.errors import ArgumentError, FringedError, NotLiveError
+from fringed.parts import BASIC, PARTS, parse_parts
 from fringed.protocol.status import CalibrationCheck, DriftSummary, HealthSummary, Mode, Recorder, Status
 from fringed.rig.preview import Preview
 from fringed.rig.source import TIMEOUT_S, Source
 
 T = TypeVar("T")
+FILE_NAMES = {"sigma": "sigma_mm"}
+"""Names of parts in files, where they differ from those in messages."""
 
 
 class Reader(Protocol):
@@ -35,8 +37,12 @@ class Reader(Protocol):
     calibration: str
     mode: str
 
-    def clouds(self) -> Iterator[ReceivedCloud]:
-        """Yield the clouds from the first on, in their order."""
+    def clouds(self, parts: tuple[str, ...] | None) -> Iterator[ReceivedCloud]:
+        """Yield the clouds from the first on, in their order.
+
+        Args:
+            parts: that each shall have; None: points only, on the camera's grid, as on ``cloud/depth``.
+        """
 
     def previews(self) -> Iterator[Preview]:
         """Yield the images from the first on; NotLiveError if the recording has none."""
@@ -141,19 +147,24 @@ class Recording(Source):
         return f"fringed.open({self.address!r})"
 
     def clouds(
-        self, *, topic: str = "cloud/full", latest: bool = True, timeout_s: float | None = TIMEOUT_S
+        self,
+        *,
+        topic: str = "cloud/full",
+        parts: Iterable[str] | None = None,
+        latest: bool = True,
+        timeout_s: float | None = TIMEOUT_S,
     ) -> RecordedItems[ReceivedCloud]:
         """Return every cloud of the recording; ``latest`` and ``timeout_s`` have no effect."""
         if topic not in TOPICS:
-            raise ArgumentError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}")
+            raise ArgumentError(f"topic {topic!r} carries no clouds; choose {' or '.join(TOPICS)}, or name parts")
         checked_timeout_or_none(timeout_s)
         del latest
-        depth = topic == "cloud/depth"
+        wanted = parse_parts(parts) if parts is not None else BASIC if topic == TOPICS[0] else None
 
         def items() -> Iterator[ReceivedCloud]:
-            for cloud in self._reader.clouds():
+            for cloud in self._reader.clouds(wanted):
                 self._last, self._clouds = cloud, self._clouds + 1
-                yield replace(cloud, gray=None, sigma=None) if depth else cloud
+                yield cloud
 
         return RecordedItems(items, repeat=self._repeat)
 
@@ -239,11 +250,13 @@ class Recording(Source):
         if cloud is None:
             raise FringedError(f"{self.address}: there is no cloud yet; read one with clouds() first")
         path = Path.cwd() / f"{name}_{cloud.header.seq:06d}.npz"
-        np.savez(path, xyz=cloud.xyz, **_textures(cloud))
+        np.savez(path, **_arrays(cloud))
         return {
             "file": str(path), "seq": cloud.header.seq, "t_ns": cloud.header.t_ns, "points": int(cloud.valid.sum()),
         }  # fmt: skip
 
 
-def _textures(cloud: ReceivedCloud) -> dict[str, Any]:
-    return {name: array for name, array in (("sigma_mm", cloud.sigma), ("gray", cloud.gray)) if array is not None}
+def _arrays(cloud: ReceivedCloud) -> dict[str, Any]:
+    """The arrays of a snapshot by their names there."""
+    arrays = {FILE_NAMES.get(name, name): getattr(cloud, name) for name in PARTS}
+    return {name: array for name, array in arrays.items() if array is not None}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
 from typing import Any, Protocol, Self, TypeVar
 
 import msgspec
@@ -65,11 +65,19 @@ class Source(ABC):
     """Of the daemon's control, or the place of the recording."""
 
     @abstractmethod
-    def clouds(self, *, topic: str = "cloud/full", latest: bool = True, timeout_s: float | None = TIMEOUT_S) -> Clouds:
+    def clouds(
+        self,
+        *,
+        topic: str = "cloud/full",
+        parts: Iterable[str] | None = None,
+        latest: bool = True,
+        timeout_s: float | None = TIMEOUT_S,
+    ) -> Clouds:
         """Return the clouds, for ``for``, ``async for`` and ``with``.
 
         Args:
             topic: ``cloud/full``, or ``cloud/depth`` for slow networks: points only.
+            parts: instead of a topic: ``xyz`` and any of ``gray``, ``sigma``, ``rgb``, ``normals``, ``interpolated``.
             latest: skip clouds that are older than the newest one; False: every cloud, within the limits of the
                 queues. A recording gives every cloud.
             timeout_s: longest wait for a cloud before SilenceError; another call continues to wait. None = no limit.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -29,6 +30,9 @@ def measuring(folder: Path, rig: str = RIG) -> Iterator[str]:
     path.write_text(rig.format(tmp=folder))
     control, flag = f"ipc://{folder}/c", run.StopFlag()
     thread = threading.Thread(target=run.run_rig, args=(path,), kwargs={"flag": flag})
+    logger = logging.getLogger("fringed")
+    level = logger.level
+    logger.setLevel(logging.INFO)  # as `fringed run` does
     thread.start()
     try:
         with ControlClient(control, timeout_s=30.0) as client:
@@ -42,6 +46,7 @@ def measuring(folder: Path, rig: str = RIG) -> Iterator[str]:
             wait_until(measures, 90, "clouds of the simulated rig")
         yield control
     finally:
+        logger.setLevel(level)
         flag.request()
         thread.join(60)
         assert not thread.is_alive()

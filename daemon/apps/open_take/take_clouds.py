@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from drivers.protocols import Frame
 from fringed import wire
 from fringed.client import ReceivedCloud, full_cloud
 from fringed.errors import RecordingError
+from fringed.parts import BASIC, topic_of
 from fringed.rig.preview import Preview, preview_of
 from pipeline.common.errors import PipelineError
 
@@ -50,14 +52,16 @@ class TakeClouds:
         self._frames = 1 if sequence is None else len(sequence)
         self._origin = Origin(self.device, self.session, self.calibration)
 
-    def clouds(self) -> Iterator[ReceivedCloud]:
-        """Yield the cloud of every pair, or of every complete set.
+    def clouds(self, parts: tuple[str, ...] | None) -> Iterator[ReceivedCloud]:
+        """Yield the cloud of every pair, or of every complete set, with these parts, or with points only.
 
         Raises:
             RecordingError: the files of the take do not match, or no pair gives a cloud.
         """
+        names = BASIC if parts is None else parts
+        self._replay.parts = names
         for item in self._items():
-            yield full_cloud(wire.decode(messages.full(self._origin, item)))
+            yield self._points(item) if parts is None else self._cloud(item, names)
 
     def previews(self) -> Iterator[Preview]:
         """Yield the images of every cloud."""
@@ -86,6 +90,19 @@ class TakeClouds:
     def close(self) -> None:
         """Close the files."""
         self._take.close()
+
+    def _cloud(self, item: CloudItem, parts: tuple[str, ...]) -> ReceivedCloud:
+        if parts == BASIC:
+            return full_cloud(wire.decode(messages.full(self._origin, item)))
+        frames = messages.parts(self._origin, item, topic_of(parts), parts)
+        if frames is None:
+            raise RecordingError(f"{self.place}: pair {item.seq} does not give the parts {', '.join(parts)}")
+        return full_cloud(wire.decode(frames), parts)
+
+    def _points(self, item: CloudItem) -> ReceivedCloud:
+        """The points on the camera's grid, as on ``cloud/depth``."""
+        on_grid = replace(item, cloud=item.cloud.grid or item.cloud)
+        return replace(self._cloud(on_grid, BASIC), gray=None, sigma=None, interpolated=None)
 
     def _items(self) -> Iterator[CloudItem]:
         count = 0

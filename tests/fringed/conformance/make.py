@@ -22,9 +22,12 @@ import fringed.conformance
 from fringed import wire
 from fringed.conformance.recorded import Frames, decoded, pack
 from fringed.errors import WireError
-from fringed.protocol.topics import TOPICS
+from fringed.parts import topic_of as topic_with
+from fringed.protocol.topics import TOPICS, topic_of
+from tests import kernels
 from tests.daemon.whole_daemon import RIG, measuring
 
+BY_PARTS = topic_with(("xyz", "rgb", "normals", "interpolated"))
 STREAMS = Path(fringed.conformance.__file__).parent / "streams"
 CALLS: list[tuple[str, Any]] = [
     ("hello", {}), ("status", {}), ("get", {"path": "pairing"}), ("get", {"path": "pairing.tolerance_us"}),
@@ -45,6 +48,7 @@ def main() -> None:
     folder = Path(tempfile.gettempdir()) / "fringed-conformance"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
+    assert not (problem := kernels.compile_all()), problem
     with measuring(folder, RIG.replace("plane", "spheres")) as control:
         exchanges = record_control(control)
         recorded = record_stream(f"ipc://{folder}/s", control)
@@ -68,12 +72,13 @@ def record_stream(endpoint: str, control: str) -> list[Frames]:
     got: dict[str, list[Frames]] = defaultdict(list)
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.connect(endpoint)
-        socket.subscribe(b"")
+        for prefix in ("", BY_PARTS):
+            socket.subscribe(prefix)
         end_s = time.monotonic() + 60
         while any(len(got[topic]) < count for topic, count in wanted.items()):
             assert time.monotonic() < end_s, dict(wanted)
             frames = socket.recv_multipart()
-            topic = frames[0].decode()
+            topic = topic_of(frames[0].decode()).name
             if topic == "cloud/depth" and not any(number(frames) == number(other) for other in got["cloud/full"]):
                 continue
             if len(got[topic]) < wanted[topic]:

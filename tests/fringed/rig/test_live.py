@@ -44,6 +44,16 @@ def test_clouds_come_newest_first_or_all(rig: Rig) -> None:
     assert cloud.header.device == "rig-t" and cloud.header.calibration == rig.status().calibration
 
 
+def test_parts_are_named_by_the_subscriber(rig: Rig) -> None:
+    with rig.clouds(parts=("xyz", "rgb", "normals"), timeout_s=60) as clouds:
+        cloud = next(clouds)
+    assert cloud.gray is None and cloud.rgb is not None and cloud.normals is not None
+    lengths = np.linalg.norm(cloud.normals[np.isfinite(cloud.normals[..., 0])], axis=-1)
+    np.testing.assert_allclose(lengths, 1, atol=1e-5)
+    with pytest.raises(ArgumentError, match="no part 'color'"):
+        rig.clouds(parts=("xyz", "color"))
+
+
 def test_clouds_and_previews_come_in_an_event_loop(rig: Rig) -> None:
     async def receive() -> tuple[list[int], bytes]:
         async with rig.clouds(latest=False, timeout_s=60) as clouds:
@@ -85,9 +95,9 @@ def test_a_setting_is_read_changed_and_restored(rig: Rig) -> None:
 
 
 def test_a_refusal_has_code_and_path(rig: Rig) -> None:
-    with pytest.raises(RefusedError, match="max_check") as raised:
-        rig.set("pipeline.settings.max_check", "high")
-    assert (raised.value.code, raised.value.path) == (-32602, "pipeline.settings.max_check")
+    with pytest.raises(RefusedError, match="consistency_threshold") as raised:
+        rig.set("pipeline.settings.consistency_threshold", "high")
+    assert (raised.value.code, raised.value.path) == (-32602, "pipeline.settings.consistency_threshold")
     with pytest.raises(RefusedError, match=r"no method 'no\.such'") as raised:
         rig.call("no.such")
     assert raised.value.code == -32601 and raised.value.path is None
