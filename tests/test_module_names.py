@@ -25,7 +25,7 @@ _COMMAND = re.compile(rf"-m ({_NAME})")
 _LITERAL = re.compile(rf"[\"']({_NAME}(?::\w+)?)[\"']")
 _NO_MODULES = (
     re.compile(
-        r"(pipeline\.(settings|overload|calibration_check|temporal_prior|threads|nothing)|sim\.(layout|optics|faults))\b.*"
+        r"(pipeline\.(settings|overload|calibration_check|temporal_prior|temporal|threads|nothing)|sim\.(layout|optics|faults))\b.*"
     ),
     re.compile(r"(fringed|benchmarks)\.\w+(\.left|\.json)?|.*\.log"),
 )
@@ -53,8 +53,9 @@ def test_each_check_and_driver_is_there(target: str) -> None:
 
 
 def test_the_installed_program_is_there() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert all(callable(function(target)) for target in project["scripts"].values())
+    project = tomllib.loads((ROOT / "distributions" / "rig" / "pyproject.toml").read_text())["project"]
+    targets = [*project["scripts"].values(), *project["entry-points"]["fringed.readers"].values()]
+    assert all(callable(function(target)) for target in targets)
 
 
 def test_every_program_that_a_text_starts_by_its_module_is_there() -> None:
