@@ -6,6 +6,7 @@ Examples are recorded messages of the conformance kit.
 from __future__ import annotations
 
 import json
+import re
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ PAGE = ROOT / "docs" / "reference" / "protocol.md"
 SCHEMAS = ROOT / "fringed" / "protocol" / "schema"
 PROSE = ROOT / "tools" / "protocol_prose.md"
 _TEXT, _ROWS, _WIDTH = 60, 6, 118
+_STRING, _SPACE = r'"(?:[^"\\]|\\.)*"', "\x1f"  # a text in JSON is not broken into lines
 
 
 def files() -> dict[Path, str]:
@@ -98,7 +100,7 @@ def method_sections() -> Iterator[str]:
                 yield ""
                 shown.add(kind.__name__)
             elif not shown:
-                yield "Result: see [status](#status-1).\n"
+                yield "Result: see [status keys](#status-keys).\n"
                 break
         found = [row for row in recorded if row["request"]["method"] == method.name]
         for row in found[:1] + [row for row in found[1:] if "error" in row["response"]][:1]:
@@ -176,10 +178,9 @@ def refused_rows() -> Iterator[str]:
 
 def example(value: Any) -> Iterator[str]:
     """Yield a message as a block of JSON, long texts and lists shortened."""
-    lines = textwrap.wrap(
-        json.dumps(shortened(value), ensure_ascii=False), _WIDTH, break_long_words=False, break_on_hyphens=False
-    )
-    yield "\n".join(["```json", *lines, "```", ""])
+    kept = re.sub(_STRING, lambda text: text[0].replace(" ", _SPACE), json.dumps(shortened(value), ensure_ascii=False))
+    lines = textwrap.wrap(kept, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    yield "\n".join(["```json", *(line.replace(_SPACE, " ") for line in lines), "```", ""])
 
 
 def shortened(value: Any, depth: int = 0) -> Any:

@@ -126,7 +126,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def state(client: ControlClient) -> Any:
-    from daemon.common.errors import ControlError
+    from fringed.errors import ControlError
 
     try:
         return client.call("status")["state"]
