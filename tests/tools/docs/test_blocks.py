@@ -25,6 +25,7 @@ import yaml
 from daemon.cli import entry
 from daemon.common.errors import ConfigError
 from daemon.config.load import parse_rig
+from daemon.rig.pose_file import read_pose
 from fringed.control.client import ControlClient
 from tools.docs import command_lines
 from tools.docs.pages import ROOT, Block, blocks, pages
@@ -39,7 +40,7 @@ recording: {{dir: takes, min_free_mb: 10}}
 """
 STREAM = "tcp://127.0.0.1:5555"
 RIG_KEYS = {"cameras", "projector", "simulation", "pipeline", "stream", "control", "recording", "health", "selfcheck",
-            "security", "mode", "sequence", "calibration", "pairing"}  # fmt: skip
+            "security", "mode", "sequence", "calibration", "pairing", "outputs", "preset"}  # fmt: skip
 HEALTH = {0, 1, 4}
 """Exit statuses of ``fringed health`` with a daemon: its verdict on a busy machine is not the subject here."""
 OTHER_YAML = {
@@ -74,8 +75,12 @@ def test_a_wrong_shell_line_is_reported() -> None:
 
 
 @pytest.mark.parametrize("block", of("yaml"), ids=lambda b: b.name)
-def test_every_yaml_block_is_accepted_by_its_reader(block: Block) -> None:
+def test_every_yaml_block_is_accepted_by_its_reader(block: Block, tmp_path: Path) -> None:
     data = yaml.safe_load(block.text)
+    if "fringed_pose" in data:
+        (tmp_path / "pose.yaml").write_text(block.text)
+        assert read_pose(tmp_path / "pose.yaml").frame == data["frame"]
+        return
     if block.reason or set(data) & set(OTHER_YAML):
         return
     assert set(data) & RIG_KEYS, f"of which file are {list(data)}?"
@@ -86,7 +91,7 @@ def test_every_yaml_block_is_accepted_by_its_reader(block: Block) -> None:
     try:
         parse_rig(yaml.safe_dump(data), base_dir=ROOT, complete=False)
     except ConfigError as error:
-        missing = ("does not exist", "No such file")
+        missing = ("does not exist", "No such file", "there is no file")
         assert all(any(text in problem for text in missing) for problem in error.problems), error
 
 
