@@ -52,7 +52,7 @@ def running(tmp_path: Path) -> Iterator[Running]:
     sink, statuses = Collector(), []
     wide = config(tmp_path, "pipeline: {queue: 16}\n")
     service = Service(wide, rig_of(made), {"stream": sink}, on_status=statuses.append)
-    thread = threading.Thread(target=service.run)
+    thread = threading.Thread(target=service.run, daemon=True)
     running = Running(service, made, sink, statuses, thread)
     thread.start()
     wait_until(lambda: running.state() is State.RUNNING, 60)
@@ -161,7 +161,7 @@ def test_stopping_ends_a_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(frame_path, "compile_kernels", compile_for_ever)
     service = Service(config(tmp_path), rig_of(devices()), {"stream": Collector()})
-    thread = threading.Thread(target=service.run)
+    thread = threading.Thread(target=service.run, daemon=True)
     thread.start()
     wait_until(lambda: service.status().kernels == {"ready": 3, "total": 9}, 30)
     assert loading(service.status().as_dict()) == "starting: compiling kernels, 3 of 9"
@@ -183,7 +183,7 @@ def test_held_cameras_take_no_trigger_before_the_kernels_are_ready(
     monkeypatch.setattr(frame_path, "compile_kernels", compile_later)
     made, sink = devices(), Collector()
     service = Service(config(tmp_path, "pipeline: {queue: 16}\n"), rig_of(made), {"stream": sink}, hold_cameras=True)
-    thread = threading.Thread(target=service.run)
+    thread = threading.Thread(target=service.run, daemon=True)
     thread.start()
     assert compiling.wait(30)
     for _ in range(3):

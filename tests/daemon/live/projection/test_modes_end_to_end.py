@@ -58,7 +58,7 @@ def test_clouds_are_right_and_a_replay_of_the_take_gives_the_same_bit_for_bit(tm
         assert item.frames == 12 and item.span_ms > 0 and item.latency_ms >= item.span_ms and item.seq % 12 == 0
         found = score(item.cloud.xyz, truth)
         assert found.reconstructed > 0.85 and found.wrong < 0.01, found
-    stats = messages._cloud_header(messages.Origin("d", "s", "c"), item).stats
+    stats = messages._cloud_header(messages.Origin("d", "s", "c"), item, item.cloud).stats
     assert {key: stats[key] for key in ("mode", "frames")} == {"mode": "heterodyne", "frames": 12}
     assert set(stats) >= {"span_ms", "moved"}
     out = tmp_path / "out"

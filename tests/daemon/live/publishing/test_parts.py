@@ -30,9 +30,8 @@ def rich(seq: int = 3) -> CloudItem:
     rng, shape = np.random.default_rng(seq), item.cloud.gray.shape
     normals = rng.standard_normal((*shape, 3)).astype(np.float32)
     rgb = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
-    return replace(
-        item, cloud=replace(item.cloud, rgb=rgb, normals=normals, interpolated=rng.random(shape) < 0.1)
-    )  # fmt: skip
+    filled = (rng.random(shape) < 0.1).astype(np.uint8)
+    return replace(item, cloud=replace(item.cloud, rgb=rgb, normals=normals, interpolated=filled))
 
 
 def test_a_subscriber_gets_what_it_asks_for_bit_for_bit() -> None:
@@ -82,9 +81,16 @@ def test_a_cloud_that_was_made_before_is_left_out() -> None:
 
 def test_readers_of_the_basic_topic_get_the_same_message_whatever_others_ask_for() -> None:
     plain, full = clouds.item(5), rich(5)
+    full = replace(full, cloud=replace(full.cloud, interpolated=None))
     assert [bytes(frame) for frame in messages.full(ORIGIN, plain)] == [
         bytes(frame) for frame in messages.full(ORIGIN, full)
     ]
+
+
+def test_interpolated_points_are_marked_in_the_basic_topic() -> None:
+    marks = wire.decode(messages.full(ORIGIN, rich())).arrays["interpolated"]
+    np.testing.assert_array_equal(marks, rich().cloud.interpolated)
+    assert marks.any()
 
 
 def test_configured_parts_are_announced_in_the_basic_topic() -> None:
