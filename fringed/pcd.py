@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fringed.point_rows import directions, point_rows, positions, quality
+
 
 def pcd_bytes(
     xyz: NDArray[np.float32],
@@ -26,21 +28,13 @@ def pcd_bytes(
         normals: (..., 3), written as normal_x, normal_y, normal_z; 0 0 0 where unknown.
         sigma: (...), mm; interpolated: (...), written as 0 or 1.
     """
-    valid = np.isfinite(xyz).all(axis=-1)
-    columns: list[tuple[str, str, NDArray[Any]]] = [(name, "<f4", xyz[..., axis]) for axis, name in enumerate("xyz")]
+    columns = positions(xyz)
     if rgb is not None:
         columns.append(("rgb", "<u4", rgb.astype(np.uint32) @ np.array([0x10000, 0x100, 1], np.uint32)))
     elif gray is not None:
         columns.append(("rgb", "<u4", gray.astype(np.uint32) * 0x010101))
-    if normals is not None:
-        columns += [(f"normal_{name}", "<f4", np.nan_to_num(normals[..., axis])) for axis, name in enumerate("xyz")]
-    if sigma is not None:
-        columns.append(("sigma", "<f4", sigma))
-    if interpolated is not None:
-        columns.append(("interpolated", "|u1", interpolated))
-    rows: NDArray[Any] = np.empty(int(valid.sum()), np.dtype([(name, kind) for name, kind, _ in columns]))
-    for name, _, plane in columns:
-        rows[name] = plane[valid]
+    columns += directions("normal_{}", normals) + quality(sigma, interpolated)
+    rows = point_rows(xyz, columns)
 
     def line(key: str, *values: Any) -> str:
         return " ".join([key, *map(str, values)]) + "\n"

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fringed.point_rows import directions, point_rows, positions, quality
+
 _KINDS = {"<f4": "float", "|u1": "uchar"}
 
 
@@ -29,22 +31,14 @@ def ply_bytes(
         sigma: (...), mm; interpolated: (...), written as 0 or 1.
         faces: (n, 3) triangles, numbers of the valid points.
     """
-    valid = np.isfinite(xyz).all(axis=-1)
-    columns: list[tuple[str, str, NDArray[Any]]] = [(name, "<f4", xyz[..., axis]) for axis, name in enumerate("xyz")]
-    if normals is not None:
-        columns += [(f"n{name}", "<f4", np.nan_to_num(normals[..., axis])) for axis, name in enumerate("xyz")]
+    columns = positions(xyz) + directions("n{}", normals)
     colors = ("red", "green", "blue")
     if rgb is not None:
         columns += [(name, "|u1", rgb[..., channel]) for channel, name in enumerate(colors)]
     elif gray is not None:
         columns += [(name, "|u1", gray) for name in colors]
-    if sigma is not None:
-        columns.append(("sigma", "<f4", sigma))
-    if interpolated is not None:
-        columns.append(("interpolated", "|u1", interpolated))
-    rows: NDArray[Any] = np.empty(int(valid.sum()), np.dtype([(name, kind) for name, kind, _ in columns]))
-    for name, _, plane in columns:
-        rows[name] = plane[valid]
+    columns += quality(sigma, interpolated)
+    rows = point_rows(xyz, columns)
     properties = "".join(f"property {_KINDS[kind]} {name}\n" for name, kind, _ in columns)
     head = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\nelement vertex {len(rows)}\n{properties}"
     if faces is None:

@@ -7,6 +7,7 @@ import re
 import struct
 import zipfile
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -28,7 +29,7 @@ _NAMES = {FILE_NAMES.get(name, name) for name in PARTS}
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile)
 
 
-class CloudFiles:
+class CloudFiles(ABC):
     """Clouds that were reconstructed earlier: no images, and no settings that could change them.
 
     Args:
@@ -51,9 +52,9 @@ class CloudFiles:
         for seq, where, arrays in self._stored():
             yield self._cloud(seq, where, arrays, parts)
 
+    @abstractmethod
     def _stored(self) -> Iterator[tuple[int, str, dict[str, Any]]]:
         """Yield number, place and arrays of each cloud."""
-        raise NotImplementedError
 
     def previews(self) -> Iterator[Preview]:
         """Refuse: there are no images."""
@@ -67,7 +68,7 @@ class CloudFiles:
         """Refuse: the clouds are reconstructed already."""
         raise NotLiveError(f"{self.place} holds finished clouds: {path} cannot become {value!r:.40}; open the take")
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - no file is open between clouds
         """Close nothing: each file is closed after its cloud is read."""
 
     def _cloud(self, seq: int, where: str, arrays: dict[str, Any], parts: tuple[str, ...] | None) -> ReceivedCloud:

@@ -44,30 +44,29 @@ def _side(q: Any, variance: Any, i: int, j: int, down: int, right: int) -> Any:
 
 
 @inline
+def _steps_to_known(q: Any, i: int, j: int, down: int, right: int, most: int) -> int:
+    """Steps to the nearest known pixel in a direction, at most ``most``; 0 where there is none."""
+    height, width = q.shape
+    for k in range(1, most + 1):
+        y, x = i + k * down, j + k * right
+        if y < 0 or x < 0 or y >= height or x >= width:
+            break
+        if q[y, x] == q[y, x]:
+            return k
+    return 0
+
+
+@inline
 def _across(q: Any, variance: Any, i: int, j: int, down: int, right: int, size: int) -> Any:
     """Interpolation across the gap at an unknown pixel, by a cubic through both sides, and its variance; else NaN.
 
     Args:
         down, right: direction of the line through the gap; size: pixels of the largest gap.
     """
-    height, width = q.shape
-    back, ahead = 0, 0
-    for k in range(1, size + 1):
-        y, x = i - k * down, j - k * right
-        if y < 0 or x < 0:
-            break
-        if q[y, x] == q[y, x]:
-            back = k
-            break
+    back = _steps_to_known(q, i, j, -down, -right, size)
     if back == 0:
         return _NAN, _NAN
-    for k in range(1, size + 2 - back):
-        y, x = i + k * down, j + k * right
-        if y >= height or x >= width:
-            break
-        if q[y, x] == q[y, x]:
-            ahead = k
-            break
+    ahead = _steps_to_known(q, i, j, down, right, size + 1 - back)
     if ahead == 0:
         return _NAN, _NAN
     ay, ax, by, bx = i - back * down, j - back * right, i + ahead * down, j + ahead * right
