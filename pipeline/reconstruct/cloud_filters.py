@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import LIMITS, Settings
 from pipeline.common.stopwatch import Stopwatch
+from pipeline.common.tile_math import TILE
 from pipeline.filter.cloud import downsampling, hole_filling, point_limits, smoothing, temporal_fusion
+from pipeline.filter.cloud.block_rows import BLOCKS
 from pipeline.filter.cloud.noise_correlation import autocorrelation, inflation
+from pipeline.filter.cloud.rigid_transform import transform
 from pipeline.filter.cloud.surface_tangent import inverse_depth
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.rig.calibration import Calibration
@@ -106,9 +109,12 @@ class CloudFilters:
         if s.noise_threshold_mm > 0:
             point_limits.noise_limit(rows, np.float32(s.noise_threshold_mm), xyz, sigma)
         if s.outlier_threshold_mm > 0:
-            point_limits.isolated_points(rows, xyz.copy(), np.float32(s.outlier_threshold_mm), xyz, sigma)
+            alone, count = np.empty(sigma.shape, np.uint8), np.empty(rows, np.int64)
+            bands = blocks(rows, point_limits.ROWS)
+            point_limits.isolated_points(bands, xyz.reshape(rows, -1), np.float32(s.outlier_threshold_mm), alone, count)
+            point_limits.reject(rows, alone, count, xyz, sigma)
         if s.smoothing_sigma_px > 0:
-            smoothing.smooth(rows, *_inverse(xyz, sigma), self._weights, self._smoothed, xyz, sigma)
+            self._smooth(xyz, sigma)
         filled = None
         if self._rays is not None:
             filled = np.zeros(sigma.shape, np.uint8)
@@ -126,7 +132,7 @@ class CloudFilters:
         if s.downsampling > 1:
             out = self._downsampled(grid)
         if self._pose is not None:
-            out = replace(out, xyz=self._pose.points(out.xyz), frame=self._pose.frame)
+            out = replace(out, xyz=_posed(out.xyz, self._pose), frame=self._pose.frame)
         watch.lap("cloud filters")
         return replace(out, measured=cloud, grid=None if out is grid else grid, ms=cloud.ms | watch.ms)
 
@@ -141,9 +147,18 @@ class CloudFilters:
             self._depth, self._variance = (np.full(sigma.shape, np.nan, np.float32) for _ in range(2))
         tiles = tuple(blocks(size, temporal_fusion.TILE) for size in sigma.shape)
         moving = np.zeros(tiles, np.uint8)
-        temporal_fusion.find_motion(tiles[0], xyz, sigma, self._depth, self._variance, moving)
-        temporal_fusion.fuse(
-            len(sigma), self._settings.fusion_clouds, moving, xyz, sigma, self._depth, self._variance
+        flat = xyz.reshape(-1), sigma, self._depth.reshape(-1), self._variance.reshape(-1)
+        temporal_fusion.find_motion(tiles[0], *flat, moving)
+        temporal_fusion.fuse(tiles[0], self._settings.fusion_clouds, moving, *flat)
+
+    def _smooth(self, xyz: F32, sigma: F32) -> None:
+        rows, columns = sigma.shape
+        margin = len(self._weights) // 2
+        weights = np.pad(self._weights, ((0, 0), (0, -len(self._weights) % smoothing.TOGETHER)))
+        pitch = blocks(columns, TILE) * TILE + weights.shape[1]
+        q, variance = _inverse(xyz, sigma, margin=margin, columns=pitch)
+        smoothing.smooth(
+            rows, q.ravel(), variance.ravel(), np.uint64(pitch), weights, self._smoothed, xyz.reshape(rows, -1), sigma
         )  # fmt: skip
 
     def _cut(self, xyz: F32, sigma: F32, stride: int) -> None:
@@ -158,10 +173,16 @@ class CloudFilters:
         height, width = (size // n for size in cloud.sigma_mm.shape)
         xyz, sigma = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
         interpolated = np.empty((height, width), np.uint8)
-        filled = cloud.interpolated if cloud.interpolated is not None else np.zeros(cloud.sigma_mm.shape, np.uint8)
+        filled = cloud.interpolated if cloud.interpolated is not None else np.empty((0, 0), np.uint8)
+        q, variance = _inverse(
+            cloud.xyz,
+            cloud.sigma_mm,
+            margin=n,
+            columns=n * (blocks(width, BLOCKS) * BLOCKS + 2),
+        )
         downsampling.downsample(
-            height, n, *_inverse(cloud.xyz, cloud.sigma_mm), cloud.xyz, cloud.sigma_mm, filled, self._reduced, xyz,
-            sigma, interpolated,
+            height, n, q.reshape(-1), variance.reshape(-1), np.uint64(q.shape[1]), cloud.xyz.reshape(-1),
+            cloud.sigma_mm, filled, self._reduced, xyz.reshape(height, -1), sigma, interpolated,
         )  # fmt: skip
         middle = slice(n // 2, n * height, n), slice(n // 2, n * width, n)
         left, right = cloud.modulation
@@ -176,9 +197,19 @@ class CloudFilters:
         )
 
 
-def _inverse(xyz: F32, sigma: F32) -> tuple[F32, F32]:
-    q, variance = np.empty_like(sigma), np.empty_like(sigma)
-    inverse_depth(len(sigma), xyz, sigma, q, variance)
+def _posed(xyz: F32, pose: Pose) -> F32:
+    """Points (h, w, 3) in the pose's frame."""
+    moved, rows = np.empty_like(xyz), len(xyz)
+    transform(rows, pose.matrix, xyz.reshape(rows, -1), moved.reshape(rows, -1))
+    return moved
+
+
+def _inverse(xyz: F32, sigma: F32, *, margin: int = 0, columns: int = 0) -> tuple[F32, F32]:
+    """Inverse depth and its variance; with a margin all around, and so many columns in all, NaN beside the cloud."""
+    rows = len(sigma)
+    shape = (rows + 2 * margin, columns) if margin > 0 else sigma.shape
+    q, variance = (np.full(shape, np.nan, np.float32) if margin > 0 else np.empty(shape, np.float32) for _ in range(2))
+    inverse_depth(rows, xyz.reshape(rows, -1), sigma, margin, q, variance)
     return q, variance
 
 

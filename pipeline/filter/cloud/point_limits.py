@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
 
 _NAN = np.float32(np.nan)
+_YES, _NO = np.uint8(1), np.uint8(0)
 _FEWEST = 2
 """Neighbours that a point needs nearby."""
+ROWS = 32
+"""Rows of a band of :func:`isolated_points`."""
 
 
 @parallel
@@ -21,22 +25,58 @@ def noise_limit(i: int, limit: Any, xyz: Any, sigma: Any) -> None:
             xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
 
 
+@serial
+def _load_row(points: Any, row: Any) -> None:
+    """Coordinates of a row (3 W,) as (3, W + 2), with an unknown point before and after it."""
+    x, y, z = row[0, 1:], row[1, 1:], row[2, 1:]
+    for j in range(x.shape[0] - 1):
+        x[j], y[j], z[j] = points[3 * j], points[3 * j + 1], points[3 * j + 2]
+
+
+@serial
+def _mark_row(above: Any, here: Any, below: Any, limit: Any, alone: Any) -> Any:
+    """Mark the known points with too few neighbours, and return their number; ``limit`` is squared."""
+    count = 0
+    for j in range(alone.shape[0]):
+        x, y, z = here[0, j + 1], here[1, j + 1], here[2, j + 1]
+        near = 0
+        for row in (above, here, below):
+            for k in range(3):
+                dx, dy, dz = row[0, j + k] - x, row[1, j + k] - y, row[2, j + k] - z
+                near += 1 if dx * dx + dy * dy + dz * dz <= limit else 0
+        lonely = (near <= _FEWEST) & (z == z)  # the point itself is among them
+        alone[j] = _YES if lonely else _NO
+        count += 1 if lonely else 0
+    return count
+
+
 @parallel
-def isolated_points(i: int, points: Any, limit: Any, xyz: Any, sigma: Any) -> None:
-    """Reject points with fewer than two of their eight neighbours within a distance.
+def isolated_points(band: int, xyz: Any, limit: Any, alone: Any, count: Any) -> None:
+    """Mark points with fewer than two of their eight neighbours within a distance, in a band of ROWS rows.
 
     Args:
-        points: (H, W, 3) float32, mm; limit: mm; xyz: a copy of ``points``, changed; sigma: (H, W), changed.
+        xyz: (H, 3 W) float32, mm; limit: mm; alone: (H, W) uint8, becomes 1 where isolated, else 0.
+        count: (H,) int64, becomes the number of isolated points of each row.
     """
-    height, width = sigma.shape
-    for j in range(width):
-        x, y, z = points[i, j, 0], points[i, j, 1], points[i, j, 2]
-        near = 0
-        for a in range(max(0, i - 1), min(height, i + 2)):
-            for b in range(max(0, j - 1), min(width, j + 2)):
-                dx, dy, dz = points[a, b, 0] - x, points[a, b, 1] - y, points[a, b, 2] - z
-                near += int(dx * dx + dy * dy + dz * dz <= limit * limit)
-        if near <= _FEWEST:  # the point itself is among them
+    height, width = alone.shape
+    low, high = band * ROWS, min(band * ROWS + ROWS, height)
+    rows = np.full((3, 3, width + 2), _NAN, np.float32)
+    for i in range(low - 1, high + 1):
+        if 0 <= i < height:
+            _load_row(xyz[i], rows[i % 3])
+        else:
+            rows[i % 3] = _NAN
+        if i > low:
+            count[i - 1] = _mark_row(rows[(i - 2) % 3], rows[(i - 1) % 3], rows[i % 3], limit * limit, alone[i - 1])
+
+
+@parallel
+def reject(i: int, marked: Any, count: Any, xyz: Any, sigma: Any) -> None:
+    """Reject the marked points of a row; see :func:`isolated_points`; ``xyz`` and ``sigma`` are changed."""
+    if count[i] == 0:
+        return
+    for j in range(sigma.shape[1]):
+        if marked[i, j] != _NO:
             xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2], sigma[i, j] = _NAN, _NAN, _NAN, _NAN
 
 

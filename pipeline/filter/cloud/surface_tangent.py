@@ -13,28 +13,32 @@ import numpy as np
 from pipeline.common.jit import inline
 from pipeline.common.parallel_for import parallel
 
-_NAN, _ZERO, _HALF = np.float32(np.nan), np.float32(0), np.float32(0.5)
+_NAN, _ZERO, _HALF, _TWO = np.float32(np.nan), np.float32(0), np.float32(0.5), np.float32(2)
 _STRAIGHT = np.float32(16 * 6)
 """Squared second difference, in variances of one pixel, up to which both sides of a pixel are one surface: (4 sigma)^2,
 and the second difference has six times the variance of a pixel."""
-_ON_PLANE = np.float32(9)
+ON_PLANE = np.float32(9)
 """Squared distance from the tangent plane, in variances, up to which a pixel is on it."""
+NEVER = np.float32(-1e30)
+"""Variance of a slope that is unknown, for sums without a test: nothing is near enough then."""
 
 
 @parallel
-def inverse_depth(i: int, xyz: Any, sigma: Any, q: Any, variance: Any) -> None:
+def inverse_depth(i: int, xyz: Any, sigma: Any, margin: int, q: Any, variance: Any) -> None:
     """Inverse depth of a row and its variance; both NaN where unknown.
 
     Args:
-        xyz: (H, W, 3) float32, mm; sigma: (H, W) float32, mm along the viewing ray.
-        q: (H, W) float32, written, 1/mm; variance: (H, W) float32, written, 1/mm^2.
+        xyz: (H, 3 W) float32, mm; sigma: (H, W) float32, mm along the viewing ray.
+        margin: rows and columns of the results before those of the cloud.
+        q: (H + margin, W + margin or more) float32, written, 1/mm; variance: alike, written, 1/mm^2.
     """
-    for j in range(sigma.shape[1]):
-        x, y, z = xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2]
+    inverses, variances, points, sigmas = q[i + margin, margin:], variance[i + margin, margin:], xyz[i], sigma[i]
+    for j in range(sigmas.shape[0]):
+        x, y, z = points[3 * j], points[3 * j + 1], points[3 * j + 2]
         inverse = np.float32(1) / z
-        along = sigma[i, j] * inverse * inverse
+        along = sigmas[j] * inverse * inverse
         # Along the ray a step of sigma changes z by sigma z / |xyz|.
-        q[i, j], variance[i, j] = inverse, along * along * z * z / (x * x + y * y + z * z)
+        inverses[j], variances[j] = inverse, along * along * z * z / (x * x + y * y + z * z)
 
 
 @inline
@@ -44,11 +48,10 @@ def slope(before: Any, here: Any, after: Any, variance: Any) -> Any:
     At a step the side with the smaller difference counts, which does not lead to the other surface.
     """
     back, ahead = here - before, after - here
-    if abs(ahead - back) ** 2 <= _STRAIGHT * variance:
-        return _HALF * (back + ahead), _HALF * variance
-    if abs(back) <= abs(ahead) or ahead != ahead:
-        return back, np.float32(2) * variance
-    return ahead, np.float32(2) * variance
+    bend = ahead - back
+    straight = bend * bend <= _STRAIGHT * variance
+    one = back if (abs(back) <= abs(ahead)) | (ahead != ahead) else ahead
+    return _HALF * (back + ahead) if straight else one, variance * (_HALF if straight else _TWO)
 
 
 @inline
@@ -75,4 +78,4 @@ def on_plane(other: Any, other_noise: Any, here: Any, noise: Any, plane: Any, x:
     if y != _ZERO:
         off -= plane[2] * y
         allowed += plane[3] * y * y
-    return off * off <= _ON_PLANE * allowed
+    return off * off <= ON_PLANE * allowed

@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.common.jit import serial
 from pipeline.common.parallel_for import parallel
+from pipeline.common.tile_math import root
 
 TILE = 16
 """Rows and columns of a tile, pixels."""
@@ -20,9 +22,38 @@ _PIXEL = np.float32(16)
 _MEAN, _MEAN_SQUARE = np.float32(0.8), np.float32(2.2)
 """Mean difference of a tile in standard deviations, and mean squared difference in variances, that noise does not
 reach: neighbouring pixels' noise is correlated, a tile has about thirty independent ones."""
-_LOST = 4
+_LOST = np.float32(4)
 """A tile moves where more than one in so many of its pixels were known in only one of both clouds."""
+COLUMNS = 16 * TILE
+"""Pixels of a row that are averaged in one go."""
 _ONE, _ZERO = np.float32(1), np.float32(0)
+_YES, _NO = np.uint8(1), np.uint8(0)
+_1, _2, _3 = np.uint64(1), np.uint64(2), np.uint64(3)
+
+
+@serial
+def _compare(xyz: Any, sigma: Any, depth: Any, variance: Any, at: Any, count: int, s: Any) -> None:
+    """Add the differences of some pixels of a row to the sums of their columns.
+
+    Args:
+        xyz, sigma, depth, variance: flat; at: number of the first pixel, uint64; count: of pixels, up to COLUMNS.
+        s: (4 COLUMNS,) float32, sums of deviations, of their squares, of pixels known in both clouds and in one.
+    """
+    for j in range(count):
+        k = at + np.uint64(j)
+        x, y, z = xyz[_3 * k], xyz[_3 * k + _1], xyz[_3 * k + _2]
+        before, noise = depth[k], sigma[k] * sigma[k] + variance[k]
+        known, old = z == z, before == before
+        off = z - before
+        square = off * off * (x * x + y * y + z * z) / (z * z * noise)
+        # A pixel at the border of something that moves must not decide alone.
+        square = square if square < _PIXEL else _PIXEL
+        square = square if known & old else _ZERO
+        step = root(square)
+        s[j] += step if off > _ZERO else -step
+        s[COLUMNS + j] += square
+        s[2 * COLUMNS + j] += _ONE if known & old else _ZERO
+        s[3 * COLUMNS + j] += _ONE if known != old else _ZERO
 
 
 @parallel
@@ -30,63 +61,101 @@ def find_motion(band: int, xyz: Any, sigma: Any, depth: Any, variance: Any, movi
     """Mark the tiles of a row of tiles in which the new cloud contradicts the average.
 
     Args:
-        xyz: (H, W, 3), sigma: (H, W), float32, of the new cloud.
-        depth, variance: (H, W) float32, of the average: z in mm, variance in mm^2 along the ray; NaN = unknown.
+        xyz: (3 H W,), sigma: (H, W), float32, of the new cloud.
+        depth, variance: (H W,) float32, of the average: z in mm, variance in mm^2 along the ray; NaN = unknown.
         moving: (tiles down, tiles across) uint8, written.
     """
     height, width = sigma.shape
-    for tile in range(moving.shape[1]):
-        total, squares, both, one = _ZERO, _ZERO, 0, 0
+    flat = sigma.reshape(height * width)
+    s = np.empty(4 * COLUMNS, np.float32)
+    for left in range(0, width, COLUMNS):
+        s[:] = _ZERO
+        count = min(COLUMNS, width - left)
         for i in range(TILE * band, min(TILE * band + TILE, height)):
-            for j in range(TILE * tile, min(TILE * tile + TILE, width)):
-                z, before = xyz[i, j, 2], depth[i, j]
-                if z == z and before == before:
-                    x, y = xyz[i, j, 0], xyz[i, j, 1]
-                    along = (x * x + y * y + z * z) / (z * z)
-                    off, noise = z - before, sigma[i, j] * sigma[i, j] + variance[i, j]
-                    # A pixel at the border of something that moves must not decide alone.
-                    square = min(off * off * along / noise, _PIXEL)
-                    squares += square
-                    total += np.sqrt(square) if off > _ZERO else -np.sqrt(square)
-                    both += 1
-                else:
-                    one += int((z == z) != (before == before))
-        n = np.float32(max(both, 1))
-        # Fewer pixels scatter more.
-        slack = _ONE + np.float32(32) / n
-        changed = (abs(total) > _MEAN * slack * n) | (squares > _MEAN_SQUARE * slack * n)
-        moving[band, tile] = np.uint8(changed | (_LOST * one > both + one))
+            _compare(xyz, flat, depth, variance, np.uint64(i * width + left), count, s)
+        for tile in range(left // TILE, (left + count + TILE - 1) // TILE):
+            first = TILE * tile - left
+            moving[band, tile] = _moves(s, first, min(first + TILE, count))
+
+
+@serial
+def _moves(s: Any, first: int, last: int) -> Any:
+    """Whether a tile's columns ``first`` to ``last`` - 1 contradict the average, 0 or 1; see :func:`_compare`."""
+    total, squares, both, one = _ZERO, _ZERO, _ZERO, _ZERO
+    for j in range(first, last):
+        total += s[j]
+        squares += s[COLUMNS + j]
+        both += s[2 * COLUMNS + j]
+        one += s[3 * COLUMNS + j]
+    n = max(both, _ONE)
+    # Fewer pixels scatter more.
+    slack = _ONE + np.float32(32) / n
+    changed = (abs(total) > _MEAN * slack * n) | (squares > _MEAN_SQUARE * slack * n)
+    return np.uint8(changed | (_LOST * one > both + one))
+
+
+@serial
+def _average(
+    xyz: Any, sigma: Any, depth: Any, variance: Any, still: Any, least: Any, at: Any, first: Any, count: int, s: Any
+) -> None:
+    """New depth, variance, sigma, and scale of the position of some pixels of a row, (4 COLUMNS,) into ``s``.
+
+    Args:
+        xyz, sigma, depth, variance: flat; still: (W,) uint8, 1 where no tile around moves.
+        least: weight of the newest cloud, at least; at: number of the first pixel, uint64; first: its column, uint64.
+        count: number of pixels, up to COLUMNS.
+    """
+    for j in range(count):
+        k = at + np.uint64(j)
+        x, y, z = xyz[_3 * k], xyz[_3 * k + _1], xyz[_3 * k + _2]
+        before, old, noise = depth[k], variance[k], sigma[k] * sigma[k]
+        off = z - before
+        rest = (off * off * (x * x + y * y + z * z) <= _PIXEL * (noise + old) * z * z) & (
+            still[first + np.uint64(j)] != _NO
+        )
+        share = old / (old + noise)
+        share = share if share > least else least
+        fused, other = before + share * off, _ONE - share
+        averaged = other * other * old + share * share * noise
+        s[j], s[COLUMNS + j] = fused if rest else z, averaged if rest else noise
+        s[2 * COLUMNS + j], s[3 * COLUMNS + j] = root(averaged) if rest else sigma[k], fused / z if rest else _ONE
+
+
+@serial
+def _write(s: Any, at: Any, count: int, xyz: Any, sigma: Any, depth: Any, variance: Any) -> None:
+    """Write the results of :func:`_average`; loops with one array each need few tests of overlap."""
+    for j in range(count):
+        k = at + np.uint64(j)
+        depth[k] = s[j]
+    for j in range(count):
+        k = at + np.uint64(j)
+        variance[k] = s[COLUMNS + j]
+    for j in range(count):
+        k = at + np.uint64(j)
+        sigma[k] = s[2 * COLUMNS + j]
+    for j in range(count):
+        k = _3 * (at + np.uint64(j))
+        xyz[k], xyz[k + _1], xyz[k + _2] = xyz[k] * s[3 * COLUMNS + j], xyz[k + _1] * s[3 * COLUMNS + j], s[j]
 
 
 @parallel
-def fuse(i: int, most: int, moving: Any, xyz: Any, sigma: Any, depth: Any, variance: Any) -> None:
-    """Average a row where it is at rest; elsewhere the average restarts from the new cloud.
+def fuse(band: int, most: int, moving: Any, xyz: Any, sigma: Any, depth: Any, variance: Any) -> None:
+    """Average a row of tiles where it is at rest; elsewhere the average restarts from the new cloud.
 
     Args:
         most: clouds that are averaged; the newest one has at least the weight 1 / most.
-        moving: of :func:`find_motion`; xyz: (H, W, 3), sigma: (H, W), float32, changed.
-        depth, variance: of the average, changed.
+        moving: of :func:`find_motion`; xyz: (3 H W,), sigma: (H, W), float32, changed.
+        depth, variance: (H W,), of the average, changed.
     """
     down, across = moving.shape
-    tile_row = i // TILE
-    for j in range(sigma.shape[1]):
-        x, y, z = xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2]
-        before, old, new = depth[i, j], variance[i, j], sigma[i, j] * sigma[i, j]
-        rest = (z == z) & (before == before)
-        if rest:
-            off = z - before
-            rest = off * off * (x * x + y * y + z * z) <= _PIXEL * (new + old) * z * z
-        if rest:
-            tile = j // TILE
-            for a in range(max(0, tile_row - 1), min(down, tile_row + 2)):
-                for b in range(max(0, tile - 1), min(across, tile + 2)):
-                    rest &= moving[a, b] == 0
-        if not rest:
-            depth[i, j], variance[i, j] = z, new
-            continue
-        share = max(old / (old + new), _ONE / np.float32(most))
-        depth[i, j] = before + share * (z - before)
-        variance[i, j] = (_ONE - share) * (_ONE - share) * old + share * share * new
-        scale = depth[i, j] / z
-        xyz[i, j, 0], xyz[i, j, 1], xyz[i, j, 2] = x * scale, y * scale, depth[i, j]
-        sigma[i, j] = np.sqrt(variance[i, j])
+    height, width = sigma.shape
+    flat, still, s = sigma.reshape(height * width), np.empty(TILE * across, np.uint8), np.empty(4 * COLUMNS, np.float32)
+    for tile in range(across):
+        around = moving[max(0, band - 1) : min(down, band + 2), max(0, tile - 1) : min(across, tile + 2)]
+        still[TILE * tile : TILE * tile + TILE] = _NO if around.any() else _YES
+    least = _ONE / np.float32(most)
+    for i in range(TILE * band, min(TILE * band + TILE, height)):
+        for left in range(0, width, COLUMNS):
+            at, count = np.uint64(i * width + left), min(COLUMNS, width - left)
+            _average(xyz, flat, depth, variance, still, least, at, np.uint64(left), count, s)
+            _write(s, at, count, xyz, flat, depth, variance)
