@@ -170,7 +170,7 @@ def _gather(t: Any, pixels: Any, few: Any) -> None:
         few[RE + m], few[IM + m] = t[RE + j], t[IM + j]
         few[W + m], few[X + m], few[Y + m] = t[W + j], t[X + j], t[Y + j]
         few[EX + m], few[EY + m] = t[EX + j], t[EY + j]
-        few[ERROR + m], few[SLOPE + m] = t[ERROR + j], t[SLOPE + j]
+        few[ERROR + m], few[SLOPE + m], few[BIAS + m] = t[ERROR + j], t[SLOPE + j], t[BIAS + j]
 
 
 @inline
