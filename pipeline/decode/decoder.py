@@ -192,7 +192,10 @@ class Decoder:
     def _noise(self, image: NDArray[np.uint8]) -> NoiseModel:
         if self._settings.read_noise > 0:
             return NoiseModel(self._settings.read_noise**2, self._settings.noise_gain)
-        return estimate(image, along=0 if self._axis == "x" else 1, step=1 if self._mosaic is None else 2)
+        return estimate(
+            image, along=0 if self._axis == "x" else 1, step=1 if self._mosaic is None else 2,
+            saturation=self._settings.saturation,
+        )  # fmt: skip
 
 
 def design(color: ColorModel, shifts: tuple[float, float, float]) -> NDArray[np.float64]:

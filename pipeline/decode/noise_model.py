@@ -25,7 +25,7 @@ class NoiseModel:
     gain: float
 
 
-def estimate(image: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel:
+def estimate(image: NDArray[np.uint8], *, along: int, step: int, saturation: float = 254.0) -> NoiseModel:
     """Fit the noise model to second differences of samples along the fringes.
 
     The quietest fifth of the 16-pixel tiles at each brightness is taken as untextured: the mean square of
@@ -35,6 +35,7 @@ def estimate(image: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel:
         image: (H, W) or (H, W, 3) raw samples.
         along: axis of the image along which the fringes run (0 for vertical fringes).
         step: distance of samples of one colour, 2 on a Bayer mosaic.
+        saturation: counts from which a sample is saturated; a tile with one is left out, its noise is cut off.
     """
     height, colors = image.shape[0], 1 if image.ndim == 2 else 3
     rows, shift = (step, 0) if along == 0 else (0, step * colors)
@@ -42,26 +43,31 @@ def estimate(image: NDArray[np.uint8], *, along: int, step: int) -> NoiseModel:
     columns = (samples.shape[1] - 2 * shift) // (_TILE * colors)
     bands = max(0, (height - 2 * rows - _TILE) // (_BANDS_APART * _TILE) + 1)
     levels, squares = np.zeros((bands, columns, colors), np.int32), np.zeros((bands, columns, colors), np.int32)
-    _tiles(bands, samples, colors, rows, shift, levels, squares)
+    largest = np.zeros((bands, columns, colors), np.uint8)
+    _tiles(bands, samples, colors, rows, shift, levels, squares, largest)
     levels, squares = levels.ravel(), squares.ravel()
-    usable = (levels > 4 * _SAMPLES) & (levels < 235 * _SAMPLES)
+    usable = (levels > 4 * _SAMPLES) & (levels < 235 * _SAMPLES) & (largest.ravel() < saturation)
     if np.count_nonzero(usable) < 20:
         return NoiseModel(1.0, 0.0)
     return _line(levels[usable], squares[usable])
 
 
 @serial
-def _add_row(first: Any, middle: Any, last: Any, levels: Any, squares: Any) -> None:
-    """Add the middle samples of a row, and the squares of its second differences."""
+def _add_row(first: Any, middle: Any, last: Any, levels: Any, squares: Any, largest: Any) -> None:
+    """Add the middle samples of a row, and the squares of its second differences; update the largest samples."""
     for j in range(levels.shape[0]):
         m = np.int32(middle[j])
         second = np.int32(np.int32(first[j]) + np.int32(last[j]) - m - m)
         levels[j] += m
         squares[j] += np.int32(second * second)
+    for j in range(levels.shape[0]):
+        largest[j] = max(largest[j], middle[j])
 
 
 @parallel
-def _tiles(band: int, image: Any, colors: int, rows: int, shift: int, levels: Any, squares: Any) -> None:
+def _tiles(
+    band: int, image: Any, colors: int, rows: int, shift: int, levels: Any, squares: Any, largest: Any
+) -> None:  # fmt: skip
     """Sums over the tiles of one of every third bands of them, in whole numbers.
 
     Args:
@@ -69,20 +75,22 @@ def _tiles(band: int, image: Any, colors: int, rows: int, shift: int, levels: An
         rows, shift: distance of the samples that are subtracted, in rows and in elements of a row.
         levels, squares: (bands, tiles, colors) int32, zero before; sums of the samples, and of their squared second
             differences.
+        largest: (bands, tiles, colors) uint8, zero before; the largest sample.
     """
     columns = levels.shape[1]
     n = columns * _TILE * colors
     top = band * _BANDS_APART * _TILE
-    level, square = np.zeros(n, np.int32), np.zeros(n, np.int32)
+    level, square, most = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.uint8)
     for i in range(top, top + _TILE):
         _add_row(image[i][:n], image[i + rows][shift : shift + n],
-                 image[i + 2 * rows][2 * shift : 2 * shift + n], level, square)  # fmt: skip
+                 image[i + 2 * rows][2 * shift : 2 * shift + n], level, square, most)  # fmt: skip
     j = 0
     for tile in range(columns):
         for _ in range(_TILE):
             for k in range(colors):
                 levels[band, tile, k] += level[j]
                 squares[band, tile, k] += square[j]
+                largest[band, tile, k] = max(largest[band, tile, k], most[j])
                 j += 1
 
 
