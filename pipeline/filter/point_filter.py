@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.filter import connected_components
+from pipeline.filter.border_model import MODEL
+from pipeline.filter.border_test import Planes, border_test
 from pipeline.filter.component_test import component_test
 from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.local_outliers import ROWS, drop_mixed_edges, local_outliers
@@ -18,7 +20,7 @@ from pipeline.filter.surface_edges import edge_test
 from pipeline.filter.texture_agreement import DEVIATION_STEPS, LOSS, MISFIT_STEPS, Agreement, Scale
 from pipeline.filter.uniqueness import Uniqueness
 from pipeline.geometry.ray_tables import DepthScale
-from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult
+from pipeline.match.match_result import LARGEST_RESIDUAL, RESIDUAL_STEP, TURN_STEPS, MatchResult, Points
 
 LARGE_SHARE = 0.01
 """Share of the image from which a surface's texture is not tested as a whole."""
@@ -29,6 +31,8 @@ EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.6, 0.3
 EDGE_MISFIT_RAD = (0.9, 0.9, 0.9, 0.9, 0.8, 0.7, 0.5, 0.3, 0.1)
 """Phase error of an edge pixel by the number of its neighbours that belong to the surface, radians."""
 MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
+BORDER_LIMIT = -2.8
+"""Logarithm of the odds that a border point is wrong above which it is rejected."""
 _LOSS = LOSS.astype(np.float32)
 
 
@@ -41,15 +45,17 @@ class Gates:
         depth: scale of the parameter s; order_step: change of s from one order to the next.
         smallest: pixels of the smallest connected surface.
         phase_weight: 0..1, how far the projector's phase distinguishes fringe orders, see :func:`phase_weight`.
+        stride: step of these pixels in the cloud's planes.
     """
 
     def __init__(
         self, shape: tuple[int, int], right: tuple[int, int], projector: tuple[int, int],
         slopes: tuple[float, float], depth: DepthScale, order_step: float, settings: Settings, *, smallest: int,
-        phase_weight: float = 1.0,
+        phase_weight: float = 1.0, stride: int = 1,
     ) -> None:  # fmt: skip
         self._right, self._projector, self._settings, self._smallest = right, projector, settings, smallest
-        self._phase_weight = phase_weight
+        self._phase_weight, self._stride = phase_weight, stride
+        self._per_order = abs(depth.span * order_step)
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
@@ -59,14 +65,16 @@ class Gates:
         self._unique = Uniqueness(shape, (right, projector))
 
     def certain(
-        self, match: MatchResult, depth_mm: Any, modulation: Any, agreement: Agreement, scale: Scale
+        self, match: MatchResult, points: Points, modulation: Any, mean: Any, agreement: Agreement, scale: Scale
     ) -> NDArray[np.uint8]:
         """1 where a point is certain, else 0, (H, W); valid until the next call.
 
         Args:
-            match: of the left image; depth_mm: (H, W), float32; modulation: (H, W) uint8, counts.
-            agreement: of the textures, its misfit is raised at the edges of surfaces; scale: of their differences.
+            match: of the left image; points: their sigma is raised at the borders of surfaces.
+            modulation, mean: (H, W) uint8, counts.
+            agreement: of the textures; scale: of their differences.
         """
+        depth_mm = points.depth_mm(self._stride)
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
         bands = blocks(len(valid), ROWS)
         limit, largest = _steps(s.outlier_phase_threshold), _steps(s.reflection_threshold)
@@ -97,6 +105,15 @@ class Gates:
             )
         surfaces.find(valid, self._link, self._smallest)
         self._test_components(match, agreement, scale)
+        surfaces.paint(label)
+        planes = Planes(
+            label, agreement.deviation, agreement.misfit, match.residual_normalised, match.residual, modulation, mean,
+            *points,
+        )  # fmt: skip
+        border_test(
+            len(label), planes, _LOSS, self._stride, self._per_order, MODEL, BORDER_LIMIT, valid, agreement.misfit,
+            points.sigma_mm,
+        )  # fmt: skip
         return valid
 
     def _test_components(self, match: MatchResult, agreement: Agreement, scale: Scale) -> None:

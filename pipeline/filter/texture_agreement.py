@@ -164,26 +164,3 @@ def scale_of(match: MatchResult, left: Any, right: Any) -> Scale:
 
 def _relative_difference(a: Any, b: Any) -> Any:
     return 2 * (a - b) / (a + b + _OFFSET)
-
-
-@serial
-def _widen_row(valid: Any, misfit: Any, variance: Any, sigma: Any) -> None:
-    one, per = np.float32(1.0), np.float32(0.5 / MISFIT_STEPS**2)
-    for j in range(valid.shape[0]):
-        e = np.float32(misfit[j])
-        if (valid[j] != 0) & (misfit[j] != 0):
-            sigma[j] *= np.float32(sqrt(one + per * e * e / variance[j]))
-
-
-@parallel
-def widen_sigma(i: int, valid: Any, misfit: Any, variance: Any, stride: int, sigma: Any) -> None:
-    """Add the misfit to the standard deviation of the points.
-
-    Args:
-        valid, misfit: (h, w) uint8; variance: (h, w) float32, rad^2, of the left phase; the right one's is alike.
-        stride: pixel (a, b) of those is that at (stride a, stride b) of ``sigma`` (H, W) float32, which is changed.
-    """
-    if stride == 1:
-        _widen_row(valid[i], misfit[i], variance[i], sigma[i])
-    else:
-        _widen_row(valid[i], misfit[i], variance[i], sigma[stride * i, ::stride])

@@ -15,7 +15,8 @@ from pipeline.decode.decoder import PhaseMap
 from pipeline.decode.packed_phasor import PHASOR_SCALE
 from pipeline.filter.mask_rejected import mask_rejected
 from pipeline.filter.point_filter import Gates, phase_weight
-from pipeline.filter.texture_agreement import Agreement, Scale, compare, scale_of, scales_of, widen_sigma
+from pipeline.filter.sigma_terms import shares_of, widen_sigma
+from pipeline.filter.texture_agreement import Agreement, Scale, compare, scale_of, scales_of
 from pipeline.geometry.view_tables import View
 from pipeline.match.match_result import MatchResult, Points
 from pipeline.match.subpixel_match import ROWS, refine
@@ -35,14 +36,15 @@ class CloudStage:
     Args:
         volume: in which there are points, plus 2 %; left: the left camera's view.
         correlation: of neighbouring phases' noise in the right image.
+        mosaic: whether the sensors are mosaics.
         stride: step of the pixels that get points, in both directions.
     """
 
     def __init__(
         self, calibration: Calibration, volume: Volume, left: View, settings: Settings, correlation: float, *,
-        stride: int,
+        stride: int, mosaic: bool = False,
     ) -> None:  # fmt: skip
-        self._view, self._stride = left, stride
+        self._view, self._stride, self._mosaic = left, stride, mosaic
         least, most = left.depth.range_of(volume, _TOLERANCE)
         self._limits = np.float32(least), np.float32(most)
         self._size, self._right_size = calibration.left.size[::-1], calibration.right.size
@@ -56,7 +58,7 @@ class CloudStage:
             shape, calibration.right.size, calibration.projector.size,
             (stride * left.slopes[0], stride * left.slopes[1]), left.depth, left.order_step, settings,
             smallest=max(settings.cluster_min_area // stride**2, 1),
-            phase_weight=phase_weight(_baselines(calibration), linear=left.linear),
+            phase_weight=phase_weight(_baselines(calibration), linear=left.linear), stride=stride,
         )  # fmt: skip
         self._agreement = Agreement.empty(shape)
         self._slope = np.float32(stride * left.slopes[0])
@@ -127,9 +129,12 @@ class CloudStage:
         if confirm is None:
             self.match_neighbours(part, right, part_order, scale, correction, points)
         watch.lap("agreement")
-        valid = self._gates.certain(match, points.depth_mm(self._stride), part.modulation, self._agreement, scale)
+        valid = self._gates.certain(match, points, part.modulation, part.mean, self._agreement, scale)
         watch.lap("gates")
-        widen_sigma(len(valid), valid, self._agreement.misfit, part.variance, self._stride, points.sigma_mm)
+        widen_sigma(
+            len(valid), self._agreement.misfit, match.residual_normalised, match.residual, part.variance,
+            shares_of(mosaic=self._mosaic, saturated=left.saturated), self._stride, points.sigma_mm,
+        )  # fmt: skip
         kept = np.empty(self._size, np.int16)
         mask_rejected(len(kept), valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
         cloud = Cloud(

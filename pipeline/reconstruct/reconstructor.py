@@ -216,6 +216,12 @@ class Reconstructor:
         """The stage that makes clouds of orders, for points on every n-th pixel."""
         if stride not in self._stages:
             self._stages[stride] = CloudStage(
-                self.calibration, self.volume, self.left, self.settings, self._correlation, stride=stride
+                self.calibration,
+                self.volume,
+                self.left,
+                self.settings,
+                self._correlation,
+                stride=stride,
+                mosaic=self.encoding.startswith("bayer"),
             )
         return self._stages[stride]

@@ -1,0 +1,157 @@
+"""Fit of the border test's coefficients to simulated images; ``python -m benchmarks.border_model`` writes them.
+
+Points at the borders of surfaces of the hard cases, at full and half size, with figures as the pipeline computes them.
+Wrong points (by more than 6 mm, or without truth) against right ones: logistic regression. Errors of the others:
+regression of the logarithm of the variance, by maximum likelihood of a normal distribution.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pipeline.filter.border_model
+from benchmarks.reconstruction import rendered
+from benchmarks.reconstruction.cases import HARD, Case
+from benchmarks.trust import scaled
+from pipeline.filter import point_filter
+from pipeline.filter.border_model import FIGURES
+from pipeline.filter.border_test import border_figures
+from sim.evaluate.point_errors import distance_mm
+from sim.evaluate.score import WRONG_MM
+
+Floats = NDArray[np.float64]
+_RIDGE = 3.0
+_BEGIN = "MODEL = BorderModel("
+
+
+def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
+    """Figures (n, FIGURES) of the border points of one pair, and their error / sigma (n,), inf where wrong."""
+    found = np.full(1, np.nan)
+
+    def collect(rows: int, planes: Any, losses: Any, stride: int, per_order: Any, *rest: Any) -> None:
+        nonlocal found
+        found = np.empty((*planes.label.shape, FIGURES))
+        border_figures(rows, planes, losses, stride, per_order, found)
+        found[rest[2] == 0] = np.nan
+        rest[3][np.isfinite(found[..., 0])] = 0
+
+    pair = rendered.stored_pair(case, seed)
+    reconstructor = case.reconstructor()
+    with mock.patch.object(point_filter, "border_test", collect):
+        cloud = reconstructor.reconstruct(pair.left, pair.right)
+    truth = pair.truth_left
+    with np.errstate(invalid="ignore"):
+        wrong = ~(distance_mm(cloud.xyz, truth) <= WRONG_MM)
+        ray = np.linalg.norm(truth.xyz, axis=-1) / truth.xyz[..., 2]
+        ratio = np.abs(cloud.xyz[..., 2] - truth.xyz[..., 2]) * ray / cloud.sigma_mm
+    at = np.isfinite(found[..., 0]) & np.isfinite(cloud.sigma_mm)
+    return found[at], np.where(wrong, np.inf, ratio)[at]
+
+
+def quadratic(x: Floats) -> Floats:
+    """Constant, linear and quadratic terms, in the order of :func:`pipeline.filter.border_test.log_odds`."""
+    products = [x[:, k] * x[:, other] for k in range(FIGURES) for other in range(k + 1)]
+    return np.column_stack([np.ones(len(x)), x, *products])
+
+
+def squares(x: Floats) -> Floats:
+    """Constant, linear and square terms, in the order of :func:`pipeline.filter.border_test.log_variance`."""
+    return np.column_stack([np.ones(len(x)), x, x**2])
+
+
+def logistic(terms: Floats, wrong: NDArray[np.bool_], weight: Floats) -> Floats:
+    """Coefficients of a logistic regression with a ridge, by Newton's method with bounded steps."""
+    ridge = np.r_[0.0, np.full(terms.shape[1] - 1, _RIDGE)]
+    w = np.zeros(terms.shape[1])
+
+    def loss(w: Floats) -> float:
+        odds = terms @ w
+        return float(weight @ (np.logaddexp(0.0, odds) - wrong * odds) + 0.5 * ridge @ w**2)
+
+    best = loss(w)
+    for _ in range(50):
+        p = 1 / (1 + np.exp(-np.clip(terms @ w, -30, 30)))
+        gradient = terms.T @ (weight * (p - wrong)) + ridge * w
+        hessian = (terms.T * (weight * np.maximum(p * (1 - p), 1e-4))) @ terms + np.diag(ridge)
+        step = np.linalg.solve(hessian, gradient)
+        while loss(w - step) > best and np.abs(step).max() > 1e-9:
+            step /= 2
+        w, best = w - step, loss(w - step)
+    return w
+
+
+def variance(terms: Floats, ratio: Floats, weight: Floats) -> Floats:
+    """Coefficients w of the variance exp(terms w) of ``ratio`` by maximum likelihood, Fisher scoring."""
+    ridge = np.r_[0.0, np.full(terms.shape[1] - 1, _RIDGE)]
+    w = np.zeros(terms.shape[1])
+    w[0] = np.log(np.mean(ratio**2))
+    hessian = 0.5 * (terms.T * weight) @ terms + np.diag(ridge)
+    for _ in range(200):
+        excess = np.minimum(ratio**2 * np.exp(-np.clip(terms @ w, -5, 15)), 30.0) - 1
+        step = np.linalg.solve(hessian, 0.5 * terms.T @ (weight * excess) - ridge * w)
+        w += 0.5 * step
+    return w
+
+
+def main(given: list[str]) -> int:
+    """Fit, print what a limit costs on every case, and write the coefficients."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--scales", type=float, nargs="+", default=[1.0, 0.5])
+    parser.add_argument(
+        "--without", nargs="*", default=["bright"], help="cases left out of the fit, by part of the name"
+    )
+    parser.add_argument("--write", action="store_true", help="write the coefficients into the pipeline")
+    options = parser.parse_args(given)
+    data: dict[str, tuple[Floats, Floats]] = {}
+    for case in HARD:
+        for size in options.scales:
+            for seed in range(options.seeds):
+                data[f"{case.name}, {size:g}, {seed}"] = samples(scaled(case, size), seed)
+    left_out = {name for name in data if any(part in name for part in options.without)}
+    # Every pair counts by the root of its number of points, so that scenes with many borders do not decide alone.
+    fitted = [
+        (x, r, np.full(len(r), 1 / np.sqrt(len(r)))) for n, (x, r) in data.items() if n not in left_out and len(r)
+    ]
+    x, ratio, weight = (np.concatenate([each[k] for each in fitted]) for k in range(3))
+    weight *= len(weight) / weight.sum()
+    mean, scale = x.mean(axis=0), 1 / x.std(axis=0)
+    x = (x - mean) * scale
+    good, terms = np.isfinite(ratio), quadratic(x)
+    wrong = logistic(terms, ~good, weight)
+    kept = good & (terms @ wrong <= point_filter.BORDER_LIMIT)
+    spread = variance(squares(x[kept]), ratio[kept], weight[kept])
+    for name, (figures, r) in sorted(data.items()):
+        figures = (figures - mean) * scale
+        bad, odds = ~np.isfinite(r), quadratic(figures) @ wrong
+        stays = odds <= point_filter.BORDER_LIMIT
+        after = r[~bad & stays] * np.exp(-0.5 * np.maximum(squares(figures[~bad & stays]) @ spread, 0.0))
+        print(
+            f"{name + ' (not fitted)' * (name in left_out):50s} {len(r):6d} points, wrong {bad.sum():5d} -> "
+            f"{(bad & stays).sum():5d}, right ones lost {100 * (~bad & ~stays).mean():5.2f} %, "
+            f"error / sigma {np.sqrt((r[~bad] ** 2).mean()):5.2f} -> {np.sqrt((after**2).mean()):5.2f}"
+        )
+    if options.write:
+        path = Path(pipeline.filter.border_model.__file__)
+        head = path.read_text().split(_BEGIN)[0]
+        path.write_text(
+            head + _BEGIN + "\n" + "".join(_array(a) for a in (mean, scale, wrong, spread)) + ")  # fmt: skip\n"
+        )
+    return 0
+
+
+def _array(values: Floats) -> str:
+    """An array as Python source, 12 numbers a line."""
+    rows = [", ".join(f"{v:.4g}" for v in values[k : k + 12]) for k in range(0, len(values), 12)]
+    return "    np.array([\n" + "".join(f"        {row},\n" for row in rows) + "    ]),\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
