@@ -33,12 +33,12 @@ _BEGIN = "MODEL = BorderModel("
 
 def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
     """Figures (n, FIGURES) of the border points of one pair, and their error / sigma (n,), inf where wrong."""
-    found = np.full(1, np.nan)
+    found = np.full(1, np.nan, np.float32)
 
-    def collect(rows: int, planes: Any, losses: Any, stride: int, per_order: Any, *rest: Any) -> None:
+    def collect(bands: int, planes: Any, losses: Any, stride: int, per_order: Any, *rest: Any) -> None:
         nonlocal found
-        found = np.empty((*planes.label.shape, FIGURES))
-        border_figures(rows, planes, losses, stride, per_order, found)
+        found = np.empty((*planes.label.shape, FIGURES), np.float32)
+        border_figures(bands, planes, losses, stride, per_order, found)
         found[rest[2] == 0] = np.nan
         rest[3][np.isfinite(found[..., 0])] = 0
 
@@ -52,7 +52,7 @@ def samples(case: Case, seed: int) -> tuple[Floats, Floats]:
         ray = np.linalg.norm(truth.xyz, axis=-1) / truth.xyz[..., 2]
         ratio = np.abs(cloud.xyz[..., 2] - truth.xyz[..., 2]) * ray / cloud.sigma_mm
     at = np.isfinite(found[..., 0]) & np.isfinite(cloud.sigma_mm)
-    return found[at], np.where(wrong, np.inf, ratio)[at]
+    return found[at].astype(np.float64), np.where(wrong, np.inf, ratio)[at]
 
 
 def quadratic(x: Floats) -> Floats:
@@ -148,9 +148,9 @@ def main(given: list[str]) -> int:
 
 
 def _array(values: Floats) -> str:
-    """An array as Python source, 12 numbers a line."""
-    rows = [", ".join(f"{v:.4g}" for v in values[k : k + 12]) for k in range(0, len(values), 12)]
-    return "    np.array([\n" + "".join(f"        {row},\n" for row in rows) + "    ]),\n"
+    """An array as Python source, ten numbers a line."""
+    rows = [", ".join(f"{v:.4g}" for v in values[k : k + 10]) for k in range(0, len(values), 10)]
+    return "    np.array([\n" + "".join(f"        {row},\n" for row in rows) + "    ], np.float32),\n"
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pipeline.common.parallel_for import blocks
 from pipeline.common.settings import Settings
 from pipeline.filter import connected_components
 from pipeline.filter.border_model import MODEL
+from pipeline.filter.border_test import ROWS as BORDER_ROWS
 from pipeline.filter.border_test import Planes, border_test
 from pipeline.filter.component_test import component_test
 from pipeline.filter.connected_components import Surfaces
@@ -55,7 +56,7 @@ class Gates:
     ) -> None:  # fmt: skip
         self._right, self._projector, self._settings, self._smallest = right, projector, settings, smallest
         self._phase_weight, self._stride = phase_weight, stride
-        self._per_order = abs(depth.span * order_step)
+        self._per_order = np.float32(abs(depth.span * order_step))
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
         self._tolerance = int(order_step / 4 * PARAMETER_STEPS)
@@ -107,12 +108,12 @@ class Gates:
         self._test_components(match, agreement, scale)
         surfaces.paint(label)
         planes = Planes(
-            label, agreement.deviation, agreement.misfit, match.residual_normalised, match.residual, modulation, mean,
-            *points,
+            label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,
+            modulation, mean, *points,
         )  # fmt: skip
         border_test(
-            len(label), planes, _LOSS, self._stride, self._per_order, MODEL, BORDER_LIMIT, valid, agreement.misfit,
-            points.sigma_mm,
+            blocks(len(label), BORDER_ROWS), planes, _LOSS, self._stride, self._per_order, MODEL,
+            np.float32(BORDER_LIMIT), valid, agreement.misfit, points.sigma_mm,
         )  # fmt: skip
         return valid
 

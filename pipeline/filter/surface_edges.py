@@ -15,7 +15,7 @@ REACH = 2
 
 
 @serial
-def label_changes(above: Any, here: Any, below: Any, out: Any) -> None:
+def _label_changes(above: Any, here: Any, below: Any, out: Any) -> None:
     """1 where one of the eight neighbours has another label; the row's ends are edges."""
     n = here.shape[0]
     for j in range(1, n - 1):
@@ -58,7 +58,7 @@ def edge_test(
     """
     height, width = label.shape
     doubt = np.empty(width, np.uint8)
-    label_changes(label[max(i - 1, 0)], label[i], label[min(i + 1, height - 1)], doubt)
+    _label_changes(label[max(i - 1, 0)], label[i], label[min(i + 1, height - 1)], doubt)
     row, checked = deviation[i], valid[i]
     for j in range(width):
         doubt[j] = (doubt[j] | np.uint8((row[j] >= high) & (label[i, j] != 0))) & checked[j]
