@@ -201,7 +201,7 @@ def _distance(label: Any, right_u: Any, j: int) -> Any:
         at = j
         for _ in range(FARTHEST):
             if at + step < 0 or at + step >= width or label[at + step] != k:
-                least = min(least, abs(np.int32(right_u[at]) - np.int32(right_u[j])))
+                least = min(least, int(abs(np.int32(right_u[at]) - np.int32(right_u[j]))))
                 break
             at += step
     return np.float32(least) * np.float32(1 / RIGHT_STEPS)

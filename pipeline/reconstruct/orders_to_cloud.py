@@ -54,14 +54,15 @@ class CloudStage:
         self._match = MatchResult.empty(shape)
         self._floor_sq = np.float32((settings.min_modulation * PHASOR_SCALE) ** 2)
         self._correlation = np.float32(correlation)
+        self._slopes = stride * left.slopes[0], stride * left.slopes[1]
         self._gates = Gates(
             shape, calibration.right.size, calibration.projector.size,
-            (stride * left.slopes[0], stride * left.slopes[1]), left.depth, left.order_step, settings,
+            self._slopes, left.depth, left.order_step, settings,
             smallest=max(settings.cluster_min_area // stride**2, 1),
             phase_weight=phase_weight(_baselines(calibration), linear=left.linear), stride=stride,
         )  # fmt: skip
         self._agreement = Agreement.empty(shape)
-        self._slope = np.float32(stride * left.slopes[0])
+        self._slope = np.float32(self._slopes[0])
 
     def match(
         self, left: PhaseMap, right: PhaseMap, order: Any, correction: NDArray[np.float64], points: Points | None = None
@@ -133,7 +134,8 @@ class CloudStage:
         watch.lap("gates")
         widen_sigma(
             len(valid), self._agreement.misfit, match.residual_normalised, match.residual, part.variance,
-            shares_of(mosaic=self._mosaic, saturated=left.saturated), self._stride, points.sigma_mm,
+            shares_of(match, part.variance, slopes=self._slopes, mosaic=self._mosaic, saturated=left.saturated),
+            self._stride, points.sigma_mm,
         )  # fmt: skip
         kept = np.empty(self._size, np.int16)
         mask_rejected(len(kept), valid, part_order, self._stride, points.xyz, points.sigma_mm, kept)
