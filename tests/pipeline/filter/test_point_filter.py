@@ -207,7 +207,8 @@ def test_what_is_certain_does_not_depend_on_the_number_of_threads_nor_on_the_unk
                     filling: Any = [np.nan, np.inf, 0] if plane.dtype.kind == "f" else [0, 65535, 7]
                     plane[valid == 0] = rng.choice(np.array(filling).astype(plane.dtype), int((valid == 0).sum()))
                 agreement = Agreement(deviation.copy(), np.zeros(shape, np.uint8))
-                results.append(gates.certain(match, depth, modulation, agreement, scale).copy())
+                points.sigma_mm[:] = 0.02
+                results.append(gates.certain(match, points, modulation, modulation, agreement, scale).copy())
     finally:
         numba.set_num_threads(most)
     assert all((r == results[0]).all() for r in results)

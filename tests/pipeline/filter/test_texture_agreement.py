@@ -15,7 +15,6 @@ from pipeline.filter.texture_agreement import (
     Agreement,
     compare,
     scale_of,
-    widen_sigma,
 )
 from pipeline.match.match_result import PIXEL_STEPS, MatchResult
 
@@ -104,20 +103,3 @@ def test_the_comparison_does_not_depend_on_the_number_of_threads() -> None:
     finally:
         numba.set_num_threads(most)
     assert all((a == b).all() for a, b in zip(*results, strict=True))
-
-
-@pytest.mark.parametrize("stride", [1, 3])
-def test_sigma_is_never_less_than_noise_and_grows_with_the_misfit(stride: int) -> None:
-    rng = np.random.default_rng(6)
-    shape = (20, 31)
-    valid = (rng.random(shape) < 0.7).astype(np.uint8)
-    misfit = rng.integers(0, 200, shape).astype(np.uint8) * (rng.random(shape) < 0.5).astype(np.uint8)
-    variance = np.full(shape, 1e-4, np.float32)
-    noise = rng.uniform(0.01, 0.1, (stride * 20, stride * 31)).astype(np.float32)
-    sigma = noise.copy()
-    widen_sigma(len(valid), valid, misfit, variance, stride, sigma)
-    part = np.s_[::stride, ::stride]
-    assert (sigma >= noise).all()
-    assert (sigma[part][(misfit == 0) | (valid == 0)] == noise[part][(misfit == 0) | (valid == 0)]).all()
-    expected = noise[part] * np.sqrt(1 + (misfit / 256.0) ** 2 / (2 * variance))
-    assert np.allclose(sigma[part][valid == 1], expected[valid == 1], rtol=1e-4)

@@ -119,9 +119,10 @@ def test_measuring_in_other_units_gives_the_same_shape(pair, cloud):
     assert both.sum() > 0.995 * cloud.points
     assert np.abs(big.xyz[both] / 2.5 - cloud.xyz[both]).max() < 0.02
     # The right image's variance is that of the nearest pixel, which rounding may exchange for its neighbour; rounding
-    # may also decide whether a pixel at a border is matched a third time.
+    # may also decide whether a pixel at a border is matched a third time. At borders sigma follows small differences
+    # of depth.
     changes = np.abs(big.sigma_mm[both] / 2.5 / cloud.sigma_mm[both] - 1)
-    assert np.quantile(changes, 0.999) < 1e-3
+    assert np.quantile(changes, 0.999) < 3e-3
     assert np.mean(changes > 0.05) < 1e-4
 
 

@@ -1,0 +1,119 @@
+"""Points at the borders of surfaces: probably wrong ones are rejected, the others get the sigma of their error."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from pipeline.common.parallel_for import blocks
+from pipeline.filter.border_model import FIGURES, MODEL
+from pipeline.filter.border_test import ROWS, Planes, border_figures, border_of_row, border_test
+from pipeline.filter.point_filter import BORDER_LIMIT
+from pipeline.filter.texture_agreement import LOSS
+from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP
+
+SHAPE = (60, 90)
+PER_ORDER = np.float32(5e-6)
+ORDER_MM = 1000.0**2 * float(PER_ORDER)
+EDGE = 45
+
+
+def planes(seed: int = 3, *, behind_mm: float = 60.0) -> Planes:
+    """Two planes 1 m away, the second ``behind_mm`` farther, which meet at column EDGE; everything agrees."""
+    rng = np.random.default_rng(seed)
+    i, j = np.indices(SHAPE)
+    label = np.where(j < EDGE, 1, 2).astype(np.uint16)
+    xyz = np.zeros((*SHAPE, 3), np.float32)
+    xyz[..., 2] = 1000 + 0.05 * j + 0.02 * i + behind_mm * (j >= EDGE) + rng.normal(0, 0.02, SHAPE)
+    return Planes(
+        label, rng.integers(0, 20, SHAPE).astype(np.uint8), np.zeros(SHAPE, np.uint8),
+        (PIXEL_STEPS * (j + 20.0)).astype(np.uint16), *rng.normal(0, 4, (2, *SHAPE)).astype(np.int16),
+        rng.integers(70, 75, SHAPE).astype(np.uint8), rng.integers(100, 105, SHAPE).astype(np.uint8), xyz,
+        np.full(SHAPE, 0.02, np.float32),
+    )  # fmt: skip
+
+
+def _outcome(p: Planes) -> tuple[Any, Any, Any]:
+    """Validity, misfit and sigma after the test."""
+    valid, misfit, sigma = (p.label > 0).astype(np.uint8), p.misfit.copy(), p.sigma.copy()
+    p = p._replace(misfit=misfit, sigma=sigma)
+    border_test(
+        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, PER_ORDER, MODEL, np.float32(BORDER_LIMIT), valid,
+        misfit, sigma,
+    )  # fmt: skip
+    return valid, misfit, sigma
+
+
+def test_only_points_near_a_border_are_touched() -> None:
+    p = planes()
+    valid, _, sigma = _outcome(p)
+    far = np.abs(np.arange(SHAPE[1]) - EDGE + 0.5) > 3
+    assert valid[:, far].all() and (sigma[:, far] == p.sigma[:, far]).all()
+    assert valid[4:-4, EDGE - 2 : EDGE + 2].mean() > 0.97
+    assert (sigma >= p.sigma).all()
+
+
+def test_a_point_between_two_surfaces_is_rejected_or_gets_a_sigma_of_the_size_of_its_error() -> None:
+    clean, p = planes(), planes()
+    wrong = np.s_[10:50:4, EDGE - 1]
+    p.xyz[wrong][..., 2] += 0.4 * ORDER_MM
+    p.residual_normalised[wrong] = round(0.4 / RESIDUAL_STEP)
+    p.residual[wrong] = round(0.4 / RESIDUAL_STEP)
+    p.modulation[wrong], p.mean[wrong], p.deviation[wrong] = 45, 80, 70
+    valid, _, sigma = _outcome(p)
+    before = _outcome(clean)[2]
+    assert valid[wrong].mean() < 0.2
+    kept = valid[wrong] != 0
+    assert (sigma[wrong][kept] > 5 * before[wrong][kept]).all()
+
+
+def test_the_deviation_from_the_plane_widens_sigma() -> None:
+    clean, p = planes(), planes()
+    some = np.s_[10:50:4, EDGE - 1]
+    p.xyz[some][..., 2] += 0.05 * ORDER_MM
+    valid, _, sigma = _outcome(p)
+    both = valid[some] != 0
+    assert both.any()
+    assert (sigma[some][both] > 1.5 * _outcome(clean)[2][some][both]).mean() > 0.8
+
+
+def test_figures_depend_neither_on_the_unit_nor_on_what_unknown_pixels_hold() -> None:
+    p = planes()
+    p.label[20:30, 60:70] = 0
+    first, second = (np.empty((*SHAPE, FIGURES), np.float32) for _ in range(2))
+    losses = LOSS.astype(np.float32)
+    border_figures(blocks(SHAPE[0], ROWS), p, losses, 1, PER_ORDER, first)
+    unknown = p.label == 0
+    p.xyz[unknown], p.residual[unknown], p.deviation[unknown] = np.nan, 30000, 255
+    metres = p._replace(xyz=p.xyz / np.float32(1000), sigma=p.sigma / np.float32(1000))
+    border_figures(blocks(SHAPE[0], ROWS), metres, losses, 1, np.float32(1000) * PER_ORDER, second)
+    here = np.isfinite(first[..., 0])
+    assert (here == np.isfinite(second[..., 0])).all() and here.any()
+    assert not here[unknown].any()
+    assert np.allclose(first[here], second[here], atol=0.02)
+
+
+def test_a_border_that_is_near_in_the_right_image_only_counts_too() -> None:
+    label = np.ones((5, 40), np.uint16)
+    label[:, 20:] = 2
+    even, steep = (np.zeros((5, 40), np.uint16) for _ in range(2))
+    even[:], steep[:] = PIXEL_STEPS * (np.arange(40) + 9), PIXEL_STEPS * (np.arange(40) // 4 + 9)
+    near = [np.empty(40, np.uint8) for _ in range(2)]
+    border_of_row(label, even, 2, near[0])
+    border_of_row(label, steep, 2, near[1])
+    assert np.flatnonzero(near[0]).tolist() == [18, 19, 20, 21]
+    assert set(np.flatnonzero(near[0])) < set(np.flatnonzero(near[1])) and near[1].sum() > 7
+
+
+def test_the_test_does_not_depend_on_the_number_of_threads() -> None:
+    most = numba.get_num_threads()
+    results = []
+    try:
+        for threads in (1, most):
+            numba.set_num_threads(threads)
+            results.append(_outcome(planes()))
+    finally:
+        numba.set_num_threads(most)
+    assert all((a == b).all() for a, b in zip(*results, strict=True))
