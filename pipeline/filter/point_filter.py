@@ -13,7 +13,7 @@ from pipeline.filter import connected_components
 from pipeline.filter.border_model import MODEL
 from pipeline.filter.border_test import ROWS as BORDER_ROWS
 from pipeline.filter.border_test import Planes, border_test
-from pipeline.filter.component_test import component_test
+from pipeline.filter.component_test import component_test, reject_eroded
 from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.local_outliers import ROWS, drop_mixed_edges, local_outliers
 from pipeline.filter.occlusion_conflicts import PARAMETER_STEPS, Values
@@ -115,6 +115,7 @@ class Gates:
             blocks(len(label), BORDER_ROWS), planes, _LOSS, self._stride, self._per_order, MODEL,
             np.float32(BORDER_LIMIT), valid, agreement.misfit, points.sigma_mm,
         )  # fmt: skip
+        reject_eroded(valid, surfaces, self._smallest)
         return valid
 
     def _test_components(self, match: MatchResult, agreement: Agreement, scale: Scale) -> None:
