@@ -32,7 +32,7 @@ EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.6, 0.3
 EDGE_MISFIT_RAD = (0.9, 0.9, 0.9, 0.9, 0.8, 0.7, 0.5, 0.3, 0.1)
 """Phase error of an edge pixel by the number of its neighbours that belong to the surface, radians."""
 MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
-BORDER_LIMIT = -2.8
+BORDER_LIMIT = -2.4
 """Logarithm of the odds that a border point is wrong above which it is rejected."""
 _LOSS = LOSS.astype(np.float32)
 

@@ -13,7 +13,7 @@ LIVE: tuple[str, ...] = (
     "pipeline.temporal",
     "pipeline.calibration_check",
     "pipeline.settings.*",
-    "outputs.*",
+    "outputs.parts",
     "stream.preview_hz",
     "recording.*",
     "selfcheck.rate_hz",
