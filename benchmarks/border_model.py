@@ -20,9 +20,10 @@ import pipeline.filter.border_model
 from benchmarks.reconstruction import rendered
 from benchmarks.reconstruction.cases import HARD, Case
 from benchmarks.trust import scaled
+from pipeline.common.settings import Settings
 from pipeline.filter import point_filter
 from pipeline.filter.border_model import FIGURES
-from pipeline.filter.border_test import border_figures
+from pipeline.filter.border_test import border_figures, largest_odds
 from sim.evaluate.point_errors import distance_mm
 from sim.evaluate.score import WRONG_MM
 
@@ -124,14 +125,14 @@ def main(given: list[str]) -> int:
     weight *= len(weight) / weight.sum()
     mean, scale = x.mean(axis=0), 1 / x.std(axis=0)
     x = (x - mean) * scale
-    good, terms = np.isfinite(ratio), quadratic(x)
+    good, terms, limit = np.isfinite(ratio), quadratic(x), largest_odds(Settings().edge_probability)
     wrong = logistic(terms, ~good, weight)
-    kept = good & (terms @ wrong <= point_filter.BORDER_LIMIT)
+    kept = good & (terms @ wrong <= limit)
     spread = variance(squares(x[kept]), ratio[kept], weight[kept])
     for name, (figures, r) in sorted(data.items()):
         figures = (figures - mean) * scale
         bad, odds = ~np.isfinite(r), quadratic(figures) @ wrong
-        stays = odds <= point_filter.BORDER_LIMIT
+        stays = odds <= limit
         after = r[~bad & stays] * np.exp(-0.5 * np.maximum(squares(figures[~bad & stays]) @ spread, 0.0))
         print(
             f"{name + ' (not fitted)' * (name in left_out):50s} {len(r):6d} points, wrong {bad.sum():5d} -> "

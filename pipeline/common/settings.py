@@ -52,6 +52,8 @@ class Settings:
     """Cluster filter: largest rms phase error against the projector of a component that is not large."""
     edge_threshold: float = 0.65
     """Edge filter: fraction of its neighbours' modulation below which a border pixel is taken as mixed; 0 = off."""
+    edge_probability: float = 0.08
+    """Edge filter: largest probability that a point near the border of its surface is wrong; 1 = off."""
     outlier_threshold_mm: float = 0.0
     """Outlier filter: distance within which a point needs two of its eight neighbours; 0 = off."""
     noise_threshold_mm: float = 0.0
@@ -147,6 +149,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "outlier_phase_threshold": (0.05, 3.1),
     "cluster_phase_threshold": (0.02, 3.1),
     "edge_threshold": (0, 1),
+    "edge_probability": (0.001, 1),
     "reflection_threshold": (0.1, 3.1),
     "cluster_min_area": (1, 100_000),
     "outlier_threshold_mm": (0, 1000),

@@ -10,7 +10,7 @@ of the rig nor its units matter. ``python -m benchmarks.border_model`` fits the 
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import exp, log, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +61,11 @@ class Planes(NamedTuple):
     mean: Any
     xyz: Any
     sigma: Any
+
+
+def largest_odds(probability: float) -> np.float32:
+    """The logarithm of the odds of a probability 0..1; infinite at 1, where nothing is rejected."""
+    return np.float32(log(probability / (1 - probability)) if probability < 1 else np.inf)
 
 
 @serial

@@ -12,7 +12,7 @@ from pipeline.common.settings import Settings
 from pipeline.filter import connected_components
 from pipeline.filter.border_model import MODEL
 from pipeline.filter.border_test import ROWS as BORDER_ROWS
-from pipeline.filter.border_test import Planes, border_test
+from pipeline.filter.border_test import Planes, border_test, largest_odds
 from pipeline.filter.component_test import component_test, reject_eroded
 from pipeline.filter.connected_components import Surfaces
 from pipeline.filter.local_outliers import ROWS, drop_mixed_edges, local_outliers
@@ -32,8 +32,6 @@ EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.6, 0.3
 EDGE_MISFIT_RAD = (0.9, 0.9, 0.9, 0.9, 0.8, 0.7, 0.5, 0.3, 0.1)
 """Phase error of an edge pixel by the number of its neighbours that belong to the surface, radians."""
 MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
-BORDER_LIMIT = -2.4
-"""Logarithm of the odds that a border point is wrong above which it is rejected."""
 _LOSS = LOSS.astype(np.float32)
 
 
@@ -56,6 +54,7 @@ class Gates:
     ) -> None:  # fmt: skip
         self._right, self._projector, self._settings, self._smallest = right, projector, settings, smallest
         self._phase_weight, self._stride = phase_weight, stride
+        self._largest_odds = largest_odds(settings.edge_probability)
         self._per_order = np.float32(abs(depth.span * order_step))
         self._slopes = round(slopes[0] / (2 * np.pi) * TURN_STEPS), round(slopes[1] / (2 * np.pi) * TURN_STEPS)
         self._base, self._span = np.float32(depth.base), np.float32(depth.span)
@@ -113,7 +112,7 @@ class Gates:
         )  # fmt: skip
         border_test(
             blocks(len(label), BORDER_ROWS), planes, _LOSS, self._stride, self._per_order, MODEL,
-            np.float32(BORDER_LIMIT), valid, agreement.misfit, points.sigma_mm,
+            self._largest_odds, valid, agreement.misfit, points.sigma_mm,
         )  # fmt: skip
         reject_eroded(valid, surfaces, self._smallest)
         return valid

@@ -9,8 +9,7 @@ import numpy as np
 
 from pipeline.common.parallel_for import blocks
 from pipeline.filter.border_model import FIGURES, MODEL
-from pipeline.filter.border_test import ROWS, Planes, border_figures, border_of_row, border_test
-from pipeline.filter.point_filter import BORDER_LIMIT
+from pipeline.filter.border_test import ROWS, Planes, border_figures, border_of_row, border_test, largest_odds
 from pipeline.filter.texture_agreement import LOSS
 from pipeline.match.match_result import PIXEL_STEPS, RESIDUAL_STEP
 
@@ -35,12 +34,12 @@ def planes(seed: int = 3, *, behind_mm: float = 60.0) -> Planes:
     )  # fmt: skip
 
 
-def _outcome(p: Planes) -> tuple[Any, Any, Any]:
+def _outcome(p: Planes, probability: float = 0.08) -> tuple[Any, Any, Any]:
     """Validity, misfit and sigma after the test."""
     valid, misfit, sigma = (p.label > 0).astype(np.uint8), p.misfit.copy(), p.sigma.copy()
     p = p._replace(misfit=misfit, sigma=sigma)
     border_test(
-        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, PER_ORDER, MODEL, np.float32(BORDER_LIMIT), valid,
+        blocks(SHAPE[0], ROWS), p, LOSS.astype(np.float32), 1, PER_ORDER, MODEL, largest_odds(probability), valid,
         misfit, sigma,
     )  # fmt: skip
     return valid, misfit, sigma
@@ -67,6 +66,14 @@ def test_a_point_between_two_surfaces_is_rejected_or_gets_a_sigma_of_the_size_of
     assert valid[wrong].mean() < 0.2
     kept = valid[wrong] != 0
     assert (sigma[wrong][kept] > 5 * before[wrong][kept]).all()
+
+
+def test_more_points_stay_with_a_larger_probability_and_all_at_one() -> None:
+    p = planes()
+    p.xyz[::3, EDGE - 1, 2] += 0.3 * ORDER_MM
+    p.residual_normalised[::3, EDGE - 1] = round(0.3 / RESIDUAL_STEP)
+    kept = [int(_outcome(p, probability)[0].sum()) for probability in (0.002, 0.05, 0.5, 1.0)]
+    assert kept == sorted(kept) and kept[0] < kept[-1] == np.count_nonzero(p.label)
 
 
 def test_the_deviation_from_the_plane_widens_sigma() -> None:
