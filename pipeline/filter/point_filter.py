@@ -27,7 +27,7 @@ LARGE_SHARE = 0.01
 """Share of the image from which a surface's texture is not tested as a whole."""
 HIGH = 3 * DEVIATION_STEPS
 """Deviation of the texture from which a pixel inside a surface is tested as one at its edge."""
-EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.6, 0.3
+EDGE_LOSS, LOSS_PER_NEIGHBOUR = 2.9, 0.3
 """Largest mean loss around an edge pixel with all its neighbours, and how much less for each that lacks."""
 EDGE_MISFIT_RAD = (0.9, 0.9, 0.9, 0.9, 0.8, 0.7, 0.5, 0.3, 0.1)
 """Phase error of an edge pixel by the number of its neighbours that belong to the surface, radians."""
