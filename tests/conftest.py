@@ -68,6 +68,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         shuffled.shuffle(groups)
         for group in groups:
             shuffled.shuffle(group)
+            group.sort(key=lambda item: item.get_closest_marker("last") is not None)
     elif _is_worker(config):
         groups.sort(key=lambda group: not any(item.get_closest_marker("slow") for item in group))
     items[:] = [item for group in groups for item in group]

@@ -100,6 +100,7 @@ def test_a_rig_with_mistakes_is_not_installed(machine: Machine) -> None:
     assert done.returncode != 0 and "nonsense" in done.stderr
 
 
+@pytest.mark.last
 def test_uninstall_leaves_the_data_and_purge_nothing(machine: Machine) -> None:
     (machine.root / "var/lib/fringed/takes/kept.mcap").write_bytes(b"take")
     assert "Removed" not in machine.fringed("uninstall").stderr

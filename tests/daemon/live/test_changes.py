@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import pytest
 import yaml
@@ -52,6 +52,12 @@ def refused(running: Running, method: str, /, **params: object) -> RpcError:
     return caught.value
 
 
+def committed(running: Running) -> Any:
+    """The configuration that the sinks have: the one of the start until something changes."""
+    found = running.sink.committed
+    return found[-1][0] if found else running.service.config
+
+
 @pytest.mark.parametrize(
     ("path", "value", "read"),
     [
@@ -61,8 +67,8 @@ def refused(running: Running, method: str, /, **params: object) -> RpcError:
         ("pairing.tolerance_us", 1500, lambda r: r.service.pairer._pairer.settings.tolerance_ns / 1000),
         ("pairing.resync_after", 5, lambda r: r.service.pairer._pairer.settings.resync_after),
         ("recording.min_free_mb", 17, lambda r: r.recorder._config.recording.min_free_mb),
-        ("stream.preview_hz", 0.5, lambda r: r.sink.committed[-1][0].stream.preview_hz),
-        ("selfcheck.limits.column_px", 0.5, lambda r: r.sink.committed[-1][0].selfcheck.limits.column_px),
+        ("stream.preview_hz", 0.5, lambda r: committed(r).stream.preview_hz),
+        ("selfcheck.limits.column_px", 0.5, lambda r: committed(r).selfcheck.limits.column_px),
         ("volume", {"near_mm": 1100, "far_mm": 1400}, lambda r: asdict(r.service.rig.volume)),
     ],
 )

@@ -137,6 +137,7 @@ def test_its_files_are_closed_to_others(running: Running) -> None:
     assert stat.S_IMODE((running.folder / "run").stat().st_mode) == 0o700
 
 
+@pytest.mark.last
 def test_a_key_is_revoked_while_it_runs_and_a_stop_is_clean(running: Running) -> None:
     running.keys("revoke", "screen")
     wait_until(lambda: running.remote()["cut"].get("control_revoked"))

@@ -52,7 +52,7 @@ def test_a_principal_point_traded_for_a_rotation_costs_no_shape(quarter):
         replace(true.left, matrix=matrix), turned(true.right), turned(true.projector), true.left_color, true.right_color
     )
     best, traded = (trial_scores(item, quarter, optics, scenes=("spheres",))["spheres"] for item in (true, other))
-    assert traded.alignment.angle_deg == pytest.approx(np.degrees(shift_px / matrix[0, 0]), rel=0.1)
+    assert traded.alignment.angle_deg == pytest.approx(np.degrees(shift_px / matrix[0, 0]), rel=0.15)
     assert traded.alignment.shift_mm > 0.5
     assert traded.score.rms_mm < 1.1 * best.score.rms_mm
     assert traded.score.reconstructed > best.score.reconstructed - 0.01
