@@ -131,7 +131,10 @@ class DeviceClock:
             self._reset()
         elif (line := self._line()) is not None:
             behind = offset - line.offset(device_ns)
-            if behind < -(_TOLERANCE_NS + line.error_ns) or self._always_late(behind, device_ns):
+            # The first frames may all be late; an earlier one only corrects them.
+            settled = self.latched or len(self._arrivals.kept) > 1
+            early = settled and behind < -(_TOLERANCE_NS + line.error_ns)
+            if early or self._always_late(behind, device_ns):
                 self._reset()
         self._last_arrival_ns = device_ns
         self._latest_ns = max(self._latest_ns, device_ns)

@@ -107,6 +107,14 @@ def test_a_stall_of_two_seconds_moves_nothing(ppm: float, seed: int, at: float) 
     assert clock.resets == 0
 
 
+def test_a_late_first_frame_is_corrected_by_the_second() -> None:
+    clock = DeviceClock()
+    clock.arrival(10**15, START + 11 * MS)
+    clock.arrival(10**15 + 33 * MS, START + 36 * MS)
+    assert clock.to_host_ns(10**15 + 33 * MS) == START + 36 * MS
+    assert clock.resets == 0
+
+
 @pytest.mark.parametrize("jump_s", [-1000, -0.2, 0.2, 1000])
 def test_a_reset_clock_is_determined_again_from_latches(jump_s: float) -> None:
     rng = np.random.default_rng(1)

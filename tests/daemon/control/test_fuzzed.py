@@ -186,8 +186,6 @@ def test_thousands_of_messages_harm_nothing(fuzzed: Fuzzed, count: int) -> None:
     @settings(
         max_examples=count // VARIATIONS,
         deadline=None,
-        derandomize=True,
-        database=None,
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )

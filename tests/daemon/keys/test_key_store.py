@@ -64,7 +64,7 @@ def test_a_secret_that_others_can_read_is_refused(tmp_path: Path) -> None:
         read_key(path)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@settings(max_examples=300, deadline=None)
 @given(st.text(max_size=300))
 def test_any_text_is_a_key_or_an_error_of_ours(text: str) -> None:
     for parse in (parse_key, authorized_keys.parse):
@@ -74,7 +74,7 @@ def test_any_text_is_a_key_or_an_error_of_ours(text: str) -> None:
             assert str(error).startswith("x")
 
 
-@settings(max_examples=200, deadline=None, derandomize=True, database=None)
+@settings(max_examples=200, deadline=None)
 @given(st.binary(min_size=32, max_size=32))
 def test_z85_is_recognised_by_the_bytes_it_encodes(data: bytes) -> None:
     from zmq.utils import z85

@@ -96,7 +96,7 @@ def test_the_limits_that_hold_now_are_the_configured_ones(tmp_path: Path) -> Non
     assert recorder.status() == {"recording": False}
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, 2_000_000_000), st.booleans()), max_size=60),
     st.floats(0.1, 5),

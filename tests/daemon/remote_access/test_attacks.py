@@ -222,8 +222,6 @@ def test_thousands_of_messages_through_the_cipher_do_what_their_role_allows_and_
         @settings(
             max_examples=count // 40,
             deadline=None,
-            derandomize=True,
-            database=None,
             suppress_health_check=list(HealthCheck),
         )
         @given(_messages)

@@ -79,7 +79,7 @@ def test_a_notification_has_no_response() -> None:
     assert respond(b'{"jsonrpc": "2.0", "method": "echo"}', METHODS) is None
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_get_a_valid_response_or_none(message: bytes) -> None:
     response = respond(message, METHODS)

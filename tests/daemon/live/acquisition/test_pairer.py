@@ -154,7 +154,7 @@ def test_a_camera_that_restarts_its_count_does_not_move_the_numbers_of_the_pairs
 chance = st.sampled_from([0.0, 0.01, 0.1, 0.3])
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     chances=st.tuples(chance, chance, chance, chance, st.sampled_from([0.0, 0.01, 0.1])),

@@ -17,7 +17,7 @@ def filled(values: list[float], *, hours: float = 2.0) -> History:
     return made
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.one_of(st.floats(-100, 100, width=32), st.just(float("nan"))), min_size=20, max_size=300),
     st.integers(2, 50),

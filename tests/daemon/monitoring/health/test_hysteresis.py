@@ -23,7 +23,7 @@ def changes(values: list[float], *, below: bool = False) -> list[tuple[int, str]
     return [(second, change) for second, change in fed if change is not None]
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None)
 @given(VALUES, st.booleans())
 def test_it_is_raised_only_after_seconds_beyond_and_cleared_only_after_seconds_well_within(
     values: list[float], below: bool
@@ -40,13 +40,13 @@ def test_it_is_raised_only_after_seconds_beyond_and_cleared_only_after_seconds_w
             assert len(recent) == 6 and all(v >= 110.0 - 1e-9 if below else v <= 90.0 for v in recent)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(90.0, 300.0, exclude_min=True), min_size=1, max_size=100))
 def test_what_is_open_stays_open_while_the_value_is_not_well_within(values: list[float]) -> None:
     assert changes([200.0] * 4 + values) == [(3, "raised")]
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(0.0, 100.0), max_size=100))
 def test_within_the_limit_nothing_is_raised(values: list[float]) -> None:
     assert changes(values) == []
