@@ -13,7 +13,7 @@ from rich.console import Console
 
 from benchmarks.common.tables import Table
 from benchmarks.reconstruction import rendered
-from benchmarks.reconstruction.cases import HARD, Case
+from benchmarks.reconstruction.cases import HARD, Case, random_case
 from sim.evaluate.point_errors import RINGS, PointErrors, Ring, point_errors
 
 _RINGS = tuple(name for name, _, _ in RINGS)
@@ -92,8 +92,10 @@ def main(given: list[str]) -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="of images and fringes, 1 = 1024 x 820")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", default="", help="those whose name contains this")
+    parser.add_argument("--random", type=int, default=0, help="as many random scenes and rigs instead")
     options = parser.parse_args(given)
-    cases = [scaled(case, options.scale) for case in HARD if options.case in case.name]
+    every = [random_case(number) for number in range(options.random)] or HARD
+    cases = [scaled(case, options.scale) for case in every if options.case in case.name]
     tables, _, promises = by_case(cases, options.seeds)
     console = Console(width=None if sys.stdout.isatty() else 170)
     for table in tables:

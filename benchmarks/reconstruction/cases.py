@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from pipeline.common.settings import Settings
 from pipeline.pattern.color_fringe import ColorFringe, modulated_profile
 from pipeline.reconstruct.reconstructor import Reconstructor
@@ -101,3 +103,37 @@ HARD = (
     Case("the demo's scene", "moving"),
 )
 """Scenes and rigs in which wrong points and false surfaces arise; :mod:`benchmarks.trust` measures them."""
+
+
+def random_case(number: int) -> Case:
+    """The random scene of this number before a random rig with random faults."""
+    rng = np.random.default_rng([11, number])
+    fraction = rng.choice([0.382, 0.5, rng.uniform(0.25, 0.6)])
+    baseline = rng.uniform(300, 600)
+    layout = RigLayout(
+        baseline_mm=baseline,
+        projector_fraction=float(fraction),
+        projector_up_mm=rng.uniform(0, 120),
+        standoff_mm=1400.0,
+        lens=rng.uniform(0, 1.5),
+    )
+    bayer = bool(rng.random() < 0.4)
+    faults = Optics.realistic() if rng.random() < 0.4 else Optics()
+    optics = replace(
+        faults,
+        exposure=float(rng.choice([0.5, 1.0, 1.0, 1.4])),
+        noise=rng.uniform(0.7, 2.0),
+        ambient=rng.uniform(0.01, 0.15),
+        defocus_px=rng.uniform(0.5, 1.5),
+        psf_px=rng.uniform(0.4, 0.8),
+        crosstalk=rng.uniform(0.02, 0.12),
+    )
+    return Case(
+        f"random {number}",
+        f"random-{number}",
+        optics,
+        layout,
+        "bayer_rggb8" if bayer else "rgb8",
+        modulated=bool(abs(fraction - 0.5) < 0.03 and rng.random() < 0.5),
+        periods=float(rng.choice([64.0, 80.0, 96.0, 112.0])),
+    )

@@ -50,6 +50,9 @@ class Settings:
     """Cluster filter: area of the smallest connected component that is kept."""
     cluster_phase_threshold: float = 0.2
     """Cluster filter: largest rms phase error against the projector of a component that is not large."""
+    uniqueness_ratio: float = 6.0
+    """Cluster filter: least margin by which the fringe orders of a surface cost less than the second best ones,
+    percent of the cost of a disagreeing pixel; 0 = off."""
     edge_threshold: float = 0.65
     """Edge filter: fraction of its neighbours' modulation below which a border pixel is taken as mixed; 0 = off."""
     edge_probability: float = 0.07
@@ -148,6 +151,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "consistency_threshold": (0.1, 3.1),
     "outlier_phase_threshold": (0.05, 3.1),
     "cluster_phase_threshold": (0.02, 3.1),
+    "uniqueness_ratio": (0, 100),
     "edge_threshold": (0, 1),
     "edge_probability": (0.001, 1),
     "reflection_threshold": (0.1, 3.1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,11 @@ MISFIT_OF = np.rint(np.array(EDGE_MISFIT_RAD) * MISFIT_STEPS).astype(np.uint8)
 _LOSS = LOSS.astype(np.float32)
 
 
+RejectAmbiguous = Callable[[NDArray[np.uint16], NDArray[np.int32], NDArray[np.uint8]], None]
+"""Rejects surfaces whose fringe orders do not win clearly: of label (H, W) and sizes (n,), in ``valid`` (H, W); see
+:mod:`pipeline.fringe_order.order_margins`."""
+
+
 class Gates:
     """The gates for one image size, in arrays that every call uses again.
 
@@ -65,14 +71,16 @@ class Gates:
         self._unique = Uniqueness(shape, (right, projector))
 
     def certain(
-        self, match: MatchResult, points: Points, modulation: Any, mean: Any, agreement: Agreement, scale: Scale
-    ) -> NDArray[np.uint8]:
+        self, match: MatchResult, points: Points, modulation: Any, mean: Any, agreement: Agreement, scale: Scale,
+        reject_ambiguous: RejectAmbiguous | None = None,
+    ) -> NDArray[np.uint8]:  # fmt: skip
         """1 where a point is certain, else 0, (H, W); valid until the next call.
 
         Args:
             match: of the left image; points: their sigma is raised at the borders of surfaces.
             modulation, mean: (H, W) uint8, counts.
             agreement: of the textures; scale: of their differences.
+            reject_ambiguous: without it, fringe orders are not tested.
         """
         depth_mm = points.depth_mm(self._stride)
         s, valid, label, surfaces = self._settings, self._valid, self._label, self._surfaces
@@ -106,6 +114,8 @@ class Gates:
         surfaces.find(valid, self._link, self._smallest)
         self._test_components(match, agreement, scale)
         surfaces.paint(label)
+        if reject_ambiguous is not None:
+            reject_ambiguous(label, surfaces.sizes, valid)
         planes = Planes(
             label, agreement.deviation, agreement.misfit, match.right_u, match.residual_normalised, match.residual,
             modulation, mean, *points,

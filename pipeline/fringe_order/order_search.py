@@ -6,8 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.common.parallel_for import blocks
+from pipeline.common.tile_math import TILE
 from pipeline.decode.decoder import PhaseMap
-from pipeline.fringe_order import order_candidates, phase_links, semi_global_aggregation, strip_search
+from pipeline.fringe_order import (
+    order_candidates,
+    order_margins,
+    phase_links,
+    semi_global_aggregation,
+    strip_search,
+)
 from pipeline.fringe_order.coarse_to_fine import interpolate_orders
 from pipeline.geometry.ray_tables import RayTable
 from pipeline.geometry.view_tables import View
@@ -64,6 +71,21 @@ class OrderSearch:
         fine.decide(reference)
         return fine.order
 
+    def reject_ambiguous(
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, order: NDArray[np.int16], stride: int,
+        label: NDArray[np.uint16], sizes: NDArray[np.int32], valid: NDArray[np.uint8],
+    ) -> None:  # fmt: skip
+        """Reject surfaces, large ones in cells, whose orders do not win clearly, see :mod:`.order_margins`.
+
+        Args:
+            order, label: (H / stride, W / stride) order, and one more than the surface, of every n-th pixel.
+            sizes: pixels of each surface; valid: (H / stride, W / stride), changed.
+        """
+        limit = self._view.settings.uniqueness_ratio / 100
+        if limit > 0:
+            groups = order_margins.Groups(label, sizes)
+            groups.reject(self._fine.margins(reference, other, correction, order, stride, groups) < limit, valid)
+
     def set_prior(self, reference: PhaseMap, order: NDArray[np.int16]) -> None:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""
         fine, v, t = self._fine, self._view, self._view.table
@@ -102,12 +124,7 @@ class _Lattice:
     def search_rows(self, reference: PhaseMap, other: PhaseMap, correction: F64, refresh: int, stride: int) -> None:
         """Compute the candidates' costs at the pixels that are not certain, and aggregate along the rows."""
         view, table, s = self._view, self.table, self._view.settings
-        single = correction.astype(np.float32)
-        if self._correction is None or not np.array_equal(correction, self._correction):
-            order_candidates.order_limits(
-                len(self._rays), table.along, table.limits, view.column_to_phase, single, self._rays
-            )
-            self._correction = correction.copy()
+        single = self._limit_orders(correction)
         strip_search.search_rows(
             blocks(table.shape[0], strip_search.STRIP), table.top, table.down, table.left, table.step, stride,
             self._rays, reference.phase, reference.descriptors, reference.valid, other.descriptors,
@@ -116,6 +133,38 @@ class _Lattice:
             np.float32(s.switch_penalty), self.certain, self.expected, refresh, np.float32(s.follow_cost), self.costs,
             self._total, self.first, self.count,
         )  # fmt: skip
+
+    def _limit_orders(self, correction: F64) -> F32:
+        """Bring the rays' limits up to date with the correction, which is returned in single precision."""
+        view, table, single = self._view, self.table, correction.astype(np.float32)
+        if self._correction is None or not np.array_equal(correction, self._correction):
+            order_candidates.order_limits(
+                len(self._rays), table.along, table.limits, view.column_to_phase, single, self._rays
+            )
+            self._correction = correction.copy()
+        return single
+
+    def margins(
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, order: NDArray[np.int16], stride: int,
+        groups: order_margins.Groups,
+    ) -> NDArray[np.float32]:  # fmt: skip
+        """(groups,) least margins of the orders; only lattice pixels in rows and columns of the stride count."""
+        view, table, s = self._view, self.table, self._view.settings
+        h, w = table.shape
+        rows, columns = table.top + table.down * np.arange(h), table.left + table.step * np.arange(w)
+        nodes, group = groups.sampled(*(np.where(x % stride == 0, x // stride, -1) for x in (rows, columns)))
+        i, j = rows[nodes // w], columns[nodes % w]
+        first, count = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
+        costs = np.empty((len(nodes), view.labels), np.float32)
+        order_margins.costs_of_nodes(
+            blocks(len(nodes), TILE), nodes, i * reference.phase.shape[1] + j, self._rays, reference.phase,
+            reference.descriptors, other.descriptors, view.phase_to_column, view.linear,
+            self._limit_orders(correction), np.float32(view.extent), view.labels, view.first_axis,
+            np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), first, count, costs,
+        )  # fmt: skip
+        least, own = np.empty(len(groups), np.float32), order[i // stride, j // stride]
+        order_margins.least_margins(group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, least)
+        return least
 
     def decide(self, reference: PhaseMap) -> None:
         """Aggregate along the columns, and decide."""

@@ -22,6 +22,8 @@ CorrectionState = tuple[Correction, bool]
 """A correction, and whether it was measured."""
 
 NO_CORRECTION: Correction = np.zeros(3)
+CLEARLY_MORE = 0.06
+"""How much more an offset costs on average that is clearly worse than another."""
 
 
 def offsets_to_try(largest: float, step: float = 0.25) -> F64:
@@ -29,6 +31,19 @@ def offsets_to_try(largest: float, step: float = 0.25) -> F64:
     n = int(np.floor(largest / step + 1e-9))
     steps = np.arange(-n, n + 1) * step
     return np.asarray(steps[np.argsort(np.abs(steps), kind="stable")], dtype=np.float64)
+
+
+def best_offset(offsets: F64, with_margin: F64, inside: F64) -> float:
+    """The offset with the least sum of both costs among those that the search beyond the volume allows.
+
+    A wall behind the volume agrees with wrong orders inside it at some wrong offset, so the search with the margin
+    decides; with its many orders a bare plane fits at several offsets nearly alike, of which that inside takes one.
+
+    Args:
+        offsets: (n,) columns; with_margin, inside: (n,) mean least costs with the margin and without.
+    """
+    allowed = with_margin <= with_margin.min() + CLEARLY_MORE
+    return float(offsets[np.where(allowed, (with_margin + inside).round(6), np.inf).argmin()])
 
 
 def column_differences(view: View, match: MatchResult, correction: Correction) -> tuple[F64, F64, F64]:

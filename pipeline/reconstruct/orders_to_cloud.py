@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 
 _TOLERANCE = 0.02
+RejectByOrders = Callable[[NDArray[np.int16], int, NDArray[np.uint16], NDArray[np.int32], NDArray[np.uint8]], None]
 
 
 class CloudStage:
@@ -111,10 +113,13 @@ class CloudStage:
         watch: Stopwatch,
         *,
         confirm: Callable[[MatchResult], None] | None = None,
+        reject_ambiguous: RejectByOrders | None = None,
     ) -> Cloud:
         """The cloud on the left camera's whole pixel grid; ``left`` and ``order`` are of full resolution.
 
-        ``confirm`` may reject points before the point filter; then no other orders are tried.
+        Args:
+            confirm: may reject points before the point filter; then no other orders are tried.
+            reject_ambiguous: as of the point filter, with fringe orders and stride before; None: no such test.
         """
         part, part_order = left, order
         if self._stride > 1:
@@ -130,7 +135,8 @@ class CloudStage:
         if confirm is None:
             self.match_neighbours(part, right, part_order, scale, correction, points)
         watch.lap("agreement")
-        valid = self._gates.certain(match, points, part.modulation, part.mean, self._agreement, scale)
+        by_orders = None if reject_ambiguous is None else partial(reject_ambiguous, part_order, self._stride)
+        valid = self._gates.certain(match, points, part.modulation, part.mean, self._agreement, scale, by_orders)
         watch.lap("gates")
         widen_sigma(
             len(valid), self._agreement.misfit, match.residual_normalised, match.residual, part.variance,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numba
@@ -133,7 +134,8 @@ class Reconstructor:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
-        return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch)
+        by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction)
+        return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 
     def color(self, left: NDArray[Any]) -> NDArray[np.uint8]:
         """The fringe-free colour of a left raw image, (H, W, 3); see :meth:`pipeline.decode.decoder.Decoder.color`."""
@@ -163,17 +165,18 @@ class Reconstructor:
     def calibrate_columns(self, left: PhaseMap, right: PhaseMap) -> None:
         """Find the projector's column correction from a pair and keep it."""
         self.scan = self.scan_columns(left, right)
-        best, least = 0.0, np.inf
-        # With more orders a bare plane fits at several offsets; without the margin a wall behind the volume misleads.
         inside = View.of(self.calibration, self.pattern, self.volume, self.settings)
-        searches = self.searches[0], OrderSearch(inside)
-        for offset in column_correction.offsets_to_try(self.settings.self_calibration_range):
-            at = np.array([offset, 0.0, 0.0])
-            costs = [search.least_costs(left, right, at, stride=8) for search in searches]
-            cost = sum(float(each.mean(dtype=np.float64)) for each in costs if len(each))
-            if cost < least - 1e-6:
-                best, least = float(offset), cost
-        self.correction = np.array([best, 0.0, 0.0])
+        offsets = column_correction.offsets_to_try(self.settings.self_calibration_range)
+        costs = [
+            [
+                float(each.mean(dtype=np.float64)) if len(each) else 0.0
+                for each in (
+                    search.least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=8) for offset in offsets
+                )
+            ]
+            for search in (self.searches[0], OrderSearch(inside))
+        ]
+        self.correction = np.array([column_correction.best_offset(offsets, *map(np.array, costs)), 0.0, 0.0])
         self.calibrated = True
         self.clear_prior()
         orders = self._orders(left, right, Stopwatch(None), use_prior=False)

@@ -10,19 +10,29 @@ from dataclasses import replace
 from pathlib import Path
 
 from sim.scene import hard_scenes
+from sim.scene.random_scene import random_scene
 from sim.scene.scene import SKIN, Scene, board
 from sim.scene.shapes import COLORED, Motion, Shape, Texture, box, cylinder, mesh, plane, rectangle, relief, sphere
 
 
 def build(name: str, *, seed: int = 0, mesh_file: Path | None = None) -> Scene:
-    """The scene of a name; ``seed`` changes the textures, ``mesh_file`` is for the scene ``mesh``."""
+    """The scene of a name; ``seed`` changes the textures, ``mesh_file`` is for the scene ``mesh``.
+
+    ``random-`` and a number is the scene of :func:`sim.scene.random_scene.random_scene`.
+    """
     if name == "mesh":
         if mesh_file is None:
             raise ValueError("scene 'mesh' needs a file of a triangle mesh (OBJ, PLY or STL): set sim.mesh")
         return Scene("mesh", (mesh(Path(mesh_file), 90.0).placed(albedo=0.75), board(0.6)))
+    number = name.removeprefix("random-")
+    if number != name and number.isdecimal():
+        return _varied(random_scene(int(number)), seed)
     if name not in _SCENES:
         raise ValueError(f"scene {name!r} is not known; there are {', '.join(NAMES)}")
-    scene = _SCENES[name]()
+    return _varied(_SCENES[name](), seed)
+
+
+def _varied(scene: Scene, seed: int) -> Scene:
     return replace(scene, shapes=tuple(_with_seed(shape, i, seed) for i, shape in enumerate(scene.shapes)))
 
 

@@ -1,0 +1,173 @@
+"""How clearly fringe orders win: what a surface would cost more with the second best orders.
+
+A surface whose orders are all wrong by the same number is as smooth as the true one. Where its texture is uniform and
+the projector's phase repeats (see :func:`pipeline.filter.point_filter.phase_weight`), it costs no more either, and the
+search takes one of them by chance. Such orders are found by their margin: the mean cost of a surface's lattice pixels
+with all orders changed alike, less that with their own. Large surfaces are tested in cells, because a false surface
+that crosses a true one is connected with it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.common.jit import serial
+from pipeline.common.parallel_for import parallel
+from pipeline.common.tile_math import TILE
+
+from pipeline.fringe_order.order_candidates import (  # isort: skip
+    COST, COST_IMPOSSIBLE, INTEGER_SLOTS, SLOTS, candidate_costs, load_nodes,
+)  # fmt: skip
+
+SAMPLES = 64
+"""Lattice pixels of each group that are compared; fewer where it has fewer."""
+CELL = 64
+"""Width and height of the cells in which large surfaces are tested, pixels."""
+LEAST_SHARE = 0.5
+"""Share of a group's pixels that must have an order for it to compete."""
+AMBIGUOUS_SHARE = 0.25
+"""Share of its pixels from which a large surface's ambiguous cells are rejected; its other cells decide fewer."""
+
+
+class Groups:
+    """The surfaces of an image, large ones divided into cells: first a group for each, then one for each cell.
+
+    Args:
+        label: (H, W) uint16, one more than the surface of each pixel, 0 = none; sizes: (surfaces,) their pixels.
+    """
+
+    def __init__(self, label: NDArray[np.uint16], sizes: NDArray[np.int32]) -> None:
+        self._label, self._surfaces = label, len(sizes)
+        large = sizes > CELL * CELL
+        self._row = np.where(large, np.cumsum(large) - 1, -1).astype(np.int32)
+        self._across = -(-label.shape[1] // CELL)
+        self._cells = self._across * -(-label.shape[0] // CELL)
+        self._pixels = np.zeros(self._surfaces + int(large.sum()) * self._cells, np.int32)
+
+    def __len__(self) -> int:
+        return len(self._pixels)
+
+    def sampled(self, rows: NDArray[np.int32], columns: NDArray[np.int32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Numbers of lattice pixels, up to about :data:`SAMPLES` of each group, and their groups.
+
+        Args:
+            rows, columns: (h,), (w,) of the lattice pixels in ``label``; -1 where they are not in it.
+        """
+        group = np.empty(len(rows) * len(columns), np.int32)
+        nodes = np.empty(len(group), np.int32)
+        _group_pixels(self._label, self._row, rows, columns, CELL, self._across, self._cells, group)
+        n = _choose(group, SAMPLES, self._pixels, np.zeros(len(self), np.int32), nodes)
+        return nodes[:n], group[nodes[:n]]
+
+    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
+        """Reject the pixels of ambiguous groups (n,), after :meth:`sampled`; ``valid`` (H, W) is changed."""
+        rejected = ambiguous.copy()
+        cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (rejected, self._pixels))
+        share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
+        cells[share < AMBIGUOUS_SHARE] = False
+        if rejected.any():
+            _reject(len(valid), self._label, self._row, CELL, self._across, self._cells, rejected, valid)
+
+
+@serial
+def _group_of(k: int, i: int, j: int, row: Any, cell: int, across: int, cells: int) -> int:
+    return k if row[k] < 0 else row.shape[0] + row[k] * cells + (i // cell) * across + j // cell
+
+
+@serial
+def _group_pixels(
+    label: Any, row: Any, rows: Any, columns: Any, cell: int, across: int, cells: int, out: Any
+) -> None:  # fmt: skip
+    n = 0
+    for i in rows:
+        for j in columns:
+            inside = i >= 0 and j >= 0 and label[i, j] != 0
+            out[n] = _group_of(np.int64(label[i, j]) - 1, i, j, row, cell, across, cells) if inside else -1
+            n += 1
+
+
+@serial
+def _choose(group: Any, most: int, count: Any, passed: Any, out: Any) -> int:
+    """Every n-th pixel of each group into ``out``; their number. ``count``, ``passed``: (groups,) zeros, scratch."""
+    for b in range(group.shape[0]):
+        if group[b] >= 0:
+            count[group[b]] += 1
+    n = 0
+    for b in range(group.shape[0]):
+        k = group[b]
+        if k >= 0:
+            if passed[k] % ((count[k] + most - 1) // most) == 0:
+                out[n] = b
+                n += 1
+            passed[k] += 1
+    return n
+
+
+@parallel
+def _reject(i: int, label: Any, row: Any, cell: int, across: int, cells: int, rejected: Any, valid: Any) -> None:
+    for j in range(label.shape[1]):
+        if valid[i, j] != 0 and label[i, j] != 0:
+            k = _group_of(np.int64(label[i, j]) - 1, i, j, row, cell, across, cells)
+            valid[i, j] = np.uint8(not rejected[k])
+
+
+@parallel
+def costs_of_nodes(
+    block: int, nodes: Any, pixels: Any, rays: Any, phase: Any, descriptors: Any, other_descriptors: Any, columns: Any,
+    linear: bool, correction: Any, extent: Any, labels: int, axis: int, inv: Any, texture: Any, first: Any, count: Any,
+    costs: Any,
+) -> None:  # fmt: skip
+    """Costs of all candidates of a block of TILE lattice pixels; arguments as of the search's ``search_rows``.
+
+    Args:
+        nodes, pixels: (n,) numbers of the lattice pixels in the lattice and in the image.
+        first, count: (h w,) int32, written at these; costs: (n, labels) float32, written.
+    """
+    height, width = other_descriptors.shape
+    t, k = np.zeros(SLOTS * TILE, np.float32), np.zeros(INTEGER_SLOTS * TILE, np.int32)
+    start = block * TILE
+    n = min(TILE, nodes.shape[0] - start)
+    part = nodes[start : start + n]
+    most = load_nodes(t, k, part, pixels[start : start + n], n, rays.reshape(-1), phase.reshape(-1),
+                      descriptors.reshape(-1), first, count, labels)  # fmt: skip
+    other = other_descriptors.reshape(-1)
+    costs[start : start + n] = COST_IMPOSSIBLE
+    for order in range(most):
+        candidate_costs(t, k, order, columns, linear, correction, extent, other, width, height, axis, inv, texture)
+        for j in range(n):
+            if order < count[part[j]]:
+                costs[start + j, order] = t[COST + j]
+
+
+@serial
+def least_margins(group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, out: Any) -> None:
+    """Upper limits of the least margins, (groups,) float32: mean and its standard error; infinite without a rival.
+
+    Args:
+        group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.
+        costs: (n, labels).
+    """
+    labels = costs.shape[1]
+    total, squares = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels))
+    pixels = np.zeros((out.shape[0], 2 * labels), np.int32)
+    for m in range(group.shape[0]):
+        k, here = group[m], own[m] - first[m]
+        if here < 0 or here >= count[m]:
+            continue
+        for order in range(count[m]):
+            change = order - here + labels
+            more = np.float64(costs[m, order] - costs[m, here])
+            total[k, change] += more
+            squares[k, change] += more * more
+            pixels[k, change] += 1
+    for k in range(out.shape[0]):
+        out[k] = np.inf
+        for change in range(2 * labels):
+            n = pixels[k, change]
+            if change != labels and n > 1 and n >= least_share * pixels[k, labels]:
+                mean = total[k, change] / n
+                error = np.sqrt(max(squares[k, change] / n - mean * mean, 0.0) / (n - 1))
+                out[k] = min(out[k], np.float32(mean + error))
