@@ -25,7 +25,7 @@ from pipeline.fringe_order.order_candidates import (  # isort: skip
 SAMPLES = 64
 """Lattice pixels of each group that are compared; fewer where it has fewer."""
 CELL = 64
-"""Width and height of the cells in which large surfaces are tested, pixels."""
+"""Width and height of the cells in which large surfaces are tested, pixels of the left image."""
 LEAST_SHARE = 0.5
 """Share of a group's pixels that must have an order for it to compete."""
 AMBIGUOUS_SHARE = 0.25
@@ -37,14 +37,15 @@ class Groups:
 
     Args:
         label: (H, W) uint16, one more than the surface of each pixel, 0 = none; sizes: (surfaces,) their pixels.
+        cell: width and height of the cells, pixels.
     """
 
-    def __init__(self, label: NDArray[np.uint16], sizes: NDArray[np.int32]) -> None:
-        self._label, self._surfaces = label, len(sizes)
-        large = sizes > CELL * CELL
+    def __init__(self, label: NDArray[np.uint16], sizes: NDArray[np.int32], cell: int) -> None:
+        self._label, self._surfaces, self._cell = label, len(sizes), cell
+        large = sizes > cell * cell
         self._row = np.where(large, np.cumsum(large) - 1, -1).astype(np.int32)
-        self._across = -(-label.shape[1] // CELL)
-        self._cells = self._across * -(-label.shape[0] // CELL)
+        self._across = -(-label.shape[1] // cell)
+        self._cells = self._across * -(-label.shape[0] // cell)
         self._pixels = np.zeros(self._surfaces + int(large.sum()) * self._cells, np.int32)
 
     def __len__(self) -> int:
@@ -58,7 +59,7 @@ class Groups:
         """
         group = np.empty(len(rows) * len(columns), np.int32)
         nodes = np.empty(len(group), np.int32)
-        _group_pixels(self._label, self._row, rows, columns, CELL, self._across, self._cells, group)
+        _group_pixels(self._label, self._row, rows, columns, self._cell, self._across, self._cells, group)
         n = _choose(group, SAMPLES, self._pixels, np.zeros(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
@@ -69,7 +70,7 @@ class Groups:
         share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
         cells[share < AMBIGUOUS_SHARE] = False
         if rejected.any():
-            _reject(len(valid), self._label, self._row, CELL, self._across, self._cells, rejected, valid)
+            _reject(len(valid), self._label, self._row, self._cell, self._across, self._cells, rejected, valid)
 
 
 @serial
@@ -144,7 +145,7 @@ def costs_of_nodes(
 
 @serial
 def least_margins(group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, out: Any) -> None:
-    """Upper limits of the least margins, (groups,) float32: mean and its standard error; infinite without a rival.
+    """Upper limits of the least margins, (groups,) float32: mean and its standard error; infinite without another order.
 
     Args:
         group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.

@@ -83,7 +83,7 @@ class OrderSearch:
         """
         limit = self._view.settings.uniqueness_ratio / 100
         if limit > 0:
-            groups = order_margins.Groups(label, sizes)
+            groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
             groups.reject(self._fine.margins(reference, other, correction, order, stride, groups) < limit, valid)
 
     def set_prior(self, reference: PhaseMap, order: NDArray[np.int16]) -> None:

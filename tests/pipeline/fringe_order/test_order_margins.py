@@ -1,0 +1,133 @@
+"""Margins of fringe orders: surfaces that other orders explain as well give no points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.reconstruction.cases import Case, random_case
+from benchmarks.trust import errors_of, scaled
+from pipeline.common.settings import Settings
+from pipeline.fringe_order.order_margins import AMBIGUOUS_SHARE, CELL, SAMPLES, Groups, least_margins
+from pipeline.reconstruct.column_correction import best_offset
+from pipeline.reconstruct.reconstructor import Reconstructor
+from sim.evaluate.point_errors import point_errors
+from sim.render.render_pair import render_pair
+from sim.rig.layout import RigLayout
+from sim.rig.optics import Optics
+from sim.scene.scene import Scene
+from sim.scene.shapes import rectangle, sphere
+
+BLIND = RigLayout(projector_fraction=0.5).scaled(0.25)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_least_margin_is_that_of_the_best_other_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, labels, groups = 60, 7, 4
+    group = rng.integers(0, groups, n).astype(np.int32)
+    first, count = rng.integers(-5, 5, n).astype(np.int32), rng.integers(1, labels + 1, n).astype(np.int32)
+    own = (first + rng.integers(0, count)).astype(np.int16)
+    costs = rng.random((n, labels)).astype(np.float32)
+    out = np.empty(groups, np.float32)
+    least_margins(group, own, first, count, costs, 0.5, out)
+    for k in range(groups):
+        margins = []
+        for change in range(-labels, labels + 1):
+            here = [
+                costs[m, own[m] + change - first[m]].astype(float) - costs[m, own[m] - first[m]]
+                for m in np.flatnonzero(group == k)
+                if 0 <= own[m] + change - first[m] < count[m]
+            ]
+            if change and len(here) > 1 and len(here) >= 0.5 * np.count_nonzero(group == k):
+                margins.append(np.mean(here) + np.std(here) / np.sqrt(len(here) - 1))
+        assert out[k] == pytest.approx(min(margins, default=np.inf), abs=1e-5)
+
+
+def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:
+    label = np.zeros((5 * CELL, 4 * CELL), np.uint16)
+    label[:, : 3 * CELL] = 1
+    label[10:30, 3 * CELL + 5 : 3 * CELL + 25] = 2
+    sizes = np.bincount(label.ravel())[1:].astype(np.int32)
+    groups = Groups(label, sizes, CELL)
+    rows, columns = np.arange(0, 5 * CELL, 3), np.arange(0, 4 * CELL, 3)
+    nodes, group = groups.sampled(rows, columns)
+    i, j = rows[nodes // len(columns)], columns[nodes % len(columns)]
+    assert (label[i, j] > 0).all()
+    assert set(group[label[i, j] == 2]) == {1}
+    cells = {(y // CELL, x // CELL) for y, x in zip(i[label[i, j] == 1], j[label[i, j] == 1], strict=True)}
+    assert len(cells) == 15 == len(set(group[label[i, j] == 1]))
+    counts = np.bincount(group)
+    assert counts.max() <= SAMPLES
+    assert counts[counts > 0].min() >= SAMPLES // 2 or counts[1] == counts[counts > 0].min()
+    # One cell of fifteen is known by its neighbours; a third of them is not.
+    for few, expected in ((1, 0), (5, 5)):
+        assert (few / 15 >= AMBIGUOUS_SHARE) == (expected > 0)
+        ambiguous = np.zeros(len(groups), bool)
+        ambiguous[sorted(set(group[label[i, j] == 1]))[:few]] = True
+        valid = (label > 0).astype(np.uint8)
+        groups.reject(ambiguous, valid)
+        assert np.count_nonzero((label > 0) & (valid == 0)) == expected * CELL * CELL
+    ambiguous[:] = False
+    ambiguous[1] = True
+    valid = (label > 0).astype(np.uint8)
+    groups.reject(ambiguous, valid)
+    assert ((valid == 0) == (label != 1)).all()
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_a_uniform_surface_needs_fringes_that_do_not_repeat(stride: int) -> None:
+    """With the projector in the middle and equal fringes, orders wrong by any number fit a bare plate as well."""
+    scene = Scene("plate", (rectangle(150, 120).placed((0, 0, 20), albedo=0.8),))
+    points = {}
+    for modulated in (False, True):
+        pattern = Case("", "", layout=BLIND, modulated=modulated, periods=24.0).pattern
+        pair = render_pair(BLIND, scene, pattern, Optics())
+        for ratio in (0.0, Settings().uniqueness_ratio):
+            made = Reconstructor(
+                BLIND.calibration_for(Optics()), pattern, BLIND.volume(), settings=Settings(uniqueness_ratio=ratio)
+            )
+            points[modulated, ratio > 0] = made.reconstruct(pair.left, pair.right, stride=stride).points
+    assert points[False, False] > 1000 / stride**2
+    assert points[False, True] == 0
+    assert points[True, True] == points[True, False] > 1000 / stride**2
+
+
+def test_a_uniform_wall_behind_the_volume_gives_no_false_points() -> None:
+    layout = RigLayout(baseline_mm=300.0).scaled(0.5)
+    scene = Scene(
+        "wall",
+        (
+            rectangle(1200, 900).placed((0, 0, 460), turn=(0.03, -0.05, 0.0), albedo=(0.74, 0.9, 0.9)),
+            sphere(45).placed((40, -20, 10), albedo=0.7),
+        ),
+    )
+    pattern, optics = layout.pattern(48.0), Optics(exposure=1.4, ambient=0.12)
+    pair = render_pair(layout, scene, pattern, optics)
+    made = Reconstructor(layout.calibration_for(optics), pattern, layout.volume())
+    cloud = made.reconstruct(pair.left, pair.right)
+    volume = layout.volume()
+    found = point_errors(cloud.xyz, cloud.sigma_mm, pair.truth_left, (volume.near_mm, volume.far_mm))
+    assert abs(made.correction @ (1, 320, 256)) < 0.15
+    assert found.wrong < 0.002
+    assert found.covered > 0.85
+
+
+def test_the_column_correction_follows_the_search_with_the_margin_where_that_decides() -> None:
+    offsets = np.array([0.0, -0.25, 0.25, 1.0])
+    clear, inside = np.array([0.17, 0.3, 0.25, 0.33]), np.array([0.69, 0.74, 0.68, 0.44])
+    assert best_offset(offsets, clear, inside) == 0.0
+    assert best_offset(offsets, np.array([0.05, 0.3, 0.25, 0.04]), np.array([0.1, 0.5, 0.4, 0.5])) == 0.0
+    assert best_offset(offsets, np.full(4, 0.3), np.full(4, 0.3)) == 0.0
+
+
+@pytest.mark.timeout(300)
+def test_scenes_that_no_limit_was_set_on() -> None:
+    """Random scenes on random rigs at half size; limits as of the named scenes."""
+    found = [errors_of(scaled(random_case(number), 0.5), 0) for number in (1, 3, 7)]
+    assert sum(one.false_surfaces for one in found) == 0
+    assert max(one.wrong for one in found) < 0.002
+    assert all(0.7 < one.error_to_sigma < 1.4 for one in found)
