@@ -20,6 +20,9 @@ from pipeline.rig.pose import Pose
 
 Problems = Iterator[tuple[KeyPath, str]]
 
+UNCALIBRATED = "is missing; only the simulated rig has its own"
+"""End of the message for each of calibration, pattern and volume that a rig lacks."""
+
 
 def semantic_problems(data: dict[str, Any], base_dir: Path, *, complete: bool = True) -> Problems:
     """Yield every semantic mistake with the path of its value; values of a wrong type are left to the schema.
@@ -66,7 +69,7 @@ def _missing(data: dict[str, Any]) -> Problems:
     if cameras != "sim" and (cameras in RIGS or cameras in CAMERAS):
         for name in ("calibration", "pattern", "volume"):
             if data.get(name) is None:
-                yield (), f"{name} is missing; only the simulated rig has its own"
+                yield (), f"{name} {UNCALIBRATED}"
 
 
 def _settings(data: dict[str, Any]) -> Problems:

@@ -46,14 +46,16 @@ def check(subject: Subject) -> Iterator[Finding]:
     except (PipelineError, OSError) as error:
         yield area.problem("file", str(error), _RECALIBRATE)
         file = None
-    if config.calibration is None:
+    if config.calibration is None and subject.uses("sim"):
         yield area.ok("file", "the simulated rig has its own calibration, pattern and volume")
+    elif config.calibration is None:
+        yield area.note("file", "not checked: the rig is not calibrated yet")
     if file is not None:
         yield summary(file)
         yield age(file)
         yield from cameras(subject, file)
     try:
-        yield from pattern(subject, config)
+        yield from pattern(subject, config, file)
         if file is not None:
             yield from volume(subject, config, file.calibration)
             yield from layout(subject, config, file.calibration)
@@ -102,14 +104,18 @@ def serial_in(mapping: Mapping[str, Any], side: str) -> str:
     return str(value) if value is not None else ""
 
 
-def pattern(subject: Subject, config: RigConfig) -> Iterator[Finding]:
-    """Compare the pattern with the projector."""
+def pattern(subject: Subject, config: RigConfig, file: CalibrationFile | None) -> Iterator[Finding]:
+    """Compare the pattern with the projector, and with the one that was calibrated."""
     fringe = pattern_of(subject, config)
     if fringe is None:
         return
     projector = projector_of(subject)
     problem = projector_problem(projector, fringe) if projector is not None else ""
-    if problem:
+    if file is not None and fringe.size != file.calibration.projector.size:
+        calibrated = list(file.calibration.projector.size)
+        text = f"pattern.size {list(fringe.size)} is not the size of the calibrated projector, {calibrated}"
+        yield area.problem("pattern", text, f"set pattern.size to {calibrated}, or calibrate with this projector")
+    elif problem:
         yield area.problem("pattern", *_split(problem))
     else:
         fit = f", the size of {projector.output}" if projector is not None else ""

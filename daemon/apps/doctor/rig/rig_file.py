@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject, options_parser
 from daemon.common.errors import ConfigError
+from daemon.config.checks import UNCALIBRATED
 from daemon.config.load import load_rig
 from daemon.config.rig_config import RigConfig
 from daemon.config.yaml_source import read_yaml
@@ -46,8 +47,13 @@ def check(subject: Subject) -> Iterator[Finding]:
     remedy = f"change that line of {subject.path.name}; see: fringed check {subject.path}"
     if not subject.path.is_file():
         remedy = "give an existing rig.yaml; examples/rig.yaml is a template"
+    missing = [text.split()[1] for text in problems if text.endswith(UNCALIBRATED)]
     for text in problems:
-        yield area.problem("file", text, remedy)
+        if not text.endswith(UNCALIBRATED):
+            yield area.problem("file", text, remedy)
+    if missing:
+        text = f"not calibrated yet: {subject.path.name} has no {', no '.join(missing)}"
+        yield area.problem("calibration", text, f"fringed calibrate all {subject.path}; then name its file there")
     config = subject.config
     if config is None:
         yield area.note("file", "the other checks run as without a rig.yaml")

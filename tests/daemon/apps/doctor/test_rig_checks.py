@@ -184,6 +184,25 @@ def test_a_pattern_of_another_projector_and_a_volume_out_of_view_are_reported(tm
     assert by_name(found, "pattern")[0].level == "problem" and by_name(found, "volume")[0].level == "warning"
 
 
+def test_a_pattern_of_another_size_than_the_calibrated_projector_is_reported(tmp_path: Path) -> None:
+    fake_machines.write_rig_files(tmp_path)
+    write_calibration(tmp_path / "calibration.yaml", RigLayout().scaled(0.25).calibration())
+    (finding,) = by_name(calibration.check(fake_machines.subject(tmp_path, rig=fake_machines.genicam())), "pattern")
+    assert finding.level == "problem" and "[160, 128] is not the size of the calibrated projector" in finding.text
+    assert "[320, 256]" in finding.remedy
+
+
+def test_a_rig_before_its_calibration_has_one_problem_with_the_command_to_calibrate(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(fake_machines.genicam().replace(fake_machines.FILES, ""))
+    subject = fake_machines.subject(tmp_path)
+    subject.path, (subject.config, _) = path, rig_file.read_leniently(path)
+    (finding,) = rig_file.check(subject)
+    assert finding.level == "problem" and "no calibration, no pattern, no volume" in finding.text
+    assert finding.remedy.startswith(f"fringed calibrate all {path}")
+    assert [(one.name, one.level) for one in calibration.check(subject)] == [("file", "note")]
+
+
 def test_a_projector_in_the_middle_is_reported_with_a_better_position(tmp_path: Path) -> None:
     layout = replace(RigLayout().scaled(0.125), projector_fraction=0.5)
     fake_machines.write_rig_files(tmp_path)
