@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import runpy
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -176,16 +174,6 @@ def test_a_wait_without_a_time_out_is_logged(caplog: pytest.LogCaptureFixture, m
     with pytest.raises(TimeoutError):
         asyncio.run(wait())
     assert "nothing listens there; waiting for a daemon" in caplog.text
-
-
-def test_the_example_operates_a_rig(
-    address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["04_operate_a_rig.py", address])
-    monkeypatch.setattr(time, "sleep", lambda _: None)
-    runpy.run_path(str(Path(__file__).parents[3] / "examples" / "04_operate_a_rig.py"), run_name="__main__")
-    shown = capsys.readouterr().out
-    assert " pairs\n" in shown and " points\n" in shown
 
 
 @pytest.fixture(scope="module")

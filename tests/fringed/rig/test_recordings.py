@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import runpy
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -20,7 +19,6 @@ from daemon.recording.read.take_reader import TakeReader
 from fringed import ArgumentError, NotLiveError, ReceivedCloud, RecordingError, Source
 from tests.daemon.recording import small_take
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
 PATH = "pipeline.settings.min_modulation"
 
 
@@ -183,15 +181,6 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path: Path) -> None:
         fringed.open(None)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="key is an option"):
         fringed.open(tmp_path, key="a.key")
-
-
-@pytest.mark.parametrize("name", ["01_clouds.py", "03_read_a_take.py"])
-def test_the_examples_run_on_a_take(
-    name: str, take: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", [name, str(take)])
-    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
-    assert capsys.readouterr().out.count(" points") == 3
 
 
 def test_without_the_reconstruction_a_take_names_what_to_install(take: Path) -> None:

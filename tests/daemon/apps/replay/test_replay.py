@@ -321,13 +321,6 @@ def test_the_foreign_take_replays(shared_data: Callable[..., Path], tmp_path: Pa
     assert np.isfinite(cloud.xyz[..., 2]).mean() > 0.4
 
 
-def test_the_example_reads_a_take(take: Path) -> None:
-    example = Path(__file__).parents[4] / "examples" / "03_read_a_take.py"
-    process = subprocess.run([sys.executable, str(example), str(take)], capture_output=True, text=True, timeout=60)
-    assert process.returncode == 0, process.stderr
-    assert [line.split(":")[0] for line in process.stdout.splitlines()[1:]] == ["pair 40", "pair 41", "pair 42"]
-
-
 def test_rerun_is_imported_only_on_request(take: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from daemon.cli.entry import run; "
