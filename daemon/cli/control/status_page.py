@@ -12,6 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from daemon.bootstrap.systemd.status_line import waiting
 from daemon.cli.control.status_rows import drop_rows, rows
 from fringed.errors import ControlError
 
@@ -19,7 +20,19 @@ _COLORS = {"running": "green", "degraded": "yellow", "paused": "cyan", "starting
 _WIDE = 110
 _CAMERA = {"acquiring": "green", "paused": "cyan", "lost": "red"}
 _UPPER = frozenset(
-    ("state", "warning", "device", "clouds", "points", "pairs", "latency", "published", "dropped", "at start")
+    (
+        "state",
+        "first cloud",
+        "warning",
+        "device",
+        "clouds",
+        "points",
+        "pairs",
+        "latency",
+        "published",
+        "dropped",
+        "at start",
+    )
 ) | {"calibration"}
 _BAR = 24
 
@@ -76,6 +89,8 @@ def _head(status: dict[str, Any], *, stale: bool) -> RenderableType:
     )
     for reason in status["reasons"]:
         line.append(f"\n  {reason}", "yellow")
+    if not status["clouds"]:
+        line.append(f"\n  {waiting(status)}", "cyan")
     for warning in status["warnings"]:
         line.append(f"\n  {warning}", "magenta")
     return line

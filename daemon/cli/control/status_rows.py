@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from daemon.bootstrap.systemd.status_line import waiting
+
 
 def table(status: dict[str, Any]) -> str:
     """The status as a table of text."""
@@ -29,6 +31,7 @@ def rows(status: dict[str, Any]) -> list[tuple[str, str]]:
     latency, published = status["latency_ms"], status["publish_latency_ms"]
     out = [
         ("state", f"{status['state']}{''.join(f'; {reason}' for reason in status['reasons'])}"),
+        *([] if status["clouds"] else [("first cloud", waiting(status))]),
         *(("warning", warning) for warning in status["warnings"]),
         ("device", f"{status['device']}, fringed {status['version']}, up {status['uptime_s']:.0f} s"),
         ("calibration", status["calibration"]),

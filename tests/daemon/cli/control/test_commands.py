@@ -13,6 +13,7 @@ from daemon.cli import command_table
 from daemon.cli.control.get import bounds, list_text
 from daemon.cli.control.set import parsed
 from daemon.cli.control.status_page import page, watch
+from daemon.cli.control.status_rows import table
 from daemon.control.rpc.server import ControlServer
 from fringed.errors import ControlError
 from tests.daemon.running_daemon import Running, warmed
@@ -82,6 +83,16 @@ def test_the_page_fits_the_terminal(daemon: tuple[Running, str], width: int) -> 
     assert max(map(len, lines)) <= width and len(lines) < 45
     text = "\n".join(lines)
     assert all(part in text for part in ("RUNNING", "clouds", "left", "right", "recorder", "no daemon answers"))
+
+
+def test_table_and_page_name_what_the_first_cloud_waits_for(daemon: tuple[Running, str]) -> None:
+    status = json.loads(json.dumps(daemon[0].call("status")))
+    assert "first cloud" not in table(status)
+    status |= {"clouds": 0, "cameras": {side: camera | {"frames": 0} for side, camera in status["cameras"].items()}}
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(page(status, 120))
+    for shown in (table(status), console.export_text()):
+        assert "waiting for the trigger: no frame from camera left and right yet" in shown
 
 
 def test_the_page_waits_for_a_daemon_that_does_not_answer() -> None:
