@@ -82,12 +82,12 @@ def mode_problem(
     if output.scaled:
         return f"{name} is scaled by the graphics card; run: xrandr --output {output.name} --scale 1x1 --transform none"
     if size is not None and output.size != size:
-        return f"{name} is {_pixels(output.size)}, expected {_pixels(size)} (projector.size)"
+        return f"{name} is {_pixels(output.size)}, expected {_pixels(size)} (projector.options.size)"
     if native and output.preferred_size is not None and output.size != output.preferred_size:
         wanted = _pixels(output.preferred_size)
         return (
             f"{name} is {_pixels(output.size)} but the projector's own resolution is {wanted}; "
-            f"run: xrandr --output {output.name} --mode {wanted}, or set projector.mode to any"
+            f"run: xrandr --output {output.name} --mode {wanted}, or set projector.options.mode to any"
         )
     if refresh_hz is not None and abs(output.refresh_hz - refresh_hz) > REFRESH_TOLERANCE_HZ:
         return f"{name} refreshes at {output.refresh_hz:.3f} Hz, expected {refresh_hz:g} Hz (projector.refresh_hz)"
@@ -100,7 +100,7 @@ def gamma_problem(output: DetectedOutput) -> str:
         return ""
     return (
         f"output {output.name} has a gamma table that is not linear, so fringes would not be sinusoidal; "
-        f"set projector.gamma to reset, or run: xrandr --output {output.name} --gamma 1 --brightness 1, "
+        f"set projector.options.gamma to reset, or run: xrandr --output {output.name} --gamma 1 --brightness 1, "
         "and stop programs that colour the screen at night"
     )
 

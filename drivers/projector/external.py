@@ -44,7 +44,7 @@ class ExternalProjector:
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise SettingRefused(
                 f"projector {self.options.name}: image {image.shape} {image.dtype} does not fit, "
-                f"expected {(height, width, 3)} uint8 (projector.size)"
+                f"expected {(height, width, 3)} uint8 (projector.options.size)"
             )
         try:
             self._run_hooks(self.options.hook.show)

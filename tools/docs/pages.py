@@ -85,6 +85,17 @@ def links(page: Path) -> Iterator[tuple[int, str]]:
                 yield number, found[1]
 
 
+def spans(page: Path) -> Iterator[tuple[int, str]]:
+    """Line and text of every piece of code within the text of a page, outside of fenced blocks."""
+    inside = False
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
+        if line.lstrip().startswith("```"):
+            inside = not inside
+        if not inside:
+            for found in re.finditer(r"`([^`]+)`", line):
+                yield number, found[1]
+
+
 def anchors(page: Path) -> set[str]:
     """The anchors of the page's headings, as mkdocs (and GitHub, for plain headings) forms them."""
     found = set()
