@@ -41,6 +41,6 @@ class Sequencing(Section):
         ),
     ] = None
     periods: Annotated[
-        float | None, Field(gt=2, le=2048, description="Periods of the finest fringe; none = those of the pattern.")
+        float | None, Field(ge=4, le=2048, description="Periods of the finest fringe; none = those of the pattern.")
     ] = None
     steps: Annotated[int | None, Field(ge=3, le=16, description="Images of a fringe; none = the mode's own.")] = None

@@ -191,6 +191,15 @@ def test_an_invalid_rig_is_not_retried(started: Fringed) -> None:
     started.stop()
 
 
+def test_a_daemon_that_ends_at_once_is_started_ten_times_within_ten_seconds(started: Fringed) -> None:
+    since = started.cursor()
+    started.start(rig(), "ExecStart=\nExecStart=/bin/false", wait=False)
+    shown = started.wait("the end of the restarts", lambda shown: shown["ActiveState"] == "failed")
+    assert shown["NRestarts"] == "10"
+    wait_until(lambda: started.logged("Start request repeated too quickly", since), WAIT_S, "the reason")
+    started.start(rig())  # after reset-failed
+
+
 def test_a_stop_is_orderly(running: Fringed) -> None:
     with running.control() as client:
         file = client.call("record.start", name="stopped")["file"]
