@@ -56,6 +56,7 @@ def topic_sections() -> Iterator[str]:
     recorded: dict[str, bytes] = {}
     for frames in messages("valid"):
         recorded.setdefault(topics.topic_of(frames[0].decode()).name, frames[1])
+    described: dict[Any, str] = {}
     for topic in topics.TOPICS:
         kept = " Retained: each new subscriber gets it at once." if topic.retained else ""
         yield f"### {topic.name}\n\n{topic.text} Sent {topic.when}; kind `{topic.kind}`.{kept}\n"
@@ -67,7 +68,10 @@ def topic_sections() -> Iterator[str]:
                 yield f"| `{part.name}` | `{dtype}` | {part.shape} | {part.codec} | {part.text}{media} |"
             yield ""
         for member, kind in (("stats", topic.stats), ("data", topic.data)):
-            if kind is not None and kind is not status.Status:
+            if kind in described:
+                yield f"`{member}`: as of [{described[kind]}](#{anchor(described[kind])}).\n"
+            elif kind is not None and kind is not status.Status:
+                described[kind] = topic.name
                 yield f"`{member}`:\n"
                 yield from keys(kind)
                 yield ""
@@ -86,6 +90,7 @@ def method_rows() -> Iterator[str]:
 def method_sections() -> Iterator[str]:
     """Yield parameters, result and examples of each method."""
     recorded = exchanges()
+    described: dict[Any, str] = {}
     for method in methods.METHODS:
         yield f"### {method.name}\n"
         if msgspec.structs.fields(method.params):
@@ -94,7 +99,12 @@ def method_sections() -> Iterator[str]:
             yield ""
         shown: set[str] = set()
         for kind in structures(method.result):
-            if kind is not status.Status and kind is not status.Recorder and kind is not status.Mode:
+            if kind in described:
+                if not shown:
+                    many = "" if kind is method.result else "list of "
+                    yield f"Result: {many}`{kind.__name__}`, see [{described[kind]}](#{anchor(described[kind])}).\n"
+            elif kind is not status.Status and kind is not status.Recorder and kind is not status.Mode:
+                described[kind] = method.name
                 yield f"{'Result' if not shown else f'`{kind.__name__}`'}:\n"
                 yield from keys(kind)
                 yield ""
@@ -235,7 +245,7 @@ def type_name(schema: dict[str, Any]) -> str:
 
 def anchor(heading: str) -> str:
     """Return the anchor that GitHub gives to a heading."""
-    return heading.lower().replace(".", "").replace(" ", "-")
+    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
 def main(arguments: list[str]) -> int:
