@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
+import json
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -13,15 +15,16 @@ import pytest
 import yaml
 
 from daemon.apps.doctor.check_table import AREAS
+from daemon.cli import command_table
 from daemon.config.load import parse_rig
 from daemon.config.presets import BUILT_IN, MEANINGS
 from daemon.config.rig_config import RigConfig
 from daemon.control.settings.catalogue import catalogue
 from daemon.monitoring.health import quantities
-from fringed.protocol import methods
+from fringed.protocol import methods, topics
 from pipeline.common.settings import LIMITS, RENAMED, Settings
 from pipeline.monitor import OBSERVABLES
-from tools.docs import command_lines
+from tools.docs import command_lines, reference
 from tools.docs.pages import DOCS, ROOT, blocks, pages, spans
 
 CONFIG = parse_rig("cameras: {driver: sim}\n")
@@ -30,6 +33,9 @@ TROUBLESHOOTING = DOCS / "how-to" / "troubleshooting.md"
 INCOMPLETE = re.compile(r" needs | requires an argument")
 """A command that is named without its arguments."""
 COMMANDS = {"fringed", "systemctl", "echo", "python"}
+OTHER_OPTIONS = {"--transform", "--no-block"}
+"""Options of xrandr and systemctl."""
+FOR_USERS = [page for page in pages() if page.parent.name in ("start", "how-to", "reference")]
 PLACEHOLDER = re.compile(r"[A-Z]{2,}|[|\[]")
 """In an inline command: a word in capitals, or a choice."""
 
@@ -78,6 +84,40 @@ def test_every_setting_that_a_page_names_exists(page: Path) -> None:
     assert wrong == []
 
 
+@cache
+def options() -> frozenset[str]:
+    """Every option of every command."""
+
+    def of(command: Any) -> Iterator[str]:
+        for parameter in command.params:
+            yield from (name for name in (*parameter.opts, *parameter.secondary_opts) if name.startswith("--"))
+        for inner in (getattr(command, "commands", None) or {}).values():
+            yield from of(inner)
+
+    found = {"--version", "--help", "--debug"}
+    for name, (target, summary) in command_table.COMMANDS.items():
+        found |= set(of(command_table.load(name, target, summary)))
+    return frozenset(found)
+
+
+@pytest.mark.parametrize("page", FOR_USERS, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_option_topic_and_method_that_a_page_names_exists(page: Path) -> None:
+    topic_names = {topic.name for topic in topics.TOPICS}
+    method_names = {method.name for method in methods.METHODS}
+    groups = {name.partition(".")[0] for name in method_names if "." in name}
+    wrong = []
+    for line, text in spans(page):
+        first = text.split()[0].partition("=")[0]
+        if first.startswith("--") and first not in options() | OTHER_OPTIONS:
+            wrong.append(f"line {line}: option {first}")
+        if re.fullmatch(r"(cloud|meta)/[a-z]+", text) and text not in topic_names:
+            wrong.append(f"line {line}: topic {text}")
+        group, dot, _ = text.partition(".")
+        if dot and group in groups and re.fullmatch(r"[a-z.]+[a-z_]+", text) and text not in {*method_names, *PATHS}:
+            wrong += [f"line {line}: method {text}"] * (not text.endswith((".json", ".yaml", ".sync", ".synced")))
+    assert wrong == []
+
+
 DEFAULTS = [
     pytest.param("how-to/recording.md", "recording", id="recording"),
     pytest.param("reference/health.md", "health", id="health"),
@@ -93,6 +133,12 @@ def test_a_block_of_defaults_has_every_default(name: str, section: str) -> None:
     )
     actual = CONFIG.model_dump(mode="json")[section]
     assert shown == actual
+
+
+def test_the_settings_page_has_the_default_of_every_setting_of_the_reconstruction() -> None:
+    page = reference.settings()
+    for name, value in dataclasses.asdict(Settings()).items():
+        assert f"| `pipeline.settings.{name}` | `{json.dumps(value)}` |" in page
 
 
 def test_the_filters_page_names_every_setting_of_the_filters_with_a_value_that_switches_it_off() -> None:
