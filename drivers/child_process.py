@@ -13,6 +13,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from pathlib import Path
 from typing import IO
 
 from drivers.errors import DriverError
@@ -39,6 +40,19 @@ def die_with_parent(parent: int) -> None:
         raise SystemExit("the process that started this one is gone")
 
 
+def interpreter() -> list[str]:
+    """This interpreter, for a child that imports what this process does.
+
+    ``python -m`` and ``-c`` import from the working directory first, where a folder of the same name as a package would
+    replace it; ``-P`` prevents this unless this process does so itself.
+    """
+    try:
+        local = {"", str(Path.cwd())} & set(sys.path)
+    except OSError:  # the directory was removed
+        local = set()
+    return [sys.executable] if local else [sys.executable, "-P"]
+
+
 def start(module: str, arguments: Sequence[str], *, pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
     """Start ``python -m module``; its standard output and error share one pipe, ``stdout``.
 
@@ -54,7 +68,7 @@ def start(module: str, arguments: Sequence[str], *, pass_fds: Sequence[int] = ()
 
     def job() -> subprocess.Popen[bytes]:
         return subprocess.Popen(  # noqa: S603 - this very interpreter, no shell
-            [sys.executable, "-m", module, *arguments],
+            [*interpreter(), "-m", module, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

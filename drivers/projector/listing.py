@@ -7,7 +7,7 @@ import sys
 
 import msgspec
 
-from drivers.child_process import environment
+from drivers.child_process import environment, interpreter
 from drivers.errors import DriverError
 from drivers.projector.detected_output import DetectedOutput
 from drivers.projector.options import named_display
@@ -35,7 +35,7 @@ def outputs(display: str = "") -> list[DetectedOutput]:
     name = named_display(display)
     try:
         process = subprocess.run(  # noqa: S603 - this program, fixed arguments
-            [sys.executable, "-m", MODULE, name],
+            [*interpreter(), "-m", MODULE, name],
             capture_output=True,
             timeout=TIMEOUT_S,
             check=False,

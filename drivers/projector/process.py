@@ -6,9 +6,8 @@ import contextlib
 import os
 import socket
 import subprocess
-import sys
 
-from drivers.child_process import end, environment
+from drivers.child_process import end, environment, interpreter
 
 MODULE = "drivers.projector.child"
 KEPT_BYTES = 2000
@@ -24,7 +23,7 @@ class WindowProcess:
         self.sock, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._process = subprocess.Popen(  # noqa: S603 - this program, fixed arguments
-                [sys.executable, "-m", MODULE, str(theirs.fileno())],
+                [*interpreter(), "-m", MODULE, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(),),
                 env=environment(),
                 stdin=subprocess.DEVNULL,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from daemon.apps.viewer.layout import CLOUD_HEIGHT, CLOUD_WIDTH
 from daemon.common.errors import DaemonError
 from daemon.common.files import write_atomically
+from drivers.child_process import interpreter
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WINDOW = {"width": 1400, "height": 900}
@@ -128,7 +128,7 @@ def _count(image: NDArray[Any]) -> Paint:
 @contextmanager
 def _served(endpoint: str, options: list[str]) -> Iterator[str]:
     """Run ``fringed view --web`` and yield its address."""
-    command = [sys.executable, "-c", _VIEW, "view", endpoint, "--web", "--web-port", "0", "--grpc-port", "0", *options]
+    command = [*interpreter(), "-c", _VIEW, "view", endpoint, "--web", "--web-port", "0", "--grpc-port", "0", *options]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
         try:
             line = process.stdout.readline() if process.stdout is not None else b""

@@ -6,11 +6,11 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from typing import Any
 
 from daemon.bootstrap.systemd.status_line import line, loading
+from drivers.child_process import interpreter
 
 _VIEW = "import sys; from daemon.cli.entry import main; sys.argv[0] = 'fringed'; main()"
 
@@ -26,7 +26,7 @@ class Viewer:
     def start(self) -> None:
         """Start the process once; it prints its address."""
         if self._process is None:
-            command = [sys.executable, "-c", _VIEW, "view", self._endpoint, "--web"]
+            command = [*interpreter(), "-c", _VIEW, "view", self._endpoint, "--web"]
             self._process = subprocess.Popen(command, start_new_session=True, stdin=subprocess.DEVNULL)
 
     def ended(self) -> int | None:

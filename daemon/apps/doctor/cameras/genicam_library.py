@@ -12,6 +12,7 @@ from daemon.apps.doctor.cameras import elf
 from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.subject import Subject
 from daemon.common.run_program import ProgramResult, run_program
+from drivers.child_process import interpreter
 
 area = Area("library")
 
@@ -29,7 +30,7 @@ def check(subject: Subject) -> Iterator[Finding]:
         yield area.graded("packages", text, "pip install fringed-rig", certain=certain)
         return
     yield import_finding(
-        needed_python(package_dir("genicam")), run_program([sys.executable, "-c", _IMPORT], _TIMEOUT_S), certain
+        needed_python(package_dir("genicam")), run_program([*interpreter(), "-c", _IMPORT], _TIMEOUT_S), certain
     )
 
 

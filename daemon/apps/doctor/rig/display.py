@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 import msgspec
@@ -11,6 +10,7 @@ from daemon.apps.doctor.finding import Area, Finding
 from daemon.apps.doctor.rig.display_process import Screen
 from daemon.apps.doctor.subject import Subject
 from daemon.common.run_program import run_program
+from drivers.child_process import interpreter
 from drivers.errors import DriverError
 from drivers.projector.detected_output import DetectedOutput, find_output, gamma_problem, mode_problem, output_problem
 from drivers.projector.options import ProjectorOptions, named_display
@@ -112,7 +112,7 @@ def surroundings(subject: Subject, name: str) -> Iterator[Finding]:
 
 def read_screen(name: str) -> Screen:
     """Read the display's settings in another process."""
-    answer = run_program([sys.executable, "-m", "daemon.apps.doctor.rig.display_process", name], 15.0)
+    answer = run_program([*interpreter(), "-m", "daemon.apps.doctor.rig.display_process", name], 15.0)
     try:
         return msgspec.json.decode(answer.out, type=Screen)
     except msgspec.MsgspecError:
