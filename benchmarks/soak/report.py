@@ -80,6 +80,14 @@ def cpu_ms_per_pair(samples: Sequence[Sample], pairs: int) -> dict[str, float]:
     return {name: round(ms, 2) for name, ms in sorted(spent.items(), key=lambda item: -item[1]) if ms >= 0.005}
 
 
+def page_faults(first: Mapping[str, Any], last: Mapping[str, Any], pairs: int) -> dict[str, float]:
+    """Page faults of the daemon between two statuses, for each pair, and those while a pair was measured."""
+    before, after = first["memory"], last["memory"]
+    kinds = ("minor_faults", "major_faults")
+    per_pair = {f"{kind} per pair": round((after[kind] - before[kind]) / max(1, pairs), 2) for kind in kinds}
+    return per_pair | {name: value for name, value in after.items() if name not in kinds}
+
+
 def verdict(result: Mapping[str, Any]) -> list[str]:
     """Violated limits; empty = all good."""
     return list(_faults(result))
@@ -113,6 +121,7 @@ def show(result: Mapping[str, Any], console: Console) -> None:
         ("slope", f"{memory['slope_mib_per_hour']:+.1f} MiB an hour"),
         ("resident, largest", f"{memory['rss_max_mib']:.0f} MiB"),
         ("garbage collections", ", ".join(f"{k} {v:g}" for k, v in result["garbage"].items())),
+        ("page faults", ", ".join(f"{k} {v:g}" for k, v in result["page_faults"].items())),
     ):
         table.add_row(name, value)
     console.print(table)

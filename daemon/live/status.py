@@ -48,6 +48,7 @@ class Status:
             that other programs took from it since the start.
         drops: everything that was dropped, by reason; drops_starting: the part of it before the daemon measured.
         garbage: runs of Python's garbage collector since the start, and how long they stopped all threads.
+        memory: page faults since the daemon measures, those while one pair is measured, and growth of Python's objects.
     """
 
     state: State
@@ -71,6 +72,7 @@ class Status:
     publish_latency_ms: dict[str, float]
     stages_ms: dict[str, float]
     garbage: dict[str, float]
+    memory: dict[str, float]
     processors: dict[str, float]
     calibration_check: dict[str, Any]
     drops: dict[str, int]

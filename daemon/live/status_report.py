@@ -85,6 +85,7 @@ def make_status(
         publish_latency_ms=sinks.get("stream", {}).pop("latency_ms", {}),
         stages_ms=worker.stages_ms,
         garbage=worker.gc_pauses.summary(),
+        memory=worker.page_faults.summary(),
         processors=processor_share.as_dict(),
         calibration_check=_calibration_check(path),
         drops=path.drops.snapshot(),

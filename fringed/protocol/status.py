@@ -130,3 +130,4 @@ class Status(Struct, frozen=True, kw_only=True):
     mode: Annotated[str, Meta(description="single, or the name of a multi-frame mode")]
     sequence: Annotated[Mode, Meta(description="images and sets of the mode")]
     kernels: Annotated[Counts, Meta(description="jobs of the compilation: ready and total")]
+    memory: Annotated[dict[str, float], Meta(description="page faults in all, and while one pair is measured")] = {}

@@ -18,6 +18,7 @@ from daemon.config.rig_config import Pipeline
 from daemon.live.items import SINGLE, CloudItem, ImageSet, Pair
 from daemon.live.processing.gc_control import GcControl, GcPauses
 from daemon.live.processing.load_shedding import LoadShedding
+from daemon.live.processing.page_faults import PageFaults
 from daemon.live.processing.temporal_prior import TemporalPrior
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
@@ -90,6 +91,7 @@ class Worker:
         self._load = LoadShedding(enabled=config.overload == "half")
         self._prior = TemporalPrior()
         self._gc, self.gc_pauses = GcControl(), GcPauses()
+        self.page_faults = PageFaults()
         self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
         self._ended: Future[None] = Future()
@@ -202,6 +204,7 @@ class Worker:
         try:
             self._freeze()
             self.gc_pauses.start()
+            self.page_faults.start()
             while not self._stop.is_set():
                 self._next()
         finally:
@@ -215,7 +218,8 @@ class Worker:
         captured = self._queue.get(_IDLE_S)
         if captured is not None:
             self.heartbeat.expect(_MEASURE_S)
-            self._try(captured)
+            with self.page_faults.pair():
+                self._try(captured)
             self.finished += 1
             self.heartbeat.expect(_TURN_S)
         self._gc.between_pairs(self._clock.monotonic_ns() / 1e9, idle=not self._queue)
