@@ -20,7 +20,7 @@ from rich.console import Console
 
 from benchmarks import trust
 from benchmarks.common.tables import Table, as_json, with_block, write_whole
-from benchmarks.reconstruction import accuracy, compare, machine, scale, speed
+from benchmarks.reconstruction import accuracy, compare, machine, roofline, scale, speed
 from benchmarks.reconstruction.cases import CASES, HARD
 from benchmarks.reconstruction.rendered import OUT
 
@@ -43,6 +43,12 @@ def live(options: argparse.Namespace) -> SectionResult:
     """The moving scene."""
     table, ways, timings = speed.live(options.repeats, 4 if options.quick else speed.FRAMES)
     return [table, ways], {name: asdict(timing) for name, timing in timings.items()}, []
+
+
+def limits(options: argparse.Namespace) -> SectionResult:
+    """Stages against the limits of memory and arithmetic."""
+    table, figures = roofline.against_limits(options.repeats)
+    return [table], figures, []
 
 
 def peers(options: argparse.Namespace) -> SectionResult:
@@ -74,6 +80,7 @@ def trust_section(options: argparse.Namespace) -> SectionResult:
 SECTIONS: dict[str, Callable[[argparse.Namespace], SectionResult]] = {
     "stages": stages,
     "live": live,
+    "roofline": limits,
     "peers": peers,
     "scale": scaling,
     "accuracy": cases,
@@ -125,6 +132,8 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--markdown", action="store_true", help=f"write {DOCUMENT.name} and its figures")
     options = parser.parse_args(given)
     options.repeats = options.repeats or (5 if options.quick else 15)
+    if options.quick and options.only == list(SECTIONS):
+        options.only.remove("roofline")  # it may compile every kernel
     if options.no_peers:
         options.only = [name for name in options.only if name != "peers"]
     if options.markdown and (options.quick or options.case or set(options.only) != set(SECTIONS)):
