@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --con
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
 
-.PHONY: help env demo test test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load campaign bench-service docs docs-figures clean
+.PHONY: help env demo test test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load bench-latency campaign bench-service docs docs-figures clean
 .DEFAULT_GOAL := help
 
 help:
@@ -78,6 +78,9 @@ box-latency: $(RIG)  ## latency from the trigger's edge to frame, pair, cloud an
 
 load: $(RIG)  ## measurement with many subscribers against the same without; five minutes
 	$(BIN)/python -m benchmarks.load $(LOAD)
+
+bench-latency: $(RIG)  ## latency from the trigger to a subscriber's process, alone and under load, by rate and size; twenty minutes
+	$(BIN)/python -m benchmarks.latency $(LATENCY)
 
 campaign: $(RIG)  ## five hundred random faults in a whole rig on emulated hardware; needs root; a quarter of an hour
 	tools/system-packages x11 compiler

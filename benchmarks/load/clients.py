@@ -1,4 +1,4 @@
-"""Clients of a daemon under load: readers of clouds, pollers of the status, one that is stopped, one that never reads.
+"""Clients of a daemon under load: readers of clouds, pollers of the status, slow, stopped and silent ones.
 
 ``python -m benchmarks.load.clients KIND ENDPOINT``: one of them, at idle priority, until it is killed.
 """
@@ -18,7 +18,7 @@ import zmq
 
 from fringed.receiver import Receiver
 
-_POLL_S = 1.0
+_POLL_S, _SLOW_S = 1.0, 0.5
 
 
 def full(endpoint: str) -> None:
@@ -29,6 +29,11 @@ def full(endpoint: str) -> None:
 def light(endpoint: str) -> None:
     """Read the light clouds."""
     _read(endpoint, "cloud/depth")
+
+
+def slow(endpoint: str) -> None:
+    """Read two whole clouds a second."""
+    _read(endpoint, "cloud/full", pause_s=_SLOW_S)
 
 
 def silent(endpoint: str) -> None:
@@ -51,7 +56,7 @@ def poller(endpoint: str) -> None:
             time.sleep(_POLL_S)
 
 
-KINDS = {"full": full, "light": light, "silent": silent, "stopped": full, "poller": poller}
+KINDS = {"full": full, "light": light, "slow": slow, "silent": silent, "stopped": full, "poller": poller}
 
 
 class LoadClients:
@@ -107,7 +112,7 @@ class _Subscribed:
         self._context.destroy(linger=0)
 
 
-def _read(endpoint: str, topic: str) -> None:
+def _read(endpoint: str, topic: str, pause_s: float = 0.0) -> None:
     receiver, reported = Receiver(endpoint, [topic], queue=2), False
     while True:
         if receiver.poll(1.0) and (frames := receiver.take()) is not None:
@@ -116,6 +121,7 @@ def _read(endpoint: str, topic: str) -> None:
                 reported = True
             for frame in frames:
                 memoryview(frame)[::4096].tobytes()  # touched, as a reader that uses it would
+            time.sleep(pause_s)
 
 
 def _report_connected() -> None:
