@@ -132,6 +132,7 @@ class Soak:
             "memory": memory,
             "latency_ms": latency,
             "garbage": end["garbage"],
+            "slowest": end["slowest"],
             "page_faults": report.page_faults(start, end, pairs),
             "cpu_ms_per_pair": report.cpu_ms_per_pair(self.samples, pairs),
             "stages_ms": end["stages_ms"],

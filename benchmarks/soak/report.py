@@ -88,6 +88,13 @@ def page_faults(first: Mapping[str, Any], last: Mapping[str, Any], pairs: int) -
     return per_pair | {name: value for name, value in after.items() if name not in kinds}
 
 
+def _times(slowest: Mapping[str, Any]) -> str:
+    parts = ("latency", "arrival", "waiting", "measuring")
+    whole = [f"{part} {slowest[f'{part}_ms']:.1f}" for part in parts if slowest]
+    stages = [f"{name} {ms:.1f}" for name, ms in slowest.get("stages_ms", {}).items()]
+    return ", ".join(whole + stages)
+
+
 def verdict(result: Mapping[str, Any]) -> list[str]:
     """Violated limits; empty = all good."""
     return list(_faults(result))
@@ -121,6 +128,7 @@ def show(result: Mapping[str, Any], console: Console) -> None:
         ("slope", f"{memory['slope_mib_per_hour']:+.1f} MiB an hour"),
         ("resident, largest", f"{memory['rss_max_mib']:.0f} MiB"),
         ("garbage collections", ", ".join(f"{k} {v:g}" for k, v in result["garbage"].items())),
+        ("slowest pair, ms", _times(result["slowest"])),
         ("page faults", ", ".join(f"{k} {v:g}" for k, v in result["page_faults"].items())),
     ):
         table.add_row(name, value)

@@ -49,6 +49,7 @@ class Status:
         drops: everything that was dropped, by reason; drops_starting: the part of it before the daemon measured.
         garbage: runs of Python's garbage collector since the start, and how long they stopped all threads.
         memory: page faults since the daemon measures, those while one pair is measured, and growth of Python's objects.
+        slowest: times of the pair with the longest latency of the last five to ten minutes.
     """
 
     state: State
@@ -73,6 +74,7 @@ class Status:
     stages_ms: dict[str, float]
     garbage: dict[str, float]
     memory: dict[str, float]
+    slowest: dict[str, Any]
     processors: dict[str, float]
     calibration_check: dict[str, Any]
     drops: dict[str, int]

@@ -86,6 +86,7 @@ def make_status(
         stages_ms=worker.stages_ms,
         garbage=worker.gc_pauses.summary(),
         memory=worker.page_faults.summary(),
+        slowest=worker.slowest.summary(),
         processors=processor_share.as_dict(),
         calibration_check=_calibration_check(path),
         drops=path.drops.snapshot(),

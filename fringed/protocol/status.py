@@ -131,3 +131,4 @@ class Status(Struct, frozen=True, kw_only=True):
     sequence: Annotated[Mode, Meta(description="images and sets of the mode")]
     kernels: Annotated[Counts, Meta(description="jobs of the compilation: ready and total")]
     memory: Annotated[dict[str, float], Meta(description="page faults in all, and while one pair is measured")] = {}
+    slowest: Annotated[dict[str, Any], Meta(description="times of the slowest pair of the last minutes")] = {}

@@ -19,6 +19,7 @@ from daemon.live.items import SINGLE, CloudItem, ImageSet, Pair
 from daemon.live.processing.gc_control import GcControl, GcPauses
 from daemon.live.processing.load_shedding import LoadShedding
 from daemon.live.processing.page_faults import PageFaults
+from daemon.live.processing.slowest_pair import SlowestPair
 from daemon.live.processing.temporal_prior import TemporalPrior
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
@@ -91,7 +92,7 @@ class Worker:
         self._load = LoadShedding(enabled=config.overload == "half")
         self._prior = TemporalPrior()
         self._gc, self.gc_pauses = GcControl(), GcPauses()
-        self.page_faults = PageFaults()
+        self.page_faults, self.slowest = PageFaults(), SlowestPair()
         self._changes: deque[tuple[Make, Future[None]]] = deque(maxlen=16)
         self._made: Future[None] = Future()
         self._ended: Future[None] = Future()
@@ -264,7 +265,7 @@ class Worker:
         single, seq, t_ns = captured.mode == SINGLE, captured.seq, captured.t_ns
         stride = self._load.stride if single else 1
         use_prior = single and self._config.temporal_prior and self._prior.usable(seq, t_ns, stride)
-        began_ns = self._clock.monotonic_ns()
+        began_ns, began_at_ns = self._clock.monotonic_ns(), self._clock.realtime_ns()
         left, right = captured.images
         cloud = reconstructor.reconstruct(left, right, stride=stride, use_prior=use_prior)
         if wanted := self._wanted():
@@ -277,6 +278,7 @@ class Worker:
         )  # fmt: skip
         now_ns = self._clock.monotonic_ns()
         self._note(item, now_ns)
+        self.slowest.note(item, began_at_ns, now_ns)
         self._note_consistency(cloud.consistency)
         self._emit(item)
         self._prior.measured(seq, t_ns, stride)

@@ -73,6 +73,7 @@ def test_every_pair_becomes_a_cloud_and_is_offered_raw_before(running: Running) 
     assert set(status.latency_ms) == {"p50", "p95", "p99", "p999", "max", "last"}
     assert status.publish_latency_ms == {} and status.measured_every == 1
     assert set(status.garbage) == {"count", "total_ms", "max_ms"}
+    assert status.slowest["latency_ms"] == pytest.approx(status.latency_ms["max"], abs=0.01)
     faults = status.memory
     assert faults["minor_faults"] + faults["major_faults"] >= faults["pair_worst"] >= faults["pair_p50"] >= 0
 
