@@ -22,8 +22,9 @@ CorrectionState = tuple[Correction, bool]
 """A correction, and whether it was measured."""
 
 NO_CORRECTION: Correction = np.zeros(3)
-CLEARLY_MORE = 0.06
-"""How much more an offset costs on average that is clearly worse than another."""
+CLEARLY_MORE, PER_COLUMN = 0.025, 0.01
+"""How much more an offset costs on average that is clearly worse than another, and how much more each column counts:
+small offsets are more probable."""
 
 
 def offsets_to_try(largest: float, step: float = 0.25) -> F64:
@@ -42,7 +43,8 @@ def best_offset(offsets: F64, with_margin: F64, inside: F64) -> float:
     Args:
         offsets: (n,) columns; with_margin, inside: (n,) mean least costs with the margin and without.
     """
-    allowed = with_margin <= with_margin.min() + CLEARLY_MORE
+    probable = with_margin + PER_COLUMN * np.abs(offsets)
+    allowed = probable <= probable.min() + CLEARLY_MORE
     return float(offsets[np.where(allowed, (with_margin + inside).round(6), np.inf).argmin()])
 
 

@@ -120,7 +120,7 @@ def test_the_column_correction_follows_the_search_with_the_margin_where_that_dec
     offsets = np.array([0.0, -0.25, 0.25, 1.0])
     clear, inside = np.array([0.17, 0.3, 0.25, 0.33]), np.array([0.69, 0.74, 0.68, 0.44])
     assert best_offset(offsets, clear, inside) == 0.0
-    assert best_offset(offsets, np.array([0.05, 0.3, 0.25, 0.04]), np.array([0.1, 0.5, 0.4, 0.5])) == 0.0
+    assert best_offset(offsets, np.array([0.05, 0.3, 0.25, 0.045]), np.array([0.1, 0.5, 0.4, 0.5])) == 0.0
     assert best_offset(offsets, np.full(4, 0.3), np.full(4, 0.3)) == 0.0
 
 
