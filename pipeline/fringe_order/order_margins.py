@@ -145,7 +145,7 @@ def costs_of_nodes(
 
 @serial
 def least_margins(group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, out: Any) -> None:
-    """Upper limits of the least margins, (groups,) float32: mean and its standard error; infinite without another order.
+    """Least margin of each group plus its standard error, (groups,) float32; infinite where no other order competes.
 
     Args:
         group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.
