@@ -50,7 +50,7 @@ class Settings:
     """Cluster filter: area of the smallest connected component that is kept."""
     cluster_phase_threshold: float = 0.2
     """Cluster filter: largest rms phase error against the projector of a component that is not large."""
-    uniqueness_ratio: float = 6.0
+    uniqueness_ratio: float = 1.5
     """Cluster filter: least margin by which the fringe orders of a surface cost less than the second best ones,
     percent of the cost of a disagreeing pixel; 0 = off."""
     edge_threshold: float = 0.65

@@ -22,7 +22,7 @@ from pipeline.fringe_order.order_candidates import (  # isort: skip
     COST, COST_IMPOSSIBLE, INTEGER_SLOTS, SLOTS, candidate_costs, load_nodes,
 )  # fmt: skip
 
-SAMPLES = 64
+SAMPLES = 32
 """Lattice pixels of each group that are compared; fewer where it has fewer."""
 CELL = 64
 """Width and height of the cells in which large surfaces are tested, pixels of the left image."""
@@ -60,7 +60,7 @@ class Groups:
         group = np.empty(len(rows) * len(columns), np.int32)
         nodes = np.empty(len(group), np.int32)
         _group_pixels(self._label, self._row, rows, columns, self._cell, self._across, self._cells, group)
-        n = _choose(group, SAMPLES, self._pixels, np.zeros(len(self), np.int32), nodes)
+        n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
     def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
@@ -69,8 +69,9 @@ class Groups:
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (rejected, self._pixels))
         share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
         cells[share < AMBIGUOUS_SHARE] = False
-        if rejected.any():
-            _reject(len(valid), self._label, self._row, self._cell, self._across, self._cells, rejected, valid)
+        # The loop is called without rows as well, or it would be compiled in the middle of a live run.
+        rows = len(valid) if rejected.any() else 0
+        _reject(rows, self._label, self._row, self._cell, self._across, self._cells, rejected, valid)
 
 
 @serial
@@ -91,19 +92,21 @@ def _group_pixels(
 
 
 @serial
-def _choose(group: Any, most: int, count: Any, passed: Any, out: Any) -> int:
-    """Every n-th pixel of each group into ``out``; their number. ``count``, ``passed``: (groups,) zeros, scratch."""
+def _choose(group: Any, most: int, count: Any, left: Any, out: Any) -> int:
+    """Every n-th pixel of each group into ``out``; their number. ``count`` (groups,) zeros; ``left``: scratch."""
     for b in range(group.shape[0]):
         if group[b] >= 0:
             count[group[b]] += 1
+    left[:] = 1
     n = 0
     for b in range(group.shape[0]):
         k = group[b]
         if k >= 0:
-            if passed[k] % ((count[k] + most - 1) // most) == 0:
+            left[k] -= 1
+            if left[k] == 0:
                 out[n] = b
                 n += 1
-            passed[k] += 1
+                left[k] = (count[k] + most - 1) // most
     return n
 
 
