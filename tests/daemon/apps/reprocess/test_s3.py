@@ -60,8 +60,9 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Failing]:
     thread.join()
 
 
-def test_three_workers_read_from_and_write_to_a_store_that_fails_for_ten_seconds(
-    store: Failing, tmp_path: Path, images: list[small_take.Images]
+@pytest.mark.parametrize("outage_s", [3, pytest.param(10, marks=pytest.mark.long)])
+def test_three_workers_read_from_and_write_to_a_store_that_fails_for_seconds(
+    store: Failing, tmp_path: Path, images: list[small_take.Images], outage_s: float
 ) -> None:
     take = write(tmp_path / "a.mcap", images, 40)
     data = take.read_bytes()
@@ -72,7 +73,7 @@ def test_three_workers_read_from_and_write_to_a_store_that_fails_for_ten_seconds
 
     def fail_once(totals: object) -> None:
         if store.until_s == 0 and getattr(totals, "computed", 0) > 4:
-            store.until_s = time.monotonic() + 10
+            store.until_s = time.monotonic() + outage_s
 
     with (
         cluster.scheduler(tmp_path) as (_, address),
