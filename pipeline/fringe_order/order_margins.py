@@ -28,7 +28,9 @@ CELL = 64
 """Width and height of the cells in which large surfaces are tested, pixels of the left image."""
 LEAST_SHARE = 0.5
 """Share of a group's pixels that must have an order for it to compete."""
-AMBIGUOUS_SHARE = 0.25
+LARGEST_COST = 0.3
+"""Mean cost up to which another order explains a group; saturated surfaces cost as much with their own as with any."""
+AMBIGUOUS_SHARE = 0.35
 """Share of its pixels from which a large surface's ambiguous cells are rejected; its other cells decide fewer."""
 
 
@@ -147,16 +149,19 @@ def costs_of_nodes(
 
 
 @serial
-def least_margins(group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, out: Any) -> None:
+def least_margins(
+    group: Any, own: Any, first: Any, count: Any, costs: Any, least_share: Any, largest_cost: Any, out: Any
+) -> None:  # fmt: skip
     """Least margin of each group plus its standard error, (groups,) float32; infinite where no other order competes.
 
     Args:
         group: (n,) of the sampled pixels; own: their orders, int16; first, count: (n,) of their candidates.
         costs: (n, labels).
+        least_share: of a group's pixels that must have an order for it to compete; largest_cost: its largest mean cost.
     """
     labels = costs.shape[1]
     total, squares = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels))
-    pixels = np.zeros((out.shape[0], 2 * labels), np.int32)
+    level, pixels = np.zeros((out.shape[0], 2 * labels)), np.zeros((out.shape[0], 2 * labels), np.int32)
     for m in range(group.shape[0]):
         k, here = group[m], own[m] - first[m]
         if here < 0 or here >= count[m]:
@@ -166,12 +171,15 @@ def least_margins(group: Any, own: Any, first: Any, count: Any, costs: Any, leas
             more = np.float64(costs[m, order] - costs[m, here])
             total[k, change] += more
             squares[k, change] += more * more
+            level[k, change] += costs[m, order]
             pixels[k, change] += 1
     for k in range(out.shape[0]):
         out[k] = np.inf
         for change in range(2 * labels):
             n = pixels[k, change]
-            if change != labels and n > 1 and n >= least_share * pixels[k, labels]:
+            if change == labels or n < 2 or n < least_share * pixels[k, labels]:
+                continue
+            if level[k, change] <= largest_cost * n:
                 mean = total[k, change] / n
                 error = np.sqrt(max(squares[k, change] / n - mean * mean, 0.0) / (n - 1))
                 out[k] = min(out[k], np.float32(mean + error))

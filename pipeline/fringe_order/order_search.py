@@ -163,7 +163,9 @@ class _Lattice:
             np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), first, count, costs,
         )  # fmt: skip
         least, own = np.empty(len(groups), np.float32), order[i // stride, j // stride]
-        order_margins.least_margins(group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, least)
+        order_margins.least_margins(
+            group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST, least
+        )
         return least
 
     def decide(self, reference: PhaseMap) -> None:

@@ -33,16 +33,16 @@ def test_the_least_margin_is_that_of_the_best_other_order(seed: int) -> None:
     own = (first + rng.integers(0, count)).astype(np.int16)
     costs = rng.random((n, labels)).astype(np.float32)
     out = np.empty(groups, np.float32)
-    least_margins(group, own, first, count, costs, 0.5, out)
+    least_margins(group, own, first, count, costs, 0.5, 0.55, out)
     for k in range(groups):
         margins = []
         for change in range(-labels, labels + 1):
-            here = [
-                costs[m, own[m] + change - first[m]].astype(float) - costs[m, own[m] - first[m]]
-                for m in np.flatnonzero(group == k)
-                if 0 <= own[m] + change - first[m] < count[m]
-            ]
-            if change and len(here) > 1 and len(here) >= 0.5 * np.count_nonzero(group == k):
+            having = [m for m in np.flatnonzero(group == k) if 0 <= own[m] + change - first[m] < count[m]]
+            if not change or len(having) < max(2, 0.5 * np.count_nonzero(group == k)):
+                continue
+            other = np.array([costs[m, own[m] + change - first[m]] for m in having], float)
+            here = other - [costs[m, own[m] - first[m]] for m in having]
+            if other.mean() <= 0.55:
                 margins.append(np.mean(here) + np.std(here) / np.sqrt(len(here) - 1))
         assert out[k] == pytest.approx(min(margins, default=np.inf), abs=1e-5)
 
@@ -63,8 +63,8 @@ def test_large_surfaces_are_sampled_and_rejected_in_cells() -> None:
     counts = np.bincount(group)
     assert counts.max() <= SAMPLES
     assert counts[counts > 0].min() >= SAMPLES // 2 or counts[1] == counts[counts > 0].min()
-    # One cell of fifteen is known by its neighbours; a third of them is not.
-    for few, expected in ((1, 0), (5, 5)):
+    # One cell of fifteen is known by its neighbours; six of them are not.
+    for few, expected in ((1, 0), (6, 6)):
         assert (few / 15 >= AMBIGUOUS_SHARE) == (expected > 0)
         ambiguous = np.zeros(len(groups), bool)
         ambiguous[sorted(set(group[label[i, j] == 1]))[:few]] = True
