@@ -74,26 +74,28 @@ def blocks(page: Path) -> Iterator[Block]:
         number += 1
 
 
-def links(page: Path) -> Iterator[tuple[int, str]]:
-    """Line and target of every link and image outside code."""
+def _prose(page: Path) -> Iterator[tuple[int, str]]:
+    """Number and text of every line outside of fenced blocks."""
     inside = False
     for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
         if line.lstrip().startswith("```"):
             inside = not inside
         if not inside:
-            for found in _LINK.finditer(re.sub(r"`[^`]*`", "", line)):
-                yield number, found[1]
+            yield number, line
+
+
+def links(page: Path) -> Iterator[tuple[int, str]]:
+    """Line and target of every link and image outside code."""
+    for number, line in _prose(page):
+        for found in _LINK.finditer(re.sub(r"`[^`]*`", "", line)):
+            yield number, found[1]
 
 
 def spans(page: Path) -> Iterator[tuple[int, str]]:
     """Line and text of every piece of code within the text of a page, outside of fenced blocks."""
-    inside = False
-    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
-        if line.lstrip().startswith("```"):
-            inside = not inside
-        if not inside:
-            for found in re.finditer(r"`([^`]+)`", line):
-                yield number, found[1]
+    for number, line in _prose(page):
+        for found in re.finditer(r"`([^`]+)`", line):
+            yield number, found[1]
 
 
 def anchors(page: Path) -> set[str]:
