@@ -5,10 +5,14 @@ BIN    := $(VENV)/bin
 # Two stages of one environment: what the daemon, the demo and the benchmarks need, and what only tests and checks need.
 RIG    := $(VENV)/.rig
 DEV    := $(VENV)/.dev
-WORKERS ?= auto
+# One more than there are processors: many tests wait for emulated devices, time-outs or systemd.
+WORKERS ?= $(shell expr $$(nproc) + 1)
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 # Environment of the programs that `make bench` compares with.
 PEERS  := .bench-venv
+
+# Also where the caller forbids it: without compiled modules every process of ours, and every test, starts by compiling.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help env demo test test-all audit bench bench-calibration soak check golden protocol screenshot rig-in-a-box box-soak box-latency vm release install uninstall bench-modes load bench-latency campaign bench-service docs docs-figures clean
 .DEFAULT_GOAL := help

@@ -26,7 +26,7 @@ def degraded_reasons(path: FramePath) -> tuple[str, ...]:
     reasons += filter(None, (*sizes, path.mode_controller.problem()))
     if path.worker.stride > 1:
         reasons.append("the pipeline is overloaded: every second pixel is measured")
-    consistency = path.worker.consistency
+    consistency = path.worker.verdicts.last
     if consistency is not None and consistency.verdict == "inconsistent":
         reasons.append(f"the images contradict the calibration: {consistency.reason}")
     problems = {name: sink.status().get("problem") for name, sink in path.router.sinks.items()}
@@ -35,9 +35,9 @@ def degraded_reasons(path: FramePath) -> tuple[str, ...]:
 
 def _calibration_check(path: FramePath) -> dict[str, Any]:
     """Policy, verdict on the last pair with its readings, and how many clouds were withheld."""
-    consistency = path.worker.consistency
+    consistency = path.worker.verdicts.last
     values = {"verdict": "unknown", "reason": "", "readings": {}} if consistency is None else consistency.as_mapping()
-    return {"policy": path.config.pipeline.calibration_check, **values, "withheld": path.worker.withheld}
+    return {"policy": path.config.pipeline.calibration_check, **values, "withheld": path.worker.verdicts.withheld}
 
 
 def make_status(

@@ -16,6 +16,7 @@ from daemon.common.heartbeat import Heartbeat
 from daemon.common.latest_wins_queue import LatestWinsQueue
 from daemon.config.rig_config import Pipeline
 from daemon.live.items import SINGLE, CloudItem, ImageSet, Pair
+from daemon.live.processing.calibration_verdicts import CalibrationVerdicts
 from daemon.live.processing.gc_control import GcControl, GcPauses
 from daemon.live.processing.load_shedding import LoadShedding
 from daemon.live.processing.page_faults import PageFaults
@@ -24,7 +25,6 @@ from daemon.live.processing.temporal_prior import TemporalPrior
 from drivers.protocols import Clock
 from pipeline.common.errors import PipelineError
 from pipeline.reconstruct.cloud import Cloud
-from pipeline.reconstruct.consistency import Consistency
 from pipeline.reconstruct.optional_parts import with_parts
 
 log = logging.getLogger("fringed.pipeline")
@@ -83,8 +83,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._stop = threading.Event()
         self.clouds, self.dropped, self.points, self.valid = 0, 0, 0, 0.0
-        self.consistency: Consistency | None = None
-        self.withheld = 0
+        self.verdicts = CalibrationVerdicts()
         self.finished, self.heartbeat = 0, Heartbeat(clock.monotonic_ns)
         self.rate, self.latency_ms = Rate(), Percentiles()
         self.stages_ms: dict[str, float] = {}
@@ -279,27 +278,11 @@ class Worker:
         now_ns = self._clock.monotonic_ns()
         self._note(item, now_ns)
         self.slowest.note(item, began_at_ns, now_ns)
-        self._note_consistency(cloud.consistency)
+        self.verdicts.note(cloud.consistency, self._config.calibration_check)
         self._emit(item)
         self._prior.measured(seq, t_ns, stride)
         if single and self._load.measured((now_ns - began_ns) / 1e6, stride, now_ns):
             log.info("load: every %s pixel is measured", "second" if self._load.stride == 2 else "single")
-
-    def _note_consistency(self, consistency: Consistency | None) -> None:
-        """Log a change of the verdict and count what was withheld."""
-        before = "unknown" if self.consistency is None else self.consistency.verdict
-        self.consistency = consistency
-        if consistency is None:
-            return
-        verdict = consistency.verdict
-        if verdict == "inconsistent":
-            self.withheld += self._config.calibration_check == "withhold"
-        if verdict == before or ("unknown" in (verdict, before) and verdict != "inconsistent"):
-            return
-        if verdict == "consistent":
-            log.info("calibration check: consistent again")
-        else:
-            log.warning("calibration check: %s: %s", verdict, consistency.reason)
 
     def _note(self, item: CloudItem, now_ns: int) -> None:
         self.latency_ms.note(item.latency_ms)

@@ -246,8 +246,9 @@ def test_a_stopped_process_is_given_up(ours: Path, rig: Rig) -> None:
     camera.close()
 
 
-def test_what_nobody_reads_is_dropped_and_counted(running: tuple[Cable, Camera]) -> None:
-    cable, camera = running
+def test_what_nobody_reads_is_dropped_and_counted(make: Make, rig: Rig) -> None:
+    cable, camera = rig[0], make(buffers=64)  # more than there are images: a loaded machine loses none before the ring
+    start(camera, cable)
     pulses(cable, 60)
     wait_until(lambda: counter(camera, "ring_full") >= 60 - 16)
     found = pending(camera)

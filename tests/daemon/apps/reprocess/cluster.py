@@ -37,11 +37,12 @@ def process(arguments: list[str], **options: Any) -> Iterator[subprocess.Popen[s
 
 @contextmanager
 def scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A scheduler; yields its process and address."""
+    """A scheduler that gives a task to two workers at most; yields its process and address."""
     file = folder / f"scheduler-{len(list(folder.glob('scheduler-*')))}.json"
     arguments = ["--port", "0", "--no-dashboard", "--scheduler-file", str(file), "--host", "127.0.0.1"]
     start = [sys.executable, "-m", "distributed.cli.dask_scheduler", *arguments]
-    with process(start, stderr=subprocess.DEVNULL, cwd=folder) as running:
+    environment = os.environ | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    with process(start, stderr=subprocess.DEVNULL, cwd=folder, env=environment) as running:
         wait_until(lambda: file.exists() and file.read_text().endswith("}"), 30, "the scheduler's address")
         yield running, json.loads(file.read_text())["address"]
 

@@ -38,10 +38,11 @@ def sources(tmp_path_factory: pytest.TempPathFactory, images: Images) -> Path:
     return folder
 
 
-@pytest.fixture
-def running_scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    with cluster.scheduler(tmp_path) as made:
-        yield made
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a scheduler that no test ends."""
+    with cluster.scheduler(tmp_path_factory.mktemp("scheduler")) as (_, address):
+        yield address
 
 
 def expect_results(sources: Path, out: Path) -> None:
@@ -64,12 +65,9 @@ def test_a_local_cluster_gives_the_results_and_a_report(
     assert b"<svg" in (tmp_path / "report.html").read_bytes()
 
 
-def test_killed_workers_cost_no_result(
-    sources: Path, tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
-) -> None:
-    _, address = running_scheduler
+def test_killed_workers_cost_no_result(sources: Path, tmp_path: Path, scheduler: str) -> None:
     killed: list[int] = []
-    with cluster.workers(address, 3, tmp_path), connected(address) as engine:
+    with cluster.workers(scheduler, 3, tmp_path), connected(scheduler) as engine:
 
         def kill_one(totals: object) -> None:
             if len(killed) < 2 and getattr(totals, "computed", 0) > 8 * len(killed):
@@ -85,11 +83,14 @@ def test_killed_workers_cost_no_result(
 
 
 def test_after_the_death_of_the_scheduler_the_same_command_completes_the_results(
-    sources: Path, tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
+    sources: Path, tmp_path: Path, scheduler: str
 ) -> None:
-    process, address = running_scheduler
     out = tmp_path / "out"
-    with cluster.workers(address, 2, tmp_path), connected(address) as engine:
+    with (
+        cluster.scheduler(tmp_path) as (process, address),
+        cluster.workers(address, 2, tmp_path),
+        connected(address) as engine,
+    ):
 
         def kill_scheduler(totals: object) -> None:
             if getattr(totals, "computed", 0) > 10:
@@ -98,8 +99,8 @@ def test_after_the_death_of_the_scheduler_the_same_command_completes_the_results
         run = Run(Job(chunk_pairs=4), out, engine, observe=kill_scheduler)
         with pytest.raises(EngineLostError, match="run the same command again"):
             run.run(recordings_of([str(sources)]))
-    wait_until(lambda: process.poll() is not None, 10, "the end of the scheduler")
-    with cluster.scheduler(tmp_path) as (_, again), cluster.workers(again, 2, tmp_path), connected(again) as engine:
+        wait_until(lambda: process.poll() is not None, 10, "the end of the scheduler")
+    with cluster.workers(scheduler, 2, tmp_path), connected(scheduler) as engine:
         totals = Run(Job(chunk_pairs=4), out, engine).run(recordings_of([str(sources)]))
     assert not totals.failures and totals.computed < totals.done == totals.items
     expect_results(sources, out)
@@ -123,30 +124,23 @@ def ended(engine: object, function: Callable[..., object], *arguments: object) -
     return found[0]
 
 
-def test_a_killed_worker_is_explained(tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]) -> None:
-    _, address = running_scheduler
-    with cluster.workers(address, 1, tmp_path), connected(address) as engine:
+def test_a_killed_worker_is_explained(tmp_path: Path, scheduler: str) -> None:
+    with cluster.workers(scheduler, 1, tmp_path), connected(scheduler) as engine:
         reason = ended(engine, suicidal)
-    assert "4 worker processes died doing it" in reason
+    assert "2 worker processes died doing it" in reason
     assert "none reported that it reached its memory limit" in reason
 
 
-def test_a_worker_that_was_ended_for_lack_of_memory_is_named_as_such(
-    tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
-) -> None:
-    _, address = running_scheduler
+def test_a_worker_that_was_ended_for_lack_of_memory_is_named_as_such(tmp_path: Path, scheduler: str) -> None:
     limit = "--memory-limit", "500MiB"
-    with cluster.workers(address, 1, tmp_path, *limit), connected(address) as engine:
+    with cluster.workers(scheduler, 1, tmp_path, *limit), connected(scheduler) as engine:
         reason = ended(engine, hungry, 700)
-    assert "4 worker processes that did it were ended for lack of memory" in reason
+    assert "2 worker processes that did it were ended for lack of memory" in reason
     assert "MiB); give workers more memory (--memory-limit)" in reason
 
 
-def test_workers_have_one_task_thread_and_one_thread_of_numba(
-    tmp_path: Path, running_scheduler: tuple[subprocess.Popen[str], str]
-) -> None:
-    _, address = running_scheduler
-    with cluster.workers(address, 2, tmp_path), connected(address) as engine:
+def test_workers_have_one_task_thread_and_one_thread_of_numba(tmp_path: Path, scheduler: str) -> None:
+    with cluster.workers(scheduler, 2, tmp_path), connected(scheduler) as engine:
         threads = engine._client.run(numba_threads)
         assert set(engine._client.nthreads().values()) == {1}
         assert engine.slots == 2
