@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import pipeline.filter.border_model
 from benchmarks.reconstruction import rendered
-from benchmarks.reconstruction.cases import HARD, Case
+from benchmarks.reconstruction.cases import HARD, Case, random_case
 from benchmarks.trust import scaled
 from pipeline.common.settings import Settings
 from pipeline.filter import point_filter
@@ -29,6 +29,8 @@ from sim.evaluate.score import WRONG_MM
 
 Floats = NDArray[np.float64]
 _RIDGE = 3.0
+_FIRST_RANDOM = 200
+"""Scenes before are for tests of the result."""
 _BEGIN = "MODEL = BorderModel("
 
 
@@ -109,6 +111,7 @@ def main(given: list[str]) -> int:
     parser.add_argument(
         "--without", nargs="*", default=["bright"], help="cases left out of the fit, by part of the name"
     )
+    parser.add_argument("--random", type=int, default=48, help="as many random scenes and rigs too, at half size")
     parser.add_argument("--write", action="store_true", help="write the coefficients into the pipeline")
     options = parser.parse_args(given)
     data: dict[str, tuple[Floats, Floats]] = {}
@@ -116,6 +119,8 @@ def main(given: list[str]) -> int:
         for size in options.scales:
             for seed in range(options.seeds):
                 data[f"{case.name}, {size:g}, {seed}"] = samples(scaled(case, size), seed)
+    for number in range(_FIRST_RANDOM, _FIRST_RANDOM + options.random):
+        data[f"random {number}"] = samples(scaled(random_case(number), 0.5), 0)
     left_out = {name for name in data if any(part in name for part in options.without)}
     # Every pair counts by the root of its number of points, so that scenes with many borders do not decide alone.
     fitted = [

@@ -23,6 +23,7 @@ from daemon.rig.open_rig import Rig
 from drivers.protocols import SIDES, Clock, Side
 from fringed.parts import COMPUTED
 from pipeline.common.settings import Settings
+from pipeline.pattern.order_check import order_warning
 
 log = logging.getLogger("fringed")
 
@@ -48,6 +49,7 @@ class FramePath:
         clock: Clock,
     ) -> None:
         self.config, self.rig, self._clock = config, rig, clock
+        self.order_warning = order_warning(rig.calibration, rig.volume, rig.pattern)
         self.kernels, self._stopping = Progress(0, 0), False
         self.settings = Settings().with_overrides(config.pipeline.settings)
         self.drops = drops = Counters()
@@ -113,6 +115,7 @@ class FramePath:
                 self._compile(config)
                 warm_up(reconstructor, config.pipeline)
         self.config, self.rig, self.settings = config, rig, settings
+        self.order_warning = order_warning(rig.calibration, rig.volume, rig.pattern)
         self.pairer.configure(pairing_settings(config.pairing))
         self.worker.configure(config.pipeline)
         for commit in commits:

@@ -11,6 +11,7 @@ from daemon.common.version import program_version
 from daemon.live.acquisition.camera_status import CameraState, CameraStatus
 from daemon.live.compatibility import size_problem, timing_warnings
 from daemon.live.frame_path import FramePath
+from daemon.live.items import SINGLE
 from daemon.live.status import State, Status
 from drivers.protocols import Clock, ProjectorInfo
 
@@ -66,7 +67,11 @@ def make_status(
     return Status(
         state=state[0],
         reasons=state[1],
-        warnings=(*timing_warnings(projector.refresh_hz if projector else 0.0, cameras), *processor_share.warnings()),
+        warnings=(
+            *timing_warnings(projector.refresh_hz if projector else 0.0, cameras),
+            *processor_share.warnings(),
+            *filter(None, [path.order_warning if path.mode_controller.mode == SINGLE else ""]),
+        ),
         device=path.config.device.name,
         session=session,
         version=program_version(),

@@ -15,6 +15,7 @@ from pipeline.common.errors import CalibrationError
 from pipeline.common.settings import Settings
 from pipeline.monitor.checked_reconstructor import Policy
 from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.pattern.order_check import order_warning
 from pipeline.pattern.sequence import FrameSequence
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.cloud_filters import cloud_filters
@@ -79,6 +80,13 @@ def check_serials(take: TakeReader, file: CalibrationFile) -> CalibrationFile:
     if problem := serial_problem(calibrated, recorded):
         raise CalibrationError(f"{take.path}: the recording is not of the calibrated cameras: {problem}")
     return file
+
+
+def problems_of(take: TakeReader, file: CalibrationFile) -> list[str]:
+    """Damage of the take, and whether its rig can distinguish fringe orders."""
+    sequence = take.sequence()  # of images that carry the order
+    warning = "" if sequence is not None else order_warning(file.calibration, take.volume(), take.pattern())
+    return [*take.problems, *([f"{take.path}: {warning}"] if warning else [])]
 
 
 def check_size(item: TakeItem, calibration: Calibration) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from daemon.apps.replay.reconstruct_item import Run
+from daemon.apps.replay.reconstruct_item import Run, problems_of
 from daemon.apps.replay.runner import Replay
 from daemon.common.files import write_atomically
 from pipeline.common.settings import Settings
@@ -47,7 +47,7 @@ def summary_of(replay: Replay, runs: Sequence[Run]) -> dict[str, Any]:
         "unpaired": dict(counts.unpaired),
         "duplicates": dict(counts.duplicates),
         "failed": [dataclasses.asdict(failure) for failure in replay.failures],
-        "problems": replay.take.problems,
+        "problems": problems_of(replay.take, replay.calibration_file),
         "per_pair": [dataclasses.asdict(run) for run in runs],
     }
 

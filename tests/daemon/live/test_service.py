@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from daemon.live.service import Service
 from daemon.live.status import State
 from daemon.recording.recorder import Recorder
 from sim.devices.open_rig import RigDevices
+from sim.rig.layout import RigLayout
 from tests.daemon.rigs import Collector, config, devices, rig_of, step
 from tools.waiting import wait_until
 
@@ -90,6 +91,14 @@ def test_a_camera_that_goes_away_degrades_the_daemon_and_comes_back_by_itself(ru
     before = running.service.worker.clouds
     running.step(4)
     wait_until(lambda: running.service.worker.clouds == before + 4)
+
+
+def test_a_layout_that_cannot_distinguish_orders_is_a_warning_in_the_mode_single(tmp_path: Path) -> None:
+    rig = rig_of(devices())
+    middle = replace(rig, calibration=RigLayout(projector_fraction=0.5).calibration())
+    for used, mode, expected in ((rig, "single", False), (middle, "single", True), (middle, "gray", False)):
+        service = Service(config(tmp_path, f"mode: {mode}\n"), used, {})
+        assert any("fringe" in warning for warning in service.status().warnings) == expected
 
 
 def test_a_full_sink_loses_its_items_by_name_and_nobody_else_waits(running: Running) -> None:

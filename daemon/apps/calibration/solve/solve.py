@@ -21,7 +21,7 @@ from daemon.common.files import write_atomically
 from daemon.rig.calibration_file import CamerasFile
 from daemon.rig.camera_serials import Serials, common_serials
 from pipeline.calibrate.bundle import Options, Solution, calibrate
-from pipeline.calibrate.bundle.quality.order_check import layout_recommendations
+from pipeline.calibrate.bundle.quality.layout_recommendations import layout_recommendations
 from pipeline.calibrate.bundle.quality.solution_figures import quality_of
 from pipeline.calibrate.bundle.quality.view_assessment import assess_views
 from pipeline.calibrate.targets.board.board import Board

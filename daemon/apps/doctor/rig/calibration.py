@@ -21,10 +21,10 @@ from drivers.genicam.options import Options as GenicamOptions
 from drivers.projector.detected_output import find_output
 from drivers.projector.options import ExternalOptions
 from drivers.protocols import SIDES, ProjectorInfo
-from pipeline.calibrate.bundle.quality.order_check import order_check
 from pipeline.common.errors import PipelineError
 from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.pattern.color_fringe import from_mapping as pattern_from_mapping
+from pipeline.pattern.order_check import order_check
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
 

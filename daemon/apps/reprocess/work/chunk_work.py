@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from daemon.apps.export.cloud_files import SavedCloud, cloud_bytes, cloud_name
-from daemon.apps.replay.reconstruct_item import check_serials, check_size, timed, warmed_reconstructor
+from daemon.apps.replay.reconstruct_item import check_serials, check_size, problems_of, timed, warmed_reconstructor
 from daemon.apps.reprocess.carried_state import CarriedState, capture, restore
 from daemon.apps.reprocess.destination.cloud_store import write_row
 from daemon.apps.reprocess.destination.results import ChunkManifest, TakeResults
@@ -175,7 +175,7 @@ def _process(task: ChunkTask) -> ChunkManifest:
         _write(task, row, planned, cloud, results, manifest)
     if damaged:
         raise _Damage(damaged)
-    manifest.after, manifest.problems = state, list(take.problems)
+    manifest.after, manifest.problems = state, problems_of(take, calibration)
     manifest.seconds, manifest.worker = round(time.perf_counter() - start_s, 3), f"{socket.gethostname()}:{os.getpid()}"
     manifest.cpu_seconds = round(time.process_time() - start_cpu_s, 3)
     results.finish(task.chunk.name, manifest)

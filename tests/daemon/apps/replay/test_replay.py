@@ -6,15 +6,18 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from daemon.apps.export.cloud_files import read_cloud
 from daemon.cli.entry import run
 from pipeline.reconstruct.reconstructor import Reconstructor
+from sim.rig import rig_files
 from tests.daemon.recording import small_take
 
 
@@ -186,6 +189,18 @@ def test_other_settings_and_another_calibration_change_the_clouds(take: Path, tm
     other.write_bytes(small_take.CALIBRATION + b"# the same, other bytes\n")
     assert replay(take, "--out", tmp_path / "c", "--calibration", other) == 0
     assert summary_in(tmp_path / "c")["calibration"] != before["calibration"]
+
+
+def test_a_layout_that_cannot_distinguish_orders_is_a_problem(
+    take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    middle = replace(small_take.LAYOUT, projector_fraction=0.5)
+    other = tmp_path / "middle.yaml"
+    other.write_text(yaml.safe_dump(rig_files.calibration_mapping(middle, small_take.OPTICS), sort_keys=False))
+    assert replay(take, "--out", tmp_path, "--calibration", other, "--calibration-check", "off") == 0
+    [problem] = summary_in(tmp_path)["problems"]
+    assert "surfaces may be at a wrong depth: the projector stands at 0.500 of the baseline" in problem
+    assert f"warning: {problem}" in capsys.readouterr().err
 
 
 def test_filters_fusion_and_the_output_frame_hold_in_a_replay(take: Path, tmp_path: Path) -> None:

@@ -9,14 +9,14 @@ at a quarter (4) of the baseline. The best position divides the baseline in the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.calibrate.bundle.solution import Solution
 from pipeline.common.errors import CalibrationError
-from pipeline.rig.calibration import Calibration, Cameras
+from pipeline.pattern.color_fringe import ColorFringe
+from pipeline.rig.calibration import Calibration
 from pipeline.rig.camera_model import CameraModel
 from pipeline.rig.volume import Volume
 
@@ -120,25 +120,18 @@ def merit_of(ratio: float, ratio_right: float, shifts: float) -> tuple[float, in
     return min(1.0, worst[0] / GOLDEN), worst[1], worst[2]
 
 
-def layout_recommendations(cameras: Cameras, solution: Solution) -> tuple[list[str], dict[str, Any]]:
-    """Recommendations for the rig's layout, and figures for the file's quality.
+def order_warning(calibration: Calibration, volume: Volume, pattern: ColorFringe) -> str:
+    """Why points with wrong fringe orders may be published; empty if the layout or the pattern prevents it.
 
-    The layout is assessed for the depths at which the board was shown.
+    Frequency-modulated fringes carry the order; equal ones need a layout with a merit of ``POOR`` at least.
     """
-    base = cameras.baseline_mm
-    if cameras.projector is None:
-        return [
-            f"place the projector {GOLDEN * base:.0f} or {(1 - GOLDEN) * base:.0f} mm along the {base:.0f} mm from the "
-            "left to the right camera, not in the middle: at an integer ratio of the baselines flat surfaces carry no "
-            "fringe order"
-        ], {}
-    positions = [solution.board_points @ pose[0].T + pose[1] for pose in solution.poses if pose is not None]
-    depths = np.concatenate(positions)[:, 2]
+    if pattern.profile is not None:
+        return ""
     try:
-        check = order_check(cameras.complete(), Volume(float(depths.min()), float(depths.max())))
+        check = order_check(calibration, volume, periods=pattern.periods, axis=pattern.axis)
     except CalibrationError as error:
-        return [str(error)], {}
-    return [check.recommendation], {"order_ratio": round(check.ratio, 4), "order_merit": round(check.merit, 3)}
+        return str(error)
+    return f"surfaces may be at a wrong depth: {check.recommendation}" if check.merit < POOR else ""
 
 
 def _ratio(

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibrate.bundle.quality.order_check import merit_of, order_check
 from pipeline.common.errors import CalibrationError
+from pipeline.pattern.color_fringe import modulated_profile
+from pipeline.pattern.order_check import merit_of, order_check, order_warning
 from pipeline.rig.volume import Volume
 from sim.rig.layout import RigLayout
 
@@ -55,6 +56,18 @@ def test_the_recommendation_names_the_position_of_the_projector():
     assert "59 mm towards the left camera, to 0.382" in assessed(0.499999).recommendation
     assert "66 mm towards the right camera, to 0.382" in assessed(0.25).recommendation
     assert "distinguished well" in assessed(0.382).recommendation
+
+
+@pytest.mark.parametrize(
+    ("fraction", "expected"), [(0.382, ""), (0.45, ""), (0.5, "towards the"), (0.0, "do not determine")]
+)
+def test_a_layout_that_cannot_distinguish_orders_is_reported(fraction, expected):
+    rig = RigLayout(projector_fraction=fraction)
+    equal = rig.pattern()
+    warning = order_warning(rig.calibration(), rig.volume(), equal)
+    assert expected in warning and bool(warning) == bool(expected)
+    modulated = replace(equal, profile=modulated_profile(equal.length, equal.periods))
+    assert order_warning(rig.calibration(), rig.volume(), modulated) == ""
 
 
 def test_the_number_of_candidates_is_that_of_the_volume():
