@@ -65,12 +65,17 @@ class Groups:
         n = _choose(group, SAMPLES, self._pixels, np.empty(len(self), np.int32), nodes)
         return nodes[:n], group[nodes[:n]]
 
-    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8]) -> None:
-        """Reject the pixels of ambiguous groups (n,), after :meth:`sampled`; ``valid`` (H, W) is changed."""
+    def reject(self, ambiguous: NDArray[np.bool_], valid: NDArray[np.uint8], *, entirely: bool = False) -> None:
+        """Reject the pixels of ambiguous groups (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
+
+        Args:
+            entirely: large surfaces with many ambiguous cells are rejected, not only these cells.
+        """
         rejected = ambiguous.copy()
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (rejected, self._pixels))
         share = (cells * pixels).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
         cells[share < AMBIGUOUS_SHARE] = False
+        cells[share >= AMBIGUOUS_SHARE] |= entirely
         # The loop is called without rows as well, or it would be compiled in the middle of a live run.
         rows = len(valid) if rejected.any() else 0
         _reject(rows, self._label, self._row, self._cell, self._across, self._cells, rejected, valid)

@@ -72,19 +72,21 @@ class OrderSearch:
         return fine.order
 
     def reject_ambiguous(
-        self, reference: PhaseMap, other: PhaseMap, correction: F64, order: NDArray[np.int16], stride: int,
-        label: NDArray[np.uint16], sizes: NDArray[np.int32], valid: NDArray[np.uint8],
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, shifts: F64, order: NDArray[np.int16],
+        stride: int, label: NDArray[np.uint16], sizes: NDArray[np.int32], valid: NDArray[np.uint8],
     ) -> None:  # fmt: skip
         """Reject surfaces, large ones in cells, whose orders do not win clearly, see :mod:`.order_margins`.
 
         Args:
+            shifts: (n,) changes of the correction that other orders may have; columns.
             order, label: (H / stride, W / stride) order, and one more than the surface, of every n-th pixel.
             sizes: pixels of each surface; valid: (H / stride, W / stride), changed.
         """
         limit = self._view.settings.uniqueness_ratio / 100
         if limit > 0:
             groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
-            groups.reject(self._fine.margins(reference, other, correction, order, stride, groups) < limit, valid)
+            margins = self._fine.margins(reference, other, correction, shifts, order, stride, groups)
+            groups.reject(margins < limit, valid, entirely=len(shifts) > 0)
 
     def set_prior(self, reference: PhaseMap, order: NDArray[np.int16]) -> None:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""
@@ -145,8 +147,8 @@ class _Lattice:
         return single
 
     def margins(
-        self, reference: PhaseMap, other: PhaseMap, correction: F64, order: NDArray[np.int16], stride: int,
-        groups: order_margins.Groups,
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, shifts: F64, order: NDArray[np.int16],
+        stride: int, groups: order_margins.Groups,
     ) -> NDArray[np.float32]:  # fmt: skip
         """(groups,) least margins of the orders; only lattice pixels in rows and columns of the stride count."""
         view, table, s = self._view, self.table, self._view.settings
@@ -155,14 +157,28 @@ class _Lattice:
         nodes, group = groups.sampled(*(np.where(x % stride == 0, x // stride, -1) for x in (rows, columns)))
         i, j = rows[nodes // w], columns[nodes % w]
         first, count = np.empty(h * w, np.int32), np.empty(h * w, np.int32)
-        costs = np.empty((len(nodes), view.labels), np.float32)
-        order_margins.costs_of_nodes(
-            blocks(len(nodes), TILE), nodes, i * reference.phase.shape[1] + j, self._rays, reference.phase,
-            reference.descriptors, other.descriptors, view.phase_to_column, view.linear,
-            self._limit_orders(correction), np.float32(view.extent), view.labels, view.first_axis,
-            np.float32(0.5 / s.cost_sigma**2), np.float32(s.texture_weight), first, count, costs,
-        )  # fmt: skip
-        least, own = np.empty(len(groups), np.float32), order[i // stride, j // stride]
+        single = self._limit_orders(correction)
+
+        def costs_of(shift: float) -> F32:
+            shifted, costs = single.copy(), np.empty((len(nodes), view.labels), np.float32)
+            shifted[0] += shift
+            order_margins.costs_of_nodes(
+                blocks(len(nodes), TILE), nodes, i * reference.phase.shape[1] + j, self._rays, reference.phase,
+                reference.descriptors, other.descriptors, view.phase_to_column, view.linear, shifted,
+                np.float32(view.extent), view.labels, view.first_axis, np.float32(0.5 / s.cost_sigma**2),
+                np.float32(s.texture_weight), first, count, costs,
+            )  # fmt: skip
+            return costs
+
+        own, costs = order[i // stride, j // stride], costs_of(0.0)
+        if len(shifts):
+            k = own - first[nodes]
+            chosen = np.flatnonzero((k >= 0) & (k < count[nodes])), k[(k >= 0) & (k < count[nodes])]
+            costs_of_own = costs[chosen]
+            for shift in shifts:
+                np.minimum(costs, costs_of(shift), out=costs)
+            costs[chosen] = costs_of_own
+        least = np.empty(len(groups), np.float32)
         order_margins.least_margins(
             group, own, first[nodes], count[nodes], costs, order_margins.LEAST_SHARE, order_margins.LARGEST_COST, least
         )

@@ -25,6 +25,8 @@ NO_CORRECTION: Correction = np.zeros(3)
 CLEARLY_MORE, PER_COLUMN = 0.025, 0.01
 """How much more an offset costs on average that is clearly worse than another, and how much more each column counts:
 small offsets are more probable."""
+_SAME, _MOST_OTHERS = 0.1, 2
+"""Distance up to which offsets are alike, columns; how many others are compared."""
 
 
 def offsets_to_try(largest: float, step: float = 0.25) -> F64:
@@ -46,6 +48,26 @@ def best_offset(offsets: F64, with_margin: F64, inside: F64) -> float:
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     allowed = probable <= probable.min() + CLEARLY_MORE
     return float(offsets[np.where(allowed, (with_margin + inside).round(6), np.inf).argmin()])
+
+
+def other_shifts(
+    offsets: F64, with_margin: F64, correction: Correction, cost: float, middle: tuple[float, float]
+) -> F64:
+    """Changes (n,) of the correction's offset that explain the pair about as well, and halves of them; columns.
+
+    A wall behind the volume may agree with wrong orders inside it after a small change of the offset, and then
+    determines the correction itself. Whether the orders win clearly must not depend on the offset that they chose.
+
+    Args:
+        offsets, with_margin: as of :func:`best_offset`; cost: the same of the correction.
+        middle: projector coordinates along and across the fringes where the correction is compared with an offset.
+    """
+    here = float(correction @ (1.0, *middle))
+    probable = with_margin + PER_COLUMN * np.abs(offsets)
+    limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
+    others = np.flatnonzero((probable <= limit) & (np.abs(offsets - here) >= _SAME))
+    shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here
+    return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)
 
 
 def column_differences(view: View, match: MatchResult, correction: Correction) -> tuple[F64, F64, F64]:

@@ -73,6 +73,7 @@ class Reconstructor:
         self.settings = settings or Settings()
         self.correction = column_correction.NO_CORRECTION.copy()
         self.calibrated = not self.settings.self_calibrate
+        self.other_shifts = np.empty(0)  # of the correction, which explain its pair about as well
         self.scan: ColumnScan | None = None
         self._clock, self._threads = clock, threads
         mosaic = mosaic_of(encoding)
@@ -102,7 +103,7 @@ class Reconstructor:
         width, height = self.calibration.left.size
         right_width, right_height = self.calibration.right.size
         deep = (3,) if self.encoding == "rgb8" else ()
-        kept = self.correction, self.calibrated
+        kept = self.correction, self.calibrated, self.other_shifts
         rng = np.random.default_rng(0)
         left = rng.integers(40, 200, (height, width, *deep), dtype=np.uint8)
         right = rng.integers(40, 200, (right_height, right_width, *deep), dtype=np.uint8)
@@ -114,7 +115,7 @@ class Reconstructor:
         self.color(left)
         normals_of(cloud.xyz, cloud.sigma_mm)
         self.clear_prior()
-        self.correction, self.calibrated = kept
+        self.correction, self.calibrated, self.other_shifts = kept
 
     def reconstruct(
         self, left: NDArray[Any], right: NDArray[Any], *, stride: int = 1, use_prior: bool = False
@@ -134,7 +135,7 @@ class Reconstructor:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
-        by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction)
+        by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, self.other_shifts)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 
     def color(self, left: NDArray[Any]) -> NDArray[np.uint8]:
@@ -167,16 +168,16 @@ class Reconstructor:
         self.scan = self.scan_columns(left, right)
         inside = View.of(self.calibration, self.pattern, self.volume, self.settings)
         offsets = column_correction.offsets_to_try(self.settings.self_calibration_range)
-        costs = [
-            [
-                float(each.mean(dtype=np.float64)) if len(each) else 0.0
-                for each in (
-                    search.least_costs(left, right, np.array([offset, 0.0, 0.0]), stride=8) for offset in offsets
-                )
-            ]
+
+        def mean_cost(search: OrderSearch, correction: column_correction.Correction) -> float:
+            costs = search.least_costs(left, right, correction, stride=8)
+            return float(costs.mean(dtype=np.float64)) if len(costs) else 0.0
+
+        with_margin, within = (
+            np.array([mean_cost(search, np.array([offset, 0.0, 0.0])) for offset in offsets])
             for search in (self.searches[0], OrderSearch(inside))
-        ]
-        self.correction = np.array([column_correction.best_offset(offsets, *map(np.array, costs)), 0.0, 0.0])
+        )
+        self.correction = np.array([column_correction.best_offset(offsets, with_margin, within), 0.0, 0.0])
         self.calibrated = True
         self.clear_prior()
         orders = self._orders(left, right, Stopwatch(None), use_prior=False)
@@ -185,6 +186,10 @@ class Reconstructor:
         if len(difference) >= 1000:
             limit = self.settings.self_calibration_range + 1.0
             self.correction = column_correction.affine_fit(along, across, difference, limit=limit)
+        middle = (float(np.median(along)), float(np.median(across))) if len(along) else (0.0, 0.0)
+        cost = mean_cost(self.searches[0], self.correction)
+        self.clear_prior()
+        self.other_shifts = column_correction.other_shifts(offsets, with_margin, self.correction, cost, middle)
 
     def scan_columns(self, left: PhaseMap | None = None, right: PhaseMap | None = None) -> ColumnScan | None:
         """Cost of the order search over column offsets of half a period to both sides; None without fringes.

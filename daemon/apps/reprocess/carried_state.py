@@ -25,11 +25,13 @@ class CarriedState:
         encoding: of the images seen last; another one begins with a new reconstructor.
         corrections: offset and two slopes of each inner reconstructor, and whether they were measured.
         scan: fields of the first pair's column scan, None without one.
+        shifts: of the correction, which explain the first pair about as well.
     """
 
     encoding: str = ""
     corrections: tuple[tuple[tuple[float, ...], bool], ...] = ()
     scan: tuple[float, ...] | None = None
+    shifts: tuple[float, ...] = ()
 
     @property
     def settled(self) -> bool:
@@ -42,6 +44,7 @@ class CarriedState:
             "encoding": self.encoding,
             "corrections": [[list(values), measured] for values, measured in self.corrections],
             "scan": None if self.scan is None else list(self.scan),
+            "shifts": list(self.shifts),
         }
 
     @classmethod
@@ -51,6 +54,7 @@ class CarriedState:
             str(values["encoding"]),
             tuple((tuple(map(float, numbers)), bool(measured)) for numbers, measured in values["corrections"]),
             None if values["scan"] is None else tuple(map(float, values["scan"])),
+            _numbers(values.get("shifts", ())),
         )
 
 
@@ -59,7 +63,8 @@ def capture(reconstructor: IndependentVerdicts | SetReconstructor) -> CarriedSta
     if isinstance(reconstructor, IndependentVerdicts):
         inner = reconstructor.inner
         scan = None if inner.scan is None else tuple(map(float, dataclasses.astuple(inner.scan)))
-        return CarriedState(inner.encoding, ((_numbers(inner.correction), inner.calibrated),), scan)
+        correction = _numbers(inner.correction), inner.calibrated
+        return CarriedState(inner.encoding, (correction,), scan, _numbers(inner.other_shifts))
     kept = reconstructor.state()
     return CarriedState(reconstructor.encoding, tuple((_numbers(values), measured) for values, measured in kept))
 
@@ -71,6 +76,7 @@ def restore(reconstructor: IndependentVerdicts | SetReconstructor, state: Carrie
         inner = reconstructor.inner
         [(inner.correction, inner.calibrated)] = pairs
         inner.scan = None if state.scan is None else ColumnScan(*state.scan)
+        inner.other_shifts = np.array(state.shifts)
         inner.clear_prior()
         return
     reconstructor.restore(pairs)
