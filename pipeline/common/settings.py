@@ -50,9 +50,9 @@ class Settings:
     """Cluster filter: area of the smallest connected component that is kept."""
     cluster_phase_threshold: float = 0.2
     """Cluster filter: largest rms phase error against the projector of a component that is not large."""
-    uniqueness_ratio: float = 1.5
+    uniqueness_ratio: float = 5.0
     """Cluster filter: least margin by which the fringe orders of a surface cost less than the second best ones,
-    percent of the cost of a disagreeing pixel; 0 = off."""
+    percent of the cost of a disagreeing pixel; down to 0.3 of it where the projector's position repeats; 0 = off."""
     edge_threshold: float = 0.65
     """Edge filter: fraction of its neighbours' modulation below which a border pixel is taken as mixed; 0 = off."""
     edge_probability: float = 0.07

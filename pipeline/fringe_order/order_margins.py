@@ -9,7 +9,7 @@ that crosses a true one is connected with it.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,19 @@ LARGEST_COST = 0.3
 """Mean cost up to which another order explains a group; saturated surfaces cost as much with their own as with any."""
 AMBIGUOUS_SHARE = 0.35
 """Share of its pixels from which a large surface's ambiguous cells are rejected; its other cells decide fewer."""
+
+
+class Limits(NamedTuple):
+    """When orders win clearly.
+
+    Args:
+        margin: the least one, 0 = no test; shifts: (n,) changes of the column correction that other orders may have.
+        entirely: large surfaces with many ambiguous cells are rejected, not only these cells.
+    """
+
+    margin: float
+    shifts: NDArray[np.float64]
+    entirely: bool
 
 
 class Groups:
@@ -69,7 +82,7 @@ class Groups:
         """Reject the pixels of ambiguous groups (n,), after :meth:`sampled`; ``valid`` (H, W) is changed.
 
         Args:
-            entirely: large surfaces with many ambiguous cells are rejected, not only these cells.
+            entirely: as of :class:`Limits`.
         """
         rejected = ambiguous.copy()
         cells, pixels = (x[self._surfaces :].reshape(-1, self._cells) for x in (rejected, self._pixels))

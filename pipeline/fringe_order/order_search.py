@@ -72,21 +72,20 @@ class OrderSearch:
         return fine.order
 
     def reject_ambiguous(
-        self, reference: PhaseMap, other: PhaseMap, correction: F64, shifts: F64, order: NDArray[np.int16],
-        stride: int, label: NDArray[np.uint16], sizes: NDArray[np.int32], valid: NDArray[np.uint8],
+        self, reference: PhaseMap, other: PhaseMap, correction: F64, limits: order_margins.Limits,
+        order: NDArray[np.int16], stride: int, label: NDArray[np.uint16], sizes: NDArray[np.int32],
+        valid: NDArray[np.uint8],
     ) -> None:  # fmt: skip
         """Reject surfaces, large ones in cells, whose orders do not win clearly, see :mod:`.order_margins`.
 
         Args:
-            shifts: (n,) changes of the correction that other orders may have; columns.
             order, label: (H / stride, W / stride) order, and one more than the surface, of every n-th pixel.
             sizes: pixels of each surface; valid: (H / stride, W / stride), changed.
         """
-        limit = self._view.settings.uniqueness_ratio / 100
-        if limit > 0:
+        if limits.margin > 0:
             groups = order_margins.Groups(label, sizes, order_margins.CELL // stride)
-            margins = self._fine.margins(reference, other, correction, shifts, order, stride, groups)
-            groups.reject(margins < limit, valid, entirely=len(shifts) > 0)
+            margins = self._fine.margins(reference, other, correction, limits.shifts, order, stride, groups)
+            groups.reject(margins < limits.margin, valid, entirely=limits.entirely)
 
     def set_prior(self, reference: PhaseMap, order: NDArray[np.int16]) -> None:
         """Expect these orders (h, w) of the last search in the next one, where their cost was low."""

@@ -61,7 +61,7 @@ class CloudStage:
             shape, calibration.right.size, calibration.projector.size,
             self._slopes, left.depth, left.order_step, settings,
             smallest=max(settings.cluster_min_area // stride**2, 1),
-            phase_weight=phase_weight(_baselines(calibration), linear=left.linear), stride=stride,
+            phase_weight=phase_weight(baselines(calibration), linear=left.linear), stride=stride,
         )  # fmt: skip
         self._agreement = Agreement.empty(shape)
         self._slope = np.float32(self._slopes[0])
@@ -158,7 +158,7 @@ class CloudStage:
         return cloud
 
 
-def _baselines(calibration: Calibration) -> float:
+def baselines(calibration: Calibration) -> float:
     """Ratio of the baselines left to right and left to projector, along the former."""
     left, right, projector = (
         -device.rotation.T @ device.translation

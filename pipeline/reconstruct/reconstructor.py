@@ -18,7 +18,9 @@ from pipeline.decode.decoder import Decoder, PhaseMap
 from pipeline.decode.kernels.window_fit import weights_of
 from pipeline.decode.raw_image import checked, mosaic_of
 from pipeline.filter.kernel_warmup import warm_up_conflicts
+from pipeline.filter.point_filter import phase_weight
 from pipeline.fringe_order.left_right_check import cross_check
+from pipeline.fringe_order.order_margins import Limits
 from pipeline.fringe_order.order_propagation import propagate
 from pipeline.fringe_order.order_search import OrderSearch
 from pipeline.geometry.ray_tables import DepthScale
@@ -27,10 +29,16 @@ from pipeline.pattern.color_fringe import ColorFringe
 from pipeline.reconstruct import column_correction
 from pipeline.reconstruct.cloud import Cloud
 from pipeline.reconstruct.consistency import ColumnScan
-from pipeline.reconstruct.orders_to_cloud import CloudStage
+from pipeline.reconstruct.orders_to_cloud import CloudStage, baselines
 from pipeline.reconstruct.search_views import search_views, volume_of_right
 from pipeline.rig.calibration import Calibration
 from pipeline.rig.volume import Volume
+
+_LEAST_MARGIN = 0.3
+"""Share of ``uniqueness_ratio`` that is asked of layouts where every surface's orders have small margins."""
+_DISTINCT = 0.5
+"""Weight of the projector's phase from which a surface with many ambiguous parts is rejected entirely: in such layouts
+only wrong orders have them."""
 
 
 class Reconstructor:
@@ -90,6 +98,8 @@ class Reconstructor:
         weights = weights_of(*self.settings.window(mosaic=mosaic is not None))
         self._correlation = float((weights[:, 1:] * weights[:, :-1]).sum() / (weights**2).sum())
         self.searches = OrderSearch(self.left), OrderSearch(self.right)
+        self._distinct = phase_weight(baselines(calibration), linear=self.left.linear)
+        self._least_margin = self.settings.uniqueness_ratio / 100 * max(_LEAST_MARGIN, self._distinct)
         self._kept = np.empty(self.left.table.shape, np.int16)
         self._order = np.empty(calibration.left.size[::-1], np.int16)
         self._stages: dict[int, CloudStage] = {}
@@ -135,7 +145,9 @@ class Reconstructor:
             numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
         watch = Stopwatch(self._clock)
         left_map, right_map, order = self.orders(left, right, watch, use_prior=use_prior)
-        by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, self.other_shifts)
+        blind = self._distinct < _DISTINCT
+        limits = Limits(self._least_margin, self.other_shifts, not blind or len(self.other_shifts) > 0)
+        by_orders = partial(self.searches[0].reject_ambiguous, left_map, right_map, self.correction, limits)
         return self.stage(stride).cloud(left_map, right_map, order, self.correction, watch, reject_ambiguous=by_orders)
 
     def color(self, left: NDArray[Any]) -> NDArray[np.uint8]:
