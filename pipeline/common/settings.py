@@ -55,7 +55,7 @@ class Settings:
     percent of the cost of a disagreeing pixel; down to 0.3 of it where the projector's position repeats; 0 = off."""
     edge_threshold: float = 0.65
     """Edge filter: fraction of its neighbours' modulation below which a border pixel is taken as mixed; 0 = off."""
-    edge_probability: float = 0.07
+    edge_probability: float = 0.05
     """Edge filter: largest probability that a point near the border of its surface is wrong; 1 = off."""
     outlier_threshold_mm: float = 0.0
     """Outlier filter: distance within which a point needs two of its eight neighbours; 0 = off."""
