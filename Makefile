@@ -41,7 +41,7 @@ test: $(DEV)  ## all checks: style, types, layers, tests but the long ones; twel
 	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup
 
 test-all: test  ## `make test`, then the long tests (full size, many repeats, virtual machine), each with its time
-	tools/system-packages vm
+	tools/system-packages vm pcl
 	$(BIN)/python -m pytest -m long --verbose
 
 check: $(DEV)  ## style, types, layers and language only
