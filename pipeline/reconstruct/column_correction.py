@@ -25,8 +25,9 @@ NO_CORRECTION: Correction = np.zeros(3)
 CLEARLY_MORE, PER_COLUMN = 0.025, 0.01
 """How much more an offset costs on average that is clearly worse than another, and how much more each column counts:
 small offsets are more probable."""
-_SAME, _MOST_OTHERS = 0.1, 2
-"""Distance up to which offsets are alike, columns; how many others are compared."""
+_SAME, _FARTHER, _MOST_OTHERS = 0.1, 0.2, 2
+"""Distance up to which offsets are alike, columns; how much farther from 0 another one may be, as projectors drift
+little; how many others are compared."""
 
 
 def offsets_to_try(largest: float, step: float = 0.25) -> F64:
@@ -65,7 +66,8 @@ def other_shifts(
     here = float(correction @ (1.0, *middle))
     probable = with_margin + PER_COLUMN * np.abs(offsets)
     limit = min(float(probable.min()), cost + PER_COLUMN * abs(here)) + CLEARLY_MORE
-    others = np.flatnonzero((probable <= limit) & (np.abs(offsets - here) >= _SAME))
+    small = np.abs(offsets) <= abs(here) + _FARTHER
+    others = np.flatnonzero((probable <= limit) & small & (np.abs(offsets - here) >= _SAME))
     shifts = offsets[others[np.argsort(probable[others], kind="stable")][:_MOST_OTHERS]] - here
     return np.asarray(np.concatenate([shifts, shifts / 2]), dtype=np.float64)
 
